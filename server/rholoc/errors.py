@@ -1,0 +1,166 @@
+"""The exception tree. Every error a user can meet is one of these.
+
+::
+
+    RholocError
+    ├── InvalidInput            what was handed in cannot be used
+    │   ├── InvalidImage        not an image, truncated, too large
+    │   ├── InvalidCamera       intrinsics missing or absurd
+    │   ├── InvalidDescriptors  a descriptor set of wrong length, shape or number
+    │   ├── InvalidName         a map name that is not one
+    │   ├── InvalidRecording    a video, image folder or table that cannot be read
+    │   ├── InvalidWaypoints    waypoints missing, malformed, too few or collinear
+    │   └── InvalidTrajectory   a trajectory or pose table that cannot be read
+    ├── InvalidMap              a map file that is corrupt, truncated or foreign
+    ├── NotFound
+    │   ├── UnknownMap
+    │   ├── UnknownRecording
+    │   └── UnknownJob
+    ├── Conflict                the request contradicts the present state
+    ├── MappingFailed           a recording was read but no trustworthy map came of it
+    ├── Cancelled               the work was cancelled on request
+    ├── TooLarge                the upload exceeds the limit
+    ├── StorageFull             the disk is full; nothing was replaced
+    ├── Busy                    the queue is full; try again later
+    └── DeadlineExceeded        the caller's deadline passed
+
+``message`` says what is wrong, ``hint`` what to do; both are one line. ``code`` is stable and public.
+"""
+
+
+class RholocError(Exception):
+    """The base of all errors that a user can meet."""
+
+    code = "error"
+
+    def __init__(self, message: str, hint: str = "") -> None:
+        super().__init__(message)
+        self.message = message
+        self.hint = hint
+
+    def __str__(self) -> str:
+        return f"{self.message} {self.hint}".strip()
+
+
+class InvalidInput(RholocError):
+    """What was handed in cannot be used."""
+
+    code = "invalid_input"
+
+
+class InvalidImage(InvalidInput):
+    """The bytes are not an image, are truncated, or claim more pixels than allowed."""
+
+    code = "invalid_image"
+
+
+class InvalidCamera(InvalidInput):
+    """Intrinsics are missing or physically absurd."""
+
+    code = "invalid_camera"
+
+
+class InvalidDescriptors(InvalidInput):
+    """A descriptor set has the wrong length, shape, channel or number, or values that are not finite."""
+
+    code = "invalid_descriptors"
+
+
+class InvalidName(InvalidInput):
+    """A map name is empty, too long, or has characters outside letters, digits, ``-``, ``_`` and ``.``."""
+
+    code = "invalid_name"
+
+
+class InvalidRecording(InvalidInput):
+    """A video, image folder or table of a recording cannot be read."""
+
+    code = "invalid_recording"
+
+
+class InvalidWaypoints(InvalidInput):
+    """Waypoints are malformed, fewer than three, or collinear."""
+
+    code = "invalid_waypoints"
+
+
+class InvalidTrajectory(InvalidInput):
+    """A trajectory or pose table cannot be read."""
+
+    code = "invalid_trajectory"
+
+
+class InvalidMap(RholocError):
+    """A map file is corrupt, truncated, of a later version, or not a map at all."""
+
+    code = "invalid_map"
+
+
+class NotFound(RholocError):
+    """What was asked for does not exist."""
+
+    code = "not_found"
+
+
+class UnknownMap(NotFound):
+    """No map has this name."""
+
+    code = "unknown_map"
+
+
+class UnknownRecording(NotFound):
+    """No recording has this id."""
+
+    code = "unknown_recording"
+
+
+class UnknownJob(NotFound):
+    """No job has this id."""
+
+    code = "unknown_job"
+
+
+class Conflict(RholocError):
+    """The request contradicts the present state, as cancelling a job that has ended does."""
+
+    code = "conflict"
+
+
+class MappingFailed(RholocError):
+    """A recording was read, but no map that can be trusted came of it."""
+
+    code = "mapping_failed"
+
+
+class Cancelled(RholocError):
+    """The work was cancelled on request."""
+
+    code = "cancelled"
+
+
+class TooLarge(RholocError):
+    """The upload exceeds the limit of the service."""
+
+    code = "too_large"
+
+
+class StorageFull(RholocError):
+    """The disk is full. Nothing that was stored before is changed."""
+
+    code = "storage_full"
+
+
+class Busy(RholocError):
+    """The service's queue is full. Try again after ``retry_after_s`` seconds."""
+
+    code = "busy"
+
+    def __init__(self, message: str, hint: str = "", retry_after_s: float = 1.0) -> None:
+        super().__init__(message, hint)
+        self.retry_after_s = retry_after_s
+
+
+class DeadlineExceeded(RholocError):
+    """The caller's deadline passed before an answer was found."""
+
+    code = "deadline_exceeded"

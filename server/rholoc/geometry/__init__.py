@@ -1,0 +1,16 @@
+"""Cameras, poses, rays. Depends on nothing of ours."""
+
+from rholoc.geometry.arrays import BoolArray, ByteArray, FloatArray, IntArray
+from rholoc.geometry.camera import Camera
+from rholoc.geometry.pose import Pose, pose_matrix, rotation_from_heading
+
+__all__ = [
+    "BoolArray",
+    "ByteArray",
+    "Camera",
+    "FloatArray",
+    "IntArray",
+    "Pose",
+    "pose_matrix",
+    "rotation_from_heading",
+]

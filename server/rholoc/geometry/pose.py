@@ -1,0 +1,90 @@
+"""Poses of a camera in the map frame (DESIGN: right-handed, z up, metres)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from rholoc.geometry.arrays import FloatArray
+
+_UP = np.array([0.0, 0.0, 1.0])
+_VERTICAL = 1e-9  # a heading this close to the vertical has no horizontal direction of its own
+
+
+def pose_matrix(R_map_camera: FloatArray, position: FloatArray) -> FloatArray:
+    """R (..., 3, 3) and position (..., 3) in metres → T_map_camera (..., 4, 4)."""
+    T = np.zeros((*R_map_camera.shape[:-2], 4, 4))
+    T[..., :3, :3] = R_map_camera
+    T[..., :3, 3] = position
+    T[..., 3, 3] = 1
+    return T
+
+
+def rotation_from_heading(heading: FloatArray, roll: float = 0.0) -> FloatArray:
+    """R_map_camera (3, 3) of the camera that looks along ``heading`` (3,), rolled by ``roll`` radians about it.
+
+    With roll 0 the camera's x axis is horizontal and its y axis points downwards: the paper's upright model.
+    A vertical heading takes the map's x axis for the camera's.
+    """
+    z = heading / np.linalg.norm(heading)
+    x = np.cross(z, _UP)
+    x = np.array([1.0, 0.0, 0.0]) if np.linalg.norm(x) < _VERTICAL else x / np.linalg.norm(x)
+    y = np.cross(z, x)
+    upright = np.column_stack([x, y, z])
+    c, s = np.cos(roll), np.sin(roll)
+    return np.asarray(upright @ np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]))
+
+
+@dataclass(frozen=True, eq=False)
+class Pose:
+    """Where a camera is and where it looks.
+
+    ``T_map_camera`` (4, 4) takes points of the camera frame (x right, y down, z forward) to the map frame.
+    """
+
+    T_map_camera: FloatArray
+
+    @classmethod
+    def from_quaternion(cls, position: FloatArray, quaternion_xyzw: FloatArray) -> Pose:
+        """From a position (3,) in metres and a quaternion (4,) in the order x, y, z, w."""
+        R = Rotation.from_quat(np.asarray(quaternion_xyzw, dtype=np.float64)).as_matrix()
+        return cls(pose_matrix(R, np.asarray(position, dtype=np.float64)))
+
+    @classmethod
+    def from_heading(cls, position: FloatArray, heading: FloatArray, roll: float = 0.0) -> Pose:
+        """From a position (3,) in metres, a heading (3,) and a roll in radians."""
+        return cls(pose_matrix(rotation_from_heading(np.asarray(heading), roll), np.asarray(position)))
+
+    @property
+    def R_map_camera(self) -> FloatArray:
+        """The rotation, (3, 3)."""
+        return self.T_map_camera[:3, :3]
+
+    @property
+    def position(self) -> FloatArray:
+        """The camera's centre in the map frame, (3,), metres."""
+        return self.T_map_camera[:3, 3]
+
+    @property
+    def heading(self) -> FloatArray:
+        """The optical axis in the map frame, (3,), unit length."""
+        return self.T_map_camera[:3, 2]
+
+    @property
+    def roll(self) -> float:
+        """The rotation about the heading against the upright camera, radians in (-π, π]."""
+        R = rotation_from_heading(self.heading).T @ self.R_map_camera
+        return float(np.arctan2(R[1, 0], R[0, 0]))
+
+    @property
+    def quaternion_xyzw(self) -> FloatArray:
+        """R_map_camera as a quaternion (4,): x, y, z, w with w ≥ 0."""
+        quaternion = Rotation.from_matrix(self.R_map_camera).as_quat()
+        return np.asarray(-quaternion if quaternion[3] < 0 else quaternion)
+
+    def inverse(self) -> FloatArray:
+        """T_camera_map, (4, 4)."""
+        R = self.R_map_camera.T
+        return pose_matrix(R, -R @ self.position)

@@ -1,0 +1,31 @@
+"""How long work tells where it is: the stages of mapping and the listener that hears of them."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from typing import Protocol
+
+
+class Stage(StrEnum):
+    """The stages of a mapping job, in order."""
+
+    RECEIVED = "received"  # the upload is complete and queued
+    READ = "read"  # the recording's files are being read and checked
+    KEYFRAMES = "keyframes"  # frames are being chosen
+    FEATURES = "features"  # features are being extracted
+    POSES = "poses"  # frame poses are being estimated
+    OBSERVATIONS = "observations"  # observations are being linked into features
+    DENSITIES = "densities"  # densities are being fitted
+    REPORT = "report"  # held-out frames are being localized
+    PUBLISHED = "published"  # the map is in the library
+
+
+class ProgressListener(Protocol):
+    """Hears of progress. May raise :class:`rholoc.errors.Cancelled` to stop the work."""
+
+    def __call__(self, stage: Stage, fraction: float, message: str = "") -> None:
+        """Note that ``stage`` is ``fraction`` (0..1) done; ``message`` is one line for people."""
+
+
+def silent(stage: Stage, fraction: float, message: str = "") -> None:
+    """Hear of progress and do nothing."""
