@@ -1,0 +1,1 @@
+"""Equation (3): tensor, ray, presence. Pure numerics."""

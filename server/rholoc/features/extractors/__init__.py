@@ -1,0 +1,66 @@
+"""The extractors: one module each. A new one is one new file that defines ``EXTRACTOR``."""
+
+from __future__ import annotations
+
+import importlib
+import pkgutil
+from functools import cache
+from typing import Protocol
+
+from rholoc.errors import InvalidInput
+from rholoc.features.feature_set import Channel, FeatureSet, Metric
+from rholoc.geometry import ByteArray
+
+
+class Extractor(Protocol):
+    """Image → features. Stateless and safe to call from several threads."""
+
+    @property
+    def name(self) -> str:
+        """The name by which users choose it: the module's own."""
+        ...
+
+    @property
+    def channels(self) -> tuple[Channel, ...]:
+        """The channels its features come from."""
+        ...
+
+    @property
+    def metric(self) -> Metric:
+        """How its descriptors are compared."""
+        ...
+
+    @property
+    def descriptor_bytes(self) -> int:
+        """The length of its descriptors."""
+        ...
+
+    def extract(self, image: ByteArray) -> FeatureSet:
+        """The features of an image (H, W, 3) in BGR order or (H, W) grey, uint8."""
+        ...
+
+
+@cache
+def _registry() -> dict[str, Extractor]:
+    modules = [
+        importlib.import_module(f"{__name__}.{found.name}")
+        for found in pkgutil.iter_modules(__path__)
+        if not found.name.startswith("_")
+    ]
+    return {module.EXTRACTOR.name: module.EXTRACTOR for module in modules}
+
+
+def extractor_names() -> list[str]:
+    """The names of all extractors, sorted."""
+    return sorted(_registry())
+
+
+def get_extractor(name: str) -> Extractor:
+    """The extractor called ``name``.
+
+    Raises:
+        InvalidInput: there is none.
+    """
+    if name not in _registry():
+        raise InvalidInput(f"There are no features called '{name}'.", f"Choose one of {', '.join(extractor_names())}.")
+    return _registry()[name]

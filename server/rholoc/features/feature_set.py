@@ -1,0 +1,99 @@
+"""The features of one image, as arrays."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum, StrEnum
+
+import numpy as np
+
+from rholoc.errors import InvalidDescriptors
+from rholoc.geometry import ByteArray, FloatArray, IntArray
+
+
+class Channel(IntEnum):
+    """The image channel a feature was detected in; its value is the descriptor's prefix in files and requests.
+
+    01 and 02 are the paper's prefixes for A and B.
+    """
+
+    L = 0  # lightness; also plain grey
+    A = 1  # LAB's green–red axis
+    B = 2  # LAB's blue–yellow axis
+    RED = 3
+    GREEN = 4
+    BLUE = 5
+    SIFT = 16  # SIFT on grey
+
+
+class Metric(StrEnum):
+    """How two descriptors are compared."""
+
+    HAMMING = "hamming"  # binary descriptors: the number of bits that differ
+    EUCLIDEAN = "euclidean"  # byte vectors: the Euclidean distance
+
+
+@dataclass(frozen=True, eq=False)
+class FeatureSet:
+    """N features of one image.
+
+    Attributes:
+        pixels: (N, 2) float32, u and v.
+        channels: (N,) uint8, values of :class:`Channel`.
+        descriptors: (N, D) uint8; D = 32 for ORB, 128 for SIFT.
+        sizes: (N,) float32, the diameter of the described patch in pixels; 0 where unknown.
+        angles: (N,) float32, the patch's orientation in radians, in the image, clockwise from +u; NaN where unknown.
+
+    Raises:
+        InvalidDescriptors: the arrays disagree in length or shape, or pixels are not finite.
+    """
+
+    pixels: FloatArray
+    channels: ByteArray
+    descriptors: ByteArray
+    sizes: FloatArray
+    angles: FloatArray
+
+    def __post_init__(self) -> None:
+        n = len(self.pixels)
+        shapes_agree = (
+            self.pixels.shape == (n, 2)
+            and self.descriptors.ndim == 2
+            and all(len(a) == n for a in (self.channels, self.descriptors, self.sizes, self.angles))
+        )
+        if not shapes_agree:
+            raise InvalidDescriptors("The features' arrays differ in length.", "Give one row of each per feature.")
+        if not np.isfinite(self.pixels).all():
+            raise InvalidDescriptors("A feature's pixel is not a finite number.", "Leave such features out.")
+
+    def __len__(self) -> int:
+        return len(self.pixels)
+
+    def take(self, index: IntArray) -> FeatureSet:
+        """The features at ``index`` (K,), in that order."""
+        return FeatureSet(
+            self.pixels[index], self.channels[index], self.descriptors[index], self.sizes[index], self.angles[index]
+        )
+
+    @classmethod
+    def empty(cls, descriptor_bytes: int) -> FeatureSet:
+        """No features, with descriptors of the given length."""
+        nothing = np.zeros(0, np.float32)
+        return cls(
+            np.zeros((0, 2), np.float32),
+            np.zeros(0, np.uint8),
+            np.zeros((0, descriptor_bytes), np.uint8),
+            nothing,
+            nothing,
+        )
+
+    @classmethod
+    def concatenate(cls, sets: list[FeatureSet]) -> FeatureSet:
+        """All features of the sets, in order; at least one set, all with descriptors of one length."""
+        return cls(
+            np.concatenate([s.pixels for s in sets]),
+            np.concatenate([s.channels for s in sets]),
+            np.concatenate([s.descriptors for s in sets]),
+            np.concatenate([s.sizes for s in sets]),
+            np.concatenate([s.angles for s in sets]),
+        )

@@ -1,0 +1,58 @@
+"""A mapping job as users see it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+from rholoc.progress import Stage
+
+
+class JobState(StrEnum):
+    """Where a job stands."""
+
+    QUEUED = "queued"  # waiting for a worker
+    RUNNING = "running"  # a worker has it
+    PUBLISHED = "published"  # its map is in the library
+    FAILED = "failed"  # it ended without a map; the error says why and the recording is kept
+    CANCELLED = "cancelled"  # ended on request; the recording is kept
+
+    @property
+    def ended(self) -> bool:
+        """Whether the job will not change any more by itself."""
+        return self in (JobState.PUBLISHED, JobState.FAILED, JobState.CANCELLED)
+
+
+@dataclass(frozen=True)
+class Job:
+    """One mapping job.
+
+    Attributes:
+        id: unique, 32 hex digits.
+        recording: the recording's id.
+        map_name: the map that it will publish.
+        state: where it stands.
+        stage: the stage it is in or ended in.
+        progress: 0..1 over all stages.
+        message: one line for people.
+        log: the last lines of its log.
+        error_code, error_message, error_hint: set when it failed.
+        created, started, ended: seconds since the epoch, or None.
+        attempts: how many workers have taken it up.
+    """
+
+    id: str
+    recording: str
+    map_name: str
+    state: JobState
+    stage: Stage
+    progress: float
+    message: str
+    log: tuple[str, ...]
+    error_code: str | None
+    error_message: str | None
+    error_hint: str | None
+    created: float
+    started: float | None
+    ended: float | None
+    attempts: int

@@ -1,0 +1,92 @@
+"""What localization is asked and what it answers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import IntEnum, StrEnum
+
+from rholoc.features import FeatureSet
+from rholoc.geometry import Camera, FloatArray, IntArray, Pose
+
+
+class Dof(IntEnum):
+    """The degrees of freedom that are estimated."""
+
+    UPRIGHT = 5  # position and heading; the camera does not roll: the paper's model
+    FREE = 6  # position, heading and roll
+
+
+class Reason(StrEnum):
+    """Why there is no pose."""
+
+    NO_FEATURES = "no_features"  # the image has too few features: blank, dark or blurred
+    NO_MATCHES = "no_matches"  # too few of its features look like any of the map's
+    NO_AGREEMENT = "no_agreement"  # no pose explains enough of the matches
+    LOW_CONFIDENCE = "low_confidence"  # a pose was found, but it is likelier wrong than the threshold allows
+    DEADLINE = "deadline"  # the deadline passed before an answer was found
+
+
+@dataclass(frozen=True)
+class Prior:
+    """A pose that the answer is expected near.
+
+    Attributes:
+        pose: the expected pose.
+        radius_m: how far the position may be from it, metres.
+        radius_rad: how far the heading may be from it, radians.
+    """
+
+    pose: Pose
+    radius_m: float = 1.0
+    radius_rad: float = 0.6
+
+
+@dataclass(frozen=True)
+class Query:
+    """One frame to localize.
+
+    Attributes:
+        features: its features, by the map's own extractor.
+        camera: its intrinsics.
+        dof: what is estimated.
+        prior: where the pose is expected, or None.
+        gravity: (3,) the direction of gravity in the camera frame (down), or None; with it roll and pitch are known.
+        deadline_s: seconds that the answer may take, or None.
+    """
+
+    features: FeatureSet
+    camera: Camera
+    dof: Dof = Dof.UPRIGHT
+    prior: Prior | None = None
+    gravity: FloatArray | None = None
+    deadline_s: float | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Localization:
+    """The answer for one frame.
+
+    Attributes:
+        localized: whether there is a pose to rely on.
+        reason: why there is none, else None.
+        pose: the pose, or None.
+        covariance: (6, 6) of position (metres, map frame) and rotation (radians, a small rotation in the map frame
+            applied from the left), in this order, or None.
+        confidence: 0..1, the probability that the pose is within 10 cm and 5°.
+        matches: how many matches of features spoke.
+        inliers: how many of them agree with the pose.
+        inlier_pixels: (I, 2) pixels of those.
+        inlier_features: (I,) their rows in the map.
+        timings_ms: milliseconds by stage: match, seed, ascend, verify.
+    """
+
+    localized: bool
+    reason: Reason | None
+    pose: Pose | None
+    covariance: FloatArray | None
+    confidence: float
+    matches: int
+    inliers: int
+    inlier_pixels: FloatArray
+    inlier_features: IntArray
+    timings_ms: dict[str, float] = field(default_factory=dict)

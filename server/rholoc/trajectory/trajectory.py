@@ -1,0 +1,48 @@
+"""The frame poses of a recording."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import Any
+
+from rholoc.geometry import Camera, FloatArray, IntArray
+
+
+class PoseMethod(StrEnum):
+    """Where frame poses come from."""
+
+    VISUAL_INERTIAL = "visual-inertial"  # structure from motion, made metric and upright by waypoints and IMU
+    VISUAL = "visual"  # structure from motion and waypoints; the IMU is not used
+    INERTIAL = "inertial"  # the paper's own: the IMU integrated between waypoints
+    GIVEN = "given"  # the recording's own poses
+
+
+class Scale(StrEnum):
+    """What the map's unit of length is."""
+
+    METRIC = "metric"  # metres
+    ARBITRARY = "arbitrary"  # nothing measured fixes it
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """Poses of K frames of a recording, in the map frame.
+
+    Attributes:
+        rows: (K,) int64, rows of the recording's frames, increasing.
+        times: (K,) float64, seconds.
+        T_map_camera: (K, 4, 4).
+        camera: the intrinsics that belong to these poses.
+        scale: whether lengths are metres.
+        upright: whether the map's z axis is known to point up.
+        report: figures for people, JSON-serialisable: waypoint residuals, reprojection error, frames placed, …
+    """
+
+    rows: IntArray
+    times: FloatArray
+    T_map_camera: FloatArray
+    camera: Camera
+    scale: Scale
+    upright: bool
+    report: dict[str, Any] = field(default_factory=dict)
