@@ -67,7 +67,8 @@ class Camera:
             values = []
         if len(values) < 4:
             raise InvalidCamera(f"'{text}' is not a camera.", "Give fx,fy,cx,cy[,k1,k2,p1,p2[,k3]] in pixels.")
-        return cls(width, height, *values[:4], distortion=tuple(values[4:]))
+        fx, fy, cx, cy, *distortion = values
+        return cls(width, height, fx, fy, cx, cy, tuple(distortion))
 
     @property
     def matrix(self) -> FloatArray:
@@ -100,9 +101,7 @@ class Camera:
         if len(points) == 0:
             return np.zeros((0, 2))
         criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 40, 1e-12)
-        undistorted = cv2.undistortPointsIter(
-            points[:, None], self.matrix, np.array(self.distortion), np.eye(3), np.eye(3), criteria
-        )
+        undistorted = cv2.undistortPoints(points[:, None], self.matrix, np.array(self.distortion), criteria=criteria)
         return np.asarray(undistorted, dtype=np.float64).reshape(-1, 2)
 
     def rays(self, pixels: FloatArray) -> FloatArray:

@@ -1,0 +1,5 @@
+"""The ``rholoc`` command."""
+
+
+def main() -> None:
+    """Run the command."""
