@@ -1,0 +1,130 @@
+"""How far poses are from the truth, and the figures that sum it up. Knows nothing of files or plots."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from rholoc.geometry import BoolArray, FloatArray, pose_matrix
+
+RECALL_THRESHOLDS = ((0.05, 5.0), (0.10, 5.0), (0.25, 10.0))
+"""Metres and degrees within which a frame counts as localized well: 5 cm/5°, 10 cm/5°, 25 cm/10°."""
+
+
+@dataclass(frozen=True, eq=False)
+class PoseErrors:
+    """Errors of N poses; a frame without a pose has infinite errors.
+
+    Attributes:
+        position_m: (N,) the distance between the camera centres, metres.
+        rotation_rad: (N,) the angle of the whole rotation between the two, heading and roll, radians.
+    """
+
+    position_m: FloatArray
+    rotation_rad: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.position_m)
+
+    @property
+    def localized(self) -> BoolArray:
+        """(N,) bool, which frames have a pose at all."""
+        return np.isfinite(self.position_m)
+
+    def within(self, position_m: float, rotation_deg: float) -> BoolArray:
+        """(N,) bool, which frames have both errors no larger than these."""
+        return (self.position_m <= position_m) & (self.rotation_rad <= math.radians(rotation_deg))
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """A trajectory's figures. Every one is over all ``n`` frames, and a frame without a pose is a failure in all.
+
+    A failure counts as infinitely wrong in the medians and 90th percentiles too: leaving failures out would reward a
+    localizer for answering only the easy frames. Where so many fail that a figure is infinite, it is None.
+
+    Attributes:
+        n: frames that were to be localized and whose truth is known.
+        localized: how many of them have a pose.
+        median_cm, median_deg: median errors of position (cm) and rotation (degrees).
+        p90_cm, p90_deg: their 90th percentiles.
+        recall_5cm_5deg, recall_10cm_5deg, recall_25cm_10deg: fractions 0..1 of ``n`` within both.
+    """
+
+    n: int
+    localized: int
+    median_cm: float | None
+    median_deg: float | None
+    p90_cm: float | None
+    p90_deg: float | None
+    recall_5cm_5deg: float
+    recall_10cm_5deg: float
+    recall_25cm_10deg: float
+
+    def as_dict(self) -> dict[str, float | int | None]:
+        """The figures by name, JSON-serialisable."""
+        return asdict(self)
+
+
+def trajectory_errors(estimated: FloatArray, truth: FloatArray) -> PoseErrors:
+    """Errors of ``estimated`` (N, 4, 4) against ``truth`` (N, 4, 4), both T_map_camera in one map frame, metres.
+
+    NaN in an estimated pose means that there is none.
+    """
+    known = np.isfinite(estimated).all(axis=(1, 2))
+    position_m = np.full(len(estimated), np.inf)
+    rotation_rad = np.full(len(estimated), np.inf)
+    if known.any():
+        position_m[known] = np.linalg.norm(estimated[known, :3, 3] - truth[known, :3, 3], axis=1)
+        R_estimated = Rotation.from_matrix(estimated[known, :3, :3])
+        rotation_rad[known] = (R_estimated.inv() * Rotation.from_matrix(truth[known, :3, :3])).magnitude()
+    return PoseErrors(position_m, rotation_rad)
+
+
+def evaluate(errors: PoseErrors) -> Evaluation:
+    """The figures of a trajectory's errors."""
+    recalls = [_fraction(errors.within(*threshold)) for threshold in RECALL_THRESHOLDS]
+    rotation_deg = np.degrees(errors.rotation_rad)
+    return Evaluation(
+        n=len(errors),
+        localized=int(errors.localized.sum()),
+        median_cm=quantile(errors.position_m * 100, 0.5),
+        median_deg=quantile(rotation_deg, 0.5),
+        p90_cm=quantile(errors.position_m * 100, 0.9),
+        p90_deg=quantile(rotation_deg, 0.9),
+        recall_5cm_5deg=recalls[0],
+        recall_10cm_5deg=recalls[1],
+        recall_25cm_10deg=recalls[2],
+    )
+
+
+def quantile(values: FloatArray, q: float) -> float | None:
+    """The ``q``-quantile (0..1) of values (N,) that may be infinite, interpolated; None where it is not finite."""
+    if len(values) == 0:
+        return None
+    ordered = np.sort(values)
+    place = q * (len(ordered) - 1)
+    low, high = math.floor(place), math.ceil(place)
+    share = place - low
+    value = ordered[low] if share == 0 else (1 - share) * ordered[low] + share * ordered[high]
+    return float(value) if math.isfinite(value) else None
+
+
+def rigid_alignment(estimated: FloatArray, truth: FloatArray) -> FloatArray:
+    """The T_truth_estimated (4, 4) that brings the camera centres of ``estimated`` (N, 4, 4) nearest to ``truth``'s.
+
+    Rotation and translation, no scale (Kabsch). For trajectories in different map frames; at least three poses that
+    do not lie on a line fix it. NaN poses are left out.
+    """
+    known = np.isfinite(estimated).all(axis=(1, 2))
+    source, target = estimated[known, :3, 3], truth[known, :3, 3]
+    R, _ = Rotation.align_vectors(target - target.mean(axis=0), source - source.mean(axis=0))
+    t = target.mean(axis=0) - R.apply(source.mean(axis=0))
+    return pose_matrix(R.as_matrix(), t)
+
+
+def _fraction(flags: BoolArray) -> float:
+    return float(flags.mean()) if len(flags) else 0.0
