@@ -1,0 +1,90 @@
+"""Recordings in ZIP files: unpacked with care, because anyone may have packed them."""
+
+from __future__ import annotations
+
+import errno
+import shutil
+import stat
+import zipfile
+import zlib
+from pathlib import Path, PurePosixPath
+
+from rholoc.errors import InvalidRecording, StorageFull, TooLarge
+
+DEFAULT_MAX_BYTES = 8 * 2**30  # unpacked
+MAX_FILES = 100_000
+MAX_RATIO = 200.0  # unpacked to packed; tables of numbers reach 20, bombs 1000
+_RATIO_FREE_BYTES = 2**20  # below this size a ratio says nothing
+
+_IGNORED = ("__MACOSX", ".DS_Store", "Thumbs.db")
+
+
+def unpack(archive: Path, folder: Path, max_bytes: int = DEFAULT_MAX_BYTES) -> Path:
+    """Unpack a ZIP file into ``folder``; returns the folder of the recording in it.
+
+    That is ``folder`` itself, or the only folder packed when everything lies in one.
+
+    Raises:
+        InvalidRecording: not a ZIP file, damaged, encrypted, or with an entry that would land outside the folder or is
+            a link.
+        TooLarge: it would unpack to more than ``max_bytes``, too many files, or is packed tighter than honest data.
+        StorageFull: the disk is full.
+
+    What had been unpacked before an error stays in ``folder``: the caller, who made it, removes it.
+    """
+    try:
+        with zipfile.ZipFile(archive) as packed:
+            entries = [entry for entry in packed.infolist() if not _ignored(entry)]
+            _check(entries, archive, max_bytes)
+            for entry in entries:
+                _unpack_entry(packed, entry, folder)
+    except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError, UnicodeError) as error:
+        raise InvalidRecording(
+            f"{archive.name} is not a whole ZIP file: {error}.", "Pack it or send it again."
+        ) from error
+    except OSError as error:
+        if error.errno in (errno.ENOSPC, errno.EDQUOT):
+            raise StorageFull(f"No room left to unpack {archive.name}.", "Free some space and try again.") from error
+        raise InvalidRecording(f"{archive.name} cannot be unpacked: {error.strerror}.") from error
+    return _recording_folder(folder)
+
+
+def _ignored(entry: zipfile.ZipInfo) -> bool:
+    return any(part in _IGNORED for part in PurePosixPath(entry.filename).parts)
+
+
+def _check(entries: list[zipfile.ZipInfo], archive: Path, max_bytes: int) -> None:
+    for entry in entries:
+        path = PurePosixPath(entry.filename.replace("\\", "/"))
+        if path.is_absolute() or ".." in path.parts or ":" in path.parts[0] if path.parts else True:
+            raise InvalidRecording(f"{archive.name} holds a file outside its folder: '{entry.filename}'.")
+        kind = stat.S_IFMT(entry.external_attr >> 16)
+        if kind not in (0, stat.S_IFREG, stat.S_IFDIR):
+            raise InvalidRecording(f"{archive.name} holds '{entry.filename}', which is a link or device, not a file.")
+        if entry.file_size > _RATIO_FREE_BYTES and entry.file_size > MAX_RATIO * entry.compress_size:
+            raise TooLarge(
+                f"{archive.name}: '{entry.filename}' is packed suspiciously tightly.", "Pack it uncompressed."
+            )
+    total = sum(entry.file_size for entry in entries)
+    if total > max_bytes or len(entries) > MAX_FILES:
+        raise TooLarge(
+            f"{archive.name} would unpack to {total / 2**20:.0f} MiB in {len(entries)} files.",
+            f"{max_bytes / 2**20:.0f} MiB in {MAX_FILES} files are allowed.",
+        )
+
+
+def _unpack_entry(packed: zipfile.ZipFile, entry: zipfile.ZipInfo, folder: Path) -> None:
+    target = folder / PurePosixPath(entry.filename.replace("\\", "/"))
+    if entry.is_dir():
+        target.mkdir(parents=True, exist_ok=True)
+        return
+    target.parent.mkdir(parents=True, exist_ok=True)
+    # zipfile stops at the declared size, so what is declared bounds what is written.
+    with packed.open(entry) as source, target.open("wb") as sink:
+        shutil.copyfileobj(source, sink, 2**20)
+
+
+def _recording_folder(folder: Path) -> Path:
+    inside = list(folder.iterdir())
+    wrapped = len(inside) == 1 and inside[0].is_dir() and inside[0].name not in ("frames", "images")
+    return inside[0] if wrapped else folder

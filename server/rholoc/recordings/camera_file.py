@@ -1,0 +1,110 @@
+"""``camera.json``: what is known of the device that recorded."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rholoc.errors import InvalidCamera
+from rholoc.geometry import Camera, FloatArray
+from rholoc.recordings.csv_table import read_text
+
+_INTRINSICS = ("width", "height", "fx", "fy", "cx", "cy")
+_ROTATION_TOLERANCE = 1e-3  # how far R Rᵀ may be from the identity
+
+
+@dataclass(frozen=True, eq=False)
+class CameraFile:
+    """What ``camera.json`` says; every part of it may be absent.
+
+    Attributes:
+        camera: the intrinsics, or None.
+        fps: frames a second, for image folders without a table of times, or None.
+        R_camera_imu: (3, 3), takes vectors of the IMU's axes to the camera frame, or None.
+        gravity_included: whether gravity's reaction is part of the IMU's acceleration.
+    """
+
+    camera: Camera | None = None
+    fps: float | None = None
+    R_camera_imu: FloatArray | None = None
+    gravity_included: bool = True
+
+
+def read_camera_json(path: Path) -> CameraFile:
+    """Read ``camera.json``.
+
+    Raises:
+        InvalidCamera: not JSON, a part of the intrinsics is missing, or a value is absurd.
+    """
+    try:
+        values = json.loads(read_text(path, InvalidCamera))
+    except ValueError as error:
+        raise InvalidCamera(f"{path.name} is not JSON: {error}.") from error
+    if not isinstance(values, dict):
+        raise InvalidCamera(f"{path.name} does not hold a JSON object.", _hint())
+    gravity_included = values.get("gravity_included", True)
+    if not isinstance(gravity_included, bool):
+        raise InvalidCamera(f"{path.name}: gravity_included is neither true nor false.")
+    return CameraFile(_camera(values, path), _fps(values, path), _rotation(values, path), gravity_included)
+
+
+def write_camera_json(path: Path, description: CameraFile) -> None:
+    """Write ``camera.json``; :func:`read_camera_json` reads the same back."""
+    values: dict[str, Any] = {"gravity_included": description.gravity_included}
+    if description.camera is not None:
+        values |= {name: getattr(description.camera, name) for name in _INTRINSICS}
+        values["distortion"] = list(description.camera.distortion)
+    if description.fps is not None:
+        values["fps"] = description.fps
+    if description.R_camera_imu is not None:
+        values["R_camera_imu"] = description.R_camera_imu.tolist()
+    path.write_text(json.dumps(values, indent=2) + "\n", encoding="utf-8")
+
+
+def _hint() -> str:
+    return f"The intrinsics are {', '.join(_INTRINSICS)} and distortion (a list), all numbers."
+
+
+def _camera(values: dict[str, Any], path: Path) -> Camera | None:
+    given = [name for name in _INTRINSICS if values.get(name) is not None]
+    if not {"fx", "fy", "cx", "cy"} & set(given):
+        return None
+    if len(given) < len(_INTRINSICS):
+        missing = ", ".join(name for name in _INTRINSICS if name not in given)
+        raise InvalidCamera(f"{path.name} has no {missing}.", _hint())
+    try:
+        width, height, fx, fy, cx, cy = (float(values[name]) for name in _INTRINSICS)
+        distortion = tuple(float(value) for value in values.get("distortion") or ())
+        size = (int(width), int(height))
+    except (TypeError, ValueError, OverflowError) as error:
+        raise InvalidCamera(f"{path.name}: a part of the intrinsics is not a number.", _hint()) from error
+    return Camera(*size, fx, fy, cx, cy, distortion)
+
+
+def _fps(values: dict[str, Any], path: Path) -> float | None:
+    fps = values.get("fps")
+    if fps is None:
+        return None
+    if isinstance(fps, bool) or not isinstance(fps, int | float) or not 0 < fps < 10_000:
+        raise InvalidCamera(f"{path.name}: {fps!r} is not a number of frames a second.")
+    return float(fps)
+
+
+def _rotation(values: dict[str, Any], path: Path) -> FloatArray | None:
+    rows = values.get("R_camera_imu")
+    if rows is None:
+        return None
+    try:
+        R = np.array(rows, dtype=np.float64)
+    except (TypeError, ValueError):
+        R = np.zeros(0)
+    is_rotation = (
+        R.shape == (3, 3) and np.allclose(R @ R.T, np.eye(3), atol=_ROTATION_TOLERANCE) and np.linalg.det(R) > 0
+    )
+    if not is_rotation:
+        raise InvalidCamera(f"{path.name}: R_camera_imu is not a 3×3 rotation matrix.", "Leave it out if unknown.")
+    return R

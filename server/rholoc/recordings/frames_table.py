@@ -1,0 +1,35 @@
+"""``frames.csv``: the times of a recording's frames."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from rholoc.errors import InvalidRecording
+from rholoc.geometry import FloatArray, IntArray
+from rholoc.recordings.csv_table import read_numbers, require_increasing, write_numbers
+
+FRAME_COLUMNS = ("frame", "timestamp")
+
+
+def read_frames_csv(path: Path) -> tuple[IntArray, FloatArray]:
+    """Read frame numbers (N,) int64 and times (N,) in seconds, under the header ``frame,timestamp``.
+
+    Raises:
+        InvalidRecording: a column is missing, there are no rows, a value is not finite, a frame number is not whole,
+            or numbers or times do not increase.
+    """
+    table = read_numbers(path, FRAME_COLUMNS)
+    numbers = table["frame"].astype(np.int64)
+    if np.any(numbers != table["frame"]):
+        raise InvalidRecording(f"{path.name}: a frame number is not a whole number.")
+    if np.any(np.diff(numbers) <= 0):
+        raise InvalidRecording(f"{path.name}: frame numbers do not increase from row to row.")
+    require_increasing(table["timestamp"], path)
+    return numbers, table["timestamp"]
+
+
+def write_frames_csv(path: Path, numbers: IntArray, times: FloatArray) -> None:
+    """Write frame numbers (N,) and times (N,) in seconds; read back to a microsecond."""
+    write_numbers(path, FRAME_COLUMNS, np.column_stack([numbers, times]), ["%d", "%.6f"])

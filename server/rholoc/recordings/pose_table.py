@@ -1,0 +1,102 @@
+"""``poses.txt``: poses that came with a recording, or a dataset's ground truth."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from rholoc.errors import InvalidTrajectory
+from rholoc.geometry import FloatArray, IntArray, pose_matrix
+from rholoc.recordings.csv_table import read_text
+from rholoc.recordings.recording import FrameSource, GivenPoses
+
+_COLUMNS_HINT = "Each row is: frame or time, tx ty tz in metres, qx qy qz qw (T_map_camera)."
+_NORM_TOLERANCE = 1e-2
+_LONE_FRAME_TOLERANCE_S = 0.02
+
+
+@dataclass(frozen=True, eq=False)
+class PoseTable:
+    """Poses by frame number or by time.
+
+    Attributes:
+        keys: (N,) float64, all different: frame numbers or seconds, see :meth:`keys_are_frames`.
+        T_map_camera: (N, 4, 4).
+    """
+
+    keys: FloatArray
+    T_map_camera: FloatArray
+
+    def keys_are_frames(self, numbers: IntArray) -> bool:
+        """Whether the keys are frame numbers: whole numbers that all are among ``numbers``, or hold all of them."""
+        if np.any(self.keys != np.floor(self.keys)):
+            return False
+        return bool(np.isin(self.keys, numbers).all() or np.isin(numbers, self.keys).all())
+
+
+def read_pose_table(path: Path) -> PoseTable:
+    """Read rows of ``frame-or-time tx ty tz qx qy qz qw``, separated by blanks or commas.
+
+    ``#`` begins a comment; one header row is allowed. Quaternions are normalised.
+
+    Raises:
+        InvalidTrajectory: no rows, other than eight columns, a value that is not finite, a quaternion that is not of
+            unit length, or a repeated frame or time.
+    """
+    rows: list[list[float]] = []
+    for line, text in enumerate(read_text(path, InvalidTrajectory).splitlines(), start=1):
+        parts = text.split("#", 1)[0].replace(",", " ").split()
+        if not parts or (not rows and not _is_number(parts[0])):
+            continue
+        if len(parts) != 8 or not all(map(_is_number, parts)):
+            raise InvalidTrajectory(f"{path.name}, line {line}: not eight finite numbers.", _COLUMNS_HINT)
+        rows.append([float(part) for part in parts])
+    if not rows:
+        raise InvalidTrajectory(f"{path.name} has no poses.", _COLUMNS_HINT)
+    table = np.array(rows)
+    norms = np.linalg.norm(table[:, 4:], axis=1)
+    if np.any(np.abs(norms - 1) > _NORM_TOLERANCE):
+        key = table[np.argmax(np.abs(norms - 1)), 0]
+        raise InvalidTrajectory(f"{path.name}: the quaternion at {key:g} is not of unit length.", _COLUMNS_HINT)
+    if len(np.unique(table[:, 0])) < len(table):
+        raise InvalidTrajectory(f"{path.name}: a frame or time occurs twice.")
+    return PoseTable(table[:, 0], pose_matrix(Rotation.from_quat(table[:, 4:]).as_matrix(), table[:, 1:4]))
+
+
+def match_poses(table: PoseTable, frames: FrameSource) -> GivenPoses:
+    """Give each frame the pose of its number, or the one nearest in time within half a frame interval.
+
+    Raises:
+        InvalidTrajectory: not one pose belongs to a frame.
+    """
+    order = np.argsort(table.keys)
+    keys = table.keys[order]
+    by_number = table.keys_are_frames(frames.numbers)
+    wanted: FloatArray = frames.numbers.astype(np.float64) if by_number else frames.times
+    tolerance = 0.0 if by_number else _half_interval(frames.times)
+    after = np.searchsorted(keys, wanted).clip(0, len(keys) - 1)
+    before = (after - 1).clip(0)
+    nearest = np.where(np.abs(keys[before] - wanted) < np.abs(keys[after] - wanted), before, after)
+    known = np.abs(keys[nearest] - wanted) <= tolerance
+    if not known.any():
+        raise InvalidTrajectory(
+            f"No pose belongs to a frame: the table runs from {keys[0]:g} to {keys[-1]:g}.",
+            f"Frames are {frames.numbers[0]}–{frames.numbers[-1]}, times {frames.times[0]:g}–{frames.times[-1]:g} s.",
+        )
+    T = table.T_map_camera[order][nearest]
+    T[~known] = np.nan
+    return GivenPoses(known, T)
+
+
+def _half_interval(times: FloatArray) -> float:
+    return float(np.median(np.diff(times))) / 2 if len(times) > 1 else _LONE_FRAME_TOLERANCE_S
+
+
+def _is_number(text: str) -> bool:
+    try:
+        return bool(np.isfinite(float(text)))
+    except ValueError:
+        return False

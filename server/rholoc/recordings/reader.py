@@ -1,0 +1,92 @@
+"""Any recording → :class:`rholoc.recordings.Recording`."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import tempfile
+import weakref
+from dataclasses import replace
+from pathlib import Path
+
+from rholoc.errors import InvalidRecording
+from rholoc.geometry import Camera
+from rholoc.recordings.archive import DEFAULT_MAX_BYTES, unpack
+from rholoc.recordings.folder import read_folder
+from rholoc.recordings.recording import Recording
+from rholoc.recordings.selection import parse_frame_slice, select_frames
+from rholoc.recordings.video import VIDEO_SUFFIXES, read_video
+from rholoc.recordings.waypoints import read_waypoints_csv
+
+_KNOWN = (
+    "Known are: a video (" + ", ".join(sorted(VIDEO_SUFFIXES)) + "); a folder with images whose names end in a number; "
+    "a folder or .zip with video.mp4 or frames/, and with imu.csv, frames.csv, waypoints.csv, camera.json or not."
+)
+
+
+def read_recording(
+    path: Path,
+    camera: str | None = None,
+    frames: str | None = None,
+    waypoints: Path | None = None,
+    workdir: Path | None = None,
+    max_unpacked_bytes: int = DEFAULT_MAX_BYTES,
+) -> Recording:
+    """Read a recording: a video, a folder of images, or rholoc's own folder or ZIP file.
+
+    Args:
+        path: the file or folder.
+        camera: intrinsics ``fx,fy,cx,cy[,k1,k2,p1,p2[,k3]]`` in pixels of the frames, instead of the recording's own.
+        frames: a choice of frames by number, ``start:stop[:step]``.
+        waypoints: a CSV file of measured waypoints, instead of the recording's own; all within the chosen frames.
+        workdir: an existing folder; a ZIP file is unpacked into a new folder in it, which the caller removes. Without
+            it a temporary folder is used, which lives as long as the recording's frames do.
+        max_unpacked_bytes: what a ZIP file may unpack to.
+
+    Raises:
+        InvalidRecording: the recording or the choice of frames cannot be used; says what is wrong.
+        InvalidCamera: the intrinsics are absurd or do not fit the frames.
+        InvalidWaypoints: the waypoints are malformed, or outside the recording.
+        InvalidTrajectory: the poses beside the frames are malformed.
+        TooLarge: a ZIP file would unpack to too much.
+        StorageFull: no room to unpack a ZIP file.
+    """
+    recording = _read(path, workdir, max_unpacked_bytes)
+    if frames is not None:
+        recording = select_frames(recording, parse_frame_slice(frames))
+    if camera is not None:
+        recording = replace(recording, camera=Camera.parse(camera, *recording.frames.size))
+    if waypoints is not None:
+        recording = replace(recording, waypoints=read_waypoints_csv(waypoints, recording.frames))
+    return recording
+
+
+def _read(path: Path, workdir: Path | None, max_unpacked_bytes: int) -> Recording:
+    suffix = path.suffix.lower()
+    if not path.exists():
+        raise InvalidRecording(f"There is no {path}.", "Check the path.")
+    if path.is_dir():
+        return read_folder(path)
+    if suffix in VIDEO_SUFFIXES:
+        return Recording(name=path.stem, path=path, frames=read_video(path))
+    if suffix == ".zip":
+        return _read_zip(path, workdir, max_unpacked_bytes)
+    raise InvalidRecording(f"{path.name} is not a recording of a known format.", _KNOWN)
+
+
+def _read_zip(path: Path, workdir: Path | None, max_unpacked_bytes: int) -> Recording:
+    folder = Path(tempfile.mkdtemp(prefix="rholoc-recording-", dir=workdir))
+    try:
+        recording = replace(read_folder(unpack(path, folder, max_unpacked_bytes)), name=path.stem)
+    except BaseException:
+        shutil.rmtree(folder, ignore_errors=True)
+        raise
+    if workdir is None:
+        weakref.finalize(recording.frames, _remove, folder, os.getpid())
+    return recording
+
+
+def _remove(folder: Path, owner: int) -> None:
+    """Remove the folder, unless this is a forked child that inherited the recording."""
+    if os.getpid() == owner:
+        shutil.rmtree(folder, ignore_errors=True)

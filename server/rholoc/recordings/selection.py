@@ -1,0 +1,96 @@
+"""A choice of a recording's frames by their numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from rholoc.errors import InvalidRecording
+from rholoc.geometry import ByteArray, FloatArray, IntArray
+from rholoc.recordings.recording import FrameSource, GivenPoses, Recording
+
+
+@dataclass(frozen=True, eq=False)
+class SelectedFrames:
+    """Some rows of another source, see :class:`rholoc.recordings.FrameSource`; ``rows`` (N,) increase."""
+
+    source: FrameSource
+    rows: IntArray
+
+    @property
+    def times(self) -> FloatArray:
+        """(N,) seconds."""
+        return self.source.times[self.rows]
+
+    @property
+    def numbers(self) -> IntArray:
+        """(N,) the numbers that the frames have in the whole recording."""
+        return self.source.numbers[self.rows]
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height in pixels."""
+        return self.source.size
+
+    def images(self, rows: Sequence[int]) -> Iterator[ByteArray]:
+        """The images (H, W, 3) BGR of the rows, which must increase."""
+        return self.source.images([int(self.rows[row]) for row in rows])
+
+
+def parse_frame_slice(text: str) -> slice:
+    """``start:stop[:step]``, each a frame number or nothing, as Python's slices are written: stop is left out.
+
+    Raises:
+        InvalidRecording: the text is something else, or the step is not positive.
+    """
+    parts = text.split(":")
+    try:
+        values = [int(part) if part.strip() else None for part in parts]
+    except ValueError:
+        values = []
+    if not 2 <= len(values) <= 3 or any(value is not None and value < 0 for value in values) or values[2:] == [0]:
+        raise InvalidRecording(
+            f"'{text}' is not a choice of frames.", "Give start:stop or start:stop:step, like 400:1000."
+        )
+    return slice(*values)
+
+
+def select_frames(recording: Recording, chosen: slice) -> Recording:
+    """The recording with only the frames whose *numbers* are in the slice; a step counts from its start.
+
+    Poses go with their frames, waypoints that lie outside the chosen frames' time are left out, the IMU's table stays
+    whole.
+
+    Raises:
+        InvalidRecording: no frame is in the slice.
+    """
+    numbers = recording.frames.numbers
+    start = int(numbers[0]) if chosen.start is None else chosen.start
+    inside = (numbers >= start) & ((numbers - start) % (chosen.step or 1) == 0)
+    if chosen.stop is not None:
+        inside &= numbers < chosen.stop
+    rows = np.flatnonzero(inside)
+    if len(rows) == 0:
+        raise InvalidRecording(
+            f"No frame of {recording.name} is in the chosen {_text(chosen)}.",
+            f"Its frames are {numbers[0]} to {numbers[-1]}.",
+        )
+    frames = SelectedFrames(recording.frames, rows)
+    first, last = frames.times[0], frames.times[-1]
+    return replace(
+        recording,
+        frames=frames,
+        waypoints=tuple(waypoint for waypoint in recording.waypoints if first <= waypoint.time <= last),
+        poses=(
+            None
+            if recording.poses is None
+            else GivenPoses(recording.poses.known[rows], recording.poses.T_map_camera[rows])
+        ),
+    )
+
+
+def _text(chosen: slice) -> str:
+    parts = [chosen.start, chosen.stop, *([chosen.step] if chosen.step is not None else [])]
+    return ":".join("" if part is None else str(part) for part in parts)

@@ -1,0 +1,94 @@
+"""Frames of a video file."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from rholoc.errors import InvalidRecording
+from rholoc.geometry import ByteArray, FloatArray, IntArray
+
+VIDEO_SUFFIXES = frozenset({".mp4", ".mov", ".m4v", ".webm", ".mkv", ".avi"})
+
+_HINT = "Record again as MP4 (H.264 or HEVC) or WebM, and let the recorder finish the file."
+
+
+@dataclass(frozen=True, eq=False)
+class VideoFrames:
+    """The frames of a video file, see :class:`rholoc.recordings.FrameSource`; numbers are 0..N-1.
+
+    Frames are as the video is shown: a phone's rotation flag is applied.
+    """
+
+    path: Path
+    times: FloatArray
+    size: tuple[int, int]
+
+    @property
+    def numbers(self) -> IntArray:
+        """(N,) int64, 0..N-1."""
+        return np.arange(len(self.times))
+
+    def images(self, rows: Sequence[int]) -> Iterator[ByteArray]:
+        """The images (H, W, 3) BGR of the rows, which must increase; the file is decoded from its start on.
+
+        Raises:
+            InvalidRecording: a frame cannot be decoded.
+        """
+        with _opened(self.path) as capture:
+            position = -1
+            for row in rows:
+                if row <= position:
+                    raise ValueError("rows must increase")
+                while position < row and capture.grab():
+                    position += 1
+                decoded, image = capture.retrieve() if position == row else (False, None)
+                if not decoded or image is None:
+                    raise InvalidRecording(f"Frame {row} of {self.path.name} cannot be decoded.", _HINT)
+                yield np.asarray(image, dtype=np.uint8)
+
+
+def read_video(path: Path) -> VideoFrames:
+    """A video file → its frames; times are the container's, to the resolution that it keeps.
+
+    The whole file is decoded once, because neither the number of frames nor the times that containers declare can be
+    relied on. Damage inside a frame that the decoder conceals is not noticed.
+
+    Raises:
+        InvalidRecording: the file will not open, as a cut-off MP4 does not, has no frames, or times that do not
+            increase.
+    """
+    times: list[float] = []
+    size: tuple[int, int] | None = None
+    with _opened(path) as capture:
+        while capture.grab():
+            if size is None:
+                size = _retrieved_size(capture)
+            times.append(capture.get(cv2.CAP_PROP_POS_MSEC) / 1000)
+    if size is None:
+        raise InvalidRecording(f"{path.name} has no frames that can be decoded.", _HINT)
+    array = np.array(times)
+    if not np.isfinite(array).all() or np.any(np.diff(array) <= 0):
+        raise InvalidRecording(f"The frame times of {path.name} do not increase.", _HINT)
+    return VideoFrames(path, array, size)
+
+
+def _retrieved_size(capture: cv2.VideoCapture) -> tuple[int, int] | None:
+    decoded, image = capture.retrieve()
+    return (image.shape[1], image.shape[0]) if decoded and image is not None else None
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[cv2.VideoCapture]:
+    capture = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
+    try:
+        if not capture.isOpened():
+            raise InvalidRecording(f"{path.name} is not a video that can be opened.", _HINT)
+        yield capture
+    finally:
+        capture.release()

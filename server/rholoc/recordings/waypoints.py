@@ -1,0 +1,104 @@
+"""``waypoints.csv``: measured points of the walk."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from rholoc.errors import InvalidWaypoints
+from rholoc.recordings.csv_table import parse_number, read_rows, require_columns
+from rholoc.recordings.recording import FrameSource, Waypoint
+
+MIN_WAYPOINTS = 3
+MIN_SPREAD_RATIO = 0.02  # of their extent across the line that fits them best to that along it
+
+_COLUMNS_HINT = "The first row must be name,time,x,y,z or name,frame,x,y,z: seconds or a frame's number, metres."
+
+
+def read_waypoints_csv(path: Path, frames: FrameSource) -> tuple[Waypoint, ...]:
+    """Read waypoints under the header ``name,time,x,y,z`` or ``name,frame,x,y,z``.
+
+    They may be collinear; :func:`check_waypoints_fix_frame` tells whether they fix a frame.
+
+    Raises:
+        InvalidWaypoints: other columns, fewer than three, an empty or repeated name, a value that is not finite, a
+            time outside the recording, or a frame that is not in it.
+    """
+    header, rows = read_rows(path, InvalidWaypoints)
+    if "time" not in header and "frame" not in header:
+        raise InvalidWaypoints(f"{path.name} has neither a column time nor a column frame.", _COLUMNS_HINT)
+    moment = "time" if "time" in header else "frame"
+    require_columns(path, header, ("name", moment, "x", "y", "z"), InvalidWaypoints)
+    waypoints = tuple(_waypoint(row, line, moment, path, frames) for line, row in enumerate(rows, start=2))
+    _require_enough(waypoints)
+    names = [waypoint.name for waypoint in waypoints]
+    repeated = sorted({name for name in names if names.count(name) > 1})
+    if repeated:
+        raise InvalidWaypoints(f"{path.name} names {', '.join(repeated)} more than once.", "Give each its own name.")
+    return waypoints
+
+
+def write_waypoints_csv(path: Path, waypoints: Sequence[Waypoint]) -> None:
+    """Write waypoints under the header ``name,time,x,y,z``: microseconds, tenths of a millimetre."""
+    with path.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(("name", "time", "x", "y", "z"))
+        for waypoint in waypoints:
+            writer.writerow((waypoint.name, f"{waypoint.time:.6f}", *(f"{value:.4f}" for value in waypoint.position)))
+
+
+def check_waypoints_fix_frame(waypoints: Sequence[Waypoint]) -> None:
+    """Check that the waypoints fix position, rotation and scale of a frame: three or more, not on one line.
+
+    They count as on one line where the second singular value of their centred positions is below 2 % of the largest.
+
+    Raises:
+        InvalidWaypoints: fewer than three, all in one place, or collinear.
+    """
+    _require_enough(waypoints)
+    positions = np.array([waypoint.position for waypoint in waypoints])
+    along, across, _ = np.linalg.svd(positions - positions.mean(axis=0), compute_uv=False)
+    if across <= MIN_SPREAD_RATIO * along:
+        names = ", ".join(waypoint.name for waypoint in waypoints)
+        raise InvalidWaypoints(
+            f"The waypoints {names} lie on one line: they leave the rotation about it open.",
+            "Measure one more, well off that line.",
+        )
+
+
+def _require_enough(waypoints: Sequence[Waypoint]) -> None:
+    if len(waypoints) < MIN_WAYPOINTS:
+        raise InvalidWaypoints(
+            f"{len(waypoints)} waypoints; a frame needs at least {MIN_WAYPOINTS}.",
+            "Measure three or more that do not lie on one line, or leave the waypoints out.",
+        )
+
+
+def _waypoint(row: dict[str, str], line: int, moment: str, path: Path, frames: FrameSource) -> Waypoint:
+    name = row["name"]
+    if not name:
+        raise InvalidWaypoints(f"{path.name}, row {line}: the waypoint has no name.")
+    when, x, y, z = (
+        parse_number(row[column], path, line, column, InvalidWaypoints) for column in (moment, "x", "y", "z")
+    )
+    time = _time_of_frame(name, when, frames) if moment == "frame" else when
+    first, last = float(frames.times[0]), float(frames.times[-1])
+    if not first <= time <= last:
+        raise InvalidWaypoints(
+            f"Waypoint {name} is at {time:.3f} s, outside the recording's {first:.3f} to {last:.3f} s.",
+            "Times must be on the recording's own clock.",
+        )
+    return Waypoint(name, time, (x, y, z))
+
+
+def _time_of_frame(name: str, number: float, frames: FrameSource) -> float:
+    rows = np.flatnonzero(frames.numbers == number)
+    if len(rows) == 0:
+        raise InvalidWaypoints(
+            f"Waypoint {name} is at frame {number:g}, which the recording does not have.",
+            f"Its frames are {frames.numbers[0]} to {frames.numbers[-1]}.",
+        )
+    return float(frames.times[rows[0]])
