@@ -1,0 +1,61 @@
+"""Files that are replaced whole or not at all."""
+
+from __future__ import annotations
+
+import errno
+import os
+from pathlib import Path
+from uuid import uuid4
+
+from rholoc.errors import InvalidInput, StorageFull
+
+_FULL = (errno.ENOSPC, errno.EDQUOT)
+
+
+def replace_file(path: Path, data: bytes | memoryview) -> None:
+    """Write ``data`` to ``path`` so that readers see the old content or the new, never a part.
+
+    It is written beside ``path``, brought to the disk, and renamed; a file that is open or mapped stays what it was.
+
+    Raises:
+        StorageFull: the disk is full; the old content stays.
+        InvalidInput: the folder does not exist or cannot be written to.
+    """
+    temporary = path.with_name(f".{uuid4().hex}.tmp")
+    try:
+        try:
+            _write(temporary, data)
+            temporary.replace(path)
+        except BaseException:
+            temporary.unlink(missing_ok=True)
+            raise
+        _sync_folder(path.parent)
+    except OSError as error:
+        if error.errno in _FULL:
+            raise StorageFull(
+                f"No room left to write {path.name}; what was there is unchanged.", "Free some space and try again."
+            ) from error
+        raise InvalidInput(f"{path} cannot be written: {error.strerror}.", "Check the folder.") from error
+
+
+def _write(path: Path, data: bytes | memoryview) -> None:
+    descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666)
+    try:
+        rest = memoryview(data).cast("B")
+        while len(rest):
+            rest = rest[os.write(descriptor, rest) :]
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def _sync_folder(folder: Path) -> None:
+    """Bring a rename to the disk; file systems that cannot sync a folder do so by themselves."""
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    except OSError as error:
+        if error.errno not in (errno.EINVAL, errno.ENOTSUP):
+            raise
+    finally:
+        os.close(descriptor)

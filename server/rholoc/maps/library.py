@@ -1,0 +1,196 @@
+"""The maps in a folder, by name."""
+
+from __future__ import annotations
+
+import re
+import threading
+from dataclasses import dataclass
+from pathlib import Path
+from uuid import uuid4
+
+from rholoc.errors import Conflict, InvalidInput, InvalidMap, InvalidName, UnknownMap
+from rholoc.maps.files import replace_file
+from rholoc.maps.map import Map
+from rholoc.maps.rho_file import SUFFIX, load_map, map_to_bytes
+
+_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9._-]{0,63}")
+_NAMES_SHOWN = 5
+
+
+def check_map_name(name: str) -> str:
+    """The name, if it is one: 1–64 letters, digits, ``.``, ``_``, ``-``; the first no dot and no hyphen.
+
+    Raises:
+        InvalidName: it is not.
+    """
+    if not _NAME.fullmatch(name):
+        shown = name if len(name) <= 64 else name[:61] + "…"
+        raise InvalidName(
+            f"{shown!r} is not a map name.",
+            "Use 1 to 64 letters, digits, '.', '_' and '-', the first a letter, a digit or '_'.",
+        )
+    return name
+
+
+@dataclass(frozen=True)
+class MapStat:
+    """What the file system says of a map.
+
+    Attributes:
+        name: the map's name.
+        size_bytes: the file's size.
+        modified: seconds since 1970, UTC.
+        signature: differs whenever the file was replaced.
+    """
+
+    name: str
+    size_bytes: int
+    modified: float
+    signature: tuple[int, int, int]
+
+
+class MapLibrary:
+    """Maps as ``NAME.rho`` in one folder; safe to share between threads, and between processes for all but renaming.
+
+    A map that was got stays as it was when the file is replaced or deleted; the next :meth:`get` sees the new one.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self._cache: dict[str, tuple[tuple[int, int, int], Map]] = {}
+        self._lock = threading.RLock()
+
+    def names(self) -> list[str]:
+        """The names of all maps, sorted; none where the folder does not exist."""
+        files = self.folder.glob(f"*{SUFFIX}")
+        return sorted(file.name.removesuffix(SUFFIX) for file in files if _NAME.fullmatch(file.stem) and file.is_file())
+
+    def path(self, name: str) -> Path:
+        """Where the map of that name is kept, whether there is one or not.
+
+        Raises:
+            InvalidName: it is not a name.
+        """
+        return self.folder / (check_map_name(name) + SUFFIX)
+
+    def stat(self, name: str) -> MapStat:
+        """Size, time and signature of a map's file.
+
+        Raises:
+            InvalidName: it is not a name.
+            UnknownMap: there is no such map.
+        """
+        path = self.path(name)
+        try:
+            status = path.stat()
+        except FileNotFoundError as error:
+            raise self._unknown(name) from error
+        return MapStat(name, status.st_size, status.st_mtime, (status.st_ino, status.st_mtime_ns, status.st_size))
+
+    def get(self, name: str) -> Map:
+        """The map of that name, from memory unless its file was replaced.
+
+        Raises:
+            InvalidName: it is not a name.
+            UnknownMap: there is no such map.
+            InvalidMap: its file is not a map.
+        """
+        with self._lock:
+            try:
+                signature = self.stat(name).signature
+                cached = self._cache.get(name)
+                if cached is not None and cached[0] == signature:
+                    return cached[1]
+                map_ = load_map(self.path(name))
+            except (UnknownMap, InvalidMap):
+                self._cache.pop(name, None)
+                raise
+            # Were the file replaced since its signature was taken, the next call would load it again: no harm.
+            self._cache[name] = (signature, map_)
+            return map_
+
+    def put(self, name: str, map_: Map) -> None:
+        """Store a map under a name, replacing the one that was there.
+
+        Raises:
+            InvalidName, InvalidMap, StorageFull, InvalidInput: nothing was replaced.
+        """
+        path = self.path(name)
+        data = map_to_bytes(map_)
+        self._make_folder()
+        replace_file(path, data)
+
+    def put_file(self, name: str, source: Path | bytes) -> Map:
+        """Store the content of a ``.rho`` file under a name, replacing the map that was there; returns the map.
+
+        Raises:
+            InvalidName, InvalidMap, StorageFull, InvalidInput: nothing was replaced.
+        """
+        path = self.path(name)
+        data = source if isinstance(source, bytes) else _read(source)
+        self._make_folder()
+        arrived = self.folder / f".{uuid4().hex}.upload"  # in the same folder, so that it can be renamed into place
+        replace_file(arrived, data)
+        try:
+            map_ = _loaded_as(arrived, name)
+            arrived.replace(path)
+        finally:
+            arrived.unlink(missing_ok=True)
+        return map_
+
+    def delete(self, name: str) -> None:
+        """Delete a map.
+
+        Raises:
+            InvalidName: it is not a name.
+            UnknownMap: there is no such map.
+        """
+        with self._lock:
+            self._cache.pop(name, None)
+            try:
+                self.path(name).unlink()
+            except FileNotFoundError as error:
+                raise self._unknown(name) from error
+
+    def rename(self, name: str, new_name: str) -> None:
+        """Give a map another name.
+
+        Raises:
+            InvalidName: one of them is not a name.
+            UnknownMap: there is no such map.
+            Conflict: there is a map of the new name.
+        """
+        with self._lock:
+            old, new = self.path(name), self.path(new_name)
+            if not old.is_file():
+                raise self._unknown(name)
+            if new.exists():
+                raise Conflict(f"There is a map {new_name} already.", "Choose another name, or delete that map first.")
+            old.rename(new)
+            self._cache.pop(name, None)
+
+    def _make_folder(self) -> None:
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise InvalidInput(f"{self.folder} cannot be made: {error.strerror}.", "Check the map folder.") from error
+
+    def _unknown(self, name: str) -> UnknownMap:
+        names = self.names()
+        known = ", ".join(names[:_NAMES_SHOWN]) + (", …" if len(names) > _NAMES_SHOWN else "")
+        return UnknownMap(f"There is no map {name}.", f"There are: {known}." if names else "There are none yet.")
+
+
+def _read(path: Path) -> bytes:
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise InvalidMap(f"{path} cannot be read: {error.strerror}.") from error
+
+
+def _loaded_as(path: Path, name: str) -> Map:
+    """The map in a file, errors naming it ``name`` instead of the file's passing name."""
+    try:
+        return load_map(path)
+    except InvalidMap as error:
+        raise InvalidMap(error.message.replace(path.name, f"The file for {name}"), error.hint) from error

@@ -1,0 +1,67 @@
+"""A synthetic map of a room."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from rholoc.geometry import Camera, Pose
+from rholoc.maps import DensityKind, Map, MapInfo
+
+
+def synthetic_map(features: int = 60, views: int = 8, seed: int = 1) -> Map:
+    """Landmarks on the walls of a 6×5×3 m room, seen from a loop that looks outwards."""
+    rng = np.random.default_rng(seed)
+    angle = rng.uniform(0, 2 * np.pi, features)
+    square = np.maximum(np.abs(np.cos(angle)) / 3, np.abs(np.sin(angle)) / 2.5)
+    landmarks = np.column_stack([np.cos(angle) / square, np.sin(angle) / square, rng.uniform(0, 3, features)])
+    sigma = rng.lognormal(np.log(0.01), 0.8, features)
+    covariances = np.zeros((features, 6), np.float32)
+    covariances[:, [0, 3, 5]] = (sigma**2)[:, None]
+    walk = np.linspace(0, 1.6 * np.pi, views)
+    positions = np.column_stack([1.6 * np.cos(walk), 1.2 * np.sin(walk), np.full(views, 1.5)])
+    headings = np.column_stack([np.cos(walk + 0.5), np.sin(walk + 0.5), np.zeros(views)])
+    quaternions = [Pose.from_heading(p, h).quaternion_xyzw for p, h in zip(positions, headings, strict=True)]
+    seen = [np.sort(rng.choice(features, features // 3, replace=False)) for _ in range(views)]
+    owners = np.sort(np.concatenate([np.arange(features), rng.integers(0, features, features // 2)]))
+    return Map(
+        info=MapInfo(
+            id="0123456789abcdef" * 2,
+            version=1,
+            density=DensityKind.RAY,
+            features="lab",
+            metric=True,
+            upright=True,
+            created="2026-01-02T03:04:05Z",
+            camera=Camera(640, 480, 500.0, 501.0, 319.5, 239.5, (0.1, -0.2, 0.0, 0.001)),
+            sources=({"name": "walk", "frames": 900},),
+            waypoints=(
+                {"name": "W1", "position": [1.6, 0.0, 1.5], "residual_m": 0.012},
+                {"name": "W2", "position": [0.0, 1.2, 1.5], "residual_m": 0.02},
+                {"name": "E", "position": [-1.6, 0.0, 1.5], "residual_m": 0.008},
+            ),
+            report={"median_cm": 1.9, "held_out": 40},
+        ),
+        channels=rng.integers(1, 3, features).astype(np.uint8),
+        landmarks=landmarks.astype(np.float32),
+        covariances=covariances,
+        descriptors=rng.integers(0, 256, (len(owners), 32)).astype(np.uint8),
+        descriptor_features=owners.astype(np.int32),
+        view_times=np.arange(views, dtype=np.float64),
+        view_poses=np.column_stack([positions, quaternions]).astype(np.float32),
+        view_offsets=np.cumsum([0] + [len(s) for s in seen]).astype(np.int32),
+        view_features=np.concatenate([np.zeros(0, int), *seen]).astype(np.int32),
+        extras={"weights": rng.normal(size=(features, 3)).astype(np.float32), "scalar": np.array(3.5)},
+    )
+
+
+@pytest.fixture(scope="session")
+def room_map() -> Map:
+    """A small map that is whole."""
+    return synthetic_map()
+
+
+@pytest.fixture
+def make_map():
+    """Makes maps of chosen size."""
+    return synthetic_map

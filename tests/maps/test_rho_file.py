@@ -1,0 +1,205 @@
+"""The native map file: what is written is read back, and what is damaged is refused."""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import struct
+from dataclasses import fields, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from safetensors import safe_open
+from safetensors.numpy import save_file
+
+from rholoc.errors import InvalidInput, InvalidMap, RholocError, StorageFull, UnknownMap
+from rholoc.maps import Map, load_map, map_to_bytes, save_map
+from rholoc.maps.validation import ARRAY_NAMES
+
+_SHARED_FOLDER = settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None, max_examples=150)
+
+
+def assert_same_map(a: Map, b: Map) -> None:
+    assert a.info == b.info
+    for name in ARRAY_NAMES:
+        first, second = getattr(a, name), getattr(b, name)
+        assert first.dtype == second.dtype
+        np.testing.assert_array_equal(first, second)
+    assert a.extras.keys() == b.extras.keys()
+    for name in a.extras:
+        assert a.extras[name].shape == b.extras[name].shape
+        np.testing.assert_array_equal(a.extras[name], b.extras[name])
+
+
+def test_a_map_comes_back_as_it_was(room_map: Map, tmp_path: Path) -> None:
+    save_map(room_map, tmp_path / "room.rho")
+    assert_same_map(load_map(tmp_path / "room.rho"), room_map)
+    assert [path.name for path in tmp_path.iterdir()] == ["room.rho"]
+
+
+def test_an_empty_map_comes_back(make_map, tmp_path: Path) -> None:
+    save_map(make_map(features=0, views=0), tmp_path / "empty.rho")
+    assert len(load_map(tmp_path / "empty.rho")) == 0
+
+
+def test_every_array_of_a_map_is_stored() -> None:
+    assert {field.name for field in fields(Map)} == {*ARRAY_NAMES, "info", "extras"}
+
+
+def test_extras_in_any_memory_layout_come_back(room_map: Map, tmp_path: Path) -> None:
+    grid = np.arange(24.0).reshape(4, 6)
+    extras = {"fortran": np.asfortranarray(grid), "strided": grid[:, ::2], "big_endian": grid.astype(">f8")}
+    save_map(replace(room_map, extras=extras), tmp_path / "room.rho")
+    loaded = load_map(tmp_path / "room.rho")
+    for name, array in extras.items():
+        np.testing.assert_array_equal(loaded.extras[name], array)
+
+
+def test_extras_that_would_need_pickle_are_refused(room_map: Map, tmp_path: Path) -> None:
+    with pytest.raises(InvalidMap, match="cannot hold"):
+        save_map(replace(room_map, extras={"bad": np.array([{}], dtype=object)}), tmp_path / "room.rho")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_report_with_numpy_numbers_and_nan_is_stored_as_json(room_map: Map, tmp_path: Path) -> None:
+    report = {"median_cm": np.float32(2.5), "n": np.int64(3), "nan": float("nan"), "list": np.array([1.0, np.inf])}
+    save_map(replace(room_map, info=replace(room_map.info, report=report)), tmp_path / "room.rho")
+    assert load_map(tmp_path / "room.rho").info.report == {"median_cm": 2.5, "n": 3, "nan": None, "list": [1.0, None]}
+
+
+def test_the_map_of_a_kitchen_is_small(make_map) -> None:
+    assert len(map_to_bytes(make_map(features=4000, views=150))) < 1_500_000
+
+
+@_SHARED_FOLDER
+@given(data=st.data())
+def test_a_flipped_byte_is_refused_or_harmless(room_map: Map, tmp_path: Path, data: st.DataObject) -> None:
+    content = bytearray(map_to_bytes(room_map))
+    header = 8 + struct.unpack("<Q", content[:8])[0]
+    anywhere = st.one_of(st.integers(0, header - 1), st.integers(header, len(content) - 1))
+    position, value = data.draw(anywhere), data.draw(st.integers(1, 255))
+    content[position] ^= value
+    path = tmp_path / "flipped.rho"
+    path.write_bytes(content)
+    if position >= header:
+        with pytest.raises(InvalidMap):
+            load_map(path)
+        return
+    try:
+        loaded = load_map(path)
+    except InvalidMap:
+        return
+    assert_same_map(loaded, room_map)  # white space of the header
+
+
+@_SHARED_FOLDER
+@given(fraction=st.floats(0, 1, exclude_max=True))
+def test_a_truncated_file_is_refused(room_map: Map, tmp_path: Path, fraction: float) -> None:
+    content = map_to_bytes(room_map)
+    path = tmp_path / "cut.rho"
+    path.write_bytes(content[: int(fraction * len(content))])
+    with pytest.raises(InvalidMap):
+        load_map(path)
+
+
+@_SHARED_FOLDER
+@given(content=st.binary(max_size=200))
+def test_foreign_bytes_are_refused(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "foreign.rho"
+    path.write_bytes(content)
+    with pytest.raises(InvalidMap):
+        load_map(path)
+
+
+def test_another_programs_safetensors_file_is_refused(tmp_path: Path) -> None:
+    save_file({"weight": np.zeros(3, np.float32)}, tmp_path / "model.rho")
+    with pytest.raises(InvalidMap, match="not a map of rholoc"):
+        load_map(tmp_path / "model.rho")
+
+
+def test_a_header_that_claims_a_huge_length_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "huge.rho").write_bytes(struct.pack("<Q", 2**62) + b"{}")
+    with pytest.raises(InvalidMap):
+        load_map(tmp_path / "huge.rho")
+
+
+def test_a_later_version_is_refused_with_advice(room_map: Map, tmp_path: Path) -> None:
+    path = tmp_path / "later.rho"
+    save_map(room_map, path)
+    _rewrite(path, format_version="2")
+    with pytest.raises(InvalidMap, match="version 2") as caught:
+        load_map(path)
+    assert "Update" in caught.value.hint
+
+
+def test_a_changed_description_is_noticed(room_map: Map, tmp_path: Path) -> None:
+    path = tmp_path / "changed.rho"
+    save_map(room_map, path)
+    info = json.loads(_metadata(path)["info"]) | {"metric": False}
+    _rewrite(path, info=json.dumps(info))
+    with pytest.raises(InvalidMap, match="checksum"):
+        load_map(path)
+
+
+def test_a_missing_file_is_an_unknown_map(tmp_path: Path) -> None:
+    with pytest.raises(UnknownMap):
+        load_map(tmp_path / "none.rho")
+
+
+def test_a_missing_folder_is_told(room_map: Map, tmp_path: Path) -> None:
+    with pytest.raises(InvalidInput, match="cannot be written"):
+        save_map(room_map, tmp_path / "none" / "room.rho")
+
+
+@pytest.mark.parametrize("after_bytes", [0, 1000])
+@pytest.mark.parametrize("cause", [errno.ENOSPC, errno.EDQUOT])
+def test_a_full_disk_keeps_the_old_map(
+    room_map: Map, make_map, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, after_bytes: int, cause: int
+) -> None:
+    path = tmp_path / "room.rho"
+    save_map(room_map, path)
+    write, room = os.write, [after_bytes]
+
+    def write_until_full(descriptor: int, data: memoryview) -> int:
+        if room[0] == 0:
+            raise OSError(cause, os.strerror(cause))
+        written = write(descriptor, data[: room[0]])
+        room[0] -= written
+        return written
+
+    monkeypatch.setattr(os, "write", write_until_full)
+    with pytest.raises(StorageFull):
+        save_map(make_map(seed=2), path)
+    monkeypatch.undo()
+    assert_same_map(load_map(path), room_map)
+    assert [file.name for file in tmp_path.iterdir()] == ["room.rho"]
+
+
+def test_a_map_that_was_loaded_survives_its_file(room_map: Map, tmp_path: Path) -> None:
+    path = tmp_path / "room.rho"
+    save_map(room_map, path)
+    loaded = load_map(path)
+    path.write_bytes(b"")  # overwritten in place, as `cp` does
+    assert_same_map(loaded, room_map)
+
+
+def test_errors_are_one_line(tmp_path: Path) -> None:
+    (tmp_path / "foreign.rho").write_bytes(b"\x00" * 64)
+    with pytest.raises(RholocError) as caught:
+        load_map(tmp_path / "foreign.rho")
+    assert "\n" not in str(caught.value)
+
+
+def _metadata(path: Path) -> dict[str, str]:
+    with safe_open(path, framework="numpy") as file:
+        return file.metadata()
+
+
+def _rewrite(path: Path, **changes: str) -> None:
+    with safe_open(path, framework="numpy") as file:
+        metadata, arrays = file.metadata(), {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+    save_file(arrays, path, metadata | changes)
