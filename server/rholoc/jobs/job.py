@@ -5,7 +5,27 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import StrEnum
 
+from rholoc.mapping import DEFAULT_FEATURES
+from rholoc.maps import DensityKind
 from rholoc.progress import Stage
+from rholoc.trajectory import PoseMethod
+
+
+@dataclass(frozen=True)
+class JobOptions:
+    """How a job builds its map.
+
+    Attributes:
+        density: the form of the densities.
+        features: the extractor's name.
+        poses: where frame poses come from.
+        camera: intrinsics as users write them (``fx,fy,cx,cy`` and so on), or None to take the recording's own.
+    """
+
+    density: DensityKind = DensityKind.RAY
+    features: str = DEFAULT_FEATURES
+    poses: PoseMethod = PoseMethod.VISUAL_INERTIAL
+    camera: str | None = None
 
 
 class JobState(StrEnum):

@@ -1,0 +1,30 @@
+"""The worker beside a server: its configuration and its end come through the standard input."""
+
+from __future__ import annotations
+
+import json
+import logging
+import sys
+import threading
+from pathlib import Path
+
+from rholoc.jobs.worker import run_worker
+
+
+def main() -> None:
+    """Work until the server closes the pipe, on purpose or by dying."""
+    logging.basicConfig(level=logging.INFO, format="%(asctime)s %(name)s %(levelname)s %(message)s")
+    data_dir, maps_dir, database_url = json.loads(sys.stdin.buffer.readline())
+    stop = threading.Event()
+    threading.Thread(target=_wait_for_end, args=(stop,), daemon=True).start()
+    run_worker(Path(data_dir), Path(maps_dir), database_url, stop=stop)
+
+
+def _wait_for_end(stop: threading.Event) -> None:
+    while sys.stdin.buffer.read(1):
+        pass
+    stop.set()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,209 @@
+"""A job's build in a process of its own: it can be killed, and native code that crashes takes no worker with it."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import multiprocessing
+import os
+import signal
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from multiprocessing.connection import Connection
+from multiprocessing.context import SpawnProcess
+
+from rholoc.errors import Cancelled, RholocError
+from rholoc.jobs.disk import is_full, storage_full
+from rholoc.jobs.pipeline import MappingTask, Pipeline
+from rholoc.jobs.table import Failure
+from rholoc.progress import Stage
+
+_log = logging.getLogger("rholoc.jobs")
+
+_NICENESS = 10  # requests of localization come first
+_SEND_EVERY_S = 0.1
+
+
+@dataclass(frozen=True)
+class Progress:
+    """One call of the progress listener."""
+
+    stage: Stage
+    fraction: float
+    message: str
+
+
+@dataclass(frozen=True)
+class Finished:
+    """The build ended, with a map or a failure."""
+
+    failure: Failure | None
+
+
+def build_in_process(
+    pipeline: Pipeline,
+    task: MappingTask,
+    note: Callable[[Progress], None],
+    wanted: Callable[[], bool],
+    poll_s: float,
+    cancel_grace_s: float,
+) -> Failure | None:
+    """Run ``pipeline.build`` in a new process; returns why it failed, or None when the map file is there.
+
+    Args:
+        pipeline: what to run.
+        task: what to run it on.
+        note: hears of progress, at most every ``poll_s`` seconds.
+        wanted: asked every ``poll_s`` seconds whether to go on.
+        poll_s: see there.
+        cancel_grace_s: how long the build may take to stop by itself when it is not wanted any more.
+
+    Raises:
+        Cancelled: it was not wanted any more. The process has ended.
+    """
+    context = multiprocessing.get_context("spawn")
+    ours, theirs = context.Pipe()
+    process = context.Process(target=_child, args=(pipeline, task, theirs), name="rholoc-build")
+    process.start()
+    theirs.close()
+    try:
+        return _follow(process, ours, note, wanted, poll_s)
+    except Cancelled:
+        with contextlib.suppress(OSError):
+            ours.send(Cancelled.code)
+        process.join(cancel_grace_s)
+        raise
+    finally:
+        _kill(process)
+        ours.close()
+
+
+def _follow(
+    process: SpawnProcess,
+    connection: Connection,
+    note: Callable[[Progress], None],
+    wanted: Callable[[], bool],
+    poll_s: float,
+) -> Failure | None:
+    """Wait for the end, passing on progress."""
+    while True:
+        progress, finished = _receive(connection, time.monotonic() + poll_s)
+        if progress is not None:
+            note(progress)
+        if finished is not None:
+            return finished.failure
+        if not process.is_alive() and not connection.poll():
+            return _died(process)
+        if not wanted():
+            raise Cancelled("The job is not wanted any more.")
+
+
+def _receive(connection: Connection, until: float) -> tuple[Progress | None, Finished | None]:
+    """The latest progress that comes until the time given, or the end as soon as it comes."""
+    progress = None
+    while (left := until - time.monotonic()) > 0:
+        try:
+            if not connection.poll(left):
+                break
+            message = connection.recv()
+        except (EOFError, OSError):
+            time.sleep(max(0.0, left) if left < _SEND_EVERY_S else _SEND_EVERY_S)
+            break
+        if isinstance(message, Finished):
+            return progress, message
+        progress = message
+    return progress, None
+
+
+def _died(process: SpawnProcess) -> Failure:
+    code = process.exitcode or 0
+    reason = f"signal {-code}" if code < 0 else f"exit status {code}"
+    return Failure(
+        "internal",
+        f"The mapping process ended unexpectedly ({reason}).",
+        "It may have run out of memory: retry, record a shorter walk, or give the worker more memory.",
+    )
+
+
+def _kill(process: SpawnProcess) -> None:
+    """End the process and those that it started."""
+    if process.pid is not None:
+        with contextlib.suppress(ProcessLookupError, PermissionError):
+            # The child leads a group of its own, unless it is so young that it has not made it yet.
+            os.killpg(process.pid, signal.SIGKILL)
+    process.kill()
+    process.join()
+    process.close()
+
+
+def _child(pipeline: Pipeline, task: MappingTask, connection: Connection) -> None:
+    os.setsid()
+    os.nice(_NICENESS)
+    listener = _Listener(connection)
+    threading.Thread(target=_watch_worker, args=(connection, listener), daemon=True).start()
+    failure = _run(pipeline, task, listener)
+    listener.send(Finished(failure))
+
+
+def _run(pipeline: Pipeline, task: MappingTask, listener: _Listener) -> Failure | None:
+    try:
+        pipeline.build(task, listener)
+    except RholocError as error:
+        return Failure(error.code, error.message, error.hint)
+    except OSError as error:
+        return describe(storage_full()) if is_full(error) else unexpected(error)
+    except Exception as error:
+        return unexpected(error)
+    return None
+
+
+def describe(error: RholocError) -> Failure:
+    """The failure that an error of ours makes."""
+    return Failure(error.code, error.message, error.hint)
+
+
+def unexpected(error: Exception) -> Failure:
+    """The failure that a fault of the program makes; its traceback goes to the log only."""
+    _log.error("A job failed unexpectedly.", exc_info=error)
+    line = next(iter(str(error).splitlines()), "")
+    return Failure(
+        "internal",
+        f"An unexpected {type(error).__name__} stopped the job{': ' + line[:200] if line else '.'}",
+        "The worker's log says more. Retry; if it happens again, report it.",
+    )
+
+
+class _Listener:
+    """The progress listener of the build: tells the worker, and raises Cancelled when the worker wants no more."""
+
+    def __init__(self, connection: Connection) -> None:
+        self.cancelled = threading.Event()
+        self._connection = connection
+        self._stage: Stage | None = None
+        self._next_s = 0.0
+
+    def __call__(self, stage: Stage, fraction: float, message: str = "") -> None:
+        if self.cancelled.is_set():
+            raise Cancelled("The job was cancelled.")
+        now = time.monotonic()
+        if stage != self._stage or now >= self._next_s:
+            self._stage, self._next_s = stage, now + _SEND_EVERY_S
+            self.send(Progress(stage, float(fraction), message))
+
+    def send(self, message: Progress | Finished) -> None:
+        try:
+            self._connection.send(message)
+        except OSError as error:
+            raise Cancelled("The worker is gone.") from error
+
+
+def _watch_worker(connection: Connection, listener: _Listener) -> None:
+    """Pass on the worker's wish to cancel; end with the worker, however it ends."""
+    try:
+        while True:
+            connection.recv()
+            listener.cancelled.set()
+    except (EOFError, OSError):
+        os.killpg(0, signal.SIGKILL)

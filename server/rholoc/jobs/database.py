@@ -1,0 +1,95 @@
+"""The database of jobs: an SQLite file by default, Postgres by URL. DBOS keeps its tables in the same one."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import sqlalchemy as sa
+from dbos import DBOS
+from sqlalchemy.exc import OperationalError
+from sqlalchemy.schema import CreateTable
+
+from rholoc.jobs.disk import storage_full, telling_full_disk
+
+_BUSY_TIMEOUT_MS = 30_000
+
+_metadata = sa.MetaData()
+
+jobs_table = sa.Table(
+    "rholoc_jobs",
+    _metadata,
+    sa.Column("id", sa.String(32), primary_key=True),
+    sa.Column("recording", sa.String(32), nullable=False),
+    sa.Column("map_name", sa.Text, nullable=False),
+    sa.Column("options", sa.JSON, nullable=False),
+    sa.Column("state", sa.String(16), nullable=False),
+    sa.Column("stage", sa.String(16), nullable=False),
+    sa.Column("progress", sa.Float, nullable=False),
+    sa.Column("message", sa.Text, nullable=False),
+    sa.Column("log", sa.JSON, nullable=False),
+    sa.Column("error_code", sa.Text),
+    sa.Column("error_message", sa.Text),
+    sa.Column("error_hint", sa.Text),
+    sa.Column("created", sa.Float, nullable=False),
+    sa.Column("started", sa.Float),
+    sa.Column("ended", sa.Float),
+    sa.Column("attempts", sa.Integer, nullable=False),
+    # The DBOS workflow of the latest submission or retry; with ``attempts`` it tells who holds the job.
+    sa.Column("workflow_id", sa.Text, nullable=False),
+)
+
+workers_table = sa.Table(
+    "rholoc_workers",
+    _metadata,
+    sa.Column("id", sa.String(100), primary_key=True),
+    sa.Column("heartbeat", sa.Float, nullable=False),
+)
+
+
+def open_database(data_dir: Path, database_url: str | None = None) -> sa.Engine:
+    """The engine of the database, with the tables of ours and of DBOS in it.
+
+    Args:
+        data_dir: where the SQLite file is kept.
+        database_url: ``postgresql://…``, or None for the SQLite file.
+
+    Raises:
+        StorageFull: the disk is full.
+    """
+    with telling_full_disk():
+        Path(data_dir).mkdir(parents=True, exist_ok=True)
+    url = sa.make_url(database_url or f"sqlite:///{Path(data_dir).resolve() / 'jobs.sqlite'}")
+    if url.get_backend_name() == "postgresql":
+        url = url.set(drivername="postgresql+psycopg")
+    engine = sa.create_engine(url, pool_pre_ping=True)
+    if url.get_backend_name() == "sqlite":
+        sa.event.listen(engine, "connect", _prepare_sqlite)
+    with telling_full_database():
+        DBOS.migrate(url.render_as_string(hide_password=False))
+        with engine.begin() as connection:
+            for table in _metadata.sorted_tables:
+                connection.execute(CreateTable(table, if_not_exists=True))
+    return engine
+
+
+@contextmanager
+def telling_full_database() -> Iterator[None]:
+    """Turn the database's "disk is full" into :class:`rholoc.errors.StorageFull`."""
+    try:
+        yield
+    except OperationalError as error:
+        if "is full" in str(error.orig) or "No space left" in str(error.orig):
+            raise storage_full() from error
+        raise
+
+
+def _prepare_sqlite(connection: Any, _: object) -> None:
+    """Readers do not block the writer (WAL), writers wait their turn, a commit survives a power cut."""
+    connection.isolation_level = "IMMEDIATE"
+    connection.execute(f"PRAGMA busy_timeout={_BUSY_TIMEOUT_MS}")
+    connection.execute("PRAGMA journal_mode=WAL")
+    connection.execute("PRAGMA synchronous=FULL")
+    connection.execute("PRAGMA foreign_keys=ON")

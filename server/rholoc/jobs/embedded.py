@@ -1,0 +1,65 @@
+"""A worker beside the server: a process of its own, so that mapping does not slow requests down."""
+
+from __future__ import annotations
+
+import json
+import logging
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+_log = logging.getLogger("rholoc.jobs")
+
+_STOP_TIMEOUT_S = 15.0
+_RESTART_AFTER_S = 2.0
+
+
+class EmbeddedWorker:
+    """Runs ``python -m rholoc.jobs`` as a child, starts it again should it die, and stops it with its parent."""
+
+    def __init__(self, data_dir: Path, maps_dir: Path, database_url: str | None = None) -> None:
+        # Through the standard input, not the command line: the URL may hold a password.
+        self._configuration = json.dumps([str(data_dir), str(maps_dir), database_url]).encode() + b"\n"
+        self._stopping = threading.Event()
+        self._process: subprocess.Popen[bytes] | None = None
+        self._keeper: threading.Thread | None = None
+
+    @property
+    def running(self) -> bool:
+        """Whether the child lives."""
+        return self._process is not None and self._process.poll() is None
+
+    def start(self) -> None:
+        """Start the child."""
+        self._process = self._spawn()
+        self._keeper = threading.Thread(target=self._keep_running, name="rholoc-worker-keeper", daemon=True)
+        self._keeper.start()
+
+    def stop(self) -> None:
+        """Stop the child; a job that it was working on goes back to the queue."""
+        self._stopping.set()
+        if self._keeper is not None:
+            self._keeper.join()
+        if self._process is None:
+            return
+        if self._process.stdin is not None:
+            self._process.stdin.close()
+        try:
+            self._process.wait(_STOP_TIMEOUT_S)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+
+    def _spawn(self) -> subprocess.Popen[bytes]:
+        process = subprocess.Popen([sys.executable, "-m", "rholoc.jobs"], stdin=subprocess.PIPE, start_new_session=True)
+        assert process.stdin is not None
+        process.stdin.write(self._configuration)
+        process.stdin.flush()
+        return process
+
+    def _keep_running(self) -> None:
+        while not self._stopping.wait(_RESTART_AFTER_S):
+            if not self.running:
+                _log.warning("the worker ended unexpectedly; starting another")
+                self._process = self._spawn()

@@ -1,0 +1,84 @@
+"""What a worker does for a job: build a map file from a recording, publish the file."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+from rholoc.errors import InvalidMap, UnknownMap
+from rholoc.jobs.job import JobOptions
+from rholoc.mapping import BuildOptions, build_map
+from rholoc.maps import MapLibrary, load_map, save_map
+from rholoc.progress import ProgressListener, Stage
+from rholoc.recordings import read_recording
+
+
+@dataclass(frozen=True)
+class MappingTask:
+    """One job's work.
+
+    Attributes:
+        recording: the file or folder that was uploaded.
+        map_file: where the built map goes until it is published. It exists only when it is complete.
+        maps_dir: the folder of published maps.
+        map_name: the name under which the map is published.
+        options: how the map is built.
+    """
+
+    recording: Path
+    map_file: Path
+    maps_dir: Path
+    map_name: str
+    options: JobOptions
+
+
+class Pipeline(Protocol):
+    """The two steps of a job. Both may be run again after a crash, so both must be idempotent.
+
+    ``build`` runs in a process of its own that may be killed at any time; a pipeline can therefore be pickled.
+    """
+
+    def build(self, task: MappingTask, progress: ProgressListener) -> None:
+        """Write ``task.map_file``, atomically; do nothing if it is there."""
+        ...
+
+    def publish(self, task: MappingTask) -> None:
+        """Put ``task.map_file`` into the library, atomically; do nothing if it is there."""
+        ...
+
+
+class MappingPipeline:
+    """The pipeline of the service: recording → map → library."""
+
+    def build(self, task: MappingTask, progress: ProgressListener) -> None:
+        """Read the recording, build its map and save it.
+
+        Raises: as :func:`rholoc.recordings.read_recording` and :func:`rholoc.mapping.build_map` do.
+        """
+        if task.map_file.exists():
+            return
+        progress(Stage.READ, 0.0, "reading the recording")
+        recording = read_recording(task.recording, camera=task.options.camera, workdir=task.map_file.parent)
+        options = BuildOptions(density=task.options.density, features=task.options.features, poses=task.options.poses)
+        built = build_map([recording], options, progress)
+        partial = task.map_file.with_name(f"{os.getpid()}-{task.map_file.name}")
+        save_map(built, partial)
+        partial.replace(task.map_file)
+
+    def publish(self, task: MappingTask) -> None:
+        """Put the map into the library unless the one of that name is already this one.
+
+        Raises: as :meth:`rholoc.maps.MapLibrary.put_file` does.
+        """
+        library = MapLibrary(task.maps_dir)
+        if _published_id(library, task.map_name) != load_map(task.map_file).info.id:
+            library.put_file(task.map_name, task.map_file)
+
+
+def _published_id(library: MapLibrary, name: str) -> str | None:
+    try:
+        return library.get(name).info.id
+    except (UnknownMap, InvalidMap):
+        return None

@@ -1,0 +1,120 @@
+"""The queue of mapping jobs, as the server and the command use it. It runs nothing itself."""
+
+from __future__ import annotations
+
+import uuid
+from pathlib import Path
+
+import sqlalchemy as sa
+from dbos import DBOSClient, EnqueueOptions
+
+from rholoc.jobs.database import open_database, telling_full_database
+from rholoc.jobs.job import Job, JobOptions
+from rholoc.jobs.recording_store import RecordingStore
+from rholoc.jobs.table import JobTable, JobWork
+from rholoc.maps import check_map_name
+
+APPLICATION = "rholoc"
+QUEUE_NAME = "rholoc-mapping"
+WORKFLOW_NAME = "rholoc-map-recording"
+
+# Pinned, so that a new release takes up the jobs of the one before. Change it only when the workflow's steps change
+# so much that a half-done job cannot be continued.
+APPLICATION_VERSION = "1"
+
+
+class JobQueue:
+    """The queue of mapping jobs."""
+
+    def __init__(self, data_dir: Path, database_url: str | None = None) -> None:
+        """Open the queue; its tables are made where they are missing.
+
+        Raises:
+            StorageFull: the disk is full.
+        """
+        self._recordings = RecordingStore(data_dir)
+        self._engine = open_database(data_dir, database_url)
+        self._client = open_client(self._engine)
+        self._jobs = JobTable(self._engine)
+
+    def submit(self, recording_id: str, map_name: str, options: JobOptions | None = None) -> Job:
+        """Queue the building of a map.
+
+        Raises:
+            UnknownRecording: there is no such recording.
+            InvalidName: ``map_name`` is none.
+            StorageFull: the disk is full.
+        """
+        check_map_name(map_name)
+        self._recordings.get(recording_id)
+        job_id = uuid.uuid4().hex
+        workflow = _workflow_id(job_id)
+        work = JobWork(recording_id, map_name, options or JobOptions())
+        with telling_full_database(), self._engine.begin() as connection:
+            self._jobs.insert(connection, job_id, work, workflow)
+            self._enqueue(connection, job_id, workflow)
+        return self._jobs.get(job_id)
+
+    def get(self, job_id: str) -> Job:
+        """The job.
+
+        Raises:
+            UnknownJob: there is none with this id.
+        """
+        return self._jobs.get(job_id)
+
+    def list(self) -> list[Job]:
+        """All jobs, the newest first."""
+        return self._jobs.list()
+
+    def cancel(self, job_id: str) -> Job:
+        """End a queued or running job. A worker that has it stops within two seconds.
+
+        Raises:
+            UnknownJob: there is none with this id.
+            Conflict: it has ended.
+        """
+        self._jobs.get(job_id)
+        with telling_full_database():
+            self._jobs.cancel(job_id)
+            self._client.cancel_workflow(self._jobs.workflow(job_id))
+        return self._jobs.get(job_id)
+
+    def retry(self, job_id: str) -> Job:
+        """Queue a failed or cancelled job again, from its start.
+
+        Raises:
+            UnknownJob: there is none with this id.
+            Conflict: it neither failed nor was cancelled.
+            UnknownRecording: its recording was deleted.
+        """
+        self._recordings.get(self._jobs.get(job_id).recording)
+        workflow = _workflow_id(job_id)
+        with telling_full_database(), self._engine.begin() as connection:
+            self._jobs.requeue(connection, job_id, workflow)
+            self._enqueue(connection, job_id, workflow)
+        return self._jobs.get(job_id)
+
+    def close(self) -> None:
+        """Close the connections."""
+        self._client.destroy()
+        self._engine.dispose()
+
+    def _enqueue(self, connection: sa.Connection, job_id: str, workflow: str) -> None:
+        options: EnqueueOptions = {
+            "workflow_name": WORKFLOW_NAME,
+            "queue_name": QUEUE_NAME,
+            "workflow_id": workflow,
+            "app_version": APPLICATION_VERSION,
+        }
+        self._client.enqueue_in_transaction(connection, options, job_id)
+
+
+def open_client(engine: sa.Engine) -> DBOSClient:
+    """DBOS seen from outside its workflows, on our own connections."""
+    return DBOSClient(system_database_engine=engine, application_name=APPLICATION)
+
+
+def _workflow_id(job_id: str) -> str:
+    """A new workflow for the job: a retry must not find the steps of the run before."""
+    return f"{job_id}-{uuid.uuid4().hex[:8]}"

@@ -1,0 +1,315 @@
+"""The rows of jobs: what users see of them, and who may change them."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import sqlalchemy as sa
+
+from rholoc.errors import Conflict, UnknownJob
+from rholoc.jobs.database import jobs_table, workers_table
+from rholoc.jobs.job import Job, JobOptions, JobState
+from rholoc.maps import DensityKind
+from rholoc.progress import Stage
+from rholoc.trajectory import PoseMethod
+
+LOG_LINES = 50
+_ID_LENGTH = 32
+
+# What part of a job's time a stage takes, roughly.
+_SHARES = {
+    Stage.RECEIVED: 0.0,
+    Stage.READ: 0.05,
+    Stage.KEYFRAMES: 0.05,
+    Stage.FEATURES: 0.15,
+    Stage.POSES: 0.40,
+    Stage.OBSERVATIONS: 0.10,
+    Stage.DENSITIES: 0.05,
+    Stage.REPORT: 0.20,
+    Stage.PUBLISHED: 0.0,
+}
+
+
+@dataclass(frozen=True)
+class Failure:
+    """Why a job failed, for its user."""
+
+    code: str
+    message: str
+    hint: str
+
+
+@dataclass(frozen=True)
+class Lease:
+    """A worker's hold on a job. It is lost when the job is cancelled, retried, or taken up by another worker."""
+
+    job: str
+    workflow: str
+    attempt: int
+
+
+@dataclass(frozen=True)
+class JobWork:
+    """What a worker needs to know of a job."""
+
+    recording: str
+    map_name: str
+    options: JobOptions
+
+
+class JobTable:
+    """The table of jobs."""
+
+    def __init__(self, engine: sa.Engine) -> None:
+        self._engine = engine
+
+    def get(self, job_id: str) -> Job:
+        """The job. Raises UnknownJob."""
+        with self._engine.connect() as connection:
+            row = connection.execute(sa.select(jobs_table).where(jobs_table.c.id == job_id)).mappings().first()
+        if row is None:
+            raise UnknownJob(f"There is no job {job_id[:_ID_LENGTH]!r}.", "List the jobs to see their ids.")
+        return _job(row)
+
+    def list(self) -> list[Job]:
+        """All jobs, the newest first."""
+        with self._engine.connect() as connection:
+            rows = connection.execute(sa.select(jobs_table).order_by(jobs_table.c.created.desc())).mappings().all()
+        return [_job(row) for row in rows]
+
+    def workflow(self, job_id: str) -> str:
+        """The id of the job's present workflow."""
+        with self._engine.connect() as connection:
+            return str(
+                connection.execute(sa.select(jobs_table.c.workflow_id).where(jobs_table.c.id == job_id)).scalar_one()
+            )
+
+    # What users do
+
+    def insert(self, connection: sa.Connection, job_id: str, work: JobWork, workflow: str) -> None:
+        """Add a queued job, within the caller's transaction."""
+        connection.execute(
+            jobs_table.insert().values(
+                id=job_id,
+                recording=work.recording,
+                map_name=work.map_name,
+                options=asdict(work.options),
+                created=time.time(),
+                workflow_id=workflow,
+                **_QUEUED,
+            )
+        )
+
+    def requeue(self, connection: sa.Connection, job_id: str, workflow: str) -> None:
+        """Queue a failed or cancelled job again, within the caller's transaction. Raises Conflict."""
+        changed = connection.execute(
+            jobs_table.update()
+            .where(jobs_table.c.id == job_id, jobs_table.c.state.in_([JobState.FAILED, JobState.CANCELLED]))
+            .values(workflow_id=workflow, **_QUEUED)
+        )
+        if not changed.rowcount:
+            raise Conflict("Only a job that failed or was cancelled can be retried.", "Submit a new one.")
+
+    def cancel(self, job_id: str) -> None:
+        """End a queued or running job. Raises Conflict."""
+        with self._engine.begin() as connection:
+            changed = connection.execute(
+                jobs_table.update()
+                .where(jobs_table.c.id == job_id, jobs_table.c.state.in_([JobState.QUEUED, JobState.RUNNING]))
+                .values(state=JobState.CANCELLED, message="cancelled", ended=time.time())
+            )
+        if not changed.rowcount:
+            raise Conflict("The job has ended.", "Retry it, or submit a new one.")
+
+    # What workers do
+
+    def take_up(self, job_id: str, workflow: str) -> tuple[Lease, JobWork] | None:
+        """Hold the job, unless it was cancelled or retried meanwhile. A lease held on it before is lost."""
+        with self._engine.begin() as connection:
+            taken = connection.execute(
+                jobs_table.update()
+                .where(
+                    jobs_table.c.id == job_id,
+                    jobs_table.c.workflow_id == workflow,
+                    jobs_table.c.state.in_([JobState.QUEUED, JobState.RUNNING]),
+                )
+                .values(
+                    state=JobState.RUNNING,
+                    attempts=jobs_table.c.attempts + 1,
+                    started=sa.func.coalesce(jobs_table.c.started, time.time()),
+                )
+            )
+            if not taken.rowcount:
+                return None
+            row = connection.execute(sa.select(jobs_table).where(jobs_table.c.id == job_id)).mappings().one()
+        work = JobWork(row["recording"], row["map_name"], _options(row["options"]))
+        return Lease(job_id, workflow, row["attempts"]), work
+
+    def holds(self, lease: Lease) -> bool:
+        """Whether the lease is still good."""
+        with self._engine.connect() as connection:
+            return connection.execute(sa.select(jobs_table.c.id).where(*_held(lease))).first() is not None
+
+    def note(self, lease: Lease, stage: Stage, fraction: float, message: str) -> None:
+        """Note progress; a line is added to the log when there is news."""
+        with self._engine.begin() as connection:
+            row = connection.execute(sa.select(jobs_table).where(*_held(lease))).mappings().first()
+            if row is None:
+                return
+            news = (stage, message) != (row["stage"], row["message"])
+            connection.execute(
+                jobs_table.update()
+                .where(*_held(lease))
+                .values(
+                    stage=stage,
+                    message=message,
+                    progress=max(row["progress"], overall(stage, fraction)),
+                    log=_appended(row["log"], f"{stage}: {message}" if message else stage) if news else row["log"],
+                )
+            )
+
+    def wanted_workflows(self) -> set[str]:
+        """The workflows of all jobs that are queued or running."""
+        with self._engine.connect() as connection:
+            return set(
+                connection.execute(
+                    sa.select(jobs_table.c.workflow_id).where(
+                        jobs_table.c.state.in_([JobState.QUEUED, JobState.RUNNING])
+                    )
+                ).scalars()
+            )
+
+    def release(self, lease: Lease) -> None:
+        """Give the job back to the queue."""
+        self._update(lease, state=JobState.QUEUED, message="waiting for another worker")
+
+    def publish(self, lease: Lease) -> None:
+        """Note that the job's map is published."""
+        self._end(lease, JobState.PUBLISHED, "published", stage=Stage.PUBLISHED, progress=1.0)
+
+    def fail(self, lease: Lease, failure: Failure) -> None:
+        """Note why the job failed."""
+        self._end(
+            lease,
+            JobState.FAILED,
+            failure.message,
+            error_code=failure.code,
+            error_message=failure.message,
+            error_hint=failure.hint,
+        )
+
+    def _end(self, lease: Lease, state: JobState, message: str, **values: Any) -> None:
+        with self._engine.begin() as connection:
+            log = connection.execute(sa.select(jobs_table.c.log).where(*_held(lease))).scalar()
+            if log is None:
+                return
+            connection.execute(
+                jobs_table.update()
+                .where(*_held(lease))
+                .values(
+                    state=state,
+                    message=message,
+                    log=_appended(log, f"{state}: {message}" if message != state else message),
+                    ended=time.time(),
+                    **values,
+                )
+            )
+
+    def _update(self, lease: Lease, **values: Any) -> None:
+        with self._engine.begin() as connection:
+            connection.execute(jobs_table.update().where(*_held(lease)).values(**values))
+
+
+class WorkerTable:
+    """The table of workers and their heartbeats."""
+
+    def __init__(self, engine: sa.Engine) -> None:
+        self._engine = engine
+
+    def beat(self, worker: str) -> None:
+        """Note that the worker lives."""
+        with self._engine.begin() as connection:
+            changed = connection.execute(
+                workers_table.update().where(workers_table.c.id == worker).values(heartbeat=time.time())
+            )
+            if not changed.rowcount:
+                connection.execute(workers_table.insert().values(id=worker, heartbeat=time.time()))
+
+    def remove(self, worker: str) -> None:
+        """Forget the worker."""
+        with self._engine.begin() as connection:
+            connection.execute(workers_table.delete().where(workers_table.c.id == worker))
+
+    def living(self, dead_after_s: float) -> set[str]:
+        """The workers whose heartbeat is younger than ``dead_after_s``; the others are forgotten."""
+        oldest = time.time() - dead_after_s
+        with self._engine.begin() as connection:
+            connection.execute(workers_table.delete().where(workers_table.c.heartbeat < oldest))
+            return set(connection.execute(sa.select(workers_table.c.id)).scalars())
+
+
+def overall(stage: Stage, fraction: float) -> float:
+    """The progress 0..1 over all stages, of ``fraction`` within ``stage``."""
+    stages = list(_SHARES)
+    before = sum(_SHARES[earlier] for earlier in stages[: stages.index(stage)])
+    return min(1.0, before + _SHARES[stage] * min(1.0, max(0.0, fraction)))
+
+
+_QUEUED: dict[str, Any] = {
+    "state": JobState.QUEUED,
+    "stage": Stage.RECEIVED,
+    "progress": 0.0,
+    "message": "waiting for a worker",
+    "log": [],
+    "error_code": None,
+    "error_message": None,
+    "error_hint": None,
+    "started": None,
+    "ended": None,
+    "attempts": 0,
+}
+
+
+def _held(lease: Lease) -> tuple[sa.ColumnElement[bool], ...]:
+    return (
+        jobs_table.c.id == lease.job,
+        jobs_table.c.workflow_id == lease.workflow,
+        jobs_table.c.attempts == lease.attempt,
+        jobs_table.c.state == JobState.RUNNING,
+    )
+
+
+def _appended(log: list[str], line: str) -> list[str]:
+    now = time.strftime("%H:%M:%S", time.gmtime())
+    return [*log, f"{now} {line}"][-LOG_LINES:]
+
+
+def _options(stored: dict[str, Any]) -> JobOptions:
+    return JobOptions(
+        density=DensityKind(stored["density"]),
+        features=stored["features"],
+        poses=PoseMethod(stored["poses"]),
+        camera=stored["camera"],
+    )
+
+
+def _job(row: sa.RowMapping) -> Job:
+    return Job(
+        id=row["id"],
+        recording=row["recording"],
+        map_name=row["map_name"],
+        state=JobState(row["state"]),
+        stage=Stage(row["stage"]),
+        progress=row["progress"],
+        message=row["message"],
+        log=tuple(row["log"]),
+        error_code=row["error_code"],
+        error_message=row["error_message"],
+        error_hint=row["error_hint"],
+        created=row["created"],
+        started=row["started"],
+        ended=row["ended"],
+        attempts=row["attempts"],
+    )

@@ -1,0 +1,279 @@
+"""A worker: takes jobs from the queue, one at a time, and finishes those of workers that died."""
+
+from __future__ import annotations
+
+import logging
+import os
+import shutil
+import signal
+import socket
+import threading
+import uuid
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from types import FrameType
+
+from dbos import DBOS, DBOSConfig
+from sqlalchemy.exc import SQLAlchemyError
+
+from rholoc.errors import Cancelled, RholocError
+from rholoc.jobs.build_process import Progress, build_in_process, describe, unexpected
+from rholoc.jobs.database import open_database
+from rholoc.jobs.disk import is_full, storage_full, telling_full_disk
+from rholoc.jobs.pipeline import MappingPipeline, MappingTask, Pipeline
+from rholoc.jobs.queue import APPLICATION, APPLICATION_VERSION, QUEUE_NAME, WORKFLOW_NAME, open_client
+from rholoc.jobs.recording_store import RecordingStore
+from rholoc.jobs.table import Failure, JobTable, JobWork, Lease, WorkerTable
+
+_log = logging.getLogger("rholoc.jobs")
+
+_MAX_ATTEMPTS = 5
+
+
+@dataclass(frozen=True)
+class Timing:
+    """How quickly workers notice things.
+
+    Attributes:
+        poll_s: how often the queue is asked for jobs, and a running job whether it is still wanted.
+        heartbeat_s: how often a worker says that it lives.
+        dead_after_s: how old the last heartbeat of a dead worker is.
+        cancel_grace_s: how long a cancelled build may take to stop by itself.
+    """
+
+    poll_s: float = 0.5
+    heartbeat_s: float = 2.0
+    dead_after_s: float = 15.0
+    cancel_grace_s: float = 1.0
+
+
+class Worker:
+    """A worker, of which a process has one at most.
+
+    DBOS brings the durable queue and remembers which steps were done; this class adds what it leaves to its users:
+    an identity, a heartbeat, and the handing over of a dead worker's jobs.
+    """
+
+    def __init__(
+        self,
+        data_dir: Path,
+        maps_dir: Path,
+        database_url: str | None = None,
+        *,
+        pipeline: Pipeline | None = None,
+        timing: Timing | None = None,
+    ) -> None:
+        self.id = f"{socket.gethostname()[:40]}-{os.getpid()}-{uuid.uuid4().hex[:8]}"
+        self._data_dir = Path(data_dir).resolve()
+        self._maps_dir = Path(maps_dir).resolve()
+        self._pipeline = pipeline or MappingPipeline()
+        self._timing = timing or Timing()
+        self._database_url = database_url
+        self._stopping = threading.Event()
+        self._idle = threading.Condition()
+        self._leases: set[Lease] = set()
+
+    def start(self) -> None:
+        """Begin to take jobs, in threads and processes of its own.
+
+        Raises:
+            StorageFull: the disk is full.
+        """
+        self._recordings = RecordingStore(self._data_dir)
+        self._engine = open_database(self._data_dir, self._database_url)
+        self._client = open_client(self._engine)
+        self._jobs, self._workers = JobTable(self._engine), WorkerTable(self._engine)
+        self._workers.beat(self.id)
+        self._client.register_queue(QUEUE_NAME, worker_concurrency=1, polling_interval_sec=self._timing.poll_s)
+        config: DBOSConfig = {
+            "name": APPLICATION,
+            "system_database_engine": self._engine,
+            "executor_id": self.id,
+            "application_version": APPLICATION_VERSION,
+            "log_level": "ERROR",
+        }
+        DBOS(config=config)
+        DBOS.workflow(name=WORKFLOW_NAME, max_recovery_attempts=None)(self._workflow())
+        self._clear_unwanted_work()
+        DBOS.launch()
+        self._heart = threading.Thread(target=self._keep_beating, name="rholoc-heartbeat", daemon=True)
+        self._heart.start()
+        _log.info("worker %s started", self.id)
+
+    def stop(self) -> None:
+        """Stop within a few seconds; a job that was running goes back to the queue."""
+        self._stopping.set()
+        DBOS.destroy(destroy_registry=True)
+        self._heart.join()
+        with self._idle:
+            leases = set(self._leases)
+        for lease in leases:
+            # First the row, then DBOS: the next worker may take the job up from the moment DBOS has it.
+            self._jobs.release(lease)
+            self._client.resume_workflows([lease.workflow], queue_name=QUEUE_NAME)
+        with self._idle:
+            self._idle.wait_for(lambda: not self._leases, timeout=self._timing.cancel_grace_s + 5.0)
+        self._workers.remove(self.id)
+        self._client.destroy()
+        self._engine.dispose()
+        _log.info("worker %s stopped", self.id)
+
+    def _workflow(self) -> Callable[[str], None]:
+        def map_recording(job_id: str) -> None:
+            workflow = DBOS.workflow_id
+            assert workflow is not None
+            self._work(job_id, workflow)
+
+        return map_recording
+
+    def _work(self, job_id: str, workflow: str) -> None:
+        """The workflow. A worker that continues it finds the results of the steps that were done."""
+        taken = self._jobs.take_up(job_id, workflow)
+        if taken is None:
+            return
+        lease, work = taken
+        with self._idle:
+            self._leases.add(lease)
+        try:
+            self._build_and_publish(lease, work)
+        except Cancelled:
+            _log.info("job %s left: cancelled, or given to another worker", job_id)
+            self._clear_unwanted_work()
+        finally:
+            with self._idle:
+                self._leases.discard(lease)
+                self._idle.notify_all()
+
+    def _build_and_publish(self, lease: Lease, work: JobWork) -> None:
+        failure = self._too_often(lease)
+        failure = failure or DBOS.run_step({"name": "build"}, self._build, lease, work)
+        failure = failure or DBOS.run_step({"name": "publish"}, self._publish, lease, work)
+        shutil.rmtree(self._work_dir(lease), ignore_errors=True)
+        if failure is None:
+            self._jobs.publish(lease)
+        else:
+            _log.warning("job %s failed: %s", lease.job, failure.message)
+            self._jobs.fail(lease, failure)
+
+    def _too_often(self, lease: Lease) -> Failure | None:
+        if lease.attempt <= _MAX_ATTEMPTS:
+            return None
+        return Failure(
+            "internal",
+            f"{_MAX_ATTEMPTS} workers ended while they worked on this job.",
+            "It may need more memory than they have. Give them more and retry, or record a shorter walk.",
+        )
+
+    def _build(self, lease: Lease, work: JobWork) -> Failure | None:
+        try:
+            task = self._task(lease, work)
+            return build_in_process(
+                self._pipeline,
+                task,
+                note=lambda progress: self._note(lease, progress),
+                wanted=lambda: self._holds(lease),
+                poll_s=self._timing.poll_s,
+                cancel_grace_s=self._timing.cancel_grace_s,
+            )
+        except Cancelled:
+            raise
+        except RholocError as error:
+            return describe(error)
+
+    def _publish(self, lease: Lease, work: JobWork) -> Failure | None:
+        if not self._jobs.holds(lease):
+            raise Cancelled("The job is not ours any more.")
+        try:
+            self._pipeline.publish(self._task(lease, work))
+        except RholocError as error:
+            return describe(error)
+        except OSError as error:
+            return describe(storage_full()) if is_full(error) else unexpected(error)
+        except Exception as error:
+            return unexpected(error)
+        return None
+
+    def _task(self, lease: Lease, work: JobWork) -> MappingTask:
+        folder = self._work_dir(lease)
+        with telling_full_disk():
+            folder.mkdir(parents=True, exist_ok=True)
+        return MappingTask(
+            recording=self._recordings.path(work.recording),
+            map_file=folder / "map.rho",
+            maps_dir=self._maps_dir,
+            map_name=work.map_name,
+            options=work.options,
+        )
+
+    def _work_dir(self, lease: Lease) -> Path:
+        return self._data_dir / "work" / lease.workflow
+
+    def _clear_unwanted_work(self) -> None:
+        """Remove what jobs left behind that ended while no worker had them, or were cancelled."""
+        folders = list((self._data_dir / "work").glob("*"))
+        wanted = self._jobs.wanted_workflows()  # asked for after the folders were listed: a new job's is not removed
+        for folder in folders:
+            if folder.name not in wanted:
+                shutil.rmtree(folder, ignore_errors=True)
+
+    def _note(self, lease: Lease, progress: Progress) -> None:
+        try:
+            self._jobs.note(lease, progress.stage, progress.fraction, progress.message)
+        except SQLAlchemyError:
+            _log.exception("progress of job %s could not be noted", lease.job)
+
+    def _holds(self, lease: Lease) -> bool:
+        try:
+            return self._jobs.holds(lease)
+        except SQLAlchemyError:
+            _log.exception("job %s could not be looked up", lease.job)
+            return True
+
+    def _keep_beating(self) -> None:
+        while not self._stopping.wait(self._timing.heartbeat_s):
+            try:
+                self._workers.beat(self.id)
+                self._sweep()
+            except Exception:
+                _log.exception("the heartbeat failed; it is tried again")
+
+    def _sweep(self) -> None:
+        """Hand the jobs of dead workers to living ones.
+
+        Two workers may do so for the same job at the same time. The job then starts twice, the second start takes the
+        lease of the first, and the first stops.
+        """
+        living = self._workers.living(self._timing.dead_after_s)
+        pending = self._client.list_workflows(status="PENDING", name=WORKFLOW_NAME, load_input=False, load_output=False)
+        orphans = [workflow.workflow_id for workflow in pending if workflow.executor_id not in living]
+        if orphans:
+            _log.warning("taking over %d jobs of dead workers", len(orphans))
+            self._client.resume_workflows(orphans, queue_name=QUEUE_NAME)
+
+
+def run_worker(
+    data_dir: Path,
+    maps_dir: Path,
+    database_url: str | None = None,
+    *,
+    pipeline: Pipeline | None = None,
+    timing: Timing | None = None,
+    stop: threading.Event | None = None,
+) -> None:
+    """Work until SIGINT, SIGTERM or ``stop``. To be called in the main thread of a process that does nothing else.
+
+    Raises:
+        StorageFull: the disk is full.
+    """
+    stop = stop or threading.Event()
+
+    def ask_to_stop(_signal: int, _frame: FrameType | None) -> None:
+        stop.set()
+
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, ask_to_stop)
+    worker = Worker(data_dir, maps_dir, database_url, pipeline=pipeline, timing=timing)
+    worker.start()
+    stop.wait()
+    worker.stop()
