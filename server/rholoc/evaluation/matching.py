@@ -14,7 +14,7 @@ MATCH_TOLERANCE_S = 0.01
 
 
 @dataclass(frozen=True, eq=False)
-class PoseTable:
+class FramePoses:
     """Poses of N frames, as a trajectory file or a table of true poses gives them.
 
     Attributes:
@@ -30,10 +30,10 @@ class PoseTable:
     def __len__(self) -> int:
         return len(self.T_map_camera)
 
-    def known(self) -> PoseTable:
+    def known(self) -> FramePoses:
         """The frames that have a pose."""
         rows = np.isfinite(self.T_map_camera).all(axis=(1, 2))
-        return PoseTable(
+        return FramePoses(
             self.T_map_camera[rows],
             None if self.frames is None else self.frames[rows],
             None if self.times is None else self.times[rows],
@@ -58,7 +58,7 @@ class PosePairs:
         return len(self.truth)
 
 
-def pair_poses(estimated: PoseTable, truth: PoseTable, frames: slice | None = None) -> PosePairs:
+def pair_poses(estimated: FramePoses, truth: FramePoses, frames: slice | None = None) -> PosePairs:
     """Pair poses by frame number where both tables have them, else by time.
 
     With ``frames`` (start, stop, step) every true frame in that range is paired, whether ``estimated`` lists it or not:
@@ -89,13 +89,13 @@ def pair_poses(estimated: PoseTable, truth: PoseTable, frames: slice | None = No
 
 
 def in_range(numbers: IntArray, frames: slice) -> BoolArray:
-    """(N,) bool, which frame numbers (N,) lie in ``frames`` (start, stop, step; stop not included)."""
-    start = 0 if frames.start is None else frames.start
+    """(N,) bool, which increasing frame numbers (N,) lie in ``frames``: stop is left out, a step counts from start."""
+    start = (numbers[0] if len(numbers) else 0) if frames.start is None else frames.start
     stop = np.inf if frames.stop is None else frames.stop
     return np.asarray((numbers >= start) & (numbers < stop) & ((numbers - start) % (frames.step or 1) == 0))
 
 
-def _pair_by_frame(estimated: PoseTable, truth: PoseTable, frames: slice | None) -> PosePairs:
+def _pair_by_frame(estimated: FramePoses, truth: FramePoses, frames: slice | None) -> PosePairs:
     assert estimated.frames is not None
     assert truth.frames is not None
     asked = estimated.frames if frames is None else estimated.frames[in_range(estimated.frames, frames)]
@@ -108,7 +108,7 @@ def _pair_by_frame(estimated: PoseTable, truth: PoseTable, frames: slice | None)
     return PosePairs(T_estimated, truth.T_map_camera[chosen], int((~np.isin(asked, truth.frames)).sum()))
 
 
-def _pair_by_time(estimated: PoseTable, truth: PoseTable) -> PosePairs:
+def _pair_by_time(estimated: FramePoses, truth: FramePoses) -> PosePairs:
     assert estimated.times is not None
     assert truth.times is not None
     if len(truth) == 0:

@@ -1,5 +1,0 @@
-"""The ``rholoc`` command."""
-
-
-def main() -> None:
-    """Run the command."""

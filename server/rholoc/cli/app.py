@@ -1,0 +1,79 @@
+"""The commands in one tree, and how errors leave it: one line and an exit status, never a traceback."""
+
+from __future__ import annotations
+
+import errno
+import os
+import sys
+from typing import Annotated
+
+import typer
+
+from rholoc import __version__
+from rholoc.cli import evaluate, localize, maps, serve
+from rholoc.cli.console import print_error
+from rholoc.errors import RholocError
+
+EXIT_ERROR = 1
+EXIT_INTERRUPTED = 130
+DEBUG_VARIABLE = "RHOLOC_DEBUG"  # set to anything: errors of our own come with their traceback
+
+app = typer.Typer(
+    name="rholoc",
+    help="Indoor localization from ordinary cameras: one walk with a phone makes a map, any frame gets its pose back.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+app.command()(serve.serve)
+app.command()(serve.worker)
+app.add_typer(maps.app, name="map")
+app.command()(localize.localize)
+app.command()(evaluate.evaluate)
+
+
+def _print_version(asked: bool) -> None:
+    if asked:
+        typer.echo(f"rholoc {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _root(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version and exit.")
+    ] = False,
+) -> None:
+    pass
+
+
+def main() -> None:
+    """Run the command: exit status 0, 1 after an error, 2 after wrong usage, 130 after Ctrl-C."""
+    try:
+        app()
+    except RholocError as error:
+        print_error(error.message, error.hint)
+        sys.exit(EXIT_ERROR)
+    except KeyboardInterrupt:
+        sys.exit(EXIT_INTERRUPTED)
+    except BrokenPipeError:
+        # The reader of our output has gone; whatever Python still wants to flush there must not raise again.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(EXIT_ERROR)
+    except OSError as error:
+        print_error(*_os_error(error))
+        sys.exit(EXIT_ERROR)
+    except Exception as error:
+        if os.environ.get(DEBUG_VARIABLE):
+            raise
+        print_error(f"rholoc itself failed: {type(error).__name__}: {error}.", f"{DEBUG_VARIABLE}=1 shows where.")
+        sys.exit(EXIT_ERROR)
+
+
+def _os_error(error: OSError) -> tuple[str, str]:
+    what = (error.strerror or str(error)).rstrip(".")
+    message = f"{what}: {error.filename}." if error.filename else f"{what}."
+    if error.errno in (errno.ENOSPC, errno.EDQUOT):
+        return message, "Free some space and run it again."
+    return message, "Check the path and its permissions."

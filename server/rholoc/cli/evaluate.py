@@ -1,0 +1,73 @@
+"""``rholoc evaluate``: a trajectory against the truth."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from rholoc.cli import options
+from rholoc.cli.console import print_figures, print_json, print_notice
+
+if TYPE_CHECKING:
+    from rholoc.evaluation import Evaluation
+
+
+def evaluate(
+    trajectory: Annotated[
+        Path, typer.Argument(metavar="TRAJECTORY", help="Estimated poses: CSV of rholoc localize (Table 6).")
+    ],
+    truth: Annotated[
+        Path,
+        typer.Argument(
+            metavar="TRUTH", help="True poses: poses.txt (frame or time, tx ty tz qx qy qz qw) or Table 6 CSV."
+        ),
+    ],
+    frames: options.Frames = None,
+    align: Annotated[
+        bool,
+        typer.Option("--align", help="First turn and shift it into the truth's frame."),
+    ] = False,
+    as_json: options.Json = False,
+) -> None:
+    """Measure a trajectory: medians, 90th percentiles and recall. Frames without a pose count as failures in all.
+
+    With --frames every true pose in the range counts, listed by the trajectory or not.
+    """
+    from rholoc.evaluation import evaluate as figures_of
+    from rholoc.evaluation import pair_poses, read_frame_poses, rigid_alignment, trajectory_errors
+    from rholoc.recordings import parse_frame_slice
+
+    pairs = pair_poses(
+        read_frame_poses(trajectory), read_frame_poses(truth), None if frames is None else parse_frame_slice(frames)
+    )
+    estimated = rigid_alignment(pairs.estimated, pairs.truth) @ pairs.estimated if align else pairs.estimated
+    figures = figures_of(trajectory_errors(estimated, pairs.truth))
+    if pairs.without_truth:
+        print_notice(f"{pairs.without_truth} frames have no true pose and are left out.")
+    if as_json:
+        print_json(figures.as_dict())
+    else:
+        print_figures(f"[bold]{trajectory.name}[/bold] against {truth.name}", evaluation_rows(figures))
+
+
+def evaluation_rows(figures: Evaluation) -> dict[str, str]:
+    """The figures as people read them: names and values with their units."""
+    return {
+        "frames": str(figures.n),
+        "localized": f"{figures.localized} ({_percent(figures.localized / figures.n if figures.n else 0)})",
+        "median error": f"{_number(figures.median_cm)} cm, {_number(figures.median_deg)}°",
+        "90th percentile": f"{_number(figures.p90_cm)} cm, {_number(figures.p90_deg)}°",
+        "within 5 cm and 5°": _percent(figures.recall_5cm_5deg),
+        "within 10 cm and 5°": _percent(figures.recall_10cm_5deg),
+        "within 25 cm and 10°": _percent(figures.recall_25cm_10deg),
+    }
+
+
+def _percent(fraction: float) -> str:
+    return f"{100 * fraction:.1f} %"
+
+
+def _number(value: float | None) -> str:
+    return "–" if value is None else f"{value:.2f}"

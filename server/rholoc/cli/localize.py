@@ -1,0 +1,96 @@
+"""``rholoc localize``: the poses of a recording's frames in a map."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from itertools import islice
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+
+from rholoc.cli import options
+from rholoc.cli.console import frame_progress, print_figures, print_json, print_notice
+from rholoc.errors import InvalidCamera, InvalidInput
+from rholoc.geometry import ByteArray, Camera
+from rholoc.localization import Dof, Localization, Localizer, Query
+from rholoc.maps import MapInfo, load_map
+from rholoc.recordings import FrameSource, Recording, read_recording
+
+_THREADS = 2
+_BATCH = 16  # frames that are decoded ahead: enough to keep the threads busy, few enough for any memory
+
+
+def localize(
+    map_file: options.MapFile,
+    source: Annotated[
+        Path, typer.Argument(metavar="SOURCE", help="A video, a folder of images, or a recording's folder.")
+    ],
+    out: Annotated[Path, typer.Option("--out", "-o", metavar="CSV", help="Where the trajectory goes.")] = Path(
+        "trajectory.csv"
+    ),
+    frames: options.Frames = None,
+    camera: options.Camera = None,
+    dof: Annotated[int, typer.Option(min=5, max=6, help="5: the camera does not roll; 6: roll is estimated too.")] = 5,
+    min_confidence: Annotated[
+        float, typer.Option(min=0.0, max=1.0, help="Poses of lower confidence are not given out.")
+    ] = 0.5,
+    as_json: options.Json = False,
+) -> None:
+    """Localize frames in a map and write the trajectory (Table 6). Frames without a pose keep a row without one."""
+    from rholoc.maps import TrajectoryTable
+
+    if not out.parent.is_dir():
+        raise InvalidInput(f"There is no folder {out.parent} to write the trajectory to.", "Make it first.")
+    map_ = load_map(map_file)
+    recording = read_recording(source, camera=camera, frames=frames)
+    used_camera = _camera(recording, map_.info)
+    localizer = Localizer(map_, min_confidence)
+    count = len(recording.frames.times)
+    start_s = time.perf_counter()
+    with frame_progress("localizing", count) as progress:
+        answers = []
+        for answer in _localize_frames(localizer, recording.frames, used_camera, Dof(dof)):
+            answers.append(answer)
+            progress.advance(progress.task_ids[0])
+    duration_s = time.perf_counter() - start_s
+    TrajectoryTable.from_localizations(recording.frames.times, recording.frames.numbers, answers).write(out)
+    figures = {
+        "frames": count,
+        "localized": sum(answer.localized for answer in answers),
+        "seconds": round(duration_s, 2),
+        "ms_per_frame": round(float(np.median([sum(answer.timings_ms.values()) for answer in answers])), 1),
+        "trajectory": str(out),
+        "metric": map_.info.metric,
+    }
+    if as_json:
+        print_json(figures)
+    else:
+        print_figures(f"[bold]{source}[/bold] in {map_file.name}", {k: str(v) for k, v in figures.items()})
+    if not map_.info.metric:
+        print_notice("This map's unit of length is arbitrary: nothing measured fixed its scale.")
+
+
+def _camera(recording: Recording, info: MapInfo) -> Camera:
+    """The frames' camera: given, the recording's own, or the map's where the frames have the size of the map's."""
+    if recording.camera is not None:
+        return recording.camera
+    if recording.frames.size != (info.camera.width, info.camera.height):
+        raise InvalidCamera("The camera of these frames is not known.", "Give it with --camera fx,fy,cx,cy.")
+    print_notice("No camera given: the frames are taken to be of the camera that recorded the map.")
+    return info.camera
+
+
+def _localize_frames(localizer: Localizer, frames: FrameSource, camera: Camera, dof: Dof) -> Iterator[Localization]:
+    """The answers for all frames, in their order."""
+
+    def answer(image: ByteArray) -> Localization:
+        return localizer.localize(Query(localizer.extractor.extract(image), camera, dof))
+
+    images = frames.images(range(len(frames.times)))
+    with ThreadPoolExecutor(_THREADS) as pool:
+        while batch := list(islice(images, _BATCH)):
+            yield from pool.map(answer, batch)

@@ -1,0 +1,111 @@
+"""``rholoc map``: build maps, look into them, export them."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from rholoc.cli import options
+from rholoc.cli.console import print_figures, print_json, stage_progress
+from rholoc.errors import InvalidInput
+from rholoc.maps import DensityKind, Map, load_map, save_map
+from rholoc.maps.info_json import info_to_json
+from rholoc.trajectory import PoseMethod
+
+app = typer.Typer(no_args_is_help=True, help="Build maps, look into them, export them.")
+
+
+@app.command()
+def build(
+    recordings: Annotated[
+        list[Path], typer.Argument(metavar="RECORDING...", help="A video, a folder of images, or a recording's folder.")
+    ],
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", metavar="MAP.rho", help="Where to; default: the recording's name.")
+    ] = None,
+    density: Annotated[DensityKind, typer.Option(help="The form of the densities.")] = DensityKind.RAY,
+    features: Annotated[
+        str | None, typer.Option(metavar="gray|rgb|lab|lab3|sift", help="What the map's features are.")
+    ] = None,
+    poses: Annotated[PoseMethod, typer.Option(help="Where frame poses come from.")] = PoseMethod.VISUAL_INERTIAL,
+    frames: options.Frames = None,
+    camera: options.Camera = None,
+    waypoints: Annotated[
+        Path | None, typer.Option(metavar="CSV", help="Measured waypoints: name,time or frame,x,y,z.")
+    ] = None,
+    report: Annotated[
+        bool, typer.Option(help="Hold frames out and localize them, for the map's own report; takes time.")
+    ] = True,
+    as_json: options.Json = False,
+) -> None:
+    """Build a map from one or more recordings of a place."""
+    from rholoc.mapping import DEFAULT_FEATURES, BuildOptions, build_map
+    from rholoc.recordings import read_recording
+
+    if len(recordings) > 1 and (waypoints or frames or camera):
+        raise typer.BadParameter("--frames, --camera and --waypoints speak of one recording; give just one.")
+    target = out or Path(f"{recordings[0].resolve().stem}.rho")
+    if not target.parent.is_dir():
+        raise InvalidInput(f"There is no folder {target.parent} to write the map to.", "Make it first.")
+    build_options = BuildOptions(density=density, features=features or DEFAULT_FEATURES, poses=poses, report=report)
+    with stage_progress() as progress:
+        read = [read_recording(path, camera=camera, frames=frames, waypoints=waypoints) for path in recordings]
+        map_ = build_map(read, build_options, progress)
+    save_map(map_, target)
+    _print_map(map_, target, as_json)
+
+
+@app.command()
+def info(map_file: options.MapFile, as_json: options.Json = False) -> None:
+    """Print what a map says of itself, its quality report included."""
+    _print_map(load_map(map_file), map_file, as_json)
+
+
+def _print_map(map_: Map, path: Path, as_json: bool) -> None:
+    figures = _map_figures(map_, path)
+    if as_json:
+        print_json(figures)
+    else:
+        print_figures(f"[bold]{path}[/bold]", {name: _shown(value) for name, value in _flat(figures)})
+
+
+def _map_figures(map_: Map, path: Path) -> dict[str, Any]:
+    counts = {
+        "file": str(path),
+        "bytes": path.stat().st_size,
+        "landmarks": len(map_),
+        "descriptors": len(map_.descriptors),
+        "views": len(map_.view_times),
+    }
+    description: dict[str, Any] = json.loads(info_to_json(map_.info))
+    return counts | description
+
+
+def _flat(values: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """Nested figures as (dotted name, value), lists of dicts numbered from 0."""
+    for key, value in values.items():
+        name = f"{prefix}{key}"
+        if isinstance(value, list) and value and isinstance(value[0], dict):
+            value = {str(place): item for place, item in enumerate(value)}
+        if isinstance(value, dict):
+            yield from _flat(value, f"{name}.")
+        else:
+            yield name, value
+
+
+def _shown(value: Any) -> str:
+    match value:
+        case None:
+            return "–"
+        case bool():
+            return "yes" if value else "no"
+        case float():
+            return f"{value:.4g}"
+        case list():
+            return ", ".join(_shown(item) for item in value)
+        case _:
+            return str(value)

@@ -1,0 +1,23 @@
+"""Options that several commands share."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+Camera = Annotated[
+    str | None,
+    typer.Option(
+        metavar="FX,FY,CX,CY[,K1,K2,P1,P2[,K3]]",
+        help="Intrinsics in pixels of the frames, with OpenCV's distortion; instead of the recording's own.",
+    ),
+]
+Frames = Annotated[
+    str | None,
+    typer.Option(metavar="START:STOP[:STEP]", help="Only these frames, by number; STOP is left out."),
+]
+Json = Annotated[bool, typer.Option("--json", help="Print the figures as JSON.")]
+MapFile = Annotated[Path, typer.Argument(metavar="MAP", help="A map file (.rho).")]
+Source = Annotated[Path, typer.Argument(metavar="SOURCE", help="A video, a folder of images, or a recording's folder.")]

@@ -1,0 +1,87 @@
+"""``rholoc serve`` and ``rholoc worker``: the processes of the service."""
+
+from __future__ import annotations
+
+import socket
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from rholoc.cli.console import print_notice
+from rholoc.errors import Conflict, InvalidInput
+
+if TYPE_CHECKING:
+    from rholoc.service import Settings
+
+_BACKLOG = 2048
+
+Maps = Annotated[
+    Path | None, typer.Option("--maps", metavar="DIR", help="The folder of maps; default: RHOLOC_MAPS_DIR or maps.")
+]
+Data = Annotated[
+    Path | None,
+    typer.Option("--data", metavar="DIR", help="The folder of jobs; default: RHOLOC_DATA_DIR or .rholoc."),
+]
+
+
+def serve(
+    host: Annotated[
+        str | None, typer.Option(help="The address to listen on; default: RHOLOC_HOST or 127.0.0.1. 0.0.0.0: all.")
+    ] = None,
+    port: Annotated[
+        int | None, typer.Option(min=0, max=65535, help="The port; default: RHOLOC_PORT or 8080. 0: a free one.")
+    ] = None,
+    maps: Maps = None,
+    data: Data = None,
+    no_worker: Annotated[bool, typer.Option("--no-worker", help="Leave mapping jobs to rholoc worker.")] = False,
+) -> None:
+    """Serve maps over HTTP, and work on mapping jobs beside."""
+    settings = _settings(host=host, port=port, maps_dir=maps, data_dir=data, worker=False if no_worker else None)
+    import uvicorn
+
+    from rholoc.service import create_app
+
+    with _listening_socket(settings.host, settings.port) as listener:
+        server = uvicorn.Server(uvicorn.Config(create_app(settings), log_level="warning", backlog=_BACKLOG))
+        port = listener.getsockname()[1]
+        print_notice(f"Serving the maps of {settings.maps_dir} at http://{settings.host}:{port} (the API: /docs).")
+        server.run(sockets=[listener])
+    if not server.started:
+        raise InvalidInput("The server did not start.", "The lines above say why.")
+
+
+def worker(maps: Maps = None, data: Data = None) -> None:
+    """Work on mapping jobs, apart from the server. Any number of workers share the queue."""
+    from rholoc.jobs import run_worker
+
+    settings = _settings(maps_dir=maps, data_dir=data)
+    print_notice(f"Working on the jobs of {settings.data_dir}; maps go to {settings.maps_dir}.")
+    run_worker(settings.data_dir, settings.maps_dir)
+
+
+def _settings(**options: object) -> Settings:
+    """The settings: options that were given, else the environment's, else the defaults."""
+    from pydantic import ValidationError
+
+    from rholoc.service import Settings
+
+    try:
+        return Settings(**{name: value for name, value in options.items() if value is not None})  # type: ignore[arg-type]
+    except ValidationError as error:
+        first = error.errors()[0]
+        name = "_".join(str(part) for part in first["loc"])
+        raise InvalidInput(f"The setting {name} is wrong: {first['msg']}.", f"See RHOLOC_{name.upper()}.") from error
+
+
+def _listening_socket(host: str, port: int) -> socket.socket:
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    try:
+        return socket.create_server((host, port), family=family, backlog=_BACKLOG)
+    except socket.gaierror as error:
+        raise InvalidInput(f"{host} is not an address to listen on.", "Give an IP address of this machine.") from error
+    except OSError as error:
+        raise Conflict(
+            f"Cannot listen on {host}:{port}: {(error.strerror or str(error)).lower()}.",
+            "Choose another with --port, or end what listens there.",
+        ) from error

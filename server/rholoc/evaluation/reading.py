@@ -1,0 +1,37 @@
+"""Tables of poses on disk → frames and their poses: ``poses.txt`` and Table 6."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from rholoc.errors import InvalidTrajectory
+from rholoc.evaluation.matching import FramePoses
+from rholoc.maps import TrajectoryTable
+from rholoc.recordings import read_pose_table
+
+
+def read_frame_poses(path: Path) -> FramePoses:
+    """Read Table 6 (CSV with the column ``timestamp``) or ``poses.txt``.
+
+    The keys of ``poses.txt`` are frame numbers where all of them are whole, else times.
+
+    Raises:
+        InvalidTrajectory: the file is neither, or is broken.
+    """
+    if _is_table_6(path):
+        table = TrajectoryTable.read(path)
+        return FramePoses(table.T_map_camera, table.frames, table.times)
+    poses = read_pose_table(path)
+    if np.all(poses.keys == np.floor(poses.keys)):
+        return FramePoses(poses.T_map_camera, frames=poses.keys.astype(np.int64))
+    return FramePoses(poses.T_map_camera, times=poses.keys)
+
+
+def _is_table_6(path: Path) -> bool:
+    try:
+        with path.open(encoding="utf-8-sig", errors="replace") as file:
+            return file.readline().lower().startswith("timestamp,")
+    except OSError as error:
+        raise InvalidTrajectory(f"{path} cannot be read: {error.strerror}.", "Check the path.") from error
