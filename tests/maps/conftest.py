@@ -48,7 +48,7 @@ def synthetic_map(features: int = 60, views: int = 8, seed: int = 1) -> Map:
         descriptors=rng.integers(0, 256, (len(owners), 32)).astype(np.uint8),
         descriptor_features=owners.astype(np.int32),
         view_times=np.arange(views, dtype=np.float64),
-        view_poses=np.column_stack([positions, quaternions]).astype(np.float32),
+        view_poses=np.column_stack([positions, np.reshape(quaternions, (-1, 4))]).astype(np.float32),
         view_offsets=np.cumsum([0] + [len(s) for s in seen]).astype(np.int32),
         view_features=np.concatenate([np.zeros(0, int), *seen]).astype(np.int32),
         extras={"weights": rng.normal(size=(features, 3)).astype(np.float32), "scalar": np.array(3.5)},
