@@ -2,15 +2,39 @@
 
 from __future__ import annotations
 
+import uuid
 from collections.abc import Sequence
 from dataclasses import dataclass
+from datetime import UTC, datetime
+from typing import Any
 
-from rholoc.maps import DensityKind, Map
-from rholoc.progress import ProgressListener, silent
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from rholoc.errors import InvalidInput, MappingFailed
+from rholoc.features import Extractor, FeatureSet, get_extractor
+from rholoc.geometry import Camera, FloatArray, IntArray
+from rholoc.mapping.landmarks import (
+    Landmarks,
+    extend_and_merge,
+    representative_rows,
+    select_stable,
+    triangulate,
+)
+from rholoc.mapping.observations import Views, link_observations
+from rholoc.mapping.report import HeldOut, map_report
+from rholoc.mapping.views import choose_views
+from rholoc.maps import DensityKind, Map, MapInfo
+from rholoc.progress import ProgressListener, Stage, silent
 from rholoc.recordings import Recording
-from rholoc.trajectory import PoseMethod
+from rholoc.trajectory import PoseMethod, Scale, Trajectory, estimate_trajectory
 
 DEFAULT_FEATURES = "gray"
+_FEATURES_PER_VIEW = 400
+_DESCRIPTORS_PER_FEATURE = 2
+_EXTENSION_ROUNDS = 2
+_MIN_VIEWS = 5
+_MIN_FEATURES = 60
 
 
 @dataclass(frozen=True)
@@ -30,15 +54,166 @@ class BuildOptions:
     report: bool = True
 
 
+@dataclass(frozen=True, eq=False)
+class _Walk:
+    """One recording with its trajectory, and the rows of the trajectory that become views or are held out."""
+
+    recording: Recording
+    trajectory: Trajectory
+    views: IntArray
+    held_out: IntArray
+
+
 def build_map(
     recordings: Sequence[Recording], options: BuildOptions | None = None, progress: ProgressListener = silent
 ) -> Map:
     """Build a map from one or more recordings of a place.
 
+    Several recordings must share a frame: by given poses, or each by its own waypoints.
+
     Raises:
+        InvalidInput: no recording, a density or features that do not exist.
         InvalidRecording: a recording cannot be read.
         InvalidWaypoints: its waypoints do not fix a frame.
         MappingFailed: too few frames could be placed, or too few features are stable; says what to do better.
         Cancelled: ``progress`` asked to stop.
     """
-    raise NotImplementedError
+    options = options or BuildOptions()
+    extractor = get_extractor(options.features)
+    if options.density is not DensityKind.RAY:
+        raise InvalidInput(f"Maps with '{options.density}' densities cannot be built yet.", "Use 'ray'.")
+    walks = [_walk(recording, options, progress) for recording in recordings]
+    _check_common_frame(walks)
+    views, held_out = _extract(walks, extractor, progress)
+    landmarks = _landmarks(views, extractor, progress)
+    progress(Stage.DENSITIES, 0.6, f"{len(landmarks)} stable features")
+    map_ = _assemble(walks, views, landmarks, extractor, options)
+    progress(Stage.DENSITIES, 1.0, f"{len(map_.descriptors)} descriptors")
+    report = map_report(map_, landmarks.view_counts, held_out if options.report else HeldOut.none(), progress)
+    for walk in walks:
+        report.setdefault("trajectories", []).append(walk.trajectory.report)
+    map_.info.report.update(report)
+    return map_
+
+
+def _walk(recording: Recording, options: BuildOptions, progress: ProgressListener) -> _Walk:
+    trajectory = estimate_trajectory(recording, options.poses, progress)
+    views, held_out = choose_views(trajectory.T_map_camera, hold_out=options.report)
+    if len(views) < _MIN_VIEWS:
+        raise MappingFailed(
+            f"Only {len(views)} frames with different views have a pose; {_MIN_VIEWS} are the least for a map.",
+            "Record a longer walk, or give poses for more frames.",
+        )
+    return _Walk(recording, trajectory, views, held_out)
+
+
+def _check_common_frame(walks: Sequence[_Walk]) -> None:
+    if not walks:
+        raise InvalidInput("There is no recording to build a map from.", "Name at least one.")
+    if len(walks) > 1 and any(walk.trajectory.scale is Scale.ARBITRARY for walk in walks):
+        raise MappingFailed(
+            "Several recordings share no frame: at least one has neither poses nor waypoints.",
+            "Give each recording waypoints measured in the same frame, or build from one.",
+        )
+
+
+def _extract(walks: Sequence[_Walk], extractor: Extractor, progress: ProgressListener) -> tuple[Views, HeldOut]:
+    """The features of all views, and those of the frames held out."""
+    cameras: list[Camera] = []
+    poses: list[FloatArray] = []
+    times: list[float] = []
+    features: list[FeatureSet] = []
+    held: list[tuple[Camera, FloatArray, FeatureSet]] = []
+    total, done = sum(len(walk.views) + len(walk.held_out) for walk in walks), 0
+    for walk in walks:
+        trajectory, is_view = walk.trajectory, set(walk.views.tolist())
+        chosen = np.sort(np.concatenate([walk.views, walk.held_out]))
+        images = walk.recording.frames.images(trajectory.rows[chosen].tolist())
+        for row, image in zip(chosen.tolist(), images, strict=True):
+            found = extractor.extract(image)
+            if row in is_view:
+                cameras.append(trajectory.camera)
+                poses.append(trajectory.T_map_camera[row])
+                times.append(float(trajectory.times[row]))
+                features.append(found)
+            else:
+                held.append((trajectory.camera, trajectory.T_map_camera[row], found))
+            done += 1
+            progress(Stage.OBSERVATIONS, 0.3 * done / total, f"features of {done} of {total} frames")
+    return Views.from_features(cameras, np.array(poses), np.array(times), features), HeldOut(tuple(held))
+
+
+def _landmarks(views: Views, extractor: Extractor, progress: ProgressListener) -> Landmarks:
+    labels = link_observations(views, extractor.metric, progress)
+    progress(Stage.DENSITIES, 0.0, f"{int(labels.max(initial=-1)) + 1} tracks")
+    landmarks = triangulate(views, labels)
+    for round_ in range(_EXTENSION_ROUNDS):
+        landmarks = extend_and_merge(views, landmarks, extractor.metric)
+        progress(Stage.DENSITIES, 0.2 * (round_ + 1), f"{len(landmarks)} features")
+    stable = select_stable(views, landmarks, _FEATURES_PER_VIEW)
+    if len(stable) < _MIN_FEATURES:
+        raise MappingFailed(
+            f"Only {len(stable)} features are stable; {_MIN_FEATURES} are the least for a map.",
+            "Walk slower and sideways rather than turning on the spot, with more light and texture in view.",
+        )
+    return stable
+
+
+def _assemble(
+    walks: Sequence[_Walk], views: Views, landmarks: Landmarks, extractor: Extractor, options: BuildOptions
+) -> Map:
+    representatives = representative_rows(views, landmarks, extractor.metric, _DESCRIPTORS_PER_FEATURE)
+    rows = np.concatenate(representatives)
+    owners = np.repeat(np.arange(len(landmarks)), [len(r) for r in representatives])
+    observed = landmarks.observed_rows
+    offsets = np.searchsorted(views.view_of[observed], np.arange(len(views) + 1))
+    quaternions = Rotation.from_matrix(views.T_map_camera[:, :3, :3]).as_quat()
+    upper = np.triu_indices(3)
+    info = MapInfo(
+        id=uuid.uuid4().hex,
+        version=1,
+        density=options.density,
+        features=extractor.name,
+        metric=all(walk.trajectory.scale is Scale.METRIC for walk in walks),
+        upright=all(walk.trajectory.upright for walk in walks),
+        created=datetime.now(UTC).isoformat(timespec="seconds"),
+        camera=walks[0].trajectory.camera,
+        sources=tuple(_source(walk, options) for walk in walks),
+        waypoints=tuple(_waypoint(waypoint, walk) for walk in walks for waypoint in walk.recording.waypoints),
+    )
+    return Map(
+        info=info,
+        channels=views.features.channels[[r[0] for r in representatives]],
+        landmarks=landmarks.positions.astype(np.float32),
+        covariances=landmarks.covariances[:, upper[0], upper[1]].astype(np.float32),
+        descriptors=views.features.descriptors[rows],
+        descriptor_features=owners.astype(np.int32),
+        view_times=views.times.astype(np.float64),
+        view_poses=np.column_stack([views.positions, quaternions]).astype(np.float32),
+        view_offsets=offsets.astype(np.int32),
+        view_features=landmarks.labels[observed].astype(np.int32),
+        extras={
+            "information": landmarks.information[:, upper[0], upper[1]],
+            "eta": landmarks.eta,
+        },
+    )
+
+
+def _source(walk: _Walk, options: BuildOptions) -> dict[str, Any]:
+    return {
+        "name": walk.recording.name,
+        "frames": len(walk.recording.frames.times),
+        "posed": len(walk.trajectory.rows),
+        "views": len(walk.views),
+        "held_out": len(walk.held_out),
+        "poses": str(options.poses),
+    }
+
+
+def _waypoint(waypoint: Any, walk: _Walk) -> dict[str, Any]:
+    residuals = walk.trajectory.report.get("waypoint_residuals_m", {})
+    return {
+        "name": waypoint.name,
+        "position": list(waypoint.position),
+        "residual_m": residuals.get(waypoint.name) if isinstance(residuals, dict) else None,
+    }

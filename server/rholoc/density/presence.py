@@ -1,0 +1,65 @@
+"""Presence π_f: where a feature was seen from.
+
+A feature is looked for only from where it can be expected: from a direction and a distance like those that it was
+observed from. It keeps a feature from voting for places behind it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from rholoc.geometry import BoolArray, FloatArray, IntArray
+
+_EXTRA_ANGLE_RAD = np.deg2rad(35.0)
+_DISTANCE_RATIO = 2.0
+
+
+def group_sums(groups: IntArray, values: FloatArray, count: int) -> FloatArray:
+    """The sums (count, C) of the rows of ``values`` (N, C) by their group (N,) in 0..count-1."""
+    columns = [np.bincount(groups, weights=column, minlength=count) for column in values.T]
+    return np.stack(columns, axis=1).astype(np.float64)
+
+
+@dataclass(frozen=True, eq=False)
+class Presence:
+    """From where each of F features was seen.
+
+    Attributes:
+        direction: (F, 3) the mean unit vector from the landmark to the cameras.
+        cosine_limit: (F,) of the widest angle to it at which the feature may still be seen.
+        nearest: (F,) metres, the least distance it was seen from.
+        farthest: (F,) metres, the greatest.
+    """
+
+    direction: FloatArray
+    cosine_limit: FloatArray
+    nearest: FloatArray
+    farthest: FloatArray
+
+    @classmethod
+    def of(cls, landmarks: FloatArray, positions: FloatArray, features: IntArray) -> Presence:
+        """From landmarks (F, 3) and, for each of N observations, the camera's position (N, 3) and the feature (N,)."""
+        count = len(landmarks)
+        away = positions - landmarks[features]
+        distance = np.linalg.norm(away, axis=1)
+        unit = away / np.maximum(distance, 1e-9)[:, None]
+        total = group_sums(features, unit, count)
+        mean = total / np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-9)
+        angle = np.arccos(np.clip(np.einsum("ni,ni->n", unit, mean[features]), -1, 1))
+        spread, farthest, nearest = np.zeros(count), np.zeros(count), np.full(count, np.inf)
+        np.maximum.at(spread, features, angle)
+        np.maximum.at(farthest, features, distance)
+        np.minimum.at(nearest, features, distance)
+        return cls(mean, np.cos(np.minimum(spread + _EXTRA_ANGLE_RAD, np.pi)), nearest, farthest)
+
+    def allows(self, landmarks: FloatArray, position: FloatArray) -> BoolArray:
+        """Which features (F,), at ``landmarks`` (F, 3), may be seen from ``position`` (3,)."""
+        away = position - landmarks
+        distance = np.linalg.norm(away, axis=1)
+        return np.asarray(
+            (np.einsum("fi,fi->f", away, self.direction) >= self.cosine_limit * distance)
+            & (distance < self.farthest * _DISTANCE_RATIO)
+            & (distance > self.nearest / _DISTANCE_RATIO)
+        )

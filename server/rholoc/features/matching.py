@@ -1,0 +1,106 @@
+"""Descriptor distances and mutual matches. Descriptors match only within their channel."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import faiss
+import numpy as np
+
+from rholoc.features.feature_set import FeatureSet, Metric
+from rholoc.geometry import ByteArray, FloatArray, IntArray
+
+_NEVER = np.float32(np.inf)
+
+
+@dataclass(frozen=True)
+class MatchLimits:
+    """How alike two descriptors must be to be taken for the same point.
+
+    Attributes:
+        strict: a distance that chance rarely gives, for matching without any idea of where.
+        loose: a distance that suffices where geometry already says where to look.
+        spread: the scale at which a difference of distances matters (bits, or the Euclidean unit).
+    """
+
+    strict: float
+    loose: float
+    spread: float
+
+
+LIMITS = {
+    Metric.HAMMING: MatchLimits(strict=64, loose=80, spread=12),
+    Metric.EUCLIDEAN: MatchLimits(strict=260, loose=340, spread=40),
+}
+
+
+class DescriptorIndex:
+    """Exact nearest neighbours among descriptors (D, B) of one metric, by channel.
+
+    Rows of the answers are rows of the descriptors handed in.
+    """
+
+    def __init__(self, descriptors: ByteArray, channels: ByteArray, metric: Metric) -> None:
+        self.metric = metric
+        self._rows: dict[int, IntArray] = {}
+        self._indices = {}
+        for channel in np.unique(channels):
+            rows = np.flatnonzero(channels == channel)
+            self._rows[int(channel)] = rows
+            self._indices[int(channel)] = _flat_index(descriptors[rows], metric)
+
+    def nearest(self, features: FeatureSet, k: int) -> tuple[FloatArray, IntArray]:
+        """The ``k`` nearest descriptors of every feature (N): distances (N, k) and rows (N, k).
+
+        Where there are fewer than ``k``, the distance is inf and the row -1.
+        """
+        distances = np.full((len(features), k), _NEVER, dtype=np.float32)
+        rows = np.full((len(features), k), -1, dtype=np.int64)
+        for channel, index in self._indices.items():
+            mine = np.flatnonzero(features.channels == channel)
+            if len(mine) == 0:
+                continue
+            count = min(k, index.ntotal)
+            found, where = index.search(_prepared(features.descriptors[mine], self.metric), count)
+            distances[mine, :count] = _as_distance(found, self.metric)
+            rows[mine, :count] = self._rows[channel][where]
+        return distances, rows
+
+
+def descriptor_distances(a: ByteArray, b: ByteArray, metric: Metric) -> FloatArray:
+    """The distances between descriptors of the same row: a (N, B), b (N, B) → (N,) float32."""
+    if metric is Metric.HAMMING:
+        return np.asarray(np.bitwise_count(a ^ b).sum(axis=1, dtype=np.int32).astype(np.float32))
+    difference = a.astype(np.float32) - b.astype(np.float32)
+    return np.asarray(np.sqrt(np.einsum("nd,nd->n", difference, difference)))
+
+
+def mutual_matches(a: FeatureSet, b: FeatureSet, metric: Metric, limit: float) -> IntArray:
+    """Pairs (M, 2) of rows of ``a`` and ``b`` that are each other's nearest, no further apart than ``limit``."""
+    if len(a) == 0 or len(b) == 0:
+        return np.zeros((0, 2), dtype=np.int64)
+    distances, to_b = DescriptorIndex(b.descriptors, b.channels, metric).nearest(a, 1)
+    _, to_a = DescriptorIndex(a.descriptors, a.channels, metric).nearest(b, 1)
+    rows = np.arange(len(a))
+    near = distances[:, 0] <= limit
+    mutual = near.copy()
+    mutual[near] = to_a[to_b[near, 0], 0] == rows[near]
+    return np.column_stack([rows[mutual], to_b[mutual, 0]])
+
+
+def _flat_index(descriptors: ByteArray, metric: Metric) -> faiss.Index | faiss.IndexBinary:
+    if metric is Metric.HAMMING:
+        binary = faiss.IndexBinaryFlat(descriptors.shape[1] * 8)
+        binary.add(np.ascontiguousarray(descriptors))
+        return binary
+    index = faiss.IndexFlatL2(descriptors.shape[1])
+    index.add(descriptors.astype(np.float32))
+    return index
+
+
+def _prepared(descriptors: ByteArray, metric: Metric) -> ByteArray | FloatArray:
+    return np.ascontiguousarray(descriptors) if metric is Metric.HAMMING else descriptors.astype(np.float32)
+
+
+def _as_distance(found: FloatArray, metric: Metric) -> FloatArray:
+    return found.astype(np.float32) if metric is Metric.HAMMING else np.sqrt(np.maximum(found, 0))

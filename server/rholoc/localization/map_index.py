@@ -1,0 +1,126 @@
+"""The map as localization needs it: descriptors to search, landmarks to project, places to vote for."""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import numpy as np
+from scipy.sparse import csr_array
+from scipy.spatial import cKDTree
+
+from rholoc.density.presence import Presence
+from rholoc.features import FeatureSet, Metric, get_extractor
+from rholoc.features.matching import LIMITS, DescriptorIndex, descriptor_distances
+from rholoc.geometry import BoolArray, Camera, FloatArray, IntArray
+from rholoc.localization.matches import Matches, guided_chances, match_chances
+from rholoc.maps import Map
+
+_CANDIDATES = 4
+
+
+class MapIndex:
+    """What is derived once from a map; immutable afterwards."""
+
+    def __init__(self, map_: Map) -> None:
+        self.map = map_
+        self.metric: Metric = get_extractor(map_.info.features).metric
+        self.landmarks = map_.landmarks.astype(np.float64)
+        c = map_.covariances.astype(np.float64)
+        self.covariances = np.stack(
+            [c[:, 0], c[:, 1], c[:, 2], c[:, 1], c[:, 3], c[:, 4], c[:, 2], c[:, 4], c[:, 5]], axis=1
+        ).reshape(-1, 3, 3)
+        self.view_positions = map_.view_poses[:, :3].astype(np.float64)
+        channels = map_.channels[map_.descriptor_features]
+        self._everywhere = DescriptorIndex(map_.descriptors, channels, self.metric)
+        self._first_descriptor = np.searchsorted(map_.descriptor_features, np.arange(len(map_) + 1))
+        views = np.repeat(np.arange(len(self.view_positions)), np.diff(map_.view_offsets))
+        self.presence = Presence.of(self.landmarks, self.view_positions[views], map_.view_features)
+        ones = np.ones(len(map_.view_features), dtype=np.float32)
+        self.visibility = csr_array(
+            (ones, map_.view_features, map_.view_offsets), shape=(len(map_.view_poses), len(map_))
+        )
+
+    @cached_property
+    def covisibility(self) -> FloatArray:
+        """(K, K) how many features two views share."""
+        return np.asarray((self.visibility @ self.visibility.T).todense())
+
+    def present(self, position: FloatArray) -> BoolArray:
+        """π_f: which features may be seen from ``position`` (3,)."""
+        return self.presence.allows(self.landmarks, position)
+
+    def match_everywhere(self, features: FeatureSet) -> Matches:
+        """Matches of a query's features with the whole map."""
+        return self._matches(self._everywhere, np.arange(len(self.map.descriptors)), features, mutual=False)
+
+    def match_within(self, features: FeatureSet, landmarks: IntArray) -> Matches:
+        """Matches with some of the map's features only, each the other's nearest."""
+        rows = self.descriptor_rows(landmarks)
+        channels = self.map.channels[self.map.descriptor_features[rows]]
+        index = DescriptorIndex(self.map.descriptors[rows], channels, self.metric)
+        return self._matches(index, rows, features, mutual=True)
+
+    def match_near(
+        self, features: FeatureSet, camera: Camera, T_map_camera: FloatArray, radius_px: float
+    ) -> tuple[Matches, int]:
+        """Matches with the landmarks that a camera at ``T_map_camera`` (4, 4) would see close by.
+
+        Each is the other's likest within ``radius_px``. Also tells how many landmarks the camera would see.
+        """
+        present = np.flatnonzero(self.present(T_map_camera[:3, 3]))
+        pixels = camera.project((self.landmarks[present] - T_map_camera[:3, 3]) @ T_map_camera[:3, :3])
+        inside = camera.contains(pixels)
+        present, pixels = present[inside], pixels[inside]
+        if len(present) == 0 or len(features) == 0:
+            return Matches.none(), 0
+        near = cKDTree(features.pixels).sparse_distance_matrix(cKDTree(pixels), radius_px, output_type="ndarray")
+        detections, landmarks = near["i"].astype(np.int64), present[near["j"]]
+        distances = self.distances_to(features, detections, landmarks)
+        mutual = (
+            (distances <= LIMITS[self.metric].loose)
+            & _is_least(distances, detections, len(features))
+            & _is_least(distances, landmarks, len(self.map))
+        )
+        chances = guided_chances(distances[mutual], self.metric)
+        return Matches(detections[mutual], landmarks[mutual], chances), len(present)
+
+    def descriptor_rows(self, landmarks: IntArray) -> IntArray:
+        """The rows of all descriptors of the given landmarks."""
+        starts, ends = self._first_descriptor[landmarks], self._first_descriptor[landmarks + 1]
+        counts = ends - starts
+        return np.repeat(starts - np.cumsum(counts) + counts, counts) + np.arange(counts.sum())
+
+    def distances_to(self, features: FeatureSet, detections: IntArray, landmarks: IntArray) -> FloatArray:
+        """The distance (M,) of each detection to its landmark's nearest descriptor; inf across channels."""
+        starts, ends = self._first_descriptor[landmarks], self._first_descriptor[landmarks + 1]
+        best = np.full(len(detections), np.inf, dtype=np.float32)
+        for step in range(int((ends - starts).max(initial=0))):
+            has = np.flatnonzero(starts + step < ends)
+            rows = starts[has] + step
+            distance = descriptor_distances(
+                features.descriptors[detections[has]], self.map.descriptors[rows], self.metric
+            )
+            best[has] = np.minimum(best[has], distance)
+        best[features.channels[detections] != self.map.channels[landmarks]] = np.inf
+        return best
+
+    def _matches(self, index: DescriptorIndex, rows: IntArray, features: FeatureSet, mutual: bool) -> Matches:
+        distances, found = index.nearest(features, _CANDIDATES)
+        owners = np.where(found >= 0, self.map.descriptor_features[rows[np.maximum(found, 0)]], -1)
+        nearest = owners[:, 0]
+        other = (owners != nearest[:, None]) & (owners >= 0)
+        rival = np.where(other, distances, np.inf).min(axis=1)
+        good = (nearest >= 0) & (distances[:, 0] <= LIMITS[self.metric].loose)
+        if mutual:
+            good &= _is_least(distances[:, 0], nearest, len(self.map))
+        detections = np.flatnonzero(good)
+        rival = np.where(np.isfinite(rival), rival, distances[:, -1])
+        chances = match_chances(distances[detections, 0], rival[detections], self.metric)
+        return Matches(detections, nearest[detections].astype(np.int64), chances)
+
+
+def _is_least(distances: FloatArray, groups: IntArray, count: int) -> BoolArray:
+    """Which entries (N,) have the least distance of their group; groups are 0..count-1, or -1."""
+    least = np.full(count + 1, np.inf, dtype=distances.dtype)
+    np.minimum.at(least, groups, distances)
+    return np.asarray(distances <= least[groups])

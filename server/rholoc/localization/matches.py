@@ -1,0 +1,71 @@
+"""Matches: which detection of the query may be which landmark, and how believable that is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from rholoc.features import Metric
+from rholoc.features.matching import LIMITS
+from rholoc.geometry import FloatArray, IntArray
+
+_MIN_CHANCE = 0.02
+_MAX_CHANCE = 0.95
+
+
+@dataclass(frozen=True, eq=False)
+class Matches:
+    """M matches of detections with landmarks.
+
+    Attributes:
+        detections: (M,) rows of the query's features.
+        landmarks: (M,) rows of the map's features.
+        chances: (M,) 0..1, how likely the match is true by its descriptors alone.
+    """
+
+    detections: IntArray
+    landmarks: IntArray
+    chances: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.detections)
+
+    def take(self, index: IntArray) -> Matches:
+        """The matches at ``index``, in that order."""
+        return Matches(self.detections[index], self.landmarks[index], self.chances[index])
+
+    @classmethod
+    def none(cls) -> Matches:
+        """No matches."""
+        nothing = np.zeros(0, dtype=np.int64)
+        return cls(nothing, nothing, np.zeros(0))
+
+    @classmethod
+    def union(cls, sets: list[Matches]) -> Matches:
+        """All different matches of the sets; where a match stands in several, its best chance counts."""
+        detections = np.concatenate([s.detections for s in sets])
+        landmarks = np.concatenate([s.landmarks for s in sets])
+        chances = np.concatenate([s.chances for s in sets])
+        order = np.lexsort((-chances, landmarks, detections))
+        detections, landmarks, chances = detections[order], landmarks[order], chances[order]
+        new = np.ones(len(order), dtype=bool)
+        new[1:] = (np.diff(detections) != 0) | (np.diff(landmarks) != 0)
+        return cls(detections[new], landmarks[new], chances[new])
+
+
+def match_chances(distances: FloatArray, rivals: FloatArray, metric: Metric) -> FloatArray:
+    """How likely matches are true, from their distance (M,) and that of the nearest rival landmark (M,).
+
+    A logistic in the distance itself and in the lead over the rival.
+    """
+    limits = LIMITS[metric]
+    lead = np.where(np.isfinite(rivals), rivals - distances, limits.strict)
+    score = 2.0 * (lead / limits.spread - 1.0) + (limits.strict * 0.6 - distances) / limits.spread
+    return np.asarray(np.clip(1 / (1 + np.exp(-score)), _MIN_CHANCE, _MAX_CHANCE))
+
+
+def guided_chances(distances: FloatArray, metric: Metric) -> FloatArray:
+    """How likely matches (M,) are true that were looked for only where the landmark should appear."""
+    limits = LIMITS[metric]
+    return np.asarray(np.clip(1 / (1 + np.exp((distances - limits.strict) / limits.spread)), 0.1, _MAX_CHANCE))

@@ -1,0 +1,91 @@
+"""Seeds: places that the matches vote for, and minimal samples within them, scored by the density."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import poselib
+
+from rholoc.geometry import FloatArray, IntArray, pose_matrix
+from rholoc.localization.ascent import Evidence, gains
+from rholoc.localization.map_index import MapIndex
+from rholoc.localization.matches import Matches
+from rholoc.localization.types import Prior
+
+_SEED = 20250  # samples are drawn from a generator with this seed: the same query gives the same answer
+_SCORE_TOLERANCE_PX = 12.0
+
+
+@dataclass(frozen=True, eq=False)
+class Place:
+    """A part of the map that is seen together.
+
+    Attributes:
+        view: the view it is seen from.
+        landmarks: (P,) rows of the map's features seen from there and thereabouts.
+        votes: how strongly the matches speak for it.
+    """
+
+    view: int
+    landmarks: IntArray
+    votes: float
+
+
+def vote_for_places(index: MapIndex, matches: Matches, most: int, views_each: int, prior: Prior | None) -> list[Place]:
+    """The places that most matches speak for, no two of them the same.
+
+    Each match votes with its chance for the views that its landmark was seen in (presence); a place is a view with
+    those that share most features with it.
+    """
+    belief = np.bincount(matches.landmarks, weights=matches.chances, minlength=len(index.map))
+    votes: FloatArray = np.asarray(index.visibility @ np.minimum(belief, 1.0), dtype=np.float64)
+    votes = votes / np.sqrt(np.maximum(np.diff(index.map.view_offsets), 50))
+    if prior is not None:
+        near = np.linalg.norm(index.view_positions - prior.pose.position, axis=1) < prior.radius_m + 1.0
+        votes = np.where(near, votes, votes * 0.1)
+    places: list[Place] = []
+    open_ = votes > 0
+    while open_.any() and len(places) < most:
+        view = int(np.argmax(np.where(open_, votes, -1)))
+        shared = index.covisibility[view]
+        companions = np.argsort(-shared, kind="stable")[:views_each]
+        companions = companions[shared[companions] > 0]
+        seen = index.visibility[companions].indices
+        places.append(Place(view, np.unique(seen), float(votes[view])))
+        open_[companions[: max(views_each // 2, 1)]] = False
+        open_[view] = False
+    return places
+
+
+def minimal_samples(
+    evidence: Evidence, chances: FloatArray, detections: IntArray, samples: int, keep: int
+) -> FloatArray:
+    """Poses (S, 4, 4), S ≤ ``keep``, from samples of three matches, the best by density first.
+
+    Matches are drawn by their chances; the three-point solver is poselib's.
+    """
+    if len(chances) < 4:
+        return np.zeros((0, 4, 4))
+    rng = np.random.default_rng(_SEED)
+    draws = _draw_triples(rng, chances, detections, samples)
+    poses = [pose for triple in draws for pose in poselib.p3p(evidence.rays[triple], evidence.landmarks[triple])]
+    if not poses:
+        return np.zeros((0, 4, 4))
+    R_camera_map = np.array([p.R for p in poses])
+    t = np.array([p.t for p in poses])
+    R = R_camera_map.transpose(0, 2, 1)
+    T = pose_matrix(R, -np.einsum("hij,hj->hi", R, t))
+    T = T[np.isfinite(T).all(axis=(1, 2))]
+    value = gains(evidence, T, _SCORE_TOLERANCE_PX)
+    best = np.argsort(-value, kind="stable")[:keep]
+    return np.asarray(T[best])
+
+
+def _draw_triples(rng: np.random.Generator, chances: FloatArray, detections: IntArray, samples: int) -> IntArray:
+    """Triples (S, 3) of different detections, drawn by chance."""
+    cumulative = np.cumsum(chances)
+    draws = np.searchsorted(cumulative, rng.random((samples, 3)) * cumulative[-1])
+    draws = np.minimum(draws, len(chances) - 1)
+    a, b, c = (detections[draws[:, i]] for i in range(3))
+    return np.asarray(draws[(a != b) & (b != c) & (a != c)])

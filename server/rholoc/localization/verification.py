@@ -1,0 +1,93 @@
+"""Verification: look where the landmarks should be, match again, ascend again."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from rholoc.geometry import Camera, FloatArray
+from rholoc.localization.ascent import Evidence, Optimum, ascend
+from rholoc.localization.map_index import MapIndex
+from rholoc.localization.matches import Matches
+from rholoc.localization.types import Query
+
+_SEARCH_RADII_PX = (14.0, 7.0)
+_TOLERANCES_PX = (8.0, 5.0, 4.0)
+FINAL_TOLERANCE_PX = _TOLERANCES_PX[-1]
+_MIN_MATCHES = 6
+
+
+@dataclass(frozen=True, eq=False)
+class Verified:
+    """A pose after looking for every landmark that it should see.
+
+    Attributes:
+        optimum: where the ascent ended.
+        matches: the matches found there.
+        evidence: what they say.
+        pixels: (M, 2) the pixels of the matched detections.
+        visible: how many landmarks the camera should see from there.
+    """
+
+    optimum: Optimum
+    matches: Matches
+    evidence: Evidence
+    pixels: FloatArray
+    visible: int
+
+    @property
+    def inliers(self) -> int:
+        """How many matches agree with the pose."""
+        return int((self.optimum.density > 0).sum())
+
+    @property
+    def agreement(self) -> float:
+        """Which share of the matches found nearby agree with the pose; by chance it is (4 px / 7 px)²."""
+        return self.inliers / max(len(self.matches), 1)
+
+
+def evidence_of(index: MapIndex, matches: Matches, rays: FloatArray, camera: Camera) -> Evidence:
+    """What matches say, given the rays (N, 3) of all detections in the camera frame."""
+    return Evidence.of(
+        rays[matches.detections],
+        index.landmarks[matches.landmarks],
+        index.covariances[matches.landmarks],
+        matches.chances,
+        camera.focal,
+    )
+
+
+def verify(
+    index: MapIndex, query: Query, rays: FloatArray, T_map_camera: FloatArray, first_radius_px: float = 0.0
+) -> Verified | None:
+    """Match again around a pose (4, 4) and ascend, with a narrowing radius; None where too little is found.
+
+    A ``first_radius_px`` beyond the usual ones widens the search for poses known only roughly, as a prior is.
+    """
+    radii = (first_radius_px, first_radius_px / 2) if first_radius_px > _SEARCH_RADII_PX[0] else ()
+    T, found = T_map_camera, None
+    for radius in (*radii, *_SEARCH_RADII_PX):
+        matches, visible = index.match_near(query.features, query.camera, T, radius)
+        if len(matches) < _MIN_MATCHES:
+            return None
+        evidence = evidence_of(index, matches, rays, query.camera)
+        optimum = ascend(evidence, T, (radius, *_TOLERANCES_PX), query.dof)
+        T, found = (
+            optimum.T_map_camera,
+            Verified(optimum, matches, evidence, query.features.pixels[matches.detections], visible),
+        )
+    return found
+
+
+def better(a: Verified | None, b: Verified | None) -> Verified | None:
+    """The likelier of two."""
+    if a is None or b is None:
+        return a or b
+    return a if a.optimum.value >= b.optimum.value else b
+
+
+def distance_between(a: FloatArray, b: FloatArray) -> tuple[float, float]:
+    """Metres and radians between two poses (4, 4)."""
+    turned = np.clip((np.trace(a[:3, :3].T @ b[:3, :3]) - 1) / 2, -1, 1)
+    return float(np.linalg.norm(a[:3, 3] - b[:3, 3])), float(np.arccos(turned))

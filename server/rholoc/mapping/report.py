@@ -1,0 +1,78 @@
+"""What a map finds out about itself: frames that were held out while it was built, localized in it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from rholoc.features import FeatureSet
+from rholoc.geometry import Camera, FloatArray, IntArray
+from rholoc.localization import Dof, Localizer, Query
+from rholoc.maps import Map
+from rholoc.progress import ProgressListener, Stage
+
+_MAX_HELD_OUT = 60
+
+
+@dataclass(frozen=True, eq=False)
+class HeldOut:
+    """Frames that the map was not built from: camera, T_map_camera (4, 4) and features of each."""
+
+    frames: tuple[tuple[Camera, FloatArray, FeatureSet], ...]
+
+    @classmethod
+    def none(cls) -> HeldOut:
+        """No frames."""
+        return cls(())
+
+
+def map_report(map_: Map, view_counts: IntArray, held_out: HeldOut, progress: ProgressListener) -> dict[str, Any]:
+    """The report: statistics of the landmarks and the errors of frames held out (DESIGN, section 3).
+
+    Errors are against the trajectory's own poses, so they tell how well the map agrees with itself; they do not see
+    an error of the trajectory as a whole.
+    """
+    sigma_m = np.sqrt(map_.covariances[:, [0, 3, 5]].max(axis=1))
+    report: dict[str, Any] = {
+        "features": len(map_),
+        "descriptors": len(map_.descriptors),
+        "views": len(map_.view_poses),
+        "views_per_feature_median": float(np.median(view_counts)),
+        "landmark_sigma_median_m": float(np.median(sigma_m)),
+        "landmark_sigma_p90_m": float(np.percentile(sigma_m, 90)),
+        "features_per_view_median": float(np.median(np.diff(map_.view_offsets))),
+    }
+    if held_out.frames:
+        report["held_out"] = _held_out_errors(map_, held_out, progress)
+    progress(Stage.REPORT, 1.0, "report complete")
+    return report
+
+
+def _held_out_errors(map_: Map, held_out: HeldOut, progress: ProgressListener) -> dict[str, Any]:
+    localizer = Localizer(map_)
+    step = max(1, -(-len(held_out.frames) // _MAX_HELD_OUT))
+    frames = held_out.frames[::step]
+    errors = []
+    for done, (camera, T_map_camera, features) in enumerate(frames):
+        answer = localizer.localize(Query(features, camera, Dof.FREE))
+        if answer.pose is not None:
+            errors.append(_error(answer.pose.T_map_camera, T_map_camera))
+        progress(Stage.REPORT, (done + 1) / len(frames), f"{done + 1} of {len(frames)} frames held out")
+    distances, angles = np.array(errors).reshape(-1, 2).T
+    return {
+        "frames": len(frames),
+        "localized": len(errors),
+        "median_m": float(np.median(distances)) if errors else None,
+        "p90_m": float(np.percentile(distances, 90)) if errors else None,
+        "median_deg": float(np.median(angles)) if errors else None,
+        "recall_5cm_5deg": float(((distances < 0.05) & (angles < 5)).sum() / len(frames)),
+        "recall_10cm_5deg": float(((distances < 0.10) & (angles < 5)).sum() / len(frames)),
+    }
+
+
+def _error(estimated: FloatArray, truth: FloatArray) -> tuple[float, float]:
+    """Metres and degrees between two poses (4, 4)."""
+    cosine = (np.trace(estimated[:3, :3].T @ truth[:3, :3]) - 1) / 2
+    return float(np.linalg.norm(estimated[:3, 3] - truth[:3, 3])), float(np.degrees(np.arccos(np.clip(cosine, -1, 1))))

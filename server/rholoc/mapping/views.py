@@ -1,0 +1,39 @@
+"""Which frames of a trajectory become the map's views, and which are held out to test it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from rholoc.geometry import FloatArray, IntArray
+
+_METRES_PER_RADIAN = 1.0
+_STEP = 0.05  # metres moved plus radians turned from view to view; in a map of arbitrary scale, of its unit
+_HOLD_OUT_EVERY = 10
+_MAX_VIEWS = 400
+
+
+def choose_views(T_map_camera: FloatArray, hold_out: bool) -> tuple[IntArray, IntArray]:
+    """Rows of the views and of the frames held out, of a trajectory's poses (K, 4, 4) in the order of time.
+
+    Every tenth pose is held out. Of the others a view is taken whenever the camera has moved or turned on (a radian
+    counting as a metre), in steps small enough for features to overlap well, and never more than 400 in all.
+    """
+    rows = np.arange(len(T_map_camera))
+    held_out = (
+        rows[_HOLD_OUT_EVERY // 2 :: _HOLD_OUT_EVERY] if hold_out and len(rows) >= 3 * _HOLD_OUT_EVERY else rows[:0]
+    )
+    rest = np.setdiff1d(rows, held_out)
+    moved = _motion(T_map_camera[rest])
+    step = max(_STEP, float(moved[-1]) / _MAX_VIEWS)
+    bins = np.floor(moved / step)
+    first_in_step = np.concatenate([[True], np.diff(bins) > 0])
+    return rest[first_in_step], held_out
+
+
+def _motion(T_map_camera: FloatArray) -> FloatArray:
+    """(K,) how far the camera has moved and turned since the first pose."""
+    moved = np.linalg.norm(np.diff(T_map_camera[:, :3, 3], axis=0), axis=1)
+    relative = np.einsum("kji,kjl->kil", T_map_camera[:-1, :3, :3], T_map_camera[1:, :3, :3])
+    cosine = (np.trace(relative, axis1=1, axis2=2) - 1) / 2
+    turned = np.arccos(np.clip(cosine, -1, 1))
+    return np.concatenate([[0.0], np.cumsum(moved + _METRES_PER_RADIAN * turned)])
