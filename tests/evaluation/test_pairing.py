@@ -21,9 +21,15 @@ TRUTH = FramePoses(poses_at([0, 1, 2, 3, 4, 5]), np.array([10, 11, 12, 13, 14, 1
 
 
 def test_frames_are_paired_by_number_whatever_their_order() -> None:
-    pairs = pair_poses(FramePoses(poses_at([3.5, 1.5]), np.array([13, 11])), TRUTH)
+    pairs = pair_poses(FramePoses(poses_at([3.5, 1.5]), np.array([13, 11])), TRUTH, slice(11, 14, 2))
     np.testing.assert_array_equal(pairs.truth[:, 0, 3], [1, 3])
     np.testing.assert_array_equal(pairs.estimated[:, 0, 3], [1.5, 3.5])
+
+
+def test_without_a_range_every_true_frame_counts() -> None:
+    pairs = pair_poses(FramePoses(poses_at([1]), np.array([11])), TRUTH)
+    assert len(pairs) == 6
+    assert not pairs.by_time
 
 
 def test_a_range_counts_frames_that_the_trajectory_leaves_out() -> None:
@@ -38,7 +44,7 @@ def test_a_range_leaves_out_what_lies_outside() -> None:
 
 
 def test_a_frame_that_failed_stays_a_failure() -> None:
-    pairs = pair_poses(FramePoses(poses_at([np.nan, 1]), np.array([10, 11])), TRUTH)
+    pairs = pair_poses(FramePoses(poses_at([np.nan, 1]), np.array([10, 11])), TRUTH, slice(10, 12))
     assert len(pairs) == 2
     assert np.isnan(pairs.estimated[0]).all()
 
@@ -55,12 +61,13 @@ def test_times_pair_where_a_file_has_no_frame_numbers() -> None:
     pairs = pair_poses(estimated, TRUTH)
     np.testing.assert_array_equal(pairs.truth[:, 0, 3], [2])
     assert pairs.without_truth == 1
+    assert pairs.by_time
 
 
 @pytest.mark.parametrize(
     ("estimated", "frames"),
     [
-        (FramePoses(poses_at([0]), np.array([99])), None),  # another recording's
+        (FramePoses(poses_at([0]), np.array([99])), slice(50, 120)),  # no such frames
         (FramePoses(poses_at([0]), None, np.array([0.0])), slice(0, 5)),  # a range, but no frame numbers
         (FramePoses(poses_at([0])), None),  # neither frames nor times
     ],

@@ -31,9 +31,9 @@ def evaluate(
     ] = False,
     as_json: options.Json = False,
 ) -> None:
-    """Measure a trajectory: medians, 90th percentiles and recall. Frames without a pose count as failures in all.
+    """Measure a trajectory: medians, 90th percentiles and recall.
 
-    With --frames every true pose in the range counts, listed by the trajectory or not.
+    Every frame that has a true pose counts, or every one in --frames; those without an estimated pose are failures.
     """
     from rholoc.evaluation import evaluate as figures_of
     from rholoc.evaluation import pair_poses, read_frame_poses, rigid_alignment, trajectory_errors
@@ -46,6 +46,8 @@ def evaluate(
     figures = figures_of(trajectory_errors(estimated, pairs.truth))
     if pairs.without_truth:
         print_notice(f"{pairs.without_truth} frames have no true pose and are left out.")
+    if pairs.by_time:
+        print_notice("The poses were paired by their times, so frames without a pose are not counted.")
     if as_json:
         print_json(figures.as_dict())
     else:

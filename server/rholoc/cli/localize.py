@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from itertools import islice
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 import typer
@@ -15,10 +15,13 @@ import typer
 from rholoc.cli import options
 from rholoc.cli.console import frame_progress, print_figures, print_json, print_notice
 from rholoc.errors import InvalidCamera, InvalidInput
-from rholoc.geometry import ByteArray, Camera
-from rholoc.localization import Dof, Localization, Localizer, Query
-from rholoc.maps import MapInfo, load_map
-from rholoc.recordings import FrameSource, Recording, read_recording
+
+if TYPE_CHECKING:
+    from rholoc.geometry import ByteArray, Camera
+    from rholoc.localization import Dof, Localization, Localizer
+    from rholoc.maps import MapInfo
+    from rholoc.maps.trajectory_table import TrajectoryTable
+    from rholoc.recordings import FrameSource, Recording
 
 _THREADS = 2
 _BATCH = 16  # frames that are decoded ahead: enough to keep the threads busy, few enough for any memory
@@ -40,8 +43,11 @@ def localize(
     ] = 0.5,
     as_json: options.Json = False,
 ) -> None:
-    """Localize frames in a map and write the trajectory (Table 6). Frames without a pose keep a row without one."""
-    from rholoc.maps import TrajectoryTable
+    """Localize frames in a map and write the trajectory (Table 6). Frames without a pose get no row."""
+    from rholoc.localization import Dof, Localizer
+    from rholoc.maps import load_map
+    from rholoc.maps.trajectory_table import write_trajectory_csv
+    from rholoc.recordings import read_recording
 
     if not out.parent.is_dir():
         raise InvalidInput(f"There is no folder {out.parent} to write the trajectory to.", "Make it first.")
@@ -57,7 +63,7 @@ def localize(
             answers.append(answer)
             progress.advance(progress.task_ids[0])
     duration_s = time.perf_counter() - start_s
-    TrajectoryTable.from_localizations(recording.frames.times, recording.frames.numbers, answers).write(out)
+    write_trajectory_csv(out, _table(recording.frames, answers))
     figures = {
         "frames": count,
         "localized": sum(answer.localized for answer in answers),
@@ -86,6 +92,7 @@ def _camera(recording: Recording, info: MapInfo) -> Camera:
 
 def _localize_frames(localizer: Localizer, frames: FrameSource, camera: Camera, dof: Dof) -> Iterator[Localization]:
     """The answers for all frames, in their order."""
+    from rholoc.localization import Query
 
     def answer(image: ByteArray) -> Localization:
         return localizer.localize(Query(localizer.extractor.extract(image), camera, dof))
@@ -94,3 +101,20 @@ def _localize_frames(localizer: Localizer, frames: FrameSource, camera: Camera, 
     with ThreadPoolExecutor(_THREADS) as pool:
         while batch := list(islice(images, _BATCH)):
             yield from pool.map(answer, batch)
+
+
+def _table(frames: FrameSource, answers: Sequence[Localization]) -> TrajectoryTable:
+    """The poses there are, as Table 6."""
+    from rholoc.maps.trajectory_table import TrajectoryTable
+
+    placed = [
+        (row, answer, answer.pose) for row, answer in enumerate(answers) if answer.localized and answer.pose is not None
+    ]
+    rows = np.array([row for row, _, _ in placed], dtype=np.int64)
+    return TrajectoryTable(
+        times=frames.times[rows],
+        frames=frames.numbers[rows],
+        T_map_camera=np.reshape([pose.T_map_camera for _, _, pose in placed], (-1, 4, 4)),
+        confidences=np.array([answer.confidence for _, answer, _ in placed]),
+        inliers=np.array([answer.inliers for _, answer, _ in placed], dtype=np.int64),
+    )

@@ -43,14 +43,14 @@ def build(
     as_json: options.Json = False,
 ) -> None:
     """Build a map from one or more recordings of a place."""
-    from rholoc.mapping import DEFAULT_FEATURES, BuildOptions, build_map
-    from rholoc.recordings import read_recording
-
     if len(recordings) > 1 and (waypoints or frames or camera):
         raise typer.BadParameter("--frames, --camera and --waypoints speak of one recording; give just one.")
     target = out or Path(f"{recordings[0].resolve().stem}.rho")
     if not target.parent.is_dir():
         raise InvalidInput(f"There is no folder {target.parent} to write the map to.", "Make it first.")
+    from rholoc.mapping import DEFAULT_FEATURES, BuildOptions, build_map
+    from rholoc.recordings import read_recording
+
     build_options = BuildOptions(density=density, features=features or DEFAULT_FEATURES, poses=poses, report=report)
     with stage_progress() as progress:
         read = [read_recording(path, camera=camera, frames=frames, waypoints=waypoints) for path in recordings]

@@ -48,11 +48,13 @@ class PosePairs:
         estimated: (N, 4, 4) T_map_camera, NaN where the frame has no pose.
         truth: (N, 4, 4) T_map_camera, all known.
         without_truth: how many estimated frames had to be left out because their truth is unknown.
+        by_time: whether times paired them; frames without a pose are then missing here.
     """
 
     estimated: FloatArray
     truth: FloatArray
     without_truth: int
+    by_time: bool
 
     def __len__(self) -> int:
         return len(self.truth)
@@ -61,8 +63,8 @@ class PosePairs:
 def pair_poses(estimated: FramePoses, truth: FramePoses, frames: slice | None = None) -> PosePairs:
     """Pair poses by frame number where both tables have them, else by time.
 
-    With ``frames`` (start, stop, step) every true frame in that range is paired, whether ``estimated`` lists it or not:
-    what it leaves out has no pose. Without, the frames that ``estimated`` lists are paired.
+    By number every true frame is paired, or every one in ``frames`` (start, stop, step), whether ``estimated`` lists it
+    or not: what it leaves out has no pose. By time only the estimated poses can be paired, so failures do not show.
 
     Raises:
         InvalidTrajectory: the tables share neither frame numbers nor times, or no frame is in both.
@@ -98,21 +100,25 @@ def in_range(numbers: IntArray, frames: slice) -> BoolArray:
 def _pair_by_frame(estimated: FramePoses, truth: FramePoses, frames: slice | None) -> PosePairs:
     assert estimated.frames is not None
     assert truth.frames is not None
-    asked = estimated.frames if frames is None else estimated.frames[in_range(estimated.frames, frames)]
-    chosen = np.isin(truth.frames, asked) if frames is None else in_range(truth.frames, frames)
+    frames = frames or slice(None)
+    asked = estimated.frames[in_range(estimated.frames, frames)]
+    chosen = in_range(truth.frames, frames)
     T_estimated = np.full((int(chosen.sum()), 4, 4), np.nan)
     row_of = {int(number): row for row, number in enumerate(estimated.frames)}
     for place, number in enumerate(truth.frames[chosen]):
         if int(number) in row_of:
             T_estimated[place] = estimated.T_map_camera[row_of[int(number)]]
-    return PosePairs(T_estimated, truth.T_map_camera[chosen], int((~np.isin(asked, truth.frames)).sum()))
+    without_truth = int((~np.isin(asked, truth.frames)).sum())
+    return PosePairs(T_estimated, truth.T_map_camera[chosen], without_truth, by_time=False)
 
 
 def _pair_by_time(estimated: FramePoses, truth: FramePoses) -> PosePairs:
     assert estimated.times is not None
     assert truth.times is not None
     if len(truth) == 0:
-        return PosePairs(np.zeros((0, 4, 4)), truth.T_map_camera, len(estimated))
+        return PosePairs(np.zeros((0, 4, 4)), truth.T_map_camera, len(estimated), by_time=True)
     nearest = np.abs(estimated.times[:, None] - truth.times[None]).argmin(axis=1)
     matched = np.abs(estimated.times - truth.times[nearest]) <= MATCH_TOLERANCE_S
-    return PosePairs(estimated.T_map_camera[matched], truth.T_map_camera[nearest[matched]], int((~matched).sum()))
+    return PosePairs(
+        estimated.T_map_camera[matched], truth.T_map_camera[nearest[matched]], int((~matched).sum()), by_time=True
+    )

@@ -8,7 +8,7 @@ import numpy as np
 
 from rholoc.errors import InvalidTrajectory
 from rholoc.evaluation.matching import FramePoses
-from rholoc.maps import TrajectoryTable
+from rholoc.maps.trajectory_table import read_trajectory_csv
 from rholoc.recordings import read_pose_table
 
 
@@ -21,8 +21,9 @@ def read_frame_poses(path: Path) -> FramePoses:
         InvalidTrajectory: the file is neither, or is broken.
     """
     if _is_table_6(path):
-        table = TrajectoryTable.read(path)
-        return FramePoses(table.T_map_camera, table.frames, table.times)
+        table = read_trajectory_csv(path)
+        numbered = bool(len(table)) and bool(np.all(table.frames >= 0))
+        return FramePoses(table.T_map_camera, table.frames if numbered else None, table.times)
     poses = read_pose_table(path)
     if np.all(poses.keys == np.floor(poses.keys)):
         return FramePoses(poses.T_map_camera, frames=poses.keys.astype(np.int64))
