@@ -1,0 +1,252 @@
+"""What both clients share: each method's request, and the reading of its answer."""
+
+from __future__ import annotations
+
+import base64
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from typing import Any, Generic, TypeVar
+from urllib.parse import quote
+
+import httpx
+
+from rholoc_client._images import ImageLike, encoded
+from rholoc_client.errors import BY_CODE, ConnectionFailed, InvalidAnswer, ServiceError
+from rholoc_client.models import (
+    Camera,
+    Features,
+    Job,
+    Localization,
+    MapSummary,
+    Prior,
+    parse_job,
+    parse_localization,
+    parse_map,
+)
+
+T = TypeVar("T")
+
+Outcome = httpx.Response | httpx.TransportError
+Maps = str | Sequence[str] | None  # one map, several, or all
+
+
+@dataclass(frozen=True)
+class Call(Generic[T]):
+    """One request and how to read its answer.
+
+    ``idempotent``: doing it twice is the same as doing it once. ``answers``: error statuses that are answers too.
+    """
+
+    method: str
+    path: str
+    read: Callable[[httpx.Response], T]
+    idempotent: bool = True
+    answers: frozenset[int] = frozenset()
+    params: Mapping[str, Any] = field(default_factory=dict)
+    headers: Mapping[str, str] = field(default_factory=dict)
+    content: bytes | None = None
+    files: Mapping[str, Any] | None = None
+    data: Mapping[str, str] | None = None
+
+
+def result_of(call: Call[T], outcome: Outcome) -> T:
+    """The answer, or the error that it is.
+
+    Raises:
+        ConnectionFailed: nothing was answered.
+        ServiceError: the service answered with an error.
+        InvalidAnswer: what came is not of this service.
+    """
+    if isinstance(outcome, httpx.TransportError):
+        raise ConnectionFailed(f"{outcome.request.url} did not answer: {str(outcome) or type(outcome).__name__}.")
+    if outcome.is_error and outcome.status_code not in call.answers:
+        raise _error(outcome)
+    try:
+        return call.read(outcome)
+    except (ValueError, KeyError, TypeError) as error:
+        raise InvalidAnswer(f"{outcome.url} did not answer as the rholoc service does: {error!r}.") from error
+
+
+def _error(response: httpx.Response) -> ServiceError:
+    try:
+        body = response.json()
+        code, message = str(body["code"]), str(body["message"])
+        hint, request_id = str(body.get("hint", "")), str(body.get("request_id", ""))
+    except (ValueError, KeyError, TypeError, AttributeError):
+        code, message, hint = "error", f"{response.url} answered with status {response.status_code}.", ""
+        request_id = response.headers.get("X-Request-ID", "")
+    return BY_CODE.get(code, ServiceError)(message, hint, request_id, response.status_code, code)
+
+
+def localize_image(maps: Maps, image: ImageLike, options: Mapping[str, Any]) -> Call[Localization]:
+    """Localize a picture."""
+    content, media_type = encoded(image)
+    files = {
+        "image": ("image", content, media_type),
+        "request": ("request.json", json.dumps(options).encode(), "application/json"),
+    }
+    return Call("POST", _localize_path(maps), _localization, params=_several(maps), files=files)
+
+
+def localize_features(maps: Maps, features: Features, options: Mapping[str, Any]) -> Call[Localization]:
+    """Localize a descriptor set."""
+    size = {"width": features.width, "height": features.height}
+    sent: dict[str, Any] = {
+        "pixels": [[float(u), float(v)] for u, v in features.pixels],
+        "descriptors": base64.b64encode(b"".join(bytes(one) for one in features.descriptors)).decode("ascii"),
+    }
+    if features.channels is not None:
+        sent["channels"] = [one if isinstance(one, str) else int(one) for one in features.channels]
+    if features.sizes_px is not None:
+        sent["sizes_px"] = [float(one) for one in features.sizes_px]
+    if features.angles_deg is not None:
+        sent["angles_deg"] = [float(one) for one in features.angles_deg]
+    body = {**options, "camera": {**size, **options.get("camera", {})}, "features": sent}
+    return Call(
+        "POST",
+        _localize_path(maps),
+        _localization,
+        params=_several(maps),
+        headers={"Content-Type": "application/json"},
+        content=json.dumps(body).encode(),
+    )
+
+
+def localize_options(
+    camera: Camera | None,
+    prior: Prior | None,
+    dof: int | None,
+    gravity: tuple[float, float, float] | None,
+    deadline_ms: float | None,
+) -> dict[str, Any]:
+    """The options of a localization as the service takes them; what is None is left out."""
+    given = {
+        "camera": None if camera is None else _without_none(asdict(camera)),
+        "prior": None if prior is None else asdict(prior),
+        "dof": dof,
+        "gravity": gravity,
+        "deadline_ms": deadline_ms,
+    }
+    return _without_none(given)
+
+
+def list_maps() -> Call[list[MapSummary]]:
+    """All maps."""
+    return Call("GET", "/v1/maps", lambda response: [parse_map(one) for one in response.json()["maps"]])
+
+
+def get_map(name: str) -> Call[MapSummary]:
+    """One map."""
+    return Call("GET", _map_path(name), _map)
+
+
+def map_report(name: str) -> Call[dict[str, Any]]:
+    """A map's own quality report."""
+    return Call("GET", f"{_map_path(name)}/report", lambda response: dict(response.json()["report"]))
+
+
+def map_preview(name: str) -> Call[bytes]:
+    """A map from above, as PNG."""
+    return Call("GET", f"{_map_path(name)}/preview.png", lambda response: response.content)
+
+
+def upload_map(name: str, content: bytes) -> Call[MapSummary]:
+    """Put a map under a name."""
+    return Call("PUT", _map_path(name), _map, headers={"Content-Type": "application/octet-stream"}, content=content)
+
+
+def download_map(name: str, format: str) -> Call[bytes]:
+    """A map's file."""
+    return Call("GET", f"{_map_path(name)}/download", lambda response: response.content, params={"format": format})
+
+
+def rename_map(name: str, new_name: str) -> Call[MapSummary]:
+    """Give a map another name."""
+    return Call(
+        "PATCH",
+        _map_path(name),
+        _map,
+        idempotent=False,
+        headers={"Content-Type": "application/json"},
+        content=json.dumps({"name": new_name}).encode(),
+    )
+
+
+def delete_map(name: str) -> Call[None]:
+    """Delete a map."""
+    return Call("DELETE", _map_path(name), lambda response: None, idempotent=False)
+
+
+def upload_recording(files: Mapping[str, Any], fields: Mapping[str, str | None]) -> Call[Job]:
+    """Upload a recording; the answer is its mapping job."""
+    return Call(
+        "POST",
+        "/v1/recordings",
+        lambda response: parse_job(response.json()["job"]),
+        idempotent=False,
+        files=files,
+        data={name: value for name, value in fields.items() if value is not None},
+    )
+
+
+def get_job(job_id: str) -> Call[Job]:
+    """One job."""
+    return Call("GET", _job_path(job_id), _job)
+
+
+def list_jobs() -> Call[list[Job]]:
+    """All jobs, the newest first."""
+    return Call("GET", "/v1/jobs", lambda response: [parse_job(one) for one in response.json()["jobs"]])
+
+
+def cancel_job(job_id: str) -> Call[Job]:
+    """Cancel a job."""
+    return Call("DELETE", _job_path(job_id), _job, idempotent=False)
+
+
+def retry_job(job_id: str) -> Call[Job]:
+    """Try a job again."""
+    return Call("POST", f"{_job_path(job_id)}/retry", _job, idempotent=False)
+
+
+def readiness() -> Call[dict[str, str]]:
+    """What is ready."""
+    return Call("GET", "/readyz", lambda response: dict(response.json()["checks"]), answers=frozenset({503}))
+
+
+def _localization(response: httpx.Response) -> Localization:
+    return parse_localization(response.json())
+
+
+def _map(response: httpx.Response) -> MapSummary:
+    return parse_map(response.json())
+
+
+def _job(response: httpx.Response) -> Job:
+    return parse_job(response.json())
+
+
+def _localize_path(maps: Maps) -> str:
+    return f"{_map_path(maps)}/localize" if isinstance(maps, str) else "/v1/localize"
+
+
+def _several(maps: Maps) -> dict[str, str]:
+    return {} if isinstance(maps, str) else {"maps": "all" if maps is None else ",".join(maps)}
+
+
+def _map_path(name: str) -> str:
+    return f"/v1/maps/{_segment(name)}"
+
+
+def _job_path(job_id: str) -> str:
+    return f"/v1/jobs/{_segment(job_id)}"
+
+
+def _segment(text: str) -> str:
+    """A path segment; dots alone would be taken for a way up, so they are escaped too."""
+    return quote(text, safe="") if text.strip(".") else "%2E" * len(text)
+
+
+def _without_none(values: Mapping[str, Any]) -> dict[str, Any]:
+    return {name: value for name, value in values.items() if value is not None}

@@ -1,0 +1,439 @@
+"""The clients: one that waits, one for asyncio, with the same methods."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Callable
+from pathlib import Path
+from types import TracebackType
+from typing import Any, TypeVar
+
+import httpx
+
+from rholoc_client import _calls
+from rholoc_client._calls import Call, Maps, Outcome, localize_options, result_of
+from rholoc_client._images import ImageLike
+from rholoc_client._retry import Attempts, Backoff
+from rholoc_client._uploads import UploadProgress, opened_recording
+from rholoc_client.errors import JobFailed, WaitTimedOut
+from rholoc_client.models import Camera, Features, Job, Localization, MapSummary, Prior, Vector3
+
+T = TypeVar("T")
+JobProgress = Callable[[Job], None]
+
+_UPLOAD_TIMEOUT_S = 600.0
+
+
+class Client:
+    """The service, for programs that wait for its answers. Safe to share between threads; use it in a ``with``.
+
+    Args:
+        base_url: where the service is, ``http://host:port``.
+        api_key: sent as a bearer token where the service asks for one.
+        timeout_s: how long to wait for a connection, and for each piece of an answer.
+        retries: how often to ask again when the service is busy, or when the connection failed and asking twice
+            does no harm; with exponential back-off, jitter, and the service's ``Retry-After``.
+        transport: another way to the service than the network, as httpx has them.
+
+    Every method raises :class:`ConnectionFailed`, :class:`InvalidAnswer`, or the :class:`ServiceError` that the
+    service answered with.
+    """
+
+    def __init__(
+        self,
+        base_url: str,
+        api_key: str | None = None,
+        timeout_s: float = 10.0,
+        retries: int = 4,
+        transport: httpx.BaseTransport | None = None,
+    ) -> None:
+        self._http = httpx.Client(base_url=base_url, headers=_headers(api_key), timeout=timeout_s, transport=transport)
+        self._backoff = Backoff(retries)
+
+    def __enter__(self) -> Client:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Close the connections."""
+        self._http.close()
+
+    def localize(
+        self,
+        maps: Maps,
+        image: ImageLike,
+        *,
+        camera: Camera | None = None,
+        prior: Prior | None = None,
+        dof: int | None = None,
+        gravity: Vector3 | None = None,
+        deadline_ms: float | None = None,
+    ) -> Localization:
+        """Where a picture was taken. "No pose" is an answer: look at ``localized``.
+
+        Args:
+            maps: a map's name; several names or None for all, of which the surest answers.
+            image: a JPEG or PNG as bytes or as a path, or an array (H, W, 3) BGR or (H, W) grey of uint8.
+            camera: the picture's intrinsics; without them the map's own serve where they fit.
+            prior: where the pose is expected.
+            dof: 5 (the camera does not roll, the service's default) or 6.
+            gravity: the direction of gravity (down) in the camera frame.
+            deadline_ms: how long the service may take.
+        """
+        options = localize_options(camera, prior, dof, gravity, deadline_ms)
+        return self._send(_calls.localize_image(maps, image, options))
+
+    def localize_descriptors(
+        self,
+        maps: Maps,
+        features: Features,
+        *,
+        camera: Camera | None = None,
+        prior: Prior | None = None,
+        dof: int | None = None,
+        gravity: Vector3 | None = None,
+        deadline_ms: float | None = None,
+    ) -> Localization:
+        """Where a picture was taken, from its features alone. Arguments as of :meth:`localize`."""
+        options = localize_options(camera, prior, dof, gravity, deadline_ms)
+        return self._send(_calls.localize_features(maps, features, options))
+
+    def maps(self) -> list[MapSummary]:
+        """All maps."""
+        return self._send(_calls.list_maps())
+
+    def map(self, name: str) -> MapSummary:
+        """One map."""
+        return self._send(_calls.get_map(name))
+
+    def map_report(self, name: str) -> dict[str, Any]:
+        """What the map found out about itself while it was built."""
+        return self._send(_calls.map_report(name))
+
+    def map_preview(self, name: str) -> bytes:
+        """The map from above, as PNG."""
+        return self._send(_calls.map_preview(name))
+
+    def upload_map(self, name: str, source: Path | bytes) -> MapSummary:
+        """Put a ``.rho`` file under a name, replacing the map that was there."""
+        return self._send(_calls.upload_map(name, _content(source)))
+
+    def download_map(self, name: str, format: str = "rho") -> bytes:
+        """The map's file: ``rho``, or its landmarks as ``ply`` or ``vtp``."""
+        return self._send(_calls.download_map(name, format))
+
+    def rename_map(self, name: str, new_name: str) -> MapSummary:
+        """Give a map another name, which must be free."""
+        return self._send(_calls.rename_map(name, new_name))
+
+    def delete_map(self, name: str) -> None:
+        """Delete a map for good."""
+        self._send(_calls.delete_map(name))
+
+    def upload_recording(
+        self,
+        path: Path,
+        map_name: str,
+        *,
+        features: str | None = None,
+        density: str | None = None,
+        poses: str | None = None,
+        camera: Camera | None = None,
+        waypoints: Path | None = None,
+        progress: UploadProgress | None = None,
+    ) -> Job:
+        """Upload a recording and have it mapped.
+
+        Args:
+            path: a video, a ZIP file, or a recording's folder, which is packed on the way.
+            map_name: the name of the map to publish.
+            features, density, poses: how to build it; the service's defaults where None.
+            camera: the intrinsics, instead of the recording's own.
+            waypoints: a CSV file of measured waypoints beside a video; in a folder or ZIP file it is ``waypoints.csv``.
+            progress: hears of bytes sent and bytes in all.
+        """
+        fields = _recording_fields(map_name, features, density, poses, camera)
+        with opened_recording(path, progress) as (name, file):
+            files = _recording_files(name, file, waypoints)
+            return self._send(_calls.upload_recording(files, fields), _UPLOAD_TIMEOUT_S)
+
+    def jobs(self) -> list[Job]:
+        """All jobs, the newest first."""
+        return self._send(_calls.list_jobs())
+
+    def job(self, job_id: str) -> Job:
+        """One job."""
+        return self._send(_calls.get_job(job_id))
+
+    def cancel_job(self, job_id: str) -> Job:
+        """End a job; its recording is kept."""
+        return self._send(_calls.cancel_job(job_id))
+
+    def retry_job(self, job_id: str) -> Job:
+        """Queue a failed or cancelled job again."""
+        return self._send(_calls.retry_job(job_id))
+
+    def wait_for_job(
+        self,
+        job_id: str,
+        *,
+        timeout_s: float | None = None,
+        poll_s: float = 1.0,
+        progress: JobProgress | None = None,
+    ) -> Job:
+        """Wait until a job has published its map; ``progress`` hears of the job at every look.
+
+        Raises:
+            JobFailed: it failed or was cancelled.
+            WaitTimedOut: it did not end in ``timeout_s``.
+        """
+        deadline = _deadline(timeout_s)
+        while True:
+            job = self.job(job_id)
+            if progress is not None:
+                progress(job)
+            if job.has_ended:
+                return _published(job)
+            time.sleep(_next_look_s(job, deadline, poll_s))
+
+    def readiness(self) -> dict[str, str]:
+        """What the service checks of itself: "ok" or what is wrong, by name."""
+        return self._send(_calls.readiness())
+
+    def _send(self, call: Call[T], timeout_s: float | None = None) -> T:
+        attempts = Attempts(self._backoff, call)
+        while True:
+            outcome = self._attempt(call, timeout_s)
+            wait_s = attempts.wait_s(outcome)
+            if wait_s is None:
+                return result_of(call, outcome)
+            time.sleep(wait_s)
+
+    def _attempt(self, call: Call[T], timeout_s: float | None) -> Outcome:
+        try:
+            return self._http.send(_request(self._http, call, timeout_s))
+        except httpx.TransportError as error:
+            return error
+
+
+class AsyncClient:
+    """The service, for programs on asyncio. As :class:`Client`, with ``async with`` and ``await``."""
+
+    def __init__(
+        self,
+        base_url: str,
+        api_key: str | None = None,
+        timeout_s: float = 10.0,
+        retries: int = 4,
+        transport: httpx.AsyncBaseTransport | None = None,
+    ) -> None:
+        self._http = httpx.AsyncClient(
+            base_url=base_url, headers=_headers(api_key), timeout=timeout_s, transport=transport
+        )
+        self._backoff = Backoff(retries)
+
+    async def __aenter__(self) -> AsyncClient:
+        return self
+
+    async def __aexit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        await self.close()
+
+    async def close(self) -> None:
+        """Close the connections."""
+        await self._http.aclose()
+
+    async def localize(
+        self,
+        maps: Maps,
+        image: ImageLike,
+        *,
+        camera: Camera | None = None,
+        prior: Prior | None = None,
+        dof: int | None = None,
+        gravity: Vector3 | None = None,
+        deadline_ms: float | None = None,
+    ) -> Localization:
+        """As :meth:`Client.localize`."""
+        options = localize_options(camera, prior, dof, gravity, deadline_ms)
+        return await self._send(_calls.localize_image(maps, image, options))
+
+    async def localize_descriptors(
+        self,
+        maps: Maps,
+        features: Features,
+        *,
+        camera: Camera | None = None,
+        prior: Prior | None = None,
+        dof: int | None = None,
+        gravity: Vector3 | None = None,
+        deadline_ms: float | None = None,
+    ) -> Localization:
+        """As :meth:`Client.localize_descriptors`."""
+        options = localize_options(camera, prior, dof, gravity, deadline_ms)
+        return await self._send(_calls.localize_features(maps, features, options))
+
+    async def maps(self) -> list[MapSummary]:
+        """As :meth:`Client.maps`."""
+        return await self._send(_calls.list_maps())
+
+    async def map(self, name: str) -> MapSummary:
+        """As :meth:`Client.map`."""
+        return await self._send(_calls.get_map(name))
+
+    async def map_report(self, name: str) -> dict[str, Any]:
+        """As :meth:`Client.map_report`."""
+        return await self._send(_calls.map_report(name))
+
+    async def map_preview(self, name: str) -> bytes:
+        """As :meth:`Client.map_preview`."""
+        return await self._send(_calls.map_preview(name))
+
+    async def upload_map(self, name: str, source: Path | bytes) -> MapSummary:
+        """As :meth:`Client.upload_map`."""
+        return await self._send(_calls.upload_map(name, _content(source)))
+
+    async def download_map(self, name: str, format: str = "rho") -> bytes:
+        """As :meth:`Client.download_map`."""
+        return await self._send(_calls.download_map(name, format))
+
+    async def rename_map(self, name: str, new_name: str) -> MapSummary:
+        """As :meth:`Client.rename_map`."""
+        return await self._send(_calls.rename_map(name, new_name))
+
+    async def delete_map(self, name: str) -> None:
+        """As :meth:`Client.delete_map`."""
+        await self._send(_calls.delete_map(name))
+
+    async def upload_recording(
+        self,
+        path: Path,
+        map_name: str,
+        *,
+        features: str | None = None,
+        density: str | None = None,
+        poses: str | None = None,
+        camera: Camera | None = None,
+        waypoints: Path | None = None,
+        progress: UploadProgress | None = None,
+    ) -> Job:
+        """As :meth:`Client.upload_recording`."""
+        fields = _recording_fields(map_name, features, density, poses, camera)
+        with opened_recording(path, progress) as (name, file):
+            files = _recording_files(name, file, waypoints)
+            return await self._send(_calls.upload_recording(files, fields), _UPLOAD_TIMEOUT_S)
+
+    async def jobs(self) -> list[Job]:
+        """As :meth:`Client.jobs`."""
+        return await self._send(_calls.list_jobs())
+
+    async def job(self, job_id: str) -> Job:
+        """As :meth:`Client.job`."""
+        return await self._send(_calls.get_job(job_id))
+
+    async def cancel_job(self, job_id: str) -> Job:
+        """As :meth:`Client.cancel_job`."""
+        return await self._send(_calls.cancel_job(job_id))
+
+    async def retry_job(self, job_id: str) -> Job:
+        """As :meth:`Client.retry_job`."""
+        return await self._send(_calls.retry_job(job_id))
+
+    async def wait_for_job(
+        self,
+        job_id: str,
+        *,
+        timeout_s: float | None = None,
+        poll_s: float = 1.0,
+        progress: JobProgress | None = None,
+    ) -> Job:
+        """As :meth:`Client.wait_for_job`."""
+        deadline = _deadline(timeout_s)
+        while True:
+            job = await self.job(job_id)
+            if progress is not None:
+                progress(job)
+            if job.has_ended:
+                return _published(job)
+            await asyncio.sleep(_next_look_s(job, deadline, poll_s))
+
+    async def readiness(self) -> dict[str, str]:
+        """As :meth:`Client.readiness`."""
+        return await self._send(_calls.readiness())
+
+    async def _send(self, call: Call[T], timeout_s: float | None = None) -> T:
+        attempts = Attempts(self._backoff, call)
+        while True:
+            outcome = await self._attempt(call, timeout_s)
+            wait_s = attempts.wait_s(outcome)
+            if wait_s is None:
+                return result_of(call, outcome)
+            await asyncio.sleep(wait_s)
+
+    async def _attempt(self, call: Call[T], timeout_s: float | None) -> Outcome:
+        try:
+            return await self._http.send(_request(self._http, call, timeout_s))
+        except httpx.TransportError as error:
+            return error
+
+
+def _headers(api_key: str | None) -> dict[str, str]:
+    return {} if api_key is None else {"Authorization": f"Bearer {api_key}"}
+
+
+def _request(http: httpx.Client | httpx.AsyncClient, call: Call[T], timeout_s: float | None) -> httpx.Request:
+    return http.build_request(
+        call.method,
+        call.path,
+        params=call.params,
+        headers=call.headers,
+        content=call.content,
+        files=call.files,
+        data=call.data,
+        timeout=httpx.USE_CLIENT_DEFAULT if timeout_s is None else timeout_s,
+    )
+
+
+def _content(source: Path | bytes) -> bytes:
+    return source.read_bytes() if isinstance(source, Path) else source
+
+
+def _recording_fields(
+    map_name: str, features: str | None, density: str | None, poses: str | None, camera: Camera | None
+) -> dict[str, str | None]:
+    intrinsics = None
+    if camera is not None:
+        values = (camera.fx, camera.fy, camera.cx, camera.cy, *camera.distortion)
+        intrinsics = ",".join(repr(float(value)) for value in values)
+    return {"map": map_name, "features": features, "density": density, "poses": poses, "camera": intrinsics}
+
+
+def _recording_files(name: str, file: Any, waypoints: Path | None) -> dict[str, Any]:
+    files: dict[str, Any] = {"file": (name, file, "application/octet-stream")}
+    if waypoints is not None:
+        files["waypoints"] = ("waypoints.csv", waypoints.read_bytes(), "text/csv")
+    return files
+
+
+def _deadline(timeout_s: float | None) -> float:
+    return float("inf") if timeout_s is None else time.monotonic() + timeout_s
+
+
+def _next_look_s(job: Job, deadline: float, poll_s: float) -> float:
+    left_s = deadline - time.monotonic()
+    if left_s <= 0:
+        raise WaitTimedOut(f"Job {job.id} has not ended; it is at {job.stage}, {job.progress:.0%}.")
+    return min(poll_s, left_s)
+
+
+def _published(job: Job) -> Job:
+    if job.state != "published":
+        fallback = "The job was cancelled." if job.state == "cancelled" else "The job failed."
+        raise JobFailed(job.error_code or job.state, job.error_message or fallback, job.error_hint or "")
+    return job

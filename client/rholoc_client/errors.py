@@ -1,0 +1,239 @@
+"""The exception tree of the client. The codes are the service's own.
+
+::
+
+    RholocClientError
+    ├── ConnectionFailed            the service cannot be reached, or the connection broke
+    ├── InvalidAnswer               what answered is not the service, or another version of it
+    ├── JobFailed                   the job that was waited for ended without a map
+    ├── WaitTimedOut                the job that was waited for did not end in time
+    └── ServiceError                the service answered with an error; it has code, hint, request_id
+        ├── InvalidInput            what was sent cannot be used
+        │   ├── InvalidRequest      a parameter is missing or of the wrong type
+        │   ├── InvalidImage        not an image, truncated, too large
+        │   ├── InvalidCamera       intrinsics missing or absurd
+        │   ├── InvalidDescriptors  a descriptor set of wrong length, shape or number
+        │   ├── InvalidName         a map name that is not one
+        │   ├── InvalidRecording    a recording that cannot be read
+        │   ├── InvalidWaypoints    waypoints missing, malformed, too few or collinear
+        │   ├── InvalidTrajectory   a pose table that cannot be read
+        │   └── UnsupportedMediaType
+        ├── InvalidMap              a map file that is corrupt, truncated or foreign
+        ├── NotFound
+        │   ├── UnknownMap
+        │   ├── UnknownRecording
+        │   ├── UnknownJob
+        │   └── UnknownRoute        an older service, or a wrong base URL
+        ├── MethodNotAllowed
+        ├── Conflict                the request contradicts the present state
+        ├── MappingFailed           no trustworthy map came of a recording
+        ├── Cancelled               the work was cancelled
+        ├── TooLarge                the upload exceeds the service's limit
+        ├── StorageFull             the service's disk is full
+        ├── Busy                    the service's queue is full, retries included
+        ├── DeadlineExceeded        the deadline passed
+        └── Internal                an error of the service's own
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+
+class RholocClientError(Exception):
+    """The base of all errors of the client."""
+
+
+class ConnectionFailed(RholocClientError):
+    """The service cannot be reached, or the connection broke, after all retries."""
+
+
+class InvalidAnswer(RholocClientError):
+    """What answered is not the service, or another version of it."""
+
+
+class JobFailed(RholocClientError):
+    """The job that was waited for failed or was cancelled. ``code`` and ``hint`` are the job's."""
+
+    def __init__(self, code: str, message: str, hint: str) -> None:
+        super().__init__(f"{message} {hint}".strip())
+        self.code = code
+        self.message = message
+        self.hint = hint
+
+
+class WaitTimedOut(RholocClientError):
+    """The job that was waited for did not end in time; it goes on."""
+
+
+class ServiceError(RholocClientError):
+    """The service answered with an error. ``request_id`` finds it in the service's log."""
+
+    code = "error"
+
+    def __init__(self, message: str, hint: str = "", request_id: str = "", status: int = 0, code: str = "") -> None:
+        super().__init__(f"{message} {hint}".strip())
+        self.code = code or type(self).code
+        self.message = message
+        self.hint = hint
+        self.request_id = request_id
+        self.status = status
+
+
+class InvalidInput(ServiceError):
+    """What was sent cannot be used."""
+
+    code = "invalid_input"
+
+
+class InvalidRequest(InvalidInput):
+    """A parameter or the body is missing, malformed or of the wrong type."""
+
+    code = "invalid_request"
+
+
+class InvalidImage(InvalidInput):
+    """The bytes are not an image, are truncated, or claim more pixels than allowed."""
+
+    code = "invalid_image"
+
+
+class InvalidCamera(InvalidInput):
+    """Intrinsics are missing or physically absurd."""
+
+    code = "invalid_camera"
+
+
+class InvalidDescriptors(InvalidInput):
+    """A descriptor set has the wrong length, shape, channel or number."""
+
+    code = "invalid_descriptors"
+
+
+class InvalidName(InvalidInput):
+    """A map name that is not one."""
+
+    code = "invalid_name"
+
+
+class InvalidRecording(InvalidInput):
+    """A recording that cannot be read."""
+
+    code = "invalid_recording"
+
+
+class InvalidWaypoints(InvalidInput):
+    """Waypoints are malformed, fewer than three, or collinear."""
+
+    code = "invalid_waypoints"
+
+
+class InvalidTrajectory(InvalidInput):
+    """A pose table that cannot be read."""
+
+    code = "invalid_trajectory"
+
+
+class UnsupportedMediaType(InvalidInput):
+    """The body is of a type that the route does not read."""
+
+    code = "unsupported_media_type"
+
+
+class InvalidMap(ServiceError):
+    """A map file is corrupt, truncated, of a later version, or not a map at all."""
+
+    code = "invalid_map"
+
+
+class NotFound(ServiceError):
+    """What was asked for does not exist."""
+
+    code = "not_found"
+
+
+class UnknownMap(NotFound):
+    """No map has this name."""
+
+    code = "unknown_map"
+
+
+class UnknownRecording(NotFound):
+    """No recording has this id."""
+
+    code = "unknown_recording"
+
+
+class UnknownJob(NotFound):
+    """No job has this id."""
+
+    code = "unknown_job"
+
+
+class UnknownRoute(NotFound):
+    """The service has no such route: an older service, or a wrong base URL."""
+
+    code = "unknown_route"
+
+
+class MethodNotAllowed(ServiceError):
+    """The route does not take this method: an older service, or a wrong base URL."""
+
+    code = "method_not_allowed"
+
+
+class Conflict(ServiceError):
+    """The request contradicts the present state."""
+
+    code = "conflict"
+
+
+class MappingFailed(ServiceError):
+    """No map that can be trusted came of a recording."""
+
+    code = "mapping_failed"
+
+
+class Cancelled(ServiceError):
+    """The work was cancelled on request."""
+
+    code = "cancelled"
+
+
+class TooLarge(ServiceError):
+    """The upload exceeds the service's limit."""
+
+    code = "too_large"
+
+
+class StorageFull(ServiceError):
+    """The service's disk is full; nothing that was stored is changed."""
+
+    code = "storage_full"
+
+
+class Busy(ServiceError):
+    """The service's queue is full, and was at every retry."""
+
+    code = "busy"
+
+
+class DeadlineExceeded(ServiceError):
+    """The deadline passed before an answer was found."""
+
+    code = "deadline_exceeded"
+
+
+class Internal(ServiceError):
+    """The service met an error of its own."""
+
+    code = "internal"
+
+
+def _all(kind: type[ServiceError]) -> Iterator[type[ServiceError]]:
+    yield kind
+    for below in kind.__subclasses__():
+        yield from _all(below)
+
+
+BY_CODE = {kind.code: kind for kind in _all(ServiceError)}

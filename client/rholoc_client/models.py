@@ -1,0 +1,217 @@
+"""What is sent and what is answered, as frozen dataclasses."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+Vector3 = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Camera:
+    """Intrinsics in pixels; pixel (0, 0) is the centre of the top-left pixel.
+
+    ``width`` and ``height`` are the size that they are meant for; left out, the image's own.
+    ``distortion`` holds OpenCV's k1, k2, p1, p2[, k3[, k4, k5, k6]].
+    """
+
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    distortion: tuple[float, ...] = ()
+    width: int | None = None
+    height: int | None = None
+
+
+@dataclass(frozen=True)
+class Prior:
+    """A pose that the answer is expected near: metres and unit vectors in the map frame."""
+
+    position: Vector3
+    heading: Vector3
+    radius_m: float = 1.0
+    radius_deg: float = 35.0
+
+
+@dataclass(frozen=True)
+class Features:
+    """The features of one image of ``width`` × ``height`` px, one entry each per feature.
+
+    Attributes:
+        width, height: the size of the image in pixels.
+        pixels: u and v of each feature.
+        descriptors: each feature's descriptor.
+        channels: each feature's channel by number or name; None where the map has only one.
+        sizes_px: the diameter of each described patch, or None.
+        angles_deg: each patch's orientation in degrees clockwise from +u, or None.
+    """
+
+    width: int
+    height: int
+    pixels: Sequence[tuple[float, float]]
+    descriptors: Sequence[bytes]
+    channels: Sequence[int | str] | None = None
+    sizes_px: Sequence[float] | None = None
+    angles_deg: Sequence[float] | None = None
+
+
+@dataclass(frozen=True)
+class Pose:
+    """Where a camera is and where it looks, in the map frame (right-handed, z up).
+
+    Attributes:
+        position: x, y, z in metres.
+        heading: the optical axis, unit length.
+        roll_deg: the rotation about the heading against the upright camera.
+        quaternion_xyzw: R_map_camera.
+        T_map_camera: 4×4, takes points of the camera frame to the map frame.
+    """
+
+    position: Vector3
+    heading: Vector3
+    roll_deg: float
+    quaternion_xyzw: tuple[float, float, float, float]
+    T_map_camera: tuple[tuple[float, ...], ...]
+
+    def as_prior(self, radius_m: float = 1.0, radius_deg: float = 35.0) -> Prior:
+        """This pose as what the next one is expected near: how a robot keeps track."""
+        return Prior(self.position, self.heading, radius_m, radius_deg)
+
+
+@dataclass(frozen=True)
+class Localization:
+    """The answer for one frame.
+
+    Attributes:
+        localized: whether there is a pose to rely on.
+        reason: why there is none, else None.
+        pose: the pose, or None.
+        covariance: 6×6, of the position in metres and a small rotation about the map's axes in degrees, or None.
+        confidence: 0..1, the probability that the pose is within 10 cm and 5°.
+        matches, inliers: how many matches spoke, and how many of them agree with the pose.
+        map, map_id, map_version: the map that answered.
+        scale: "metric", or "arbitrary" where the map's unit of length is not the metre.
+        timings_ms: milliseconds by stage, as the service measured them.
+    """
+
+    localized: bool
+    reason: str | None
+    pose: Pose | None
+    covariance: tuple[tuple[float, ...], ...] | None
+    confidence: float
+    matches: int
+    inliers: int
+    map: str
+    map_id: str
+    map_version: int
+    scale: str
+    timings_ms: Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class MapSummary:
+    """A map of the service. ``camera`` has the intrinsics of its first recording."""
+
+    name: str
+    id: str
+    version: int
+    density: str
+    features: str
+    scale: str
+    upright: bool
+    created: str
+    landmarks: int
+    views: int
+    size_bytes: int
+    camera: Camera
+
+
+@dataclass(frozen=True)
+class Job:
+    """A mapping job.
+
+    Attributes:
+        id, recording, map: its id, the recording's id, the name of the map that it publishes.
+        state: queued, running, published, failed or cancelled.
+        stage: the stage it is in or ended in.
+        progress: 0..1 over all stages.
+        message: one line for people.
+        log: the last lines of its log.
+        error_code, error_message, error_hint: why it failed, or None.
+        created, started, ended: seconds since the epoch, or None.
+        attempts: how many workers have taken it up.
+    """
+
+    id: str
+    recording: str
+    map: str
+    state: str
+    stage: str
+    progress: float
+    message: str
+    log: tuple[str, ...]
+    error_code: str | None
+    error_message: str | None
+    error_hint: str | None
+    created: float
+    started: float | None
+    ended: float | None
+    attempts: int
+
+    @property
+    def has_ended(self) -> bool:
+        """Whether the job will not change any more by itself."""
+        return self.state in ("published", "failed", "cancelled")
+
+
+def parse_pose(answer: Mapping[str, Any]) -> Pose:
+    """The JSON of a pose → :class:`Pose`."""
+    return Pose(
+        position=tuple(answer["position"]),
+        heading=tuple(answer["heading"]),
+        roll_deg=answer["roll_deg"],
+        quaternion_xyzw=tuple(answer["quaternion_xyzw"]),
+        T_map_camera=tuple(tuple(row) for row in answer["T_map_camera"]),
+    )
+
+
+def parse_localization(answer: Mapping[str, Any]) -> Localization:
+    """The JSON of an answer → :class:`Localization`."""
+    covariance = answer["covariance"]
+    return Localization(
+        localized=answer["localized"],
+        reason=answer["reason"],
+        pose=None if answer["pose"] is None else parse_pose(answer["pose"]),
+        covariance=None if covariance is None else tuple(tuple(row) for row in covariance),
+        confidence=answer["confidence"],
+        matches=answer["matches"],
+        inliers=answer["inliers"],
+        map=answer["map"],
+        map_id=answer["map_id"],
+        map_version=answer["map_version"],
+        scale=answer["scale"],
+        timings_ms=dict(answer["timings_ms"]),
+    )
+
+
+def parse_map(answer: Mapping[str, Any]) -> MapSummary:
+    """The JSON of a map → :class:`MapSummary`."""
+    camera = answer["camera"]
+    plain = {name: answer[name] for name in MapSummary.__dataclass_fields__ if name != "camera"}
+    return MapSummary(**plain, camera=Camera(**{**camera, "distortion": tuple(camera["distortion"])}))
+
+
+def parse_job(answer: Mapping[str, Any]) -> Job:
+    """The JSON of a job → :class:`Job`."""
+    error = answer["error"] or {}
+    plain = {name: answer[name] for name in Job.__dataclass_fields__ if name != "log" and not name.startswith("error_")}
+    return Job(
+        **plain,
+        log=tuple(answer["log"]),
+        error_code=error.get("code"),
+        error_message=error.get("message"),
+        error_hint=error.get("hint"),
+    )

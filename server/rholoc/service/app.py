@@ -1,0 +1,102 @@
+"""The application: parts put together, errors given their shape."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+
+from fastapi import FastAPI, Request
+from fastapi.exceptions import RequestValidationError
+from fastapi.responses import JSONResponse
+from pydantic import ValidationError
+from starlette.exceptions import HTTPException
+
+from rholoc import __version__
+from rholoc.errors import RholocError
+from rholoc.jobs import EmbeddedWorker, JobQueue, RecordingStore
+from rholoc.maps import MapLibrary
+from rholoc.service.compute import ComputePool
+from rholoc.service.errors import (
+    InvalidRequest,
+    MethodNotAllowed,
+    UnknownRoute,
+    as_rholoc_error,
+    error_body,
+    error_headers,
+    invalid_request,
+    status_of,
+)
+from rholoc.service.localizers import Localizers
+from rholoc.service.middleware import RequestBoundary
+from rholoc.service.openapi import install
+from rholoc.service.routes import ROUTERS
+from rholoc.service.settings import Settings
+from rholoc.service.state import State
+
+_DESCRIPTION = """\
+One walk with a phone makes a **map**; then any camera in that room posts a frame and gets back where it is and where it
+looks, in metres, in the map's frame (right-handed, z up), with an honest confidence.
+
+Errors have one shape: `{code, message, hint, request_id}`. "No pose" is an answer, not an error."""
+
+
+def create_app(settings: Settings | None = None) -> FastAPI:
+    """The service as an ASGI application. Its threads and its worker live from start-up to shut-down."""
+    settings = settings or Settings()
+
+    @asynccontextmanager
+    async def lifespan(app: FastAPI) -> AsyncIterator[None]:
+        app.state.rholoc = state = _start(settings)
+        worker = EmbeddedWorker(settings.data_dir, settings.maps_dir) if settings.worker else None
+        if worker is not None:
+            worker.start()
+        try:
+            yield
+        finally:
+            if worker is not None:
+                worker.stop()
+            state.compute.close()
+            state.jobs.close()
+
+    app = FastAPI(title="rholoc", version=__version__, description=_DESCRIPTION, lifespan=lifespan)
+    for router in ROUTERS:
+        app.include_router(router)
+    for kind in (RholocError, ValidationError, RequestValidationError, HTTPException, OSError):
+        app.add_exception_handler(kind, _answer_error)
+    app.add_middleware(RequestBoundary)
+    install(app)
+    return app
+
+
+def _start(settings: Settings) -> State:
+    for folder in (settings.maps_dir, settings.data_dir):
+        folder.mkdir(parents=True, exist_ok=True)
+    library = MapLibrary(settings.maps_dir)
+    return State(
+        settings=settings,
+        library=library,
+        localizers=Localizers(library, settings.min_confidence),
+        compute=ComputePool(settings.concurrency, settings.queue_length),
+        recordings=RecordingStore(settings.data_dir),
+        jobs=JobQueue(settings.data_dir),
+    )
+
+
+async def _answer_error(request: Request, error: Exception) -> JSONResponse:
+    known = _known(error)
+    if known is None:
+        raise error
+    body = error_body(known, request.state.request_id)
+    return JSONResponse(body, status_of(type(known)), error_headers(known))
+
+
+def _known(error: Exception) -> RholocError | None:
+    if isinstance(error, RequestValidationError):
+        return invalid_request(error.errors())
+    if isinstance(error, HTTPException):
+        if error.status_code == 404:
+            return UnknownRoute("There is nothing at this path.", "See /docs for the routes.")
+        if error.status_code == 405:
+            return MethodNotAllowed("This route does not take this method.", "See /docs for the routes.")
+        return InvalidRequest(str(error.detail), "See /docs for what this route takes.")
+    return as_rholoc_error(error)

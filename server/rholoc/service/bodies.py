@@ -1,0 +1,173 @@
+"""Request bodies: read with a limit, streamed, multipart told apart into its parts."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator, Callable
+from dataclasses import dataclass, field
+from email.message import Message
+from pathlib import Path
+
+from python_multipart.exceptions import FormParserError
+from python_multipart.multipart import MultipartParser, parse_options_header
+from starlette.concurrency import run_in_threadpool
+from starlette.requests import Request
+
+from rholoc.errors import TooLarge
+from rholoc.service.errors import InvalidRequest
+
+_MAX_FIELD_BYTES = 2**16
+_MAX_FIELDS = 100
+
+FileSink = Callable[[str, str, bytes], None]
+
+
+def media_type(request: Request) -> str:
+    """The body's content type without parameters, lower case; empty where none is given."""
+    message = Message()
+    message["content-type"] = request.headers.get("content-type", "")
+    return message.get_content_type() if request.headers.get("content-type") else ""
+
+
+async def limited_stream(request: Request, max_bytes: int) -> AsyncIterator[bytes]:
+    """The body's chunks.
+
+    Raises:
+        TooLarge: the body is, or says that it is, longer than ``max_bytes``.
+        ClientDisconnect: the sender broke off.
+    """
+    too_large = TooLarge(f"The body is longer than {max_bytes} bytes.", "Send less, or raise the service's limit.")
+    declared = request.headers.get("content-length", "")
+    if declared.isdigit() and int(declared) > max_bytes:
+        raise too_large
+    received = 0
+    async for chunk in request.stream():
+        received += len(chunk)
+        if received > max_bytes:
+            raise too_large
+        if chunk:
+            yield chunk
+
+
+async def read_body(request: Request, max_bytes: int) -> bytes:
+    """The whole body. Raises as :func:`limited_stream` does."""
+    return b"".join([chunk async for chunk in limited_stream(request, max_bytes)])
+
+
+async def save_body(request: Request, path: Path, max_bytes: int) -> None:
+    """Write the body to a new file. Raises as :func:`limited_stream` does, and OSError."""
+    with path.open("xb") as file:
+        async for chunk in limited_stream(request, max_bytes):
+            await run_in_threadpool(file.write, chunk)
+
+
+@dataclass
+class _Part:
+    name: str = ""
+    filename: str | None = None
+    headers: dict[bytes, bytes] = field(default_factory=dict)
+
+
+@dataclass
+class _Event:
+    """What the parser came upon: the start of a part (no data), or some of its data."""
+
+    part: _Part
+    data: bytes
+
+
+class _Parts:
+    """The callbacks of python-multipart, turned into a list of events."""
+
+    def __init__(self, boundary: bytes) -> None:
+        self.events: list[_Event] = []
+        self.ended = False
+        self._part = _Part()
+        self._header = b""
+        self._value = b""
+        self._parser = MultipartParser(
+            boundary,
+            {
+                "on_part_begin": self._begin,
+                "on_header_field": self._header_field,
+                "on_header_value": self._header_value,
+                "on_header_end": self._header_end,
+                "on_headers_finished": self._headers_finished,
+                "on_part_data": self._data,
+                "on_end": self._end,
+            },
+        )
+
+    def feed(self, chunk: bytes) -> list[_Event]:
+        self.events = []
+        try:
+            self._parser.write(chunk)
+        except FormParserError as error:
+            raise InvalidRequest("The multipart body is malformed.", "Let an HTTP library write it.") from error
+        return self.events
+
+    def _begin(self) -> None:
+        self._part = _Part()
+
+    def _header_field(self, data: bytes, start: int, end: int) -> None:
+        self._header += data[start:end]
+
+    def _header_value(self, data: bytes, start: int, end: int) -> None:
+        self._value += data[start:end]
+
+    def _header_end(self) -> None:
+        self._part.headers[self._header.lower()] = self._value
+        self._header = self._value = b""
+
+    def _headers_finished(self) -> None:
+        _, options = parse_options_header(self._part.headers.get(b"content-disposition", b""))
+        if b"name" not in options:
+            raise InvalidRequest("A part of the multipart body has no name.", "Let an HTTP library write it.")
+        self._part.name = options[b"name"].decode("utf-8", "replace")
+        filename = options.get(b"filename")
+        self._part.filename = None if filename is None else filename.decode("utf-8", "replace")
+        self.events.append(_Event(self._part, b""))
+
+    def _data(self, data: bytes, start: int, end: int) -> None:
+        if end > start:
+            self.events.append(_Event(self._part, data[start:end]))
+
+    def _end(self) -> None:
+        self.ended = True
+
+
+async def read_multipart(request: Request, max_bytes: int, write: FileSink) -> dict[str, str]:
+    """Read a multipart body: files go to ``write`` as they come, the text fields are returned.
+
+    ``write`` takes a part's name, its filename and its next piece, the first of which is empty. It runs in a thread.
+
+    Raises:
+        InvalidRequest: the body is malformed, incomplete, or has too many or too long text fields.
+        TooLarge, ClientDisconnect: as :func:`limited_stream` does.
+    """
+    _, options = parse_options_header(request.headers.get("content-type", ""))
+    boundary = options.get(b"boundary", b"")
+    if not 1 <= len(boundary) <= 200:
+        raise InvalidRequest("The multipart body has no boundary.", "Let an HTTP library set the content type.")
+    parts = _Parts(boundary)
+    fields: dict[str, bytearray] = {}
+    async for chunk in limited_stream(request, max_bytes):
+        for event in parts.feed(chunk):
+            if event.part.filename is not None:
+                await run_in_threadpool(write, event.part.name, event.part.filename, event.data)
+            else:
+                fields.setdefault(event.part.name, bytearray()).extend(event.data)
+                _check_fields(fields, event.part.name)
+    if not parts.ended:
+        raise InvalidRequest("The multipart body ends too early.", "Send it again.")
+    try:
+        return {name: value.decode("utf-8") for name, value in fields.items()}
+    except UnicodeDecodeError as error:
+        raise InvalidRequest("A text field is not UTF-8.", "Send text as UTF-8.") from error
+
+
+def _check_fields(fields: dict[str, bytearray], name: str) -> None:
+    if len(fields) > _MAX_FIELDS or len(fields[name]) > _MAX_FIELD_BYTES:
+        raise InvalidRequest(
+            f"More than {_MAX_FIELDS} text fields, or one longer than {_MAX_FIELD_BYTES} bytes.",
+            "Send pictures and files as file parts, with a filename.",
+        )

@@ -1,0 +1,62 @@
+"""A bounded pool of threads for work that keeps a core busy."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from typing import TypeVar
+
+from rholoc.errors import Busy
+
+_T = TypeVar("_T")
+_SMOOTHING = 0.2  # weight of the newest duration in the running mean
+_FIRST_GUESS_S = 0.2
+
+
+class ComputePool:
+    """Runs at most ``concurrency`` functions at a time; at most ``queue_length`` more wait.
+
+    Used from the event loop's thread alone, so its counters need no lock.
+    """
+
+    def __init__(self, concurrency: int, queue_length: int) -> None:
+        self._executor = ThreadPoolExecutor(concurrency, thread_name_prefix="rholoc-compute")
+        self._concurrency = concurrency
+        self._capacity = concurrency + queue_length
+        self._taken = 0
+        self._mean_s = _FIRST_GUESS_S
+
+    @property
+    def full(self) -> bool:
+        """Whether the next call is refused."""
+        return self._taken >= self._capacity
+
+    async def run(self, work: Callable[[], _T]) -> _T:
+        """The result of ``work()``, computed in a thread.
+
+        Raises:
+            Busy: as many calls wait as may.
+        """
+        if self.full:
+            wait_s = self._mean_s * self._taken / self._concurrency
+            raise Busy("The service has as much to do as it can hold.", "Try again after Retry-After.", wait_s)
+
+        def timed() -> tuple[_T, float]:
+            start = time.perf_counter()
+            return work(), time.perf_counter() - start
+
+        self._taken += 1
+        future = asyncio.get_running_loop().run_in_executor(self._executor, timed)
+        future.add_done_callback(self._release)
+        result, duration_s = await future
+        self._mean_s += _SMOOTHING * (duration_s - self._mean_s)
+        return result
+
+    def _release(self, _future: object) -> None:
+        self._taken -= 1
+
+    def close(self) -> None:
+        """Let running work end and take no more."""
+        self._executor.shutdown(wait=True, cancel_futures=True)

@@ -1,0 +1,116 @@
+"""Errors over HTTP: one shape, stable codes, never a traceback.
+
+Every error of :mod:`rholoc.errors` has a status here; what HTTP itself adds is :class:`HttpError`.
+"""
+
+from __future__ import annotations
+
+import errno
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from pydantic import ValidationError
+
+from rholoc import errors
+from rholoc.errors import Busy, RholocError, StorageFull
+
+
+class HttpError(RholocError):
+    """What only HTTP knows of."""
+
+    code = "http_error"
+
+
+class InvalidRequest(HttpError):
+    """A parameter or the body's JSON is missing, malformed or of the wrong type."""
+
+    code = "invalid_request"
+
+
+class UnknownRoute(HttpError):
+    """No route has this path."""
+
+    code = "unknown_route"
+
+
+class MethodNotAllowed(HttpError):
+    """The route exists, but not with this method."""
+
+    code = "method_not_allowed"
+
+
+class UnsupportedMediaType(HttpError):
+    """The body's content type is not one that the route reads."""
+
+    code = "unsupported_media_type"
+
+
+class Internal(HttpError):
+    """The service met an error of its own; its log has it under the request id."""
+
+    code = "internal"
+
+
+STATUS: Mapping[type[RholocError], int] = {
+    errors.InvalidInput: 422,
+    errors.InvalidMap: 422,
+    errors.MappingFailed: 422,
+    errors.NotFound: 404,
+    errors.Conflict: 409,
+    errors.Cancelled: 409,
+    errors.TooLarge: 413,
+    errors.StorageFull: 507,
+    errors.Busy: 503,
+    errors.DeadlineExceeded: 504,
+    InvalidRequest: 422,
+    UnknownRoute: 404,
+    MethodNotAllowed: 405,
+    UnsupportedMediaType: 415,
+    Internal: 500,
+}
+
+_DISK_FULL = (errno.ENOSPC, errno.EDQUOT)
+
+
+def status_of(kind: type[RholocError]) -> int:
+    """The HTTP status of an error class: its own, or that of the nearest base."""
+    return next((STATUS[base] for base in kind.__mro__ if base in STATUS), 500)
+
+
+def error_classes() -> Iterator[type[RholocError]]:
+    """Every error class that an answer may carry the code of."""
+    waiting: list[type[RholocError]] = [RholocError]
+    while waiting:
+        kind = waiting.pop()
+        if kind is not RholocError and kind is not HttpError:
+            yield kind
+        waiting.extend(kind.__subclasses__())
+
+
+def as_rholoc_error(error: Exception) -> RholocError | None:
+    """The error that a user is told of, or None where the fault is the service's own."""
+    if isinstance(error, RholocError):
+        return error
+    if isinstance(error, OSError) and error.errno in _DISK_FULL:
+        return StorageFull("The server's disk is full.", "Nothing was changed. Free space on the server and try again.")
+    if isinstance(error, ValidationError):
+        return invalid_request(error.errors(include_url=False, include_context=False, include_input=False))
+    return None
+
+
+def invalid_request(found: Any) -> InvalidRequest:
+    """One line of what pydantic found wrong first, and where."""
+    first = found[0]
+    place = ".".join(str(part) for part in first["loc"] if part not in ("body", "query", "path")) or "the request"
+    more = f" ({len(found) - 1} more)" if len(found) > 1 else ""
+    return InvalidRequest(f"{place}: {first['msg']}.{more}", "See /docs for what this route takes.")
+
+
+def error_body(error: RholocError, request_id: str) -> dict[str, str]:
+    """The one shape of all errors."""
+    return {"code": error.code, "message": error.message, "hint": error.hint, "request_id": request_id}
+
+
+def error_headers(error: RholocError) -> dict[str, str]:
+    """``Retry-After`` in whole seconds where trying again may help."""
+    return {"Retry-After": str(max(1, round(error.retry_after_s)))} if isinstance(error, Busy) else {}

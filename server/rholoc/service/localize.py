@@ -1,0 +1,175 @@
+"""One frame → one answer, timed stage by stage. Runs in a thread of the compute pool."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from rholoc.errors import InvalidCamera, InvalidDescriptors
+from rholoc.features import Extractor, FeatureSet
+from rholoc.geometry import ByteArray, FloatArray, Pose
+from rholoc.localization import Localization, Localizer, Query, Reason
+from rholoc.recordings import decode_image
+from rholoc.service.localizers import Localizers
+from rholoc.service.queries import Frame, camera_for, feature_set, gravity_of, prior_of
+from rholoc.service.schemas import LocalizationOut, PoseOut
+from rholoc.service.settings import Settings
+from rholoc.trajectory import Scale
+
+_DEGREES = np.array([1, 1, 1, *[180 / np.pi] * 3])
+
+
+@dataclass
+class Stopwatch:
+    """Milliseconds by stage since the request came in."""
+
+    start_s: float = field(default_factory=time.perf_counter)
+    stages_ms: dict[str, float] = field(default_factory=dict)
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        """Add the time of the block to a stage."""
+        start = time.perf_counter()
+        try:
+            yield
+        finally:
+            self.stages_ms[name] = self.stages_ms.get(name, 0.0) + 1000 * (time.perf_counter() - start)
+
+    @property
+    def elapsed_s(self) -> float:
+        """Seconds since the request came in."""
+        return time.perf_counter() - self.start_s
+
+
+def localize_frame(
+    frame: Frame, names: Sequence[str], localizers: Localizers, settings: Settings, clock: Stopwatch
+) -> LocalizationOut:
+    """The best answer of the named maps: the surest pose, or the likeliest where none has a pose.
+
+    With several maps, those whose kind of features or camera does not fit the frame are passed over.
+
+    Raises:
+        UnknownMap, InvalidMap, InvalidImage, InvalidCamera, InvalidDescriptors, InvalidInput: as the frame deserves;
+            from several maps only where none could be asked.
+    """
+    clock.stages_ms["queue"] = 1000 * clock.elapsed_s
+    deadline_s = (frame.options.deadline_ms or settings.default_deadline_ms) / 1000
+    chosen = [(name, localizers.get(name)) for name in names]
+    features = _Features(frame, settings, clock)
+    best: tuple[str, Localizer, Localization] | None = None
+    refused: Exception | None = None
+    for name, localizer in chosen:
+        try:
+            found = _localize(frame, localizer, features, deadline_s, clock)
+        except (InvalidCamera, InvalidDescriptors) as error:
+            refused = refused or error
+            continue
+        if best is None or (found.localized, found.confidence) > (best[2].localized, best[2].confidence):
+            best = (name, localizer, found)
+    if best is None:
+        assert refused is not None
+        raise refused
+    return _answer(*best, clock)
+
+
+class _Features:
+    """The frame's features by extractor; the image is decoded once, each extractor runs once."""
+
+    def __init__(self, frame: Frame, settings: Settings, clock: Stopwatch) -> None:
+        self._frame = frame
+        self._settings = settings
+        self._clock = clock
+        self._extracted: dict[str, FeatureSet] = {}
+        self._image: ByteArray | None = None
+        if frame.image is not None:
+            with clock.stage("decode"):
+                self._image = decode_image(frame.image, settings.max_image_pixels)
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height of the image in pixels."""
+        if self._image is not None:
+            return self._image.shape[1], self._image.shape[0]
+        camera = self._frame.options.camera
+        if camera.width is None or camera.height is None:
+            raise InvalidCamera(
+                "The size of the image that the features come from is missing.", "Send camera.width and camera.height."
+            )
+        return camera.width, camera.height
+
+    def by(self, extractor: Extractor) -> FeatureSet:
+        """The features as this extractor gives them."""
+        if extractor.name not in self._extracted:
+            if self._image is not None:
+                with self._clock.stage("extract"):
+                    found = extractor.extract(self._image)
+            else:
+                assert self._frame.features is not None
+                with self._clock.stage("decode"):
+                    found = feature_set(self._frame.features, extractor, self._settings.max_features)
+            self._extracted[extractor.name] = found
+        return self._extracted[extractor.name]
+
+
+def _localize(
+    frame: Frame, localizer: Localizer, features: _Features, deadline_s: float, clock: Stopwatch
+) -> Localization:
+    camera = camera_for(frame.options.camera, features.size, localizer.map.info.camera)
+    prior, gravity = prior_of(frame.options.prior), gravity_of(frame.options.gravity)
+    if clock.elapsed_s >= deadline_s:
+        return _too_late()
+    found = features.by(localizer.extractor)
+    left_s = deadline_s - clock.elapsed_s
+    if left_s <= 0:
+        return _too_late()
+    answer = localizer.localize(Query(found, camera, frame.options.dof, prior, gravity, left_s))
+    for stage, duration_ms in answer.timings_ms.items():
+        clock.stages_ms[stage] = clock.stages_ms.get(stage, 0.0) + duration_ms
+    return answer
+
+
+def _too_late() -> Localization:
+    nothing = np.zeros(0, np.int64)
+    return Localization(False, Reason.DEADLINE, None, None, 0.0, 0, 0, np.zeros((0, 2)), nothing)
+
+
+def _answer(name: str, localizer: Localizer, found: Localization, clock: Stopwatch) -> LocalizationOut:
+    info = localizer.map.info
+    total_ms = 1000 * clock.elapsed_s
+    stages = dict.fromkeys(("queue", "decode", "extract", "match", "seed", "ascend", "verify"), 0.0)
+    timings_ms = {**stages, **clock.stages_ms, "total": total_ms}
+    given_out = found if found.localized else replace(found, pose=None, covariance=None)
+    return LocalizationOut(
+        localized=found.localized,
+        reason=found.reason,
+        pose=None if given_out.pose is None else _pose(given_out.pose),
+        covariance=None if given_out.covariance is None else _covariance(given_out.covariance),
+        confidence=found.confidence,
+        matches=found.matches,
+        inliers=found.inliers,
+        map=name,
+        map_id=info.id,
+        map_version=info.version,
+        scale=Scale.METRIC if info.metric else Scale.ARBITRARY,
+        timings_ms={stage: round(value, 3) for stage, value in timings_ms.items()},
+    )
+
+
+def _pose(pose: Pose) -> PoseOut:
+    return PoseOut(
+        position=pose.position.tolist(),
+        heading=pose.heading.tolist(),
+        roll_deg=float(np.degrees(pose.roll)),
+        quaternion_xyzw=pose.quaternion_xyzw.tolist(),
+        T_map_camera=pose.T_map_camera.tolist(),
+    )
+
+
+def _covariance(covariance: FloatArray) -> list[list[float]] | None:
+    """(m, rad) → (m, deg); an unbounded one is none."""
+    scaled = covariance * np.outer(_DEGREES, _DEGREES)
+    return scaled.tolist() if np.isfinite(scaled).all() else None

@@ -1,0 +1,44 @@
+"""The localizers of the maps that are served: one for each loaded map, swapped between two requests."""
+
+from __future__ import annotations
+
+import threading
+from collections import defaultdict
+
+from rholoc.localization import Localizer
+from rholoc.maps import Map, MapLibrary
+
+
+class Localizers:
+    """Keeps one :class:`Localizer` per map name. Safe to call from several threads.
+
+    A request that holds a localizer goes on with its map even when the map is replaced meanwhile.
+    """
+
+    def __init__(self, library: MapLibrary, min_confidence: float) -> None:
+        self._library = library
+        self._min_confidence = min_confidence
+        self._ready: dict[str, Localizer] = {}
+        self._building: defaultdict[str, threading.Lock] = defaultdict(threading.Lock)
+
+    def get(self, name: str) -> Localizer:
+        """The localizer of the map as it stands now; built when the map is new or was replaced.
+
+        Raises:
+            InvalidName, UnknownMap, InvalidMap: as :meth:`MapLibrary.get` does.
+        """
+        map_ = self._library.get(name)
+        with self._building[name]:
+            ready = self._ready.get(name)
+            if ready is None or ready.map is not map_:
+                ready = self._ready[name] = self._build(map_)
+        return ready
+
+    def forget_missing(self) -> None:
+        """Drop the localizers of maps that are no longer in the library."""
+        names = set(self._library.names())
+        for name in [name for name in self._ready if name not in names]:
+            self._ready.pop(name, None)
+
+    def _build(self, map_: Map) -> Localizer:
+        return Localizer(map_, self._min_confidence)

@@ -1,0 +1,63 @@
+"""OpenAPI for what FastAPI cannot see: bodies that are read by hand, and the errors of each route."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from fastapi import FastAPI
+from fastapi.openapi.utils import get_openapi
+from pydantic import BaseModel
+from pydantic.json_schema import models_json_schema
+
+from rholoc.errors import RholocError
+from rholoc.service.errors import status_of
+from rholoc.service.schemas import DescriptorQuery, ErrorAnswer, LocalizeOptions
+
+_REF = "#/components/schemas/{model}"
+_BY_HAND: tuple[type[BaseModel], ...] = (LocalizeOptions, DescriptorQuery)
+BINARY = {"type": "string", "format": "binary"}
+
+
+def reference(model: type[BaseModel]) -> dict[str, str]:
+    """A reference to the schema of a model."""
+    return {"$ref": _REF.format(model=model.__name__)}
+
+
+def request_body(content: dict[str, Any]) -> dict[str, Any]:
+    """``openapi_extra`` for a body that the route reads by hand: media type → schema and example."""
+    return {"requestBody": {"required": True, "content": content}}
+
+
+def failures(*kinds: type[RholocError]) -> dict[int | str, dict[str, Any]]:
+    """``responses`` for the errors that a route answers with, by status, one example each."""
+    answers: dict[int | str, dict[str, Any]] = {}
+    for kind in kinds:
+        summary = (kind.__doc__ or "").strip().splitlines()[0]
+        example = {"code": kind.code, "message": summary, "hint": "", "request_id": "7d7f0a1c2b3d4e5f8091a2b3c4d5e6f7"}
+        answer = answers.setdefault(
+            status_of(kind),
+            {"model": ErrorAnswer, "description": "", "content": {"application/json": {"examples": {}}}},
+        )
+        answer["content"]["application/json"]["examples"][kind.code] = {"summary": summary, "value": example}
+        answer["description"] = ", ".join(filter(None, [answer["description"], f"`{kind.code}`"]))
+    return answers
+
+
+def install(app: FastAPI) -> None:
+    """Let ``app.openapi()`` also define the models that bodies read by hand refer to."""
+
+    def openapi() -> dict[str, Any]:
+        if app.openapi_schema is None:
+            schema = get_openapi(
+                title=app.title,
+                version=app.version,
+                description=app.description,
+                routes=app.routes,
+                tags=app.openapi_tags,
+            )
+            _, definitions = models_json_schema([(model, "validation") for model in _BY_HAND], ref_template=_REF)
+            schema["components"]["schemas"] = {**definitions["$defs"], **schema["components"]["schemas"]}
+            app.openapi_schema = schema
+        return app.openapi_schema
+
+    app.openapi = openapi  # type: ignore[method-assign]

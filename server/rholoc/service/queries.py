@@ -1,0 +1,181 @@
+"""Requests → queries: images and descriptor sets, intrinsics, priors."""
+
+from __future__ import annotations
+
+import base64
+import binascii
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from rholoc.errors import InvalidCamera, InvalidDescriptors, InvalidInput
+from rholoc.features import Extractor, FeatureSet
+from rholoc.geometry import ByteArray, Camera, FloatArray, Pose
+from rholoc.localization import Prior
+from rholoc.service.schemas import CameraIn, FeaturesIn, LocalizeOptions, PriorIn
+
+_ASPECT_TOLERANCE = 0.01  # an image counts as scaled when its aspect ratio differs by less than this share
+_CAMERA_HINT = "Send fx, fy, cx, cy (and distortion) of the image, in pixels."
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """What was sent of one frame: an encoded image or a descriptor set, one of the two, and the options."""
+
+    options: LocalizeOptions
+    image: bytes | None = None
+    features: FeaturesIn | None = None
+
+
+def camera_for(given: CameraIn, size: tuple[int, int], map_camera: Camera) -> Camera:
+    """The intrinsics of an image of ``size`` (width, height) px: those given, else the map's own.
+
+    Either are scaled where they are meant for another size of the same aspect ratio.
+
+    Raises:
+        InvalidCamera: the intrinsics are absurd, incomplete or for another aspect ratio.
+    """
+    if min(size) < 1:
+        raise InvalidCamera(f"The camera's image size {size[0]}×{size[1]} is not possible.", _CAMERA_HINT)
+    if given.fx is None:
+        if given.fy is not None or given.distortion:
+            raise InvalidCamera("The camera has no fx.", _CAMERA_HINT)
+        if not _same_aspect((map_camera.width, map_camera.height), size):
+            raise InvalidCamera(
+                f"No intrinsics were sent, and the map's own camera ({map_camera.width}×{map_camera.height}) "
+                f"cannot have taken an image of {size[0]}×{size[1]}.",
+                _CAMERA_HINT,
+            )
+        return map_camera.resized(*size)
+    width, height = given.width or size[0], given.height or size[1]
+    camera = Camera(
+        width,
+        height,
+        given.fx,
+        given.fx if given.fy is None else given.fy,
+        (width - 1) / 2 if given.cx is None else given.cx,
+        (height - 1) / 2 if given.cy is None else given.cy,
+        tuple(given.distortion),
+    )
+    if (width, height) == size:
+        return camera
+    if not _same_aspect((width, height), size):
+        raise InvalidCamera(f"The intrinsics are for {width}×{height}, the image is {size[0]}×{size[1]}.", _CAMERA_HINT)
+    return camera.resized(*size)
+
+
+def _same_aspect(a: tuple[int, int], b: tuple[int, int]) -> bool:
+    return abs(a[0] * b[1] / (a[1] * b[0]) - 1) < _ASPECT_TOLERANCE
+
+
+def prior_of(given: PriorIn | None) -> Prior | None:
+    """The prior as the localizer takes it.
+
+    Raises:
+        InvalidInput: values are not finite, or there is not exactly one of heading and quaternion.
+    """
+    if given is None:
+        return None
+    position = _finite("prior.position", given.position)
+    if (given.heading is None) == (given.quaternion_xyzw is None):
+        raise InvalidInput("A prior needs a heading or a quaternion, one of them.", "Send prior.heading.")
+    if given.heading is not None:
+        pose = Pose.from_heading(position, _direction("prior.heading", given.heading))
+    else:
+        pose = Pose.from_quaternion(position, _direction("prior.quaternion_xyzw", given.quaternion_xyzw or []))
+    radius_rad = math.radians(float(_finite("prior.radius_deg", [given.radius_deg])[0]))
+    return Prior(pose, float(_finite("prior.radius_m", [given.radius_m])[0]), radius_rad)
+
+
+def gravity_of(given: list[float] | None) -> FloatArray | None:
+    """Gravity's direction in the camera frame (3,), unit length.
+
+    Raises:
+        InvalidInput: it has no direction.
+    """
+    return None if given is None else _direction("gravity", given)
+
+
+def _finite(name: str, values: list[float]) -> FloatArray:
+    array = np.asarray(values, dtype=np.float64)
+    if not np.isfinite(array).all() or np.abs(array).max() > 1e9:
+        raise InvalidInput(f"{name} is not made of ordinary finite numbers.", "Send numbers.")
+    return array
+
+
+def _direction(name: str, values: list[float]) -> FloatArray:
+    array = _finite(name, values)
+    length = float(np.linalg.norm(array))
+    if length < 1e-9:
+        raise InvalidInput(f"{name} has no direction: its length is 0.", "Send a unit vector.")
+    return np.asarray(array / length)
+
+
+def feature_set(given: FeaturesIn, extractor: Extractor, max_features: int) -> FeatureSet:
+    """A descriptor set as the localizer takes it.
+
+    Raises:
+        InvalidDescriptors: it is too long, its lists disagree, a value is not finite, or it is not of the
+            extractor's kind.
+    """
+    n = len(given.pixels)
+    if n > max_features:
+        raise InvalidDescriptors(f"{n} features; at most {max_features} are taken.", "Send the strongest ones.")
+    sizes = [0.0] * n if given.sizes_px is None else given.sizes_px
+    angles = [math.nan] * n if given.angles_deg is None else given.angles_deg
+    if not np.isfinite(np.asarray(sizes)).all():
+        raise InvalidDescriptors("A feature's size is not a finite number.", "Leave sizes_px out where unknown.")
+    descriptors = _descriptors(given.descriptors, n, extractor)
+    if max(np.abs(given.pixels).max(initial=0.0), np.abs(sizes).max(initial=0.0)) > 1e6:
+        raise InvalidDescriptors("A feature lies outside any image.", "Send pixels of the image.")
+    return FeatureSet(
+        np.asarray(given.pixels, dtype=np.float32).reshape(-1, 2),
+        _channels(given.channels, n, extractor),
+        descriptors,
+        np.asarray(sizes, dtype=np.float32),
+        np.radians(np.asarray(angles, dtype=np.float64)).astype(np.float32),
+    )
+
+
+def _descriptors(given: list[str] | str, n: int, extractor: Extractor) -> ByteArray:
+    length = extractor.descriptor_bytes
+    hint = f"This map takes '{extractor.name}' features: {length} bytes each, as hex strings or one base64 string."
+    if isinstance(given, str):
+        try:
+            blob = base64.b64decode(given, validate=True)
+        except (binascii.Error, ValueError) as error:
+            raise InvalidDescriptors("The descriptors are not base64.", hint) from error
+        if len(blob) != n * length:
+            raise InvalidDescriptors(f"{len(blob)} bytes of descriptors for {n} features.", hint)
+    else:
+        wrong = next((row for row in given if len(row) != 2 * length), None)
+        if wrong is not None:
+            raise InvalidDescriptors(f"A descriptor has {len(wrong) / 2:g} bytes.", hint)
+        if len(given) != n:
+            raise InvalidDescriptors(f"{len(given)} descriptors for {n} pixels.", hint)
+        try:
+            blob = bytes.fromhex("".join(given))
+        except ValueError as error:
+            raise InvalidDescriptors("A descriptor is not made of hex digits.", hint) from error
+        if len(blob) != n * length:
+            raise InvalidDescriptors("A descriptor is not made of hex digits.", hint)
+    return np.frombuffer(blob, dtype=np.uint8).reshape(n, length)
+
+
+def _channels(given: list[int | str] | None, n: int, extractor: Extractor) -> ByteArray:
+    names = ", ".join(f"{channel.value} {channel.name}" for channel in extractor.channels)
+    hint = f"This map's '{extractor.name}' features come from the channels {names}."
+    if given is None:
+        if len(extractor.channels) != 1:
+            raise InvalidDescriptors("The features have no channels.", hint)
+        return np.full(n, extractor.channels[0], dtype=np.uint8)
+    if len(given) != n:
+        raise InvalidDescriptors(f"{len(given)} channels for {n} pixels.", hint)
+    known: dict[Any, int] = {channel.name: channel.value for channel in extractor.channels}
+    known |= {channel.value: channel.value for channel in extractor.channels}
+    strange = next((channel for channel in given if channel not in known), None)
+    if strange is not None:
+        raise InvalidDescriptors(f"'{strange}' is not a channel of this map.", hint)
+    return np.asarray([known[channel] for channel in given], dtype=np.uint8).reshape(n)

@@ -1,0 +1,54 @@
+"""Whether the service lives, and whether it can work."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from fastapi import APIRouter, Response
+from starlette.concurrency import run_in_threadpool
+
+from rholoc import __version__
+from rholoc.service.schemas import Health, Readiness
+from rholoc.service.state import Service, State
+
+router = APIRouter(tags=["service"])
+_OK = "ok"
+
+
+@router.get("/healthz", summary="Whether the process answers")
+async def healthz() -> Health:
+    """Always 200 while the process runs."""
+    return Health(status=_OK, version=__version__)
+
+
+@router.get("/readyz", summary="Whether the service can do its work", responses={503: {"model": Readiness}})
+async def readyz(service: Service, response: Response) -> Readiness:
+    """200 when maps can be read, uploads stored, jobs queued and frames localized; else 503 and what is not ready."""
+    checks = await run_in_threadpool(_checks, service)
+    ready = all(check == _OK for check in checks.values())
+    response.status_code = 200 if ready else 503
+    return Readiness(ready=ready, checks=checks)
+
+
+def _checks(service: State) -> dict[str, str]:
+    return {
+        "maps": _folder(service.settings.maps_dir),
+        "data": _folder(service.settings.data_dir),
+        "jobs": _jobs(service),
+        "compute": "the queue is full" if service.compute.full else _OK,
+    }
+
+
+def _folder(folder: Path) -> str:
+    if not folder.is_dir():
+        return "the folder is missing"
+    return _OK if os.access(folder, os.R_OK | os.W_OK | os.X_OK) else "the folder cannot be read and written"
+
+
+def _jobs(service: State) -> str:
+    try:
+        service.jobs.list()
+    except Exception as error:  # whatever the database's driver raises means the same here
+        return f"the job queue does not answer ({type(error).__name__})"
+    return _OK

@@ -1,0 +1,187 @@
+"""Frame → pose."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Depends, Query, Request
+
+from rholoc.errors import (
+    Busy,
+    InvalidCamera,
+    InvalidDescriptors,
+    InvalidImage,
+    InvalidInput,
+    InvalidMap,
+    InvalidName,
+    TooLarge,
+    UnknownMap,
+)
+from rholoc.service.bodies import media_type, read_body, read_multipart
+from rholoc.service.errors import InvalidRequest, UnsupportedMediaType
+from rholoc.service.localize import Stopwatch, localize_frame
+from rholoc.service.openapi import BINARY, failures, reference, request_body
+from rholoc.service.queries import Frame
+from rholoc.service.schemas import DescriptorQuery, LocalizationOut, LocalizeOptions
+from rholoc.service.state import Service, State
+
+router = APIRouter(prefix="/v1", tags=["localization"])
+
+_IMAGE_TYPES = ("image/jpeg", "image/png")
+_FAILURES = failures(
+    UnknownMap, InvalidName, InvalidRequest, InvalidImage, InvalidCamera, InvalidDescriptors, InvalidInput, InvalidMap,
+    TooLarge, UnsupportedMediaType, Busy,
+)  # fmt: skip
+_BODY = request_body(
+    {
+        "image/jpeg": {"schema": BINARY},
+        "image/png": {"schema": BINARY},
+        "multipart/form-data": {
+            "schema": {
+                "type": "object",
+                "required": ["image"],
+                "properties": {"image": BINARY, "request": reference(LocalizeOptions)},
+            },
+            "encoding": {
+                "image": {"contentType": "image/jpeg, image/png"},
+                "request": {"contentType": "application/json"},
+            },
+        },
+        "application/json": {
+            "schema": reference(DescriptorQuery),
+            "example": DescriptorQuery.model_config["json_schema_extra"]["example"],  # type: ignore[index]
+        },
+    }
+)
+
+
+@dataclass(frozen=True)
+class OptionParameters:
+    """The options of a request as query parameters; lists are separated by commas."""
+
+    fx: Annotated[float | None, Query(description="focal length, px", examples=[525.5])] = None
+    fy: Annotated[float | None, Query(description="px; default: fx", examples=[525.5])] = None
+    cx: Annotated[float | None, Query(description="principal point, px", examples=[320.0])] = None
+    cy: Annotated[float | None, Query(description="principal point, px", examples=[240.0])] = None
+    distortion: Annotated[str | None, Query(description="k1,k2,p1,p2[,k3[,k4,k5,k6]]", examples=["0.02,-0.05,0,0"])] = (
+        None
+    )
+    dof: Annotated[int | None, Query(description="5 or 6", examples=[6])] = None
+    prior_position: Annotated[str | None, Query(description="x,y,z in m, map frame", examples=["1.2,0.4,1.5"])] = None
+    prior_heading: Annotated[str | None, Query(description="hx,hy,hz", examples=["1,0,0"])] = None
+    prior_quaternion_xyzw: Annotated[str | None, Query(description="x,y,z,w of R_map_camera")] = None
+    prior_radius_m: Annotated[float | None, Query(description="m", examples=[0.5])] = None
+    prior_radius_deg: Annotated[float | None, Query(description="degrees", examples=[35])] = None
+    gravity: Annotated[str | None, Query(description="down in the camera frame: x,y,z", examples=["0,1,0"])] = None
+    deadline_ms: Annotated[float | None, Query(description="how long the answer may take", examples=[500])] = None
+
+    def options(self) -> dict[str, Any]:
+        """The same as the fields of :class:`LocalizeOptions`; what was not given is left out."""
+        camera = _given(
+            fx=self.fx, fy=self.fy, cx=self.cx, cy=self.cy, distortion=_numbers("distortion", self.distortion)
+        )
+        prior = _given(
+            position=_numbers("prior_position", self.prior_position),
+            heading=_numbers("prior_heading", self.prior_heading),
+            quaternion_xyzw=_numbers("prior_quaternion_xyzw", self.prior_quaternion_xyzw),
+            radius_m=self.prior_radius_m,
+            radius_deg=self.prior_radius_deg,
+        )
+        return _given(
+            camera=camera or None,
+            prior=prior or None,
+            dof=self.dof,
+            gravity=_numbers("gravity", self.gravity),
+            deadline_ms=self.deadline_ms,
+        )
+
+
+def _given(**values: Any) -> dict[str, Any]:
+    return {name: value for name, value in values.items() if value is not None}
+
+
+def _numbers(name: str, text: str | None) -> list[float] | None:
+    if text is None:
+        return None
+    try:
+        return [float(part) for part in text.split(",")]
+    except ValueError as error:
+        raise InvalidRequest(f"{name} is not a list of numbers.", "Separate the numbers by commas.") from error
+
+
+Options = Annotated[OptionParameters, Depends()]
+
+
+@router.post(
+    "/maps/{map_name}/localize", summary="Where a frame was taken, in one map", responses=_FAILURES, openapi_extra=_BODY
+)
+async def localize_in_map(map_name: str, request: Request, service: Service, options: Options) -> LocalizationOut:
+    """Send a JPEG or PNG as it is, with options in the query; or multipart, with an `image` and a JSON `request`; or a
+    descriptor set as JSON. "No pose" is an answer: `localized` is false and `reason` says why."""
+    return await _localize([map_name], request, service, options)
+
+
+@router.post(
+    "/localize",
+    summary="Where a frame was taken, in the best of several maps",
+    responses=_FAILURES,
+    openapi_extra=_BODY,
+)
+async def localize_in_maps(
+    request: Request,
+    service: Service,
+    options: Options,
+    maps: Annotated[str, Query(description="names separated by commas, or 'all'", examples=["all", "hall,kitchen"])],
+) -> LocalizationOut:
+    """Asks every map and gives the surest answer, with the map's name."""
+    names = list(dict.fromkeys(name.strip() for name in maps.split(",")))
+    if names == ["all"]:
+        names = service.library.names()
+        if not names:
+            raise UnknownMap("There is no map yet.", "Upload one, or a recording.")
+    return await _localize(names, request, service, options)
+
+
+async def _localize(names: list[str], request: Request, service: State, options: OptionParameters) -> LocalizationOut:
+    clock = Stopwatch()
+    for name in names:
+        service.library.stat(name)  # an unknown map is refused before the body is read
+    frame = await _frame(request, options.options(), service.settings.max_request_bytes)
+    return await service.compute.run(lambda: localize_frame(frame, names, service.localizers, service.settings, clock))
+
+
+async def _frame(request: Request, options: dict[str, Any], max_bytes: int) -> Frame:
+    kind = media_type(request)
+    if kind in _IMAGE_TYPES:
+        image = await read_body(request, max_bytes)
+        return Frame(LocalizeOptions.model_validate(options), image=image)
+    if kind == "application/json":
+        query = DescriptorQuery.model_validate_json(await read_body(request, max_bytes))
+        return Frame(query, features=query.features)
+    if kind == "multipart/form-data":
+        return await _multipart_frame(request, options, max_bytes)
+    raise UnsupportedMediaType(
+        f"A body of type '{kind}' cannot be read.",
+        "Send image/jpeg, image/png, multipart/form-data or application/json as Content-Type.",
+    )
+
+
+async def _multipart_frame(request: Request, options: dict[str, Any], max_bytes: int) -> Frame:
+    files: dict[str, bytearray] = {}
+
+    def keep(field_name: str, _filename: str, chunk: bytes) -> None:
+        files.setdefault(field_name, bytearray()).extend(chunk)
+
+    fields = await read_multipart(request, max_bytes, keep)
+    strange = (files.keys() | fields.keys()) - {"image", "request"}
+    if strange or "image" not in files:
+        raise InvalidRequest(
+            f"The multipart body has a part '{min(strange)}'."
+            if strange
+            else "The multipart body has no file 'image'.",
+            "Send a file part 'image' and, if you like, a JSON part 'request'.",
+        )
+    text = bytes(files.get("request", b"")) or fields.get("request", "").encode()
+    parsed = LocalizeOptions.model_validate_json(text) if text else LocalizeOptions.model_validate(options)
+    return Frame(parsed, image=bytes(files["image"]))

@@ -1,0 +1,220 @@
+"""Maps: listed, uploaded, renamed, deleted, taken away."""
+
+from __future__ import annotations
+
+import uuid
+from collections.abc import Callable
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+from fastapi import APIRouter, Query, Request, Response
+from fastapi.responses import FileResponse
+from starlette.concurrency import run_in_threadpool
+
+from rholoc.errors import (
+    Conflict,
+    InvalidInput,
+    InvalidMap,
+    InvalidName,
+    RholocError,
+    StorageFull,
+    TooLarge,
+    UnknownMap,
+)
+from rholoc.features import get_extractor
+from rholoc.geometry import Camera
+from rholoc.maps import Map, MapLibrary, check_map_name, load_map
+from rholoc.maps.point_files import map_to_ply, map_to_vtp
+from rholoc.maps.preview import map_to_png
+from rholoc.service.bodies import save_body
+from rholoc.service.errors import InvalidRequest
+from rholoc.service.openapi import BINARY, failures, request_body
+from rholoc.service.schemas import CameraIn, MapDetail, MapList, MapPatch, MapReport, MapSummary
+from rholoc.service.state import Service
+from rholoc.trajectory import Scale
+
+router = APIRouter(prefix="/v1/maps", tags=["maps"])
+_FAILURES = failures(UnknownMap, InvalidName, InvalidMap)
+
+
+class MapFormat(StrEnum):
+    """What a map can be downloaded as."""
+
+    RHO = "rho"  # the native map
+    PLY = "ply"  # its landmarks, for MeshLab and CloudCompare
+    VTP = "vtp"  # its landmarks, for ParaView
+
+
+_CONVERTERS: dict[MapFormat, Callable[[Map], bytes]] = {MapFormat.PLY: map_to_ply, MapFormat.VTP: map_to_vtp}
+
+
+@router.get("", summary="All maps")
+async def list_maps(service: Service) -> MapList:
+    """The maps by name; files that are not maps are named apart."""
+    return await run_in_threadpool(_list, service.library)
+
+
+@router.get("/{map_name}", summary="One map", responses=_FAILURES)
+async def get_map(map_name: str, service: Service) -> MapDetail:
+    """What the map says of itself."""
+    return await run_in_threadpool(_detail, service.library, map_name)
+
+
+@router.put(
+    "/{map_name}",
+    summary="Upload a map",
+    responses={
+        **failures(InvalidName, InvalidMap, TooLarge, StorageFull),
+        201: {"model": MapDetail, "description": "The map is new."},
+    },
+    openapi_extra=request_body({"application/octet-stream": {"schema": BINARY}}),
+)
+async def put_map(map_name: str, request: Request, service: Service, response: Response) -> MapDetail:
+    """The body is a `.rho` file. It is checked before it replaces the map of that name; requests that are being
+    answered end on the old map, the next ones get the new."""
+    check_map_name(map_name)
+    folder = service.settings.data_dir / "uploads"
+    folder.mkdir(exist_ok=True)
+    arrived = folder / f"{uuid.uuid4().hex}.rho"
+    new = map_name not in service.library.names()
+    try:
+        await save_body(request, arrived, service.settings.max_upload_bytes)
+        await run_in_threadpool(_publish, service.library, map_name, arrived)
+    finally:
+        arrived.unlink(missing_ok=True)
+    response.status_code = 201 if new else 200
+    return await run_in_threadpool(_detail, service.library, map_name)
+
+
+@router.patch("/{map_name}", summary="Rename a map", responses={**_FAILURES, **failures(Conflict, InvalidRequest)})
+async def patch_map(map_name: str, change: MapPatch, service: Service) -> MapDetail:
+    """The new name must be free."""
+    check_map_name(change.name)
+    if change.name != map_name:
+        await run_in_threadpool(service.library.rename, map_name, change.name)
+    service.localizers.forget_missing()
+    return await run_in_threadpool(_detail, service.library, change.name)
+
+
+@router.delete("/{map_name}", status_code=204, summary="Delete a map", responses=failures(UnknownMap, InvalidName))
+async def delete_map(map_name: str, service: Service) -> None:
+    """For good. Requests that are being answered end on it."""
+    await run_in_threadpool(service.library.delete, map_name)
+    service.localizers.forget_missing()
+
+
+@router.get(
+    "/{map_name}/download",
+    summary="Take a map away",
+    response_class=Response,
+    responses={
+        200: {
+            "description": "The file.",
+            "content": {"application/octet-stream": {"schema": BINARY}},
+        },
+        **_FAILURES,
+        **failures(InvalidRequest),
+    },
+)
+async def download_map(
+    map_name: str,
+    service: Service,
+    format: Annotated[
+        MapFormat, Query(description="the native map, or its landmarks as points", examples=["rho"])
+    ] = MapFormat.RHO,
+) -> Response:
+    """`rho`: the map itself; `ply`, `vtp`: its landmarks with their standard deviations in metres."""
+    service.library.stat(map_name)
+    attachment = {"Content-Disposition": f'attachment; filename="{map_name}.{format.value}"'}
+    if format is MapFormat.RHO:
+        return FileResponse(service.library.path(map_name), headers=attachment, media_type="application/octet-stream")
+    map_ = await run_in_threadpool(service.library.get, map_name)
+    content = await run_in_threadpool(_CONVERTERS[format], map_)
+    return Response(content, headers=attachment, media_type="application/octet-stream")
+
+
+@router.get("/{map_name}/report", summary="A map's own quality report", responses=_FAILURES)
+async def get_report(map_name: str, service: Service) -> MapReport:
+    """What the map found out about itself while it was built: held-out frames localized, coverage, residuals."""
+    info = (await run_in_threadpool(service.library.get, map_name)).info
+    return MapReport(map=map_name, map_id=info.id, map_version=info.version, report=info.report)
+
+
+@router.get(
+    "/{map_name}/preview.png",
+    summary="A map from above",
+    response_class=Response,
+    responses={200: {"description": "A picture.", "content": {"image/png": {"schema": BINARY}}}, **_FAILURES},
+)
+async def get_preview(map_name: str, service: Service) -> Response:
+    """Landmarks, the walk, waypoints."""
+    map_ = await run_in_threadpool(service.library.get, map_name)
+    return Response(await service.compute.run(lambda: map_to_png(map_)), media_type="image/png")
+
+
+def _list(library: MapLibrary) -> MapList:
+    maps: list[MapSummary] = []
+    unreadable: dict[str, str] = {}
+    for name in library.names():
+        try:
+            maps.append(MapSummary.model_validate(_summary(library, name)))
+        except UnknownMap:
+            continue  # deleted meanwhile
+        except RholocError as error:
+            unreadable[name] = error.message
+    return MapList(maps=maps, unreadable=unreadable)
+
+
+def _summary(library: MapLibrary, name: str) -> dict[str, object]:
+    map_ = library.get(name)
+    info = map_.info
+    return {
+        "name": name,
+        "id": info.id,
+        "version": info.version,
+        "density": info.density,
+        "features": info.features,
+        "scale": Scale.METRIC if info.metric else Scale.ARBITRARY,
+        "upright": info.upright,
+        "created": info.created,
+        "landmarks": len(map_),
+        "views": len(map_.view_times),
+        "size_bytes": library.stat(name).size_bytes,
+        "camera": _camera(info.camera),
+    }
+
+
+def _detail(library: MapLibrary, name: str) -> MapDetail:
+    map_ = library.get(name)
+    bounds = None
+    if len(map_):
+        bounds = [map_.landmarks.min(axis=0).tolist(), map_.landmarks.max(axis=0).tolist()]
+    fields = {"sources": list(map_.info.sources), "waypoints": list(map_.info.waypoints), "bounds_m": bounds}
+    return MapDetail.model_validate({**_summary(library, name), **fields})
+
+
+def _camera(camera: Camera) -> CameraIn:
+    return CameraIn(
+        width=camera.width,
+        height=camera.height,
+        fx=camera.fx,
+        fy=camera.fy,
+        cx=camera.cx,
+        cy=camera.cy,
+        distortion=list(camera.distortion),
+    )
+
+
+def _publish(library: MapLibrary, name: str, arrived: Path) -> None:
+    """Put a file into the library, if this service can localize in it."""
+    map_ = load_map(arrived)
+    hint = "Build the map with one of this version's extractors."
+    try:
+        extractor = get_extractor(map_.info.features)
+    except InvalidInput as error:
+        raise InvalidMap(error.message, hint) from error
+    if map_.descriptors.shape[1] != extractor.descriptor_bytes or not np.isin(map_.channels, extractor.channels).all():
+        raise InvalidMap(f"The map's descriptors are not '{extractor.name}' features.", hint)
+    library.put_file(name, arrived)

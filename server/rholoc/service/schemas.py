@@ -1,0 +1,382 @@
+"""What goes in and out over HTTP, with examples."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+from pydantic import BaseModel, ConfigDict, Field
+from pydantic.config import JsonDict
+
+from rholoc.features import Channel
+from rholoc.jobs import JobState
+from rholoc.localization import Dof, Reason
+from rholoc.maps import DensityKind
+from rholoc.progress import Stage
+from rholoc.trajectory import Scale
+
+Vector3 = Annotated[list[float], Field(min_length=3, max_length=3)]
+Quaternion = Annotated[list[float], Field(min_length=4, max_length=4)]
+
+_MAP_ID = "4f1c2a9be07d4d0c8f5f6f0f3f1f7a11"
+_JOB_ID = "0b6e0f6f4f0c4d5f9a8b7c6d5e4f3a21"
+_RECORDING_ID = "9c5d1c3f5b8e4a0d8e6f7a8b9c0d1e2f"
+_CAMERA: JsonDict = {"width": 640, "height": 480, "fx": 525.5, "fy": 525.5, "cx": 320.0, "cy": 240.0, "distortion": []}
+
+
+class _In(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class _Out(BaseModel):
+    model_config = ConfigDict(frozen=True)
+
+
+class ErrorAnswer(_Out):
+    """The one shape of all errors."""
+
+    model_config = ConfigDict(
+        frozen=True,
+        json_schema_extra={
+            "example": {
+                "code": "unknown_map",
+                "message": "There is no map called 'kitchen'.",
+                "hint": "GET /v1/maps lists the maps.",
+                "request_id": "7d7f0a1c2b3d4e5f8091a2b3c4d5e6f7",
+            }
+        },
+    )
+
+    code: str = Field(description="Stable; what programs tell errors apart by.")
+    message: str = Field(description="One line: what is wrong.")
+    hint: str = Field(description="One line: what to do.")
+    request_id: str = Field(description="The same as in the header X-Request-ID and in the service's log.")
+
+
+class CameraIn(_In):
+    """Intrinsics in pixels; pixel (0, 0) is the centre of the top-left pixel.
+
+    ``width`` and ``height`` are the size that the intrinsics are meant for; an image of the same aspect ratio but
+    another size is told from them. Without ``fx`` the map's own camera serves where the aspect ratio is its own.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True, json_schema_extra={"example": _CAMERA})
+
+    width: int | None = Field(default=None, description="px; default: the image's")
+    height: int | None = Field(default=None, description="px; default: the image's")
+    fx: float | None = Field(default=None, description="px")
+    fy: float | None = Field(default=None, description="px; default: fx")
+    cx: float | None = Field(default=None, description="px; default: the middle of the image")
+    cy: float | None = Field(default=None, description="px; default: the middle of the image")
+    distortion: list[float] = Field(
+        default_factory=list, max_length=8, description="OpenCV's k1, k2, p1, p2[, k3[, k4, k5, k6]]"
+    )
+
+
+class PriorIn(_In):
+    """A pose that the answer is expected near: a position and either a heading or a quaternion."""
+
+    model_config = ConfigDict(
+        extra="forbid",
+        frozen=True,
+        json_schema_extra={"example": {"position": [1.2, 0.4, 1.5], "heading": [1, 0, 0], "radius_m": 0.5}},
+    )
+
+    position: Vector3 = Field(description="m, map frame")
+    heading: Vector3 | None = Field(default=None, description="the optical axis in the map frame")
+    quaternion_xyzw: Quaternion | None = Field(default=None, description="of R_map_camera")
+    radius_m: float = Field(default=1.0, gt=0, description="how far the position may be from it, m")
+    radius_deg: float = Field(default=35.0, gt=0, le=180, description="how far the heading may be from it, degrees")
+
+
+class LocalizeOptions(_In):
+    """How one frame is to be localized: the part ``request`` of a multipart body."""
+
+    model_config = ConfigDict(
+        extra="forbid", frozen=True, json_schema_extra={"example": {"camera": _CAMERA, "dof": 6, "deadline_ms": 500}}
+    )
+
+    camera: CameraIn = Field(default_factory=CameraIn)
+    dof: Dof = Field(default=Dof.UPRIGHT, description="5: the camera does not roll; 6: roll is estimated too")
+    prior: PriorIn | None = None
+    gravity: Vector3 | None = Field(default=None, description="the direction of gravity (down) in the camera frame")
+    deadline_ms: float | None = Field(default=None, gt=0, le=600_000, description="how long the answer may take")
+
+
+class FeaturesIn(_In):
+    """The features of one frame, as the map's own extractor finds them: one entry of each list per feature."""
+
+    pixels: list[tuple[float, float]] = Field(description="u and v of each feature, px")
+    descriptors: list[str] | str = Field(
+        description="one string of hex digits per feature, or all descriptors in a row as one base64 string"
+    )
+    channels: list[int | str] | None = Field(
+        default=None,
+        description="each feature's channel by number or name: "
+        + ", ".join(f"{channel.value} {channel.name}" for channel in Channel)
+        + ". May be left out where the map has one channel only.",
+    )
+    sizes_px: list[float] | None = Field(default=None, description="the diameter of each described patch, px")
+    angles_deg: list[float] | None = Field(
+        default=None, description="each patch's orientation, degrees clockwise from +u"
+    )
+
+
+class DescriptorQuery(LocalizeOptions):
+    """A frame by its features alone: the picture stays with the robot."""
+
+    model_config = ConfigDict(
+        extra="forbid",
+        frozen=True,
+        json_schema_extra={
+            "example": {
+                "camera": _CAMERA,
+                "features": {
+                    "pixels": [[100.5, 80.25], [320.0, 200.75]],
+                    "channels": ["L", "L"],
+                    "descriptors": ["9f" * 32, "0a" * 32],
+                    "sizes_px": [31.0, 31.0],
+                    "angles_deg": [12.5, 270.0],
+                },
+                "dof": 6,
+            }
+        },
+    )
+
+    features: FeaturesIn
+
+
+class PoseOut(_Out):
+    """A pose in the map frame (right-handed, z up)."""
+
+    position: list[float] = Field(description="the camera's centre: x, y, z in m")
+    heading: list[float] = Field(description="the optical axis, unit length")
+    roll_deg: float = Field(description="the rotation about the heading against the upright camera")
+    quaternion_xyzw: list[float] = Field(description="R_map_camera as x, y, z, w")
+    T_map_camera: list[list[float]] = Field(description="4×4, takes points of the camera frame to the map frame")
+
+
+class LocalizationOut(_Out):
+    """The answer for one frame. ``localized`` false is an answer, not an error."""
+
+    model_config = ConfigDict(
+        frozen=True,
+        json_schema_extra={
+            "example": {
+                "localized": True,
+                "reason": None,
+                "pose": {
+                    "position": [1.203, 0.412, 1.498],
+                    "heading": [1.0, 0.0, 0.0],
+                    "roll_deg": 0.0,
+                    "quaternion_xyzw": [-0.5, 0.5, -0.5, 0.5],
+                    "T_map_camera": [[0, 0, 1, 1.203], [-1, 0, 0, 0.412], [0, -1, 0, 1.498], [0, 0, 0, 1]],
+                },
+                "covariance": [[1e-4 if row == column else 0.0 for column in range(6)] for row in range(6)],
+                "confidence": 0.97,
+                "matches": 412,
+                "inliers": 164,
+                "map": "testsite",
+                "map_id": _MAP_ID,
+                "map_version": 1,
+                "scale": "metric",
+                "timings_ms": {
+                    "queue": 0.1, "decode": 2.1, "extract": 11.0, "match": 9.5, "seed": 14.2, "ascend": 20.3,
+                    "verify": 1.7, "total": 59.4,
+                },
+            }
+        },
+    )  # fmt: skip
+
+    localized: bool
+    reason: Reason | None = Field(description="why there is no pose, else null")
+    pose: PoseOut | None
+    covariance: list[list[float]] | None = Field(
+        description="6×6, of x, y, z in m and of a small rotation about the map's x, y, z axes in degrees"
+    )
+    confidence: float = Field(description="0..1, the probability that the pose is within 10 cm and 5°")
+    matches: int
+    inliers: int
+    map: str
+    map_id: str
+    map_version: int
+    scale: Scale = Field(description="'arbitrary': the map's unit of length is not the metre")
+    timings_ms: dict[str, float] = Field(
+        description="queue, decode, extract, match, seed, ascend, verify, total: milliseconds"
+    )
+
+
+_SUMMARY: JsonDict = {
+    "name": "testsite",
+    "id": _MAP_ID,
+    "version": 1,
+    "density": "ray",
+    "features": "gray",
+    "scale": "metric",
+    "upright": True,
+    "created": "2026-01-05T10:00:00Z",
+    "landmarks": 5120,
+    "views": 60,
+    "size_bytes": 480_000,
+    "camera": _CAMERA,
+}
+
+
+class MapSummary(_Out):
+    """A map in a list."""
+
+    model_config = ConfigDict(frozen=True, json_schema_extra={"example": _SUMMARY})
+
+    name: str
+    id: str = Field(description="unique for each built map")
+    version: int
+    density: DensityKind
+    features: str = Field(description="the extractor's name")
+    scale: Scale
+    upright: bool = Field(description="whether z points up")
+    created: str = Field(description="ISO 8601, UTC")
+    landmarks: int = Field(description="how many features it holds")
+    views: int = Field(description="how many keyframes it was seen from")
+    size_bytes: int
+    camera: CameraIn
+
+
+class MapDetail(MapSummary):
+    """A map with where it comes from and where it lies."""
+
+    model_config = ConfigDict(
+        frozen=True,
+        json_schema_extra={
+            "example": {
+                **_SUMMARY,
+                "sources": [{"name": "walk-1", "frames": 900}],
+                "waypoints": [{"name": "W1", "position": [0.0, 0.0, 1.5], "residual_m": 0.01}],
+                "bounds_m": [[-1.0, -2.0, 0.0], [5.0, 3.0, 2.8]],
+            }
+        },
+    )
+
+    sources: list[dict[str, Any]]
+    waypoints: list[dict[str, Any]]
+    bounds_m: list[list[float]] | None = Field(description="the lowest and the highest x, y, z of its landmarks")
+
+
+class MapList(_Out):
+    """All maps that are served, by name; a file that cannot be read is named apart."""
+
+    model_config = ConfigDict(frozen=True, json_schema_extra={"example": {"maps": [_SUMMARY], "unreadable": {}}})
+
+    maps: list[MapSummary]
+    unreadable: dict[str, str] = Field(description="names of map files that cannot be read, and why")
+
+
+class MapPatch(_In):
+    """What may be changed of a map: its name."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, json_schema_extra={"example": {"name": "ground-floor"}})
+
+    name: str
+
+
+class MapReport(_Out):
+    """What the map found out about itself while it was built."""
+
+    model_config = ConfigDict(
+        frozen=True,
+        json_schema_extra={
+            "example": {
+                "map": "testsite",
+                "map_id": _MAP_ID,
+                "map_version": 1,
+                "report": {"held_out": 20, "median_cm": 1.4},
+            }
+        },
+    )
+
+    map: str
+    map_id: str
+    map_version: int
+    report: dict[str, Any]
+
+
+class JobError(_Out):
+    """Why a job failed."""
+
+    code: str
+    message: str
+    hint: str
+
+
+_JOB: JsonDict = {
+    "id": _JOB_ID,
+    "recording": _RECORDING_ID,
+    "map": "testsite",
+    "state": "running",
+    "stage": "poses",
+    "progress": 0.42,
+    "message": "31 of 60 keyframes placed",
+    "log": ["60 keyframes chosen"],
+    "error": None,
+    "created": 1767607200.0,
+    "started": 1767607201.5,
+    "ended": None,
+    "attempts": 1,
+}
+
+
+class JobOut(_Out):
+    """A mapping job."""
+
+    model_config = ConfigDict(frozen=True, json_schema_extra={"example": _JOB})
+
+    id: str
+    recording: str = Field(description="the recording's id")
+    map: str = Field(description="the name of the map that it publishes")
+    state: JobState
+    stage: Stage
+    progress: float = Field(description="0..1 over all stages")
+    message: str
+    log: list[str]
+    error: JobError | None
+    created: float = Field(description="s since the epoch")
+    started: float | None
+    ended: float | None
+    attempts: int
+
+
+class JobList(_Out):
+    """All jobs, the newest first."""
+
+    model_config = ConfigDict(frozen=True, json_schema_extra={"example": {"jobs": [_JOB]}})
+
+    jobs: list[JobOut]
+
+
+class RecordingAccepted(_Out):
+    """An upload that is complete, and the mapping job that it started."""
+
+    model_config = ConfigDict(
+        frozen=True, json_schema_extra={"example": {"recording": _RECORDING_ID, "job": {**_JOB, "state": "queued"}}}
+    )
+
+    recording: str = Field(description="the recording's id")
+    job: JobOut
+
+
+class Health(_Out):
+    """The process answers."""
+
+    model_config = ConfigDict(frozen=True, json_schema_extra={"example": {"status": "ok", "version": "0.1.0"}})
+
+    status: str
+    version: str
+
+
+class Readiness(_Out):
+    """Whether the service can do its work, and what stands in the way."""
+
+    model_config = ConfigDict(
+        frozen=True, json_schema_extra={"example": {"ready": False, "checks": {"maps": "ok", "jobs": "not running"}}}
+    )
+
+    ready: bool
+    checks: dict[str, str] = Field(description="'ok', or what is not ready")

@@ -1,0 +1,42 @@
+"""The settings of the service, each an environment variable with the prefix ``RHOLOC_``."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from pydantic import Field
+from pydantic_settings import BaseSettings, SettingsConfigDict
+
+
+class Settings(BaseSettings):
+    """How one process of the service runs. ``RHOLOC_PORT=80`` sets ``port``."""
+
+    model_config = SettingsConfigDict(env_prefix="RHOLOC_", frozen=True, extra="ignore")
+
+    maps_dir: Path = Field(default=Path("maps"), description="The folder of the maps that are served.")
+    data_dir: Path = Field(
+        default=Path(".rholoc"), description="The folder of recordings, jobs and unfinished uploads."
+    )
+    host: str = Field(default="127.0.0.1", description="The address that the server listens on.")
+    port: int = Field(
+        default=8080, ge=0, le=65535, description="The port that the server listens on; 0 takes a free one."
+    )
+    worker: bool = Field(default=True, description="Whether this process also works on mapping jobs.")
+    concurrency: int = Field(
+        default_factory=lambda: os.cpu_count() or 1,
+        ge=1,
+        description="How many frames are localized at the same time; default: the number of cores.",
+    )
+    queue_length: int = Field(
+        default=16, ge=0, description="How many more frames may wait; beyond, the answer is `busy`."
+    )
+    min_confidence: float = Field(default=0.5, ge=0, le=1, description="Poses of lower confidence are not given out.")
+    default_deadline_ms: float = Field(default=5000, gt=0, description="The deadline of requests that name none.")
+    max_image_pixels: int = Field(default=50_000_000, ge=1, description="The most pixels an image may claim to have.")
+    max_features: int = Field(default=20_000, ge=1, description="The most features a descriptor set may hold.")
+    max_request_bytes: int = Field(default=32 * 2**20, ge=1, description="The largest body of a localization request.")
+    max_upload_bytes: int = Field(default=4 * 2**30, ge=1, description="The largest upload of a map or a recording.")
+    max_upload_files: int = Field(
+        default=20_000, ge=1, description="The most files one upload of a recording may hold."
+    )

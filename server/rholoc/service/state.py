@@ -1,0 +1,34 @@
+"""What the routes share."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated
+
+from fastapi import Depends, Request
+
+from rholoc.jobs import JobQueue, RecordingStore
+from rholoc.maps import MapLibrary
+from rholoc.service.compute import ComputePool
+from rholoc.service.localizers import Localizers
+from rholoc.service.settings import Settings
+
+
+@dataclass(frozen=True)
+class State:
+    """The parts of one running service."""
+
+    settings: Settings
+    library: MapLibrary
+    localizers: Localizers
+    compute: ComputePool
+    recordings: RecordingStore
+    jobs: JobQueue
+
+
+def _state(request: Request) -> State:
+    state: State = request.app.state.rholoc
+    return state
+
+
+Service = Annotated[State, Depends(_state)]
