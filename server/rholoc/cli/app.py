@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 from rholoc import __version__
-from rholoc.cli import evaluate, localize, maps, serve
+from rholoc.cli import demo, evaluate, localize, maps, serve, simulate
 from rholoc.cli.console import print_error
 from rholoc.errors import RholocError
 
@@ -26,8 +26,10 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
+app.command()(demo.demo)
 app.command()(serve.serve)
 app.command()(serve.worker)
+app.command()(simulate.simulate)
 app.add_typer(maps.app, name="map")
 app.command()(localize.localize)
 app.command()(evaluate.evaluate)

@@ -3,16 +3,28 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+import time
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import typer
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    ProgressColumn,
+    SpinnerColumn,
+    TextColumn,
+    TimeElapsedColumn,
+)
 from rich.table import Table
 
 from rholoc.progress import ProgressListener, Stage
+
+if TYPE_CHECKING:
+    from rholoc_client import Job
 
 output = Console(highlight=False)
 notices = Console(stderr=True, highlight=False)
@@ -46,17 +58,7 @@ def print_figures(title: str, figures: Mapping[str, str]) -> None:
 @contextmanager
 def stage_progress() -> Iterator[ProgressListener]:
     """A bar that shows the stages of mapping; nothing where standard error is no terminal."""
-    with Progress(
-        SpinnerColumn(),
-        TextColumn("{task.fields[stage]:<12}"),
-        BarColumn(),
-        TextColumn("{task.percentage:>3.0f} %"),
-        TimeElapsedColumn(),
-        TextColumn("{task.fields[message]}", markup=False),
-        console=notices,
-        transient=True,
-        disable=not notices.is_terminal,
-    ) as progress:
+    with _progress("{task.fields[stage]:<12}") as progress:
         task = progress.add_task("", total=1.0, stage="", message="")
 
         def listen(stage: Stage, fraction: float, message: str = "") -> None:
@@ -66,16 +68,47 @@ def stage_progress() -> Iterator[ProgressListener]:
 
 
 @contextmanager
-def frame_progress(what: str, total: int) -> Iterator[Progress]:
-    """A bar that counts frames: ``progress.advance(task)`` with the only task, 0; nothing where no terminal is."""
-    with Progress(
-        TextColumn("{task.description}"),
+def job_progress() -> Iterator[Callable[[Job], None]]:
+    """A bar that shows how far a mapping job is, and a line for each stage as it begins."""
+    with _progress("mapping, {task.fields[stage]:<12}") as progress:
+        task = progress.add_task("", total=1.0, stage="", message="")
+        start_s = time.monotonic()
+        seen: list[str] = []
+
+        def look(job: Job) -> None:
+            if job.stage not in seen:
+                seen.append(job.stage)
+                print_notice(f"mapping: {time.monotonic() - start_s:5.1f} s  {job.stage}")
+            progress.update(task, completed=job.progress, stage=job.stage, message=job.message)
+
+        yield look
+
+
+@contextmanager
+def fraction_progress(what: str) -> Iterator[Callable[[float], None]]:
+    """A bar for work that tells its fraction 0..1; nothing where standard error is no terminal."""
+    with _progress("{task.description}") as progress:
+        task = progress.add_task(what, total=1.0, message="")
+        yield lambda fraction: progress.update(task, completed=fraction)
+
+
+@contextmanager
+def frame_progress(what: str, total: int) -> Iterator[Callable[[], None]]:
+    """A bar that counts frames, one a call; nothing where standard error is no terminal."""
+    with _progress("{task.description}", MofNCompleteColumn()) as progress:
+        task = progress.add_task(what, total=total, message="")
+        yield lambda: progress.advance(task)
+
+
+def _progress(description: str, *columns: ProgressColumn) -> Progress:
+    return Progress(
+        SpinnerColumn(),
+        TextColumn(description),
         BarColumn(),
-        MofNCompleteColumn(),
+        *(columns or (TextColumn("{task.percentage:>3.0f} %"),)),
         TimeElapsedColumn(),
+        TextColumn("{task.fields[message]}", markup=False),
         console=notices,
         transient=True,
         disable=not notices.is_terminal,
-    ) as progress:
-        progress.add_task(what, total=total)
-        yield progress
+    )

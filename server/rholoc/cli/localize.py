@@ -17,6 +17,7 @@ from rholoc.cli.console import frame_progress, print_figures, print_json, print_
 from rholoc.errors import InvalidCamera, InvalidInput
 
 if TYPE_CHECKING:
+    import rholoc_client
     from rholoc.geometry import ByteArray, Camera
     from rholoc.localization import Dof, Localization, Localizer
     from rholoc.maps import MapInfo
@@ -57,13 +58,13 @@ def localize(
     localizer = Localizer(map_, min_confidence)
     count = len(recording.frames.times)
     start_s = time.perf_counter()
-    with frame_progress("localizing", count) as progress:
+    with frame_progress("localizing", count) as advance:
         answers = []
         for answer in _localize_frames(localizer, recording.frames, used_camera, Dof(dof)):
             answers.append(answer)
-            progress.advance(progress.task_ids[0])
+            advance()
     duration_s = time.perf_counter() - start_s
-    write_trajectory_csv(out, _table(recording.frames, answers))
+    write_trajectory_csv(out, trajectory_table(recording.frames, range(count), answers))
     figures = {
         "frames": count,
         "localized": sum(answer.localized for answer in answers),
@@ -103,18 +104,19 @@ def _localize_frames(localizer: Localizer, frames: FrameSource, camera: Camera, 
             yield from pool.map(answer, batch)
 
 
-def _table(frames: FrameSource, answers: Sequence[Localization]) -> TrajectoryTable:
-    """The poses there are, as Table 6."""
+def trajectory_table(
+    frames: FrameSource, rows: Sequence[int], answers: Sequence[Localization | rholoc_client.Localization]
+) -> TrajectoryTable:
+    """The poses that were found for some rows of the frames, as Table 6."""
     from rholoc.maps.trajectory_table import TrajectoryTable
 
-    placed = [
-        (row, answer, answer.pose) for row, answer in enumerate(answers) if answer.localized and answer.pose is not None
-    ]
-    rows = np.array([row for row, _, _ in placed], dtype=np.int64)
+    placed = [(row, answer, answer.pose) for row, answer in zip(rows, answers, strict=True) if answer.localized]
+    kept = np.array([row for row, _, _ in placed], dtype=np.int64)
+    poses = [pose.T_map_camera for _, _, pose in placed if pose is not None]
     return TrajectoryTable(
-        times=frames.times[rows],
-        frames=frames.numbers[rows],
-        T_map_camera=np.reshape([pose.T_map_camera for _, _, pose in placed], (-1, 4, 4)),
+        times=frames.times[kept],
+        frames=frames.numbers[kept],
+        T_map_camera=np.reshape(np.asarray(poses, dtype=np.float64), (-1, 4, 4)),
         confidences=np.array([answer.confidence for _, answer, _ in placed]),
         inliers=np.array([answer.inliers for _, answer, _ in placed], dtype=np.int64),
     )

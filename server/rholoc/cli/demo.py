@@ -1,0 +1,214 @@
+"""``rholoc demo``: the whole path on simulated recordings, over HTTP, through the server's own worker."""
+
+from __future__ import annotations
+
+import shutil
+import signal
+import time
+import webbrowser
+from contextlib import suppress
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import numpy as np
+import typer
+
+from rholoc.cli.console import (
+    fraction_progress,
+    frame_progress,
+    job_progress,
+    print_figures,
+    print_json,
+    print_notice,
+)
+from rholoc.cli.evaluate import evaluation_rows
+from rholoc.cli.localize import trajectory_table
+from rholoc.cli.server_process import RunningServer, running_server
+from rholoc.cli.simulate import Seed
+from rholoc.errors import RholocError
+
+if TYPE_CHECKING:
+    from rholoc.evaluation import Evaluation
+    from rholoc.maps.trajectory_table import TrajectoryTable
+    from rholoc_client import Client
+
+MAP_NAME = "testsite"
+_JPEG_QUALITY = 95
+
+
+@dataclass(frozen=True)
+class _Files:
+    """What the demo leaves in its folder."""
+
+    folder: Path
+
+    @property
+    def recordings(self) -> Path:
+        return self.folder / "recordings"
+
+    @property
+    def truth(self) -> Path:
+        """True poses, apart from the recordings: what is uploaded holds none."""
+        return self.folder / "truth"
+
+    @property
+    def maps(self) -> Path:
+        return self.folder / "maps"
+
+    @property
+    def data(self) -> Path:
+        return self.folder / "data"
+
+    @property
+    def log(self) -> Path:
+        return self.folder / "server.log"
+
+    @property
+    def trajectory(self) -> Path:
+        return self.folder / "trajectory.csv"
+
+    @property
+    def top_view(self) -> Path:
+        return self.folder / "top_view.png"
+
+    def clear(self) -> None:
+        """Remove what an earlier demo left, and nothing else."""
+        for folder in (self.recordings, self.truth, self.maps, self.data):
+            shutil.rmtree(folder, ignore_errors=True)
+            folder.mkdir(parents=True)
+        for file in (self.log, self.trajectory, self.top_view):
+            file.unlink(missing_ok=True)
+
+
+def demo(
+    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Where everything goes.")] = Path("demo-output"),
+    seconds: Annotated[float, typer.Option(min=5, max=120, help="The length of each walk.")] = 30.0,
+    every: Annotated[int, typer.Option(min=1, help="Localize every so many frames of the second walk.")] = 3,
+    seed: Seed = 0,
+    leave_open: Annotated[
+        bool, typer.Option("--open", help="Leave the server running and open its pages, until Ctrl-C.")
+    ] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the figures as JSON.")] = False,
+) -> None:
+    """Simulate two walks, map the first through the server, localize the second over HTTP, print the errors."""
+    from rholoc_client import Client, RholocClientError
+
+    start_s = time.perf_counter()
+    files = _Files(out)
+    files.clear()
+    first, second = (_simulate(files, number, seconds, seed) for number in (1, 2))
+    with running_server(files.maps, files.data, files.log) as server:
+        try:
+            with Client(server.url, timeout_s=60.0) as client:
+                build_s = _map(client, first)
+                table, frame_ms = _localize(client, second, every)
+        except RholocClientError as error:
+            raise RholocError(str(error), f"The server's log is {files.log}.") from error
+        figures = _figures(files, table, every, frame_ms, build_s, start_s)
+        _print(figures, files, as_json)
+        if leave_open:
+            _stay(server)
+
+
+def _simulate(files: _Files, number: int, seconds: float, seed: int) -> Path:
+    """Write the recording of a walk; returns its folder, which does not hold the truth."""
+    from rholoc.simulation import simulate_recording
+
+    folder = files.recordings / f"walk-{number}"
+    with fraction_progress(f"simulating walk {number}") as progress:
+        recording = simulate_recording(folder, walk=number, seconds=seconds, seed=seed, progress=progress)
+    recording.truth.rename(files.truth / f"{folder.name}.csv")
+    print_notice(f"simulated walk {number}: {len(recording.times)} frames, IMU, waypoints")
+    return folder
+
+
+def _map(client: Client, recording: Path) -> float:
+    """Upload a recording and wait until its map is published; returns how many seconds that took."""
+    start_s = time.perf_counter()
+    job = client.upload_recording(recording, MAP_NAME)
+    with job_progress() as progress:
+        client.wait_for_job(job.id, poll_s=0.5, progress=progress)
+    return time.perf_counter() - start_s
+
+
+def _localize(client: Client, recording: Path, every: int) -> tuple[TrajectoryTable, list[float]]:
+    """Localize every ``every``-th frame over HTTP; returns the trajectory and each request's milliseconds."""
+    import cv2
+
+    from rholoc.recordings import read_recording
+    from rholoc_client import Camera
+
+    walk = read_recording(recording)
+    assert walk.camera is not None
+    camera = Camera(walk.camera.fx, walk.camera.fy, walk.camera.cx, walk.camera.cy, walk.camera.distortion)
+    rows = range(0, len(walk.frames.times), every)
+    answers, frame_ms = [], []
+    with frame_progress("localizing walk 2", len(rows)) as advance:
+        for image in walk.frames.images(rows):
+            _, jpeg = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
+            start_s = time.perf_counter()
+            answers.append(client.localize(MAP_NAME, jpeg.tobytes(), camera=camera))
+            frame_ms.append(1000 * (time.perf_counter() - start_s))
+            advance()
+    return trajectory_table(walk.frames, rows, answers), frame_ms
+
+
+@dataclass(frozen=True)
+class _Figures:
+    evaluation: Evaluation
+    median_ms: float
+    map_bytes: int
+    landmarks: int
+    build_s: float
+    total_s: float
+
+
+def _figures(
+    files: _Files, table: TrajectoryTable, every: int, frame_ms: list[float], build_s: float, start_s: float
+) -> _Figures:
+    """Compare with the truth, and write the trajectory and the top view."""
+    from rholoc.evaluation import evaluate, pair_poses, read_frame_poses, trajectory_errors
+    from rholoc.evaluation.plots import plot_top_view, save_figure
+    from rholoc.maps import load_map
+    from rholoc.maps.trajectory_table import write_trajectory_csv
+
+    write_trajectory_csv(files.trajectory, table)
+    truth = read_frame_poses(files.truth / "walk-2.csv")
+    pairs = pair_poses(read_frame_poses(files.trajectory), truth, slice(0, None, every))
+    evaluation = evaluate(trajectory_errors(pairs.estimated, pairs.truth))
+    map_file = files.maps / f"{MAP_NAME}.rho"
+    map_ = load_map(map_file)
+    waypoints = [(str(point["name"]), np.asarray(point["position"])) for point in map_.info.waypoints]
+    title = "Walk 2, localized in the map of walk 1"
+    save_figure(plot_top_view(pairs.estimated, pairs.truth, map_.landmarks, waypoints, title), files.top_view)
+    return _Figures(
+        evaluation,
+        float(np.median(frame_ms)),
+        map_file.stat().st_size,
+        len(map_),
+        build_s,
+        time.perf_counter() - start_s,
+    )
+
+
+def _print(figures: _Figures, files: _Files, as_json: bool) -> None:
+    if as_json:
+        rest = {name: round(value, 1) for name, value in asdict(figures).items() if name != "evaluation"}
+        print_json(figures.evaluation.as_dict() | rest)
+        return
+    rows = evaluation_rows(figures.evaluation) | {
+        "time a frame": f"{figures.median_ms:.0f} ms (median, over HTTP)",
+        "map": f"{figures.map_bytes / 1000:.0f} kB, {figures.landmarks} landmarks, built in {figures.build_s:.0f} s",
+        "whole demo": f"{figures.total_s:.0f} s",
+    }
+    print_figures("[bold]Walk 2, localized in the map of walk 1[/bold]", rows)
+    print_notice(f"The trajectory is in {files.trajectory}, the picture in {files.top_view}.")
+
+
+def _stay(server: RunningServer) -> None:
+    """Leave the server running until Ctrl-C."""
+    print_notice(f"The server stays at {server.url} (the API: {server.url}/docs). Ctrl-C ends it.")
+    webbrowser.open(f"{server.url}/docs")
+    with suppress(KeyboardInterrupt):
+        signal.pause()

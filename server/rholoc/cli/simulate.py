@@ -1,0 +1,26 @@
+"""``rholoc simulate``: a phone's recording of a walk that never was."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from rholoc.cli.console import fraction_progress, print_notice
+from rholoc.simulation import Light, simulate_recording
+
+Seed = Annotated[int, typer.Option(min=0, help="Another seed is another room; the same one the same recording.")]
+
+
+def simulate(
+    out: Annotated[Path, typer.Argument(metavar="OUT", help="The folder to write the recording to.")],
+    light: Annotated[Light, typer.Option(help="How the room is lit.")] = Light.ARTIFICIAL,
+    seconds: Annotated[float, typer.Option(min=1, max=600, help="The recording's length.")] = 30.0,
+    seed: Seed = 0,
+    walk: Annotated[int, typer.Option(min=1, help="Which walk through the room; all share one map frame.")] = 1,
+) -> None:
+    """Simulate a walk through the test site: video, IMU, waypoints, and the true poses in truth.csv."""
+    with fraction_progress(f"walk {walk}") as progress:
+        recording = simulate_recording(out, walk=walk, light=light, seconds=seconds, seed=seed, progress=progress)
+    print_notice(f"{len(recording.times)} frames in {out}; their true poses are in {recording.truth}.")
