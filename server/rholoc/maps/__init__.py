@@ -1,8 +1,11 @@
 """The map, its file formats, the library of maps on disk."""
 
+from rholoc.maps.export import landmark_sigmas, map_to_ply, map_to_vtp, preview_png
 from rholoc.maps.library import MapLibrary, MapStat, check_map_name
 from rholoc.maps.map import DensityKind, Map, MapInfo
 from rholoc.maps.rho_file import load_map, map_to_bytes, save_map
+from rholoc.maps.tables import ObservationTable, observations_csv
+from rholoc.maps.trajectory_table import TrajectoryTable, read_trajectory_csv, trajectory_csv, write_trajectory_csv
 from rholoc.maps.validation import validate_map
 
 __all__ = [
@@ -11,9 +14,19 @@ __all__ = [
     "MapInfo",
     "MapLibrary",
     "MapStat",
+    "ObservationTable",
+    "TrajectoryTable",
     "check_map_name",
+    "landmark_sigmas",
     "load_map",
     "map_to_bytes",
+    "map_to_ply",
+    "map_to_vtp",
+    "observations_csv",
+    "preview_png",
+    "read_trajectory_csv",
     "save_map",
+    "trajectory_csv",
     "validate_map",
+    "write_trajectory_csv",
 ]

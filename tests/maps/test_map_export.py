@@ -1,0 +1,81 @@
+"""PLY, VTP and the picture from above."""
+
+from __future__ import annotations
+
+import io
+from dataclasses import replace
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from rholoc.maps import Map, landmark_sigmas, map_to_ply, map_to_vtp, preview_png
+
+
+def numbers(element: ElementTree.Element | None) -> np.ndarray:
+    assert element is not None
+    return np.array((element.text or "").split(), dtype=float)
+
+
+def test_ply_holds_landmarks_then_views(room_map: Map) -> None:
+    header, _, body = map_to_ply(room_map).decode().partition("end_header\n")
+    features, views = len(room_map), len(room_map.view_poses)
+    assert f"element vertex {features + views}\n" in header
+    assert f"element edge {views - 1}\n" in header
+    properties = [line.split()[-1] for line in header.splitlines() if line.startswith("property float")]
+    lines = body.splitlines()
+    assert len(lines) == features + views + views - 1
+    vertices = np.loadtxt(lines[: features + views])
+    np.testing.assert_allclose(vertices[:features, :3], room_map.landmarks, atol=1e-5)
+    sigma = vertices[:features, properties.index("sigma_m")]
+    np.testing.assert_allclose(sigma, landmark_sigmas(room_map), atol=1e-5)
+    np.testing.assert_allclose(vertices[features:, :3], room_map.view_poses[:, :3], atol=1e-5)
+    np.testing.assert_array_equal(np.loadtxt(lines[features + views :])[0], [features, features + 1])
+
+
+def test_vtp_holds_landmarks_and_the_path(room_map: Map) -> None:
+    landmarks, path = ElementTree.fromstring(map_to_vtp(room_map)).iter("Piece")
+    assert int(landmarks.attrib["NumberOfPoints"]) == int(landmarks.attrib["NumberOfVerts"]) == len(room_map)
+    assert int(path.attrib["NumberOfPoints"]) == len(room_map.view_poses)
+    points = numbers(landmarks.find("Points/DataArray")).reshape(-1, 3)
+    np.testing.assert_allclose(points, room_map.landmarks, atol=1e-5)
+    sigmas = numbers(landmarks.find("PointData/DataArray[@Name='sigma_m']"))
+    np.testing.assert_allclose(sigmas, landmark_sigmas(room_map), atol=1e-5)
+    connectivity = numbers(path.find("Lines/DataArray[@Name='connectivity']"))
+    np.testing.assert_array_equal(connectivity, np.arange(len(room_map.view_poses)))
+
+
+@pytest.mark.parametrize(("features", "views"), [(0, 0), (0, 1), (1, 0), (3, 1), (5, 2)])
+def test_small_maps_export(make_map, features: int, views: int) -> None:
+    map_ = make_map(features=features, views=views)
+    assert map_to_ply(map_).count(b"\n") > 5
+    pieces = list(ElementTree.fromstring(map_to_vtp(map_)).iter("Piece"))
+    assert [int(piece.attrib["NumberOfPoints"]) for piece in pieces] == [features, views]
+    assert Image.open(io.BytesIO(preview_png(map_))).size == (1200, 900)
+
+
+def test_sigma_is_the_root_mean_variance(room_map: Map) -> None:
+    covariances = np.zeros_like(room_map.covariances)
+    covariances[:, [0, 3, 5]] = (1e-4, 4e-4, 7e-4)
+    np.testing.assert_allclose(landmark_sigmas(replace(room_map, covariances=covariances)), 0.02, rtol=1e-6)
+
+
+def test_the_picture_shows_landmarks_path_and_waypoints(room_map: Map) -> None:
+    with_all = np.asarray(Image.open(io.BytesIO(preview_png(room_map, "room"))).convert("RGB")).astype(int)
+    marked = np.abs(with_all - (0xD1, 0x49, 0x5B)).sum(axis=2) < 12
+    without = replace(room_map, info=replace(room_map.info, waypoints=()))
+    bare = np.asarray(Image.open(io.BytesIO(preview_png(without, "room"))).convert("RGB")).astype(int)
+    assert marked.sum() > 100
+    assert (np.abs(bare - (0xD1, 0x49, 0x5B)).sum(axis=2) < 12).sum() == 0
+    assert (with_all.sum(axis=2) < 600).mean() > 0.005
+
+
+def test_one_far_landmark_does_not_shrink_the_picture(make_map) -> None:
+    map_ = make_map(features=400)
+    far = map_.landmarks.copy()
+    far[0] = (5000, 5000, 0)
+    plain, stretched = (
+        np.asarray(Image.open(io.BytesIO(preview_png(m))).convert("L")) for m in (map_, replace(map_, landmarks=far))
+    )
+    assert (stretched < 200).mean() > 0.7 * (plain < 200).mean()

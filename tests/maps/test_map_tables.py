@@ -1,0 +1,143 @@
+"""Tables 4 and 6 as CSV."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from rholoc.errors import InvalidInput, InvalidTrajectory
+from rholoc.geometry import Pose, pose_matrix
+from rholoc.maps import (
+    ObservationTable,
+    TrajectoryTable,
+    observations_csv,
+    read_trajectory_csv,
+    trajectory_csv,
+    write_trajectory_csv,
+)
+
+PAPER_HEADER = "timestamp,x,y,z,hx,hy,hz"
+
+
+def random_trajectory(n: int, seed: int = 0) -> TrajectoryTable:
+    rng = np.random.default_rng(seed)
+    R = Rotation.random(n, rng=rng).as_matrix() if n else np.zeros((0, 3, 3))
+    return TrajectoryTable(
+        times=np.arange(n) / 30,
+        frames=np.arange(n) * 2 + 100,
+        T_map_camera=pose_matrix(R, rng.normal(size=(n, 3))),
+        confidences=rng.uniform(size=n),
+        inliers=rng.integers(0, 300, n),
+    )
+
+
+@pytest.mark.parametrize("n", [0, 1, 25])
+def test_a_trajectory_comes_back(tmp_path: Path, n: int) -> None:
+    table = random_trajectory(n)
+    write_trajectory_csv(tmp_path / "t.csv", table)
+    back = read_trajectory_csv(tmp_path / "t.csv")
+    np.testing.assert_array_equal(back.frames, table.frames)
+    np.testing.assert_array_equal(back.inliers, table.inliers)
+    np.testing.assert_allclose(back.times, table.times, atol=1e-6)
+    np.testing.assert_allclose(back.T_map_camera, table.T_map_camera, atol=1e-5)
+    np.testing.assert_allclose(back.confidences, table.confidences, atol=1e-4)
+
+
+def test_table_6_has_the_papers_columns_first() -> None:
+    header, row = trajectory_csv(random_trajectory(1)).splitlines()
+    assert header == f"{PAPER_HEADER},frame,roll,qx,qy,qz,qw,confidence,inliers"
+    assert len(row.split(",")) == len(header.split(","))
+
+
+def test_directions_agree_with_the_pose() -> None:
+    table = random_trajectory(10)
+    for row, T in enumerate(table.T_map_camera):
+        pose = Pose(T)
+        np.testing.assert_allclose(table.headings[row], pose.heading)
+        np.testing.assert_allclose(table.positions[row], pose.position)
+        np.testing.assert_allclose(table.rolls[row], pose.roll)
+        np.testing.assert_allclose(table.quaternions_xyzw[row], pose.quaternion_xyzw)
+
+
+def test_the_papers_seven_columns_suffice(tmp_path: Path) -> None:
+    (tmp_path / "t.csv").write_text(f"{PAPER_HEADER}\n0.5,1,2,3,0,1,0\n")
+    table = read_trajectory_csv(tmp_path / "t.csv")
+    expected = Pose.from_heading(np.array([1.0, 2, 3]), np.array([0.0, 1, 0])).T_map_camera
+    np.testing.assert_allclose(table.T_map_camera[0], expected, atol=1e-12)
+    assert table.frames.tolist() == [-1]
+    assert np.isnan(table.confidences[0])
+
+
+def test_roll_without_quaternions_is_used(tmp_path: Path) -> None:
+    (tmp_path / "t.csv").write_text(f"{PAPER_HEADER},roll\n0.5,1,2,3,0,1,0,0.25\n")
+    np.testing.assert_allclose(read_trajectory_csv(tmp_path / "t.csv").rolls, [0.25])
+
+
+def test_columns_that_are_not_ours_are_left_alone(tmp_path: Path) -> None:
+    (tmp_path / "t.csv").write_text(f"note,{PAPER_HEADER}\nhello,0.5,1,2,3,0,1,0\n")
+    assert read_trajectory_csv(tmp_path / "t.csv").times.tolist() == [0.5]
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "timestamp,x,y,z\n0,1,2,3\n",
+        f"{PAPER_HEADER}\n0,1,2,3,0,1\n",
+        f"{PAPER_HEADER}\n0,1,2,three,0,1,0\n",
+        f"{PAPER_HEADER}\n0,1,2,nan,0,1,0\n",
+        f"{PAPER_HEADER}\n0,1,2,3,0,0,0\n",
+        f"{PAPER_HEADER}\n0,1,2,3,0,2,0\n",
+        f"{PAPER_HEADER},frame\n0,1,2,3,0,1,0,1.5\n",
+        f"{PAPER_HEADER},frame\n0,1,2,3,0,1,0,nan\n",
+        f"{PAPER_HEADER},roll\n0,1,2,3,0,1,0,inf\n",
+        f"{PAPER_HEADER},qx,qy,qz,qw\n0,1,2,3,0,1,0,0,0,0,0\n",
+        f"{PAPER_HEADER},qx,qy,qz,qw\n0,1,2,3,0,1,0,nan,0,0,1\n",
+    ],
+)
+def test_a_broken_trajectory_is_refused(tmp_path: Path, text: str) -> None:
+    (tmp_path / "t.csv").write_text(text)
+    with pytest.raises(InvalidTrajectory):
+        read_trajectory_csv(tmp_path / "t.csv")
+
+
+def test_a_trajectory_that_is_missing_or_not_text_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InvalidTrajectory):
+        read_trajectory_csv(tmp_path / "none.csv")
+    (tmp_path / "t.csv").write_bytes(b"\xff\xfe\x00\x01")
+    with pytest.raises(InvalidTrajectory):
+        read_trajectory_csv(tmp_path / "t.csv")
+
+
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
+@given(tail=st.text(max_size=80))
+def test_whatever_follows_the_header_gives_a_table_or_our_error(tmp_path: Path, tail: str) -> None:
+    (tmp_path / "t.csv").write_text(f"{PAPER_HEADER}\n{tail}", encoding="utf-8", errors="surrogatepass")
+    with suppress(InvalidTrajectory):
+        assert np.isfinite(read_trajectory_csv(tmp_path / "t.csv").T_map_camera).all()
+
+
+def test_a_trajectory_into_a_missing_folder_is_told(tmp_path: Path) -> None:
+    with pytest.raises(InvalidInput):
+        write_trajectory_csv(tmp_path / "none" / "t.csv", random_trajectory(1))
+
+
+def test_table_4_writes_channel_and_descriptor_as_hex() -> None:
+    table = ObservationTable(
+        channels=np.array([1, 16], np.uint8),
+        descriptors=np.array([[0, 255, 16], [1, 2, 3]], np.uint8),
+        pixels=np.array([[10.25, 20], [1, 2]], np.float32),
+        positions=np.array([[1, -2, 3.0], [0, 0, 0]]),
+        headings=np.array([[0, 1, 0.0], [1, 0, 0]]),
+    )
+    assert list(observations_csv(table)) == [
+        "descriptor,u,v,x,y,z,hx,hy,hz\n",
+        "0100ff10,10.25,20.00,1.0000,-2.0000,3.0000,0.000000,1.000000,0.000000\n",
+        "10010203,1.00,2.00,0.0000,0.0000,0.0000,1.000000,0.000000,0.000000\n",
+    ]
