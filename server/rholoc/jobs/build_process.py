@@ -24,6 +24,7 @@ _log = logging.getLogger("rholoc.jobs")
 
 _NICENESS = 10  # requests of localization come first
 _SEND_EVERY_S = 0.1
+_EXIT_TAKES_S = 0.05
 
 
 @dataclass(frozen=True)
@@ -89,32 +90,32 @@ def _follow(
 ) -> Failure | None:
     """Wait for the end, passing on progress."""
     while True:
-        progress, finished = _receive(connection, time.monotonic() + poll_s)
-        if progress is not None:
+        alive = process.is_alive()  # asked first: what a dead process had sent is received below
+        latest, finished = _receive(connection, time.monotonic() + poll_s)
+        for progress in latest:
             note(progress)
         if finished is not None:
             return finished.failure
-        if not process.is_alive() and not connection.poll():
+        if not alive:
             return _died(process)
         if not wanted():
             raise Cancelled("The job is not wanted any more.")
 
 
-def _receive(connection: Connection, until: float) -> tuple[Progress | None, Finished | None]:
-    """The latest progress that comes until the time given, or the end as soon as it comes."""
-    progress = None
-    while (left := until - time.monotonic()) > 0:
-        try:
-            if not connection.poll(left):
-                break
+def _receive(connection: Connection, until: float) -> tuple[list[Progress], Finished | None]:
+    """What comes until the time given, of each stage the latest; or until the end, as soon as it comes."""
+    latest: dict[Stage, Progress] = {}
+    try:
+        while connection.poll(max(0.0, until - time.monotonic())):
             message = connection.recv()
-        except (EOFError, OSError):
-            time.sleep(max(0.0, left) if left < _SEND_EVERY_S else _SEND_EVERY_S)
-            break
-        if isinstance(message, Finished):
-            return progress, message
-        progress = message
-    return progress, None
+            if isinstance(message, Finished):
+                return list(latest.values()), message
+            latest[message.stage] = message
+            if time.monotonic() > until:
+                break
+    except (EOFError, OSError):
+        time.sleep(_EXIT_TAKES_S)  # the process closed its end: it is about to be gone
+    return list(latest.values()), None
 
 
 def _died(process: SpawnProcess) -> Failure:

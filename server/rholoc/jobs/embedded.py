@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import logging
 import subprocess
@@ -30,6 +31,11 @@ class EmbeddedWorker:
         """Whether the child lives."""
         return self._process is not None and self._process.poll() is None
 
+    @property
+    def pid(self) -> int | None:
+        """The child's process id, None before the start."""
+        return None if self._process is None else self._process.pid
+
     def start(self) -> None:
         """Start the child."""
         self._process = self._spawn()
@@ -54,8 +60,9 @@ class EmbeddedWorker:
     def _spawn(self) -> subprocess.Popen[bytes]:
         process = subprocess.Popen([sys.executable, "-m", "rholoc.jobs"], stdin=subprocess.PIPE, start_new_session=True)
         assert process.stdin is not None
-        process.stdin.write(self._configuration)
-        process.stdin.flush()
+        with contextlib.suppress(BrokenPipeError):  # it died already: it is started again soon
+            process.stdin.write(self._configuration)
+            process.stdin.flush()
         return process
 
     def _keep_running(self) -> None:

@@ -79,13 +79,6 @@ class JobTable:
             rows = connection.execute(sa.select(jobs_table).order_by(jobs_table.c.created.desc())).mappings().all()
         return [_job(row) for row in rows]
 
-    def workflow(self, job_id: str) -> str:
-        """The id of the job's present workflow."""
-        with self._engine.connect() as connection:
-            return str(
-                connection.execute(sa.select(jobs_table.c.workflow_id).where(jobs_table.c.id == job_id)).scalar_one()
-            )
-
     # What users do
 
     def insert(self, connection: sa.Connection, job_id: str, work: JobWork, workflow: str) -> None:

@@ -1,0 +1,137 @@
+"""A pipeline that is quick, can be held at any point, and notes what it did. Run as a script it is a real worker."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import time
+import uuid
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from rholoc.errors import InvalidRecording
+from rholoc.geometry import Camera
+from rholoc.jobs import MappingPipeline, MappingTask, Timing, run_worker
+from rholoc.maps import DensityKind, Map, MapInfo, save_map
+from rholoc.progress import ProgressListener, Stage
+
+TIMING = Timing(poll_s=0.1, heartbeat_s=0.25, dead_after_s=1.5, cancel_grace_s=0.5)
+BUILD_STAGES = (Stage.READ, Stage.KEYFRAMES, Stage.POSES, Stage.REPORT)
+
+
+@dataclass(frozen=True)
+class Control:
+    """What a test and a worker tell each other through files in a folder."""
+
+    folder: Path
+
+    def hold(self, point: str) -> None:
+        """Let workers wait at the point."""
+        (self.folder / f"hold-{point}").touch()
+
+    def let_go(self, point: str) -> None:
+        """Let workers go on."""
+        (self.folder / f"hold-{point}").unlink()
+
+    def held(self, point: str) -> bool:
+        """Whether workers shall wait."""
+        return (self.folder / f"hold-{point}").exists()
+
+    def reach(self, point: str) -> None:
+        """Note that a worker is at the point."""
+        with (self.folder / "events").open("a", encoding="utf-8") as file:
+            file.write(f"{point}\n")
+
+    def count(self, point: str) -> int:
+        """How often workers were at the point."""
+        events = self.folder / "events"
+        return events.read_text(encoding="utf-8").split("\n").count(point) if events.exists() else 0
+
+    def processes(self) -> list[int]:
+        """The processes that built."""
+        events = (self.folder / "events").read_text(encoding="utf-8").split("\n")
+        return [int(event.split()[1]) for event in events if event.startswith("process ")]
+
+
+class FakePipeline(MappingPipeline):
+    """Builds a map of one feature; publishes as the real pipeline does."""
+
+    def __init__(self, control: Control) -> None:
+        self.control = control
+
+    def build(self, task: MappingTask, progress: ProgressListener) -> None:
+        if task.map_file.exists():
+            return
+        self.control.reach(f"process {os.getpid()}")
+        for stage in BUILD_STAGES:
+            progress(stage, 0.5, f"at {stage}")
+            self.control.reach(stage)
+            while self.control.held(stage):
+                progress(stage, 0.5, f"at {stage}")
+                time.sleep(0.02)
+            self._wait(f"deaf-{stage}")
+            self._obey(task.recording.read_bytes(), stage)
+        save_map(tiny_map(), task.map_file)
+        self.control.reach("built")
+        self._wait("built")
+
+    def publish(self, task: MappingTask) -> None:
+        self._wait("before-publishing")
+        target = task.maps_dir / f"{task.map_name}.rho"
+        before = target.stat().st_ino if target.exists() else None
+        super().publish(task)
+        if target.stat().st_ino != before:
+            self.control.reach("put")
+        self._wait("after-publishing")
+
+    def _wait(self, point: str) -> None:
+        if self.control.held(point):
+            self.control.reach(point)
+        while self.control.held(point):
+            time.sleep(0.02)
+
+    def _obey(self, recording: bytes, stage: Stage) -> None:
+        if recording == f"unreadable at {stage}".encode():
+            raise InvalidRecording("The video has no frames.", "Record it again.")
+        if recording == f"bug at {stage}".encode():
+            raise ZeroDivisionError("something\nwith lines")
+        if recording == f"crash at {stage}".encode():
+            os.kill(os.getpid(), signal.SIGKILL)
+        if recording == f"disk full at {stage}".encode():
+            raise OSError(28, "No space left on device")
+
+
+def tiny_map() -> Map:
+    """A valid map of one feature in one view."""
+    info = MapInfo(
+        id=uuid.uuid4().hex,
+        version=1,
+        density=DensityKind.RAY,
+        features="gray",
+        metric=True,
+        upright=True,
+        created="2025-01-01T00:00:00Z",
+        camera=Camera(width=640, height=480, fx=500.0, fy=500.0, cx=320.0, cy=240.0),
+    )
+    return Map(
+        info=info,
+        channels=np.zeros(1, np.uint8),
+        landmarks=np.ones((1, 3), np.float32),
+        covariances=np.array([[1, 0, 0, 1, 0, 1]], np.float32) * 1e-4,
+        descriptors=np.zeros((1, 32), np.uint8),
+        descriptor_features=np.zeros(1, np.int32),
+        view_times=np.zeros(1),
+        view_poses=np.array([[0, 0, 0, 0, 0, 0, 1]], np.float32),
+        view_offsets=np.array([0, 1], np.int32),
+        view_features=np.zeros(1, np.int32),
+    )
+
+
+if __name__ == "__main__":
+    data_dir, maps_dir, control_dir = map(Path, sys.argv[1:])
+    from fake_pipeline import FakePipeline as ImportablePipeline  # not of __main__, so that it can be pickled
+
+    run_worker(data_dir, maps_dir, pipeline=ImportablePipeline(Control(control_dir)), timing=TIMING)

@@ -1,0 +1,78 @@
+"""A place for jobs, with real workers in processes of their own."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from fake_pipeline import Control
+
+from rholoc.jobs import Job, JobQueue, JobState, RecordingStore
+
+_HERE = Path(__file__).parent
+_TIMEOUT_S = 60.0  # only a stuck test takes so long, or a busy machine
+
+
+class Site:
+    """A data folder, a map folder, the queue on them, and the workers that a test started."""
+
+    def __init__(self, folder: Path) -> None:
+        self.data_dir, self.maps_dir = folder / "data", folder / "maps"
+        control_dir = folder / "control"
+        control_dir.mkdir()
+        self.control = Control(control_dir)
+        self.recordings = RecordingStore(self.data_dir)
+        self.queue = JobQueue(self.data_dir)
+        self._workers: list[subprocess.Popen[bytes]] = []
+
+    def start_worker(self) -> subprocess.Popen[bytes]:
+        """A worker that makes tiny maps."""
+        arguments = [str(_HERE / "fake_pipeline.py"), str(self.data_dir), str(self.maps_dir), str(self.control.folder)]
+        worker = subprocess.Popen([sys.executable, *arguments])
+        self._workers.append(worker)
+        return worker
+
+    def submit(self, content: bytes = b"a walk", map_name: str = "room") -> Job:
+        """Upload a recording and queue its job."""
+        entry = self.recordings.create([("walk.mp4", [content])])
+        return self.queue.submit(entry.id, map_name)
+
+    def wait_for(self, job: Job, *states: JobState) -> Job:
+        """The job, once it is in one of the states."""
+        until(lambda: self.queue.get(job.id).state in states)
+        return self.queue.get(job.id)
+
+    def wait_at(self, point: str, times: int = 1) -> None:
+        """Wait until workers have been at a point of the pipeline."""
+        until(lambda: self.control.count(point) >= times)
+
+    def close(self) -> None:
+        """End what was started."""
+        for point in list(self.control.folder.glob("hold-*")):
+            point.unlink()
+        for worker in self._workers:
+            worker.send_signal(signal.SIGTERM)
+        for worker in self._workers:
+            worker.wait(_TIMEOUT_S)
+        self.queue.close()
+
+
+def until(condition: Callable[[], bool]) -> None:
+    """Wait for a condition."""
+    deadline = time.monotonic() + _TIMEOUT_S
+    while not condition():
+        assert time.monotonic() < deadline, "it did not happen in time"
+        time.sleep(0.03)
+
+
+def alive(pid: int) -> bool:
+    """Whether the process runs; one that nobody waited for is dead all the same."""
+    try:
+        status = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8")
+    except FileNotFoundError:
+        return False
+    return status.rsplit(")", 1)[1].split()[0] != "Z"

@@ -1,0 +1,65 @@
+"""Workers that are killed: the next one finishes their jobs, and publishes once."""
+
+from __future__ import annotations
+
+import os
+import signal
+from typing import TYPE_CHECKING
+
+import pytest
+from job_site import alive, until
+
+from rholoc.jobs import JobState
+from rholoc.maps import MapLibrary
+
+if TYPE_CHECKING:
+    from job_site import Site
+
+
+@pytest.mark.parametrize(
+    ("point", "builds"),
+    [("read", 2), ("deaf-poses", 2), ("built", 1), ("before-publishing", 1), ("after-publishing", 1)],
+)
+def test_the_next_worker_finishes_a_killed_workers_job(site: Site, point: str, builds: int) -> None:
+    site.control.hold(point)
+    first = site.start_worker()
+    job = site.submit()
+    site.wait_at(point)
+    first.kill()
+    first.wait()
+    until(lambda: not any(alive(pid) for pid in site.control.processes()))
+    site.control.let_go(point)
+    site.start_worker()
+    done = site.wait_for(job, JobState.PUBLISHED, JobState.FAILED)
+    assert (done.state, done.attempts) == (JobState.PUBLISHED, 2)
+    assert site.control.count("read") == builds
+    assert site.control.count("put") == 1
+    assert MapLibrary(site.maps_dir).names() == ["room"]
+
+
+def test_two_workers_share_the_queue_and_one_takes_over_from_the_other(site: Site) -> None:
+    site.control.hold("poses")
+    workers = [site.start_worker(), site.start_worker()]
+    jobs = [site.submit(map_name=f"room-{number}") for number in range(2)]
+    site.wait_at("poses", 2)
+    assert [site.queue.get(job.id).state for job in jobs] == [JobState.RUNNING] * 2
+    os.kill(workers[0].pid, signal.SIGKILL)
+    site.control.let_go("poses")
+    done = [site.wait_for(job, JobState.PUBLISHED, JobState.FAILED) for job in jobs]
+    assert [job.state for job in done] == [JobState.PUBLISHED] * 2
+    assert sorted(job.attempts for job in done) == [1, 2]
+    assert site.control.count("put") == 2
+
+
+def test_a_stopped_worker_gives_its_job_back_at_once(site: Site) -> None:
+    site.control.hold("poses")
+    first = site.start_worker()
+    job = site.submit()
+    site.wait_at("poses")
+    first.terminate()
+    assert first.wait(10) == 0
+    assert site.queue.get(job.id).state is JobState.QUEUED
+    site.control.let_go("poses")
+    site.start_worker()
+    assert site.wait_for(job, JobState.PUBLISHED, JobState.FAILED).attempts == 2
+    assert site.control.count("put") == 1
