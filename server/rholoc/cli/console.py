@@ -20,6 +20,7 @@ from rich.progress import (
     TimeElapsedColumn,
 )
 from rich.table import Table
+from rich.text import Text
 
 from rholoc.progress import ProgressListener, Stage
 
@@ -46,12 +47,13 @@ def print_notice(text: str) -> None:
 
 
 def print_figures(title: str, figures: Mapping[str, str]) -> None:
-    """Print a two-column table of names and figures."""
-    table = Table(title=title, title_justify="left", show_header=False, box=None, pad_edge=False)
+    """Print a title line and a two-column table of names and figures."""
+    table = Table(show_header=False, box=None, pad_edge=False)
     table.add_column(style="dim")
     table.add_column()
     for name, figure in figures.items():
-        table.add_row(name, figure)
+        table.add_row(name, Text(figure))
+    output.print(title, style="bold", markup=False, soft_wrap=True)
     output.print(table)
 
 

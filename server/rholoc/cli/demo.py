@@ -30,11 +30,12 @@ from rholoc.errors import RholocError
 
 if TYPE_CHECKING:
     from rholoc.evaluation import Evaluation
-    from rholoc.maps.trajectory_table import TrajectoryTable
+    from rholoc.maps import TrajectoryTable
     from rholoc_client import Client
 
 MAP_NAME = "testsite"
 _JPEG_QUALITY = 95
+_TITLE = "Walk 2, localized in the map of walk 1"
 
 
 @dataclass(frozen=True)
@@ -170,8 +171,7 @@ def _figures(
     """Compare with the truth, and write the trajectory and the top view."""
     from rholoc.evaluation import evaluate, pair_poses, read_frame_poses, trajectory_errors
     from rholoc.evaluation.plots import plot_top_view, save_figure
-    from rholoc.maps import load_map
-    from rholoc.maps.trajectory_table import write_trajectory_csv
+    from rholoc.maps import load_map, write_trajectory_csv
 
     write_trajectory_csv(files.trajectory, table)
     truth = read_frame_poses(files.truth / "walk-2.csv")
@@ -180,8 +180,7 @@ def _figures(
     map_file = files.maps / f"{MAP_NAME}.rho"
     map_ = load_map(map_file)
     waypoints = [(str(point["name"]), np.asarray(point["position"])) for point in map_.info.waypoints]
-    title = "Walk 2, localized in the map of walk 1"
-    save_figure(plot_top_view(pairs.estimated, pairs.truth, map_.landmarks, waypoints, title), files.top_view)
+    save_figure(plot_top_view(pairs.estimated, pairs.truth, map_.landmarks, waypoints, _TITLE), files.top_view)
     return _Figures(
         evaluation,
         float(np.median(frame_ms)),
@@ -202,7 +201,7 @@ def _print(figures: _Figures, files: _Files, as_json: bool) -> None:
         "map": f"{figures.map_bytes / 1000:.0f} kB, {figures.landmarks} landmarks, built in {figures.build_s:.0f} s",
         "whole demo": f"{figures.total_s:.0f} s",
     }
-    print_figures("[bold]Walk 2, localized in the map of walk 1[/bold]", rows)
+    print_figures(_TITLE, rows)
     print_notice(f"The trajectory is in {files.trajectory}, the picture in {files.top_view}.")
 
 

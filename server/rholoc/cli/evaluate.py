@@ -51,7 +51,7 @@ def evaluate(
     if as_json:
         print_json(figures.as_dict())
     else:
-        print_figures(f"[bold]{trajectory.name}[/bold] against {truth.name}", evaluation_rows(figures))
+        print_figures(f"{trajectory.name} against {truth.name}", evaluation_rows(figures))
 
 
 def evaluation_rows(figures: Evaluation) -> dict[str, str]:

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
 from rholoc.cli import options
-from rholoc.cli.console import print_figures, print_json, stage_progress
+from rholoc.cli.console import print_figures, print_json, print_notice, stage_progress
 from rholoc.errors import InvalidInput
 from rholoc.maps import DensityKind, Map, load_map, save_map
 from rholoc.maps.info_json import info_to_json
@@ -65,12 +66,47 @@ def info(map_file: options.MapFile, as_json: options.Json = False) -> None:
     _print_map(load_map(map_file), map_file, as_json)
 
 
+class ExportFormat(StrEnum):
+    """What a map can be exported to."""
+
+    PLY = "ply"  # landmarks and views, for MeshLab, CloudCompare, ParaView
+    VTP = "vtp"  # the same for ParaView, with the view path as a line
+    PNG = "png"  # a picture from above
+
+
+@app.command()
+def export(
+    map_file: options.MapFile,
+    to: Annotated[ExportFormat, typer.Option(help="PLY and VTP: points for ParaView; PNG: a picture from above.")],
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", metavar="FILE", help="Where to; default: the map's name.")
+    ] = None,
+) -> None:
+    """Write a map for other programs, or as a picture."""
+    from rholoc.maps import map_to_ply, map_to_vtp, preview_png
+    from rholoc.maps.files import replace_file
+
+    target = out or map_file.with_suffix(f".{to.value}")
+    if target.resolve() == map_file.resolve():
+        raise InvalidInput(f"{target} is the map itself.", "Export to another file.")
+    map_ = load_map(map_file)
+    match to:
+        case ExportFormat.PLY:
+            content = map_to_ply(map_)
+        case ExportFormat.VTP:
+            content = map_to_vtp(map_)
+        case ExportFormat.PNG:
+            content = preview_png(map_, title=map_file.stem)
+    replace_file(target, content)
+    print_notice(f"{target}: {len(content)} bytes.")
+
+
 def _print_map(map_: Map, path: Path, as_json: bool) -> None:
     figures = _map_figures(map_, path)
     if as_json:
         print_json(figures)
     else:
-        print_figures(f"[bold]{path}[/bold]", {name: _shown(value) for name, value in _flat(figures)})
+        print_figures(str(path), {name: _shown(value) for name, value in _flat(figures)})
 
 
 def _map_figures(map_: Map, path: Path) -> dict[str, Any]:

@@ -8,7 +8,7 @@ import numpy as np
 
 from rholoc.errors import InvalidTrajectory
 from rholoc.evaluation.matching import FramePoses
-from rholoc.maps.trajectory_table import read_trajectory_csv
+from rholoc.maps import read_trajectory_csv
 from rholoc.recordings import read_pose_table
 
 
