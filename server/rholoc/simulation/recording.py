@@ -1,0 +1,185 @@
+"""A phone's recording of a simulated walk, with the truth beside it, in rholoc's own recording format."""
+
+from __future__ import annotations
+
+import os
+from collections import deque
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from rholoc.errors import StorageFull
+from rholoc.geometry import ByteArray, Camera, FloatArray, Pose
+from rholoc.recordings import CameraFile, write_camera_json, write_frames_csv, write_imu_csv, write_waypoints_csv
+from rholoc.simulation.light import Light, light_scene
+from rholoc.simulation.render import SAMPLES, Renderer
+from rholoc.simulation.rooms import make_test_site
+from rholoc.simulation.scene import Scene
+from rholoc.simulation.sensor import Exposure, develop, expose, meter
+from rholoc.simulation.walk import R_CAMERA_IMU, Walk, make_walk, measure_imu, measure_waypoints
+
+PHONE_CAMERA = Camera(width=640, height=480, fx=520.0, fy=520.0, cx=319.5, cy=239.5)
+TRUTH_COLUMNS = "timestamp,x,y,z,hx,hy,hz,frame,roll,qx,qy,qz,qw,confidence,inliers"
+_METER_INTERVAL_S = 0.25
+_METER_SIZE = (80, 60)
+_METER_INERTIA_S = 0.5  # how slowly the camera follows the light
+_PREFETCH_FRAMES = 4
+
+
+@dataclass(frozen=True, eq=False)
+class SimulatedRecording:
+    """What was written, and the truth of it.
+
+    Attributes:
+        path: the folder.
+        times: (N,) seconds, of the frames.
+        T_map_camera: (N, 4, 4), the true poses.
+    """
+
+    path: Path
+    walk: Walk
+    light: Light
+    camera: Camera
+    times: FloatArray
+    T_map_camera: FloatArray
+
+    @property
+    def truth(self) -> Path:
+        """The file of true poses (Table 6), which no reader of recordings reads."""
+        return self.path / "truth.csv"
+
+
+def _report_nothing(fraction: float) -> None:
+    pass
+
+
+def simulate_recording(
+    out: Path,
+    *,
+    walk: Walk | int = 1,
+    light: Light = Light.ARTIFICIAL,
+    seconds: float = 30.0,
+    seed: int = 0,
+    fps: float = 30.0,
+    scene: Scene | None = None,
+    camera: Camera = PHONE_CAMERA,
+    imu_time_offset_s: float = 0.0,
+    progress: Callable[[float], None] = _report_nothing,
+) -> SimulatedRecording:
+    """Walk through a room with a phone and write what it records into the folder ``out``.
+
+    Writes ``video.mp4``, ``frames.csv``, ``imu.csv``, ``waypoints.csv``, ``camera.json``, and the true poses in
+    ``truth.csv``. The same arguments give the same recording. Recordings of the same ``seed`` are of the same room and
+    in the same map frame, whatever the walk and the light.
+
+    Args:
+        walk: a walk, or the number of one of :func:`make_walk`'s.
+        seconds: the recording's length; less than a whole walk takes ends on the way.
+        scene: another room than the test site of ``seed``.
+        progress: hears the fraction that is done; may raise to stop.
+
+    Raises:
+        StorageFull: the video cannot be written.
+    """
+    out.mkdir(parents=True, exist_ok=True)
+    walk = make_walk(walk, seconds, seed) if isinstance(walk, int) else walk
+    times = np.arange(max(1, round(seconds * fps))) / fps
+    T_map_camera = walk.T_map_camera(times)
+
+    write_frames_csv(out / "frames.csv", np.arange(len(times)), times)
+    write_imu_csv(out / "imu.csv", measure_imu(walk, seconds, time_offset_s=imu_time_offset_s, seed=seed))
+    write_waypoints_csv(out / "waypoints.csv", measure_waypoints(walk, seconds, seed=seed))
+    write_camera_json(out / "camera.json", CameraFile(camera=camera, R_camera_imu=R_CAMERA_IMU))
+    _write_truth(out / "truth.csv", times, T_map_camera)
+    _write_video(out / "video.mp4", _film(walk, times, camera, light, seed, scene), camera, fps, len(times), progress)
+    return SimulatedRecording(out, walk, light, camera, times, T_map_camera)
+
+
+def render_view(scene: Scene, camera: Camera, pose: Pose, light: Light = Light.ARTIFICIAL, seed: int = 0) -> ByteArray:
+    """One photograph (H, W, 3) BGR of a scene, well exposed, the camera at rest. Lighting is kept for the next call."""
+    renderer, white = _lit_renderer(scene, light)
+    exposure = expose(meter(renderer.radiance(camera.resized(*_METER_SIZE), [pose])), white)
+    return develop(renderer.radiance(camera, [pose] * len(SAMPLES)), exposure, np.random.default_rng(seed))
+
+
+@lru_cache(maxsize=2)
+def _test_site(seed: int) -> Scene:
+    return make_test_site(seed)
+
+
+@lru_cache(maxsize=2)
+def _lit_renderer(scene: Scene, light: Light) -> tuple[Renderer, float]:
+    """The renderer of a lit scene, and the luminance of its white in cd/m²."""
+    lighting = light_scene(scene, light)
+    return Renderer(scene, lighting.paints), lighting.white_luminance
+
+
+def _film(
+    walk: Walk, times: FloatArray, camera: Camera, light: Light, seed: int, scene: Scene | None
+) -> Iterator[ByteArray]:
+    """The frames (H, W, 3) in order, drawn by as many threads as there are cores; NumPy and OpenCV run in parallel."""
+    renderer, white = _lit_renderer(_test_site(seed) if scene is None else scene, light)
+    gains = _metered(renderer, walk, camera, times)
+
+    def frame(i: int) -> ByteArray:
+        exposure: Exposure = expose(gains[i], white)
+        within = (np.arange(len(SAMPLES)) + 0.5) / len(SAMPLES) - 0.5
+        radiance = renderer.radiance(camera, walk.poses(times[i] + exposure.seconds * within))
+        rng = np.random.default_rng([seed, walk.number, list(Light).index(light), 3, i])
+        return develop(radiance, exposure, rng)
+
+    threads = os.cpu_count() or 1
+    with ThreadPoolExecutor(threads) as pool:
+        waiting: deque[Future[ByteArray]] = deque()
+        try:
+            for i in range(len(times)):
+                waiting.append(pool.submit(frame, i))
+                if len(waiting) > threads + _PREFETCH_FRAMES:
+                    yield waiting.popleft().result()
+            while waiting:
+                yield waiting.popleft().result()
+        finally:
+            for future in waiting:
+                future.cancel()
+
+
+def _metered(renderer: Renderer, walk: Walk, camera: Camera, times: FloatArray) -> FloatArray:
+    """The gains (N, 3) that auto exposure and white balance settle on, which follow the light with some inertia."""
+    steps = np.arange(times[0], times[-1] + _METER_INTERVAL_S, _METER_INTERVAL_S)
+    small = camera.resized(*_METER_SIZE)
+    wanted = np.log([meter(renderer.radiance(small, [pose])) for pose in walk.poses(steps)])
+    settled = wanted.copy()
+    keep = np.exp(-_METER_INTERVAL_S / _METER_INERTIA_S)
+    for i in range(1, len(steps)):
+        settled[i] = keep * settled[i - 1] + (1 - keep) * wanted[i]
+    return np.exp(np.column_stack([np.interp(times, steps, settled[:, c]) for c in range(3)]))
+
+
+def _write_video(
+    path: Path, frames: Iterator[ByteArray], camera: Camera, fps: float, count: int, progress: Callable[[float], None]
+) -> None:
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), fps, (camera.width, camera.height))
+    if not writer.isOpened():
+        raise StorageFull(f"{path.name} cannot be written.", "Check that the folder is writable and the disk not full.")
+    try:
+        for i, frame in enumerate(frames):
+            writer.write(frame)
+            progress((i + 1) / count)
+    finally:
+        writer.release()
+
+
+def _write_truth(path: Path, times: FloatArray, T_map_camera: FloatArray) -> None:
+    """Table 6 with rholoc's further columns; confidence is 1, and there are no inliers to speak of."""
+    with path.open("w", encoding="utf-8") as file:
+        file.write(TRUTH_COLUMNS + "\n")
+        for number, (time, T) in enumerate(zip(times, T_map_camera, strict=True)):
+            pose = Pose(T)
+            place = ",".join(f"{value:.6f}" for value in (*pose.position, *pose.heading))
+            turn = ",".join(f"{value:.8f}" for value in (pose.roll, *pose.quaternion_xyzw))
+            file.write(f"{time:.6f},{place},{number},{turn},1,0\n")

@@ -1,0 +1,270 @@
+"""Pictures of a scene: exact projection and occlusion, anti-aliased paint.
+
+A pixel's rectangle is found by painting the scene back to front; on it, texture coordinates are a homography of the
+pixel. All faces share one atlas that holds every face at every level of its mipmap, so that a picture is one look-up
+per pixel. Sampling is distributed (Cook et al. 1984): one sample per pixel, repeated at other places within the
+pixel and other times within the exposure, gives smooth edges and motion blur at once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import cv2
+import numpy as np
+
+from rholoc.geometry import BoolArray, ByteArray, Camera, FloatArray, IntArray, Pose
+from rholoc.simulation.scene import DrawOrder, Face, Scene
+
+_NEAR_M = 0.02
+_GUTTER_PX = 2
+_MAX_LEVELS = 7
+_ATLAS_WIDTH_PX = 8192
+_SHARPNESS = -0.35  # mipmap levels finer than the footprint of one sample: four samples share a pixel
+SAMPLES = ((-0.125, -0.375), (0.375, -0.125), (-0.375, 0.125), (0.125, 0.375))  # places in the pixel (u, v)
+_LEVEL_DITHER = (-0.375, 0.125, -0.125, 0.375)
+
+
+@dataclass(frozen=True, eq=False)
+class Atlas:
+    """All faces' paint at all levels in one image.
+
+    Attributes:
+        image: (H, W, 3) uint8.
+        left, top, scale_x, scale_y: (faces, levels) float32: where a level's texel (0, 0) lies and its texels per
+            texel of level 0.
+    """
+
+    image: ByteArray
+    left: FloatArray
+    top: FloatArray
+    scale_x: FloatArray
+    scale_y: FloatArray
+
+    @classmethod
+    def of(cls, paints: Sequence[ByteArray]) -> Atlas:
+        """Pack the mipmaps of images (H, W, 3), largest first, in rows."""
+        tiles: list[tuple[int, int, ByteArray]] = []
+        scale = np.ones((2, len(paints), _MAX_LEVELS), np.float32)
+        place = np.zeros((2, len(paints), _MAX_LEVELS), np.float32)
+        for f, paint in enumerate(paints):
+            image, (height, width) = paint, paint.shape[:2]
+            for level in range(_MAX_LEVELS):
+                if level:
+                    size = max(1, round(width / 2**level)), max(1, round(height / 2**level))
+                    image = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
+                scale[0, f, level], scale[1, f, level] = image.shape[1] / width, image.shape[0] / height
+                tiles.append((f, level, image))
+        tiles.sort(key=lambda tile: -tile[2].shape[0])
+        spots, x, y, row = [], 0, 0, 0
+        for _, _, image in tiles:
+            height, width = image.shape[0] + 2 * _GUTTER_PX, image.shape[1] + 2 * _GUTTER_PX
+            if x + width > _ATLAS_WIDTH_PX:
+                x, y, row = 0, y + row, 0
+            spots.append((x, y))
+            x, row = x + width, max(row, height)
+        atlas = np.zeros((y + row, _ATLAS_WIDTH_PX, 3), np.uint8)
+        for (f, level, image), (x, y) in zip(tiles, spots, strict=True):
+            padded = np.pad(image, ((_GUTTER_PX,) * 2, (_GUTTER_PX,) * 2, (0, 0)), mode="edge")
+            atlas[y : y + padded.shape[0], x : x + padded.shape[1]] = padded
+            place[:, f, level] = x + _GUTTER_PX, y + _GUTTER_PX
+        return cls(atlas, place[0], place[1], scale[0], scale[1])
+
+
+@dataclass(frozen=True, eq=False)
+class Surface:
+    """What each pixel's centre sees.
+
+    Attributes:
+        face: (H, W) int64, the face's index in ``scene.faces``.
+        depth: (H, W) metres along the optical axis.
+        points: (H, W, 3) metres, map frame.
+    """
+
+    face: IntArray
+    depth: FloatArray
+    points: FloatArray
+
+
+class Renderer:
+    """Draws a scene whose faces look like ``paints``, one image per face of ``scene.faces``.
+
+    The camera must have no distortion and stand inside the room, outside of the boxes.
+    """
+
+    def __init__(self, scene: Scene, paints: Sequence[ByteArray]) -> None:
+        self.scene = scene
+        self._faces = scene.faces
+        self._atlas = Atlas.of(paints)
+        self._order = DrawOrder(scene.boxes)
+        counts = np.cumsum([len(scene.room.paints), *(len(box.paints) for box in scene.boxes)])
+        self._groups = [range(0, int(counts[0])), *(range(a, b) for a, b in pairwise(counts.tolist()))]
+        self._corners = np.array([_corners(face) for face in self._faces])
+        self._normals = np.array([face.normal for face in self._faces])
+        self._texels = np.array([[paint.shape[1], paint.shape[0]] for paint in paints], dtype=np.float64)
+        self._frames = np.array([np.column_stack([f.right, f.down, f.origin]) for f in self._faces])
+
+    def radiance(self, camera: Camera, poses: Sequence[Pose]) -> ByteArray:
+        """The picture (H, W, 3): the mean of one sample per pixel at each pose.
+
+        ``poses`` are the camera's along the exposure; the samples' places within the pixel cycle through
+        ``SAMPLES``.
+        """
+        order = self._paint_order(poses[len(poses) // 2].position)
+        total = np.zeros((camera.height, camera.width, 3), np.uint16)
+        for i, pose in enumerate(poses):
+            total += self._sample(camera, pose, order, SAMPLES[i % len(SAMPLES)], _LEVEL_DITHER[i % len(SAMPLES)])
+        half = len(poses) // 2
+        return np.asarray(((total + half) // len(poses)).astype(np.uint8))
+
+    def surface(self, camera: Camera, pose: Pose) -> Surface:
+        """The visible surface at the pixels' centres."""
+        ids = self._identify(camera, pose, self._paint_order(pose.position), (0.0, 0.0))[0]
+        T = pose.inverse()
+        normals = self._normals @ T[:3, :3].T
+        offsets = np.einsum("fk,fk->f", normals, self._corners[:, 0] @ T[:3, :3].T + T[:3, 3])
+        u, v = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
+        rays = np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones(u.shape)], axis=-1)
+        depth = offsets[ids] / np.einsum("hwk,hwk->hw", normals[ids], rays)
+        points = (rays * depth[..., None]) @ pose.R_map_camera.T + pose.position
+        return Surface(ids.astype(np.int64), depth, points)
+
+    def _paint_order(self, eye: FloatArray) -> list[int]:
+        """Faces that may be seen from ``eye``, back to front: the room's, then box after box."""
+        facing = np.einsum("fk,fk->f", self._normals, eye - self._corners[:, 0]) > 0
+        order = list(self._groups[0])
+        for box in self._order(eye):
+            order.extend(self._groups[box + 1])
+        return [f for f in order if facing[f]]
+
+    def _identify(
+        self, camera: Camera, pose: Pose, order: list[int], shift: tuple[float, float]
+    ) -> tuple[IntArray, dict[int, tuple[int, int, int, int]]]:
+        """The face at each pixel (H, W), sampled ``shift`` from the centres, and the painted faces' bounds."""
+        T = pose.inverse()
+        corners = self._corners[order] @ T[:3, :3].T + T[:3, 3]
+        seen = _may_be_seen(camera, corners)
+        ids = np.zeros((camera.height, camera.width), np.int16)
+        bounds = {}
+        for f, polygon in zip(np.array(order)[seen].tolist(), corners[seen], strict=True):
+            clipped = _clip_near(polygon)
+            if len(clipped) < 3:
+                continue
+            pixels = clipped[:, :2] / clipped[:, 2:] * (camera.fx, camera.fy) + (
+                camera.cx - shift[0],
+                camera.cy - shift[1],
+            )
+            spans = _spans(pixels, camera.width, camera.height)
+            if spans is None:
+                continue
+            top, left, right = spans
+            x0, x1 = int(left.min()), int(right.max()) + 1
+            columns = np.arange(x0, x1, dtype=np.int16)
+            inside = (columns >= left[:, None]) & (columns <= right[:, None])
+            np.copyto(ids[top : top + len(left), x0:x1], np.int16(f), where=inside)
+            bounds[f] = (top, top + len(left), x0, x1)
+        return ids, bounds
+
+    def _sample(
+        self, camera: Camera, pose: Pose, order: list[int], shift: tuple[float, float], dither: float
+    ) -> ByteArray:
+        """One sample per pixel: (H, W, 3)."""
+        ids, bounds = self._identify(camera, pose, order, shift)
+        map_x = np.zeros(ids.shape, np.float32)
+        map_y = np.zeros(ids.shape, np.float32)
+        T = pose.inverse()
+        visible = np.flatnonzero(np.bincount(ids.ravel(), minlength=len(self._faces)))
+        K_inverse = np.linalg.inv(camera.matrix)
+        for f in visible.tolist():
+            if f not in bounds:
+                continue
+            y0, y1, x0, x1 = bounds[f]
+            plane_to_camera = T[:3, :3] @ self._frames[f]
+            plane_to_camera[:, 2] += T[:3, 3]
+            H = np.linalg.inv(plane_to_camera) @ K_inverse  # pixel → (a, b, 1) up to scale; the scale is 1 / depth
+            H[:2] *= self._texels[f][:, None]
+            u = np.arange(x0, x1) + shift[0]
+            v = np.arange(y0, y1) + shift[1]
+            x, y, w = ((row[0] * u).astype(np.float32) + (row[1] * v + row[2]).astype(np.float32)[:, None] for row in H)
+            np.divide(np.float32(1), w, out=w)
+            x *= w
+            y *= w
+            # The footprint's area in texels is |det H| / w³ for a pixel at homogeneous scale w.
+            bias = 0.5 * np.log2(abs(np.linalg.det(H))) + _SHARPNESS + dither + 0.5
+            level = np.log2(np.abs(w, out=w), out=w)
+            level *= np.float32(1.5)
+            level += np.float32(bias)
+            np.clip(level, 0, _MAX_LEVELS - 1, out=level)
+            mask = ids[y0:y1, x0:x1] == f
+            self._to_atlas(f, level, mask, x, y)
+            np.copyto(map_x[y0:y1, x0:x1], x, where=mask)
+            np.copyto(map_y[y0:y1, x0:x1], y, where=mask)
+        return np.asarray(cv2.remap(self._atlas.image, map_x, map_y, cv2.INTER_LINEAR))
+
+    def _to_atlas(self, f: int, level: FloatArray, mask: BoolArray, x: FloatArray, y: FloatArray) -> None:
+        """Turn texel-edge coordinates of level 0 into the atlas's pixel coordinates, in place."""
+        atlas = self._atlas
+        chosen = level.astype(np.uint8)
+        low, high = int(chosen.min(where=mask, initial=_MAX_LEVELS - 1)), int(chosen.max(where=mask, initial=0))
+        for values, scale, start in ((x, atlas.scale_x[f], atlas.left[f]), (y, atlas.scale_y[f], atlas.top[f])):
+            if low == high:
+                values *= scale[low]
+                values += start[low] - np.float32(0.5)
+            else:
+                values *= scale[chosen]
+                values += (start - np.float32(0.5))[chosen]
+
+
+def _corners(face: Face) -> FloatArray:
+    a, b = np.array([0.0, 1, 1, 0]), np.array([0.0, 0, 1, 1])
+    return face.points(a, b)
+
+
+def _may_be_seen(camera: Camera, polygons: FloatArray) -> BoolArray:
+    """(F,): whether polygons (F, N, 3) in the camera frame are not wholly beyond one side of the view."""
+    x, y, z = np.moveaxis(polygons, 2, 0)
+    left, right = -(camera.cx + 1) / camera.fx, (camera.width - camera.cx) / camera.fx
+    top, bottom = -(camera.cy + 1) / camera.fy, (camera.height - camera.cy) / camera.fy
+    sides = (z < _NEAR_M, x < left * z, x > right * z, y < top * z, y > bottom * z)
+    return np.asarray(~np.any([side.all(axis=1) for side in sides], axis=0))
+
+
+def _clip_near(polygon: FloatArray) -> FloatArray:
+    """The part of a polygon (N, 3) in the camera frame that lies before the camera (Sutherland and Hodgman)."""
+    depth = polygon[:, 2] - _NEAR_M
+    if (depth > 0).all():
+        return polygon
+    kept = []
+    for i in range(len(polygon)):
+        j = (i + 1) % len(polygon)
+        if depth[i] > 0:
+            kept.append(polygon[i])
+        if (depth[i] > 0) != (depth[j] > 0):
+            kept.append(polygon[i] + depth[i] / (depth[i] - depth[j]) * (polygon[j] - polygon[i]))
+    return np.array(kept).reshape(-1, 3)
+
+
+def _spans(polygon: FloatArray, width: int, height: int) -> tuple[int, IntArray, IntArray] | None:
+    """The pixels whose centres a convex polygon (N, 2) covers: the first row, and each row's first and last column."""
+    y = polygon[:, 1]
+    top, bottom = max(0, int(np.ceil(y.min()))), min(height - 1, int(np.floor(y.max())))
+    if top > bottom or polygon[:, 0].max() < 0 or polygon[:, 0].min() > width - 1:
+        return None
+    rows = np.arange(top, bottom + 1, dtype=np.float64)
+    left, right = np.full(rows.shape, np.inf), np.full(rows.shape, -np.inf)
+    for a, b in zip(polygon, (*polygon[1:], polygon[0]), strict=True):
+        low, high = (a, b) if a[1] < b[1] else (b, a)
+        i0, i1 = max(int(np.ceil(low[1])) - top, 0), min(int(np.floor(high[1])) - top, len(rows) - 1)
+        if i0 > i1:
+            continue
+        crossing = low[0] + (rows[i0 : i1 + 1] - low[1]) * ((high[0] - low[0]) / max(high[1] - low[1], 1e-12))
+        np.minimum(left[i0 : i1 + 1], crossing, out=left[i0 : i1 + 1])
+        np.maximum(right[i0 : i1 + 1], crossing, out=right[i0 : i1 + 1])
+    first = np.ceil(np.clip(left, 0, width)).astype(np.int16)
+    last = np.floor(np.clip(right, -1, width - 1)).astype(np.int16)
+    keep = np.flatnonzero(first <= last)
+    if len(keep) == 0:
+        return None
+    return top + int(keep[0]), first[keep[0] : keep[-1] + 1], last[keep[0] : keep[-1] + 1]

@@ -1,0 +1,194 @@
+"""Rooms made of textured boxes: one seen from inside, the others, which must not overlap, from outside.
+
+That is all the geometry there is. Posters, windows and doors are painted on the faces, so every visible surface
+is a textured rectangle, and which box hides which follows from separating planes alone.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from enum import Enum
+
+import numpy as np
+
+from rholoc.geometry import BoolArray, ByteArray, FloatArray
+
+_TOUCHING_M = 1e-6
+FACE_NAMES = ("x+", "y+", "x-", "y-", "z+", "z-")
+
+
+class Source(Enum):
+    """What shines."""
+
+    WINDOW = "window"
+    LAMP = "lamp"
+
+
+@dataclass(frozen=True, eq=False)
+class Paint:
+    """What a face looks like. Row 0 is the top of an upright face; columns run to the right as seen.
+
+    Attributes:
+        albedo: (H, W, 3) BGR, gamma-encoded reflectance.
+        glow: (H, W) bool or None: where the face is a source of light.
+        source: what kind of source that is.
+    """
+
+    albedo: ByteArray
+    glow: BoolArray | None = None
+    source: Source | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Face:
+    """A textured rectangle: points ``origin + a·right + b·down`` with a, b in [0, 1], map frame, metres."""
+
+    origin: FloatArray
+    right: FloatArray
+    down: FloatArray
+    paint: Paint
+
+    @property
+    def width_m(self) -> float:
+        """The length of ``right``."""
+        return float(np.linalg.norm(self.right))
+
+    @property
+    def height_m(self) -> float:
+        """The length of ``down``."""
+        return float(np.linalg.norm(self.down))
+
+    @property
+    def normal(self) -> FloatArray:
+        """The unit normal (3,), towards the side from which the face is seen."""
+        normal = np.cross(self.down, self.right)
+        return np.asarray(normal / np.linalg.norm(normal))
+
+    def points(self, a: FloatArray, b: FloatArray) -> FloatArray:
+        """Points (..., 3) at the fractions ``a`` of ``right`` and ``b`` of ``down``."""
+        return np.asarray(self.origin + np.asarray(a)[..., None] * self.right + np.asarray(b)[..., None] * self.down)
+
+
+@dataclass(frozen=True, eq=False)
+class Box:
+    """An upright box, turned by ``yaw`` about the vertical through its centre.
+
+    Attributes:
+        centre: (3,) metres, map frame.
+        size: (3,) metres along the box's own axes.
+        yaw: radians.
+        paints: the paint of each face by its name in ``FACE_NAMES``; faces that are missing are not drawn.
+    """
+
+    centre: FloatArray
+    size: FloatArray
+    yaw: float
+    paints: dict[str, Paint]
+
+    @property
+    def axes(self) -> FloatArray:
+        """(3, 3), the box's unit axes as rows."""
+        c, s = math.cos(self.yaw), math.sin(self.yaw)
+        return np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+
+    @property
+    def corners(self) -> FloatArray:
+        """(8, 3), metres."""
+        signs = np.stack(np.meshgrid([-0.5, 0.5], [-0.5, 0.5], [-0.5, 0.5], indexing="ij"), axis=-1).reshape(-1, 3)
+        return np.asarray(self.centre + (signs * self.size) @ self.axes)
+
+    def faces(self, inside: bool = False) -> list[Face]:
+        """The painted faces, seen from outside or from ``inside``."""
+        return [self._face(name, paint, inside) for name, paint in self.paints.items()]
+
+    def _face(self, name: str, paint: Paint, inside: bool) -> Face:
+        x, y, z = self.axes * self.size[:, None]
+        normal, right, down = {
+            "x+": (x, y, -z),
+            "x-": (-x, -y, -z),
+            "y+": (y, -x, -z),
+            "y-": (-y, x, -z),
+            "z+": (z, x, -y),
+            "z-": (-z, x, y),
+        }[name]
+        if inside:
+            right = -right
+        return Face(self.centre + 0.5 * (normal - right - down), right, down, paint)
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """A room and what stands in it, in the map frame (z up, metres)."""
+
+    room: Box
+    boxes: tuple[Box, ...]
+
+    def moved(self, shift: FloatArray) -> Scene:
+        """The same scene with everything moved by ``shift`` (3,) metres."""
+        return Scene(
+            replace(self.room, centre=self.room.centre + shift),
+            tuple(replace(box, centre=box.centre + shift) for box in self.boxes),
+        )
+
+    @property
+    def faces(self) -> list[Face]:
+        """All faces: the room's first, then each box's in the order of ``boxes``."""
+        return self.room.faces(inside=True) + [face for box in self.boxes for face in box.faces()]
+
+    def blocked(self, start: FloatArray, end: FloatArray, margin: float = 1e-4) -> BoolArray:
+        """Whether boxes stand between points ``start`` (..., 3) and ``end`` (..., 3), ends excepted by ``margin``."""
+        start, end = np.broadcast_arrays(np.asarray(start, np.float32), np.asarray(end, np.float32))
+        hit = np.zeros(start.shape[:-1], dtype=bool)
+        for box in self.boxes:
+            axes = box.axes.astype(np.float32)
+            half = (0.5 * box.size).astype(np.float32)
+            near = np.full(hit.shape, margin, dtype=np.float32)
+            far = np.full(hit.shape, 1 - margin, dtype=np.float32)
+            for axis in range(3):
+                origin = (start - box.centre.astype(np.float32)) @ axes[axis]
+                step = (end - start) @ axes[axis]
+                step = np.where(np.abs(step) < 1e-9, np.float32(1e-9), step)
+                first, second = (-half[axis] - origin) / step, (half[axis] - origin) / step
+                near = np.maximum(near, np.minimum(first, second))
+                far = np.minimum(far, np.maximum(first, second))
+            hit |= far - near > margin
+        return hit
+
+
+class DrawOrder:
+    """The order in which disjoint boxes are painted, back to front, found by separating planes.
+
+    Of two boxes with a plane between them, the one on the far side of it, seen from the eye, cannot hide the other.
+    """
+
+    def __init__(self, boxes: tuple[Box, ...]) -> None:
+        self._axes = np.array([box.axes for box in boxes]).reshape(-1, 3, 3)
+        self._centres = np.array([box.centre for box in boxes]).reshape(-1, 3)
+        corners = np.array([box.corners for box in boxes]).reshape(-1, 8, 3)
+        spans = np.einsum("iak,jck->iajc", self._axes, corners)  # the extent of box j along the axes of box i
+        own = np.einsum("iak,ick->iac", self._axes, corners)
+        self._low, self._high = own.min(axis=2), own.max(axis=2)
+        self._after = spans.min(axis=3) >= self._high[:, :, None] - _TOUCHING_M
+        self._before = spans.max(axis=3) <= self._low[:, :, None] + _TOUCHING_M
+
+    def __call__(self, eye: FloatArray) -> list[int]:
+        """The boxes' indices from back to front as seen from ``eye`` (3,), metres, map frame."""
+        at = np.einsum("iak,k->ia", self._axes, eye)
+        beyond_high, beyond_low = (at >= self._high)[:, :, None], (at <= self._low)[:, :, None]
+        own_cannot_hide = ((self._after & beyond_high) | (self._before & beyond_low)).any(axis=1)
+        other_cannot_hide = ((self._after & ~beyond_high) | (self._before & ~beyond_low)).any(axis=1)
+        cannot_hide = own_cannot_hide | other_cannot_hide.T
+        first = cannot_hide & ~cannot_hide.T  # first[i, j]: i is painted before j
+        waiting = first.sum(axis=0)
+        distance = np.linalg.norm(self._centres - eye, axis=1)
+        order: list[int] = []
+        left = np.ones(len(distance), dtype=bool)
+        while left.any():
+            ready = left & (waiting == 0)
+            candidates = np.flatnonzero(ready if ready.any() else left)  # a cycle is broken at its farthest box
+            chosen = int(candidates[np.argmax(distance[candidates])])
+            order.append(chosen)
+            left[chosen] = False
+            waiting = waiting - first[chosen]
+        return order
