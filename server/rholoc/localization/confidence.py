@@ -1,7 +1,7 @@
 """Confidence: the probability that a pose is within 10 cm and 5°.
 
-A logistic in what verification found: how many matches agree, which share of those nearby, which share of the
-landmarks that should be in view, and how well the curvature fixes the position.
+A logistic in what verification found: how much likelier the matches are than by chance (the density's own value at
+the optimum), how many matches chance alone would have found there, and how well the curvature fixes the position.
 """
 
 from __future__ import annotations
@@ -13,24 +13,29 @@ import numpy as np
 from rholoc.geometry import FloatArray
 from rholoc.localization.verification import Verified
 
-# Fitted by benchmarks/calibrate_confidence.py.
-_INTERCEPT = -11.0
-_PER_LOG2_INLIERS = 1.6
-_PER_AGREEMENT = 6.0
-_PER_LOG2_SIGMA = -0.3
+# Fitted by benchmarks/calibrate_confidence.py, which also tells on what.
+_INTERCEPT = -8.7
+_WEIGHTS = np.array([4.05, -3.38, -2.06])
 _REFERENCE_SIGMA_M = 0.05
 
 
 def confidence_inputs(verified: Verified, covariance: FloatArray) -> FloatArray:
-    """The three numbers (3,) that the logistic weighs: log₂ inliers, agreement, log₂ of the position's sigma / 5 cm."""
+    """The three numbers (3,) that the logistic weighs.
+
+    log₂ of the optimum's value (nats), log₂ of the matches that chance would find, and log₂ of the position's
+    greatest sigma over 5 cm where it is more.
+    """
     sigma_m = math.sqrt(max(float(np.linalg.eigvalsh(covariance[:3, :3])[-1]), 1e-12))
     return np.array(
-        [math.log2(1 + verified.inliers), verified.agreement, max(math.log2(sigma_m / _REFERENCE_SIGMA_M), 0.0)]
+        [
+            math.log2(1 + verified.optimum.value),
+            math.log2(1 + verified.by_chance),
+            max(math.log2(sigma_m / _REFERENCE_SIGMA_M), 0.0),
+        ]
     )
 
 
 def confidence_of(verified: Verified, covariance: FloatArray) -> float:
     """0..1, the probability that the pose is within 10 cm and 5°."""
-    weights = np.array([_PER_LOG2_INLIERS, _PER_AGREEMENT, _PER_LOG2_SIGMA])
-    score = _INTERCEPT + float(weights @ confidence_inputs(verified, covariance))
+    score = _INTERCEPT + float(_WEIGHTS @ confidence_inputs(verified, covariance))
     return 1 / (1 + math.exp(-float(np.clip(score, -50, 50))))

@@ -50,7 +50,7 @@ class SearchOptions:
     samples: int = 150
     seeds: int = 2
     seed_tolerances_px: tuple[float, ...] = (24.0, 12.0, 6.0)
-    conclusive: float = 0.9
+    conclusive: float = 0.95
 
 
 @dataclass

@@ -16,6 +16,7 @@ from rholoc.localization.matches import Matches, guided_chances, match_chances
 from rholoc.maps import Map
 
 _CANDIDATES = 4
+_CHANCE_SAMPLES = 20_000
 
 
 class MapIndex:
@@ -30,9 +31,9 @@ class MapIndex:
             [c[:, 0], c[:, 1], c[:, 2], c[:, 1], c[:, 3], c[:, 4], c[:, 2], c[:, 4], c[:, 5]], axis=1
         ).reshape(-1, 3, 3)
         self.view_positions = map_.view_poses[:, :3].astype(np.float64)
-        channels = map_.channels[map_.descriptor_features]
-        self._everywhere = DescriptorIndex(map_.descriptors, channels, self.metric)
         self._first_descriptor = np.searchsorted(map_.descriptor_features, np.arange(len(map_) + 1))
+        self._medoids = self._first_descriptor[:-1]
+        self._everywhere = DescriptorIndex(map_.descriptors[self._medoids], map_.channels, self.metric)
         views = np.repeat(np.arange(len(self.view_positions)), np.diff(map_.view_offsets))
         self.presence = Presence.of(self.landmarks, self.view_positions[views], map_.view_features)
         ones = np.ones(len(map_.view_features), dtype=np.float32)
@@ -45,13 +46,25 @@ class MapIndex:
         """(K, K) how many features two views share."""
         return np.asarray((self.visibility @ self.visibility.T).todense())
 
+    @cached_property
+    def chance_of_likeness(self) -> float:
+        """How often two descriptors of different landmarks are as alike as a match must be, on the map's own."""
+        rng = np.random.default_rng(0)
+        a, b = rng.integers(0, len(self.map.descriptors), (2, _CHANCE_SAMPLES))
+        owners = self.map.descriptor_features
+        strangers = (owners[a] != owners[b]) & (self.map.channels[owners[a]] == self.map.channels[owners[b]])
+        distances = descriptor_distances(
+            self.map.descriptors[a[strangers]], self.map.descriptors[b[strangers]], self.metric
+        )
+        return float((distances <= LIMITS[self.metric].loose).mean()) if strangers.any() else 0.0
+
     def present(self, position: FloatArray) -> BoolArray:
         """π_f: which features may be seen from ``position`` (3,)."""
         return self.presence.allows(self.landmarks, position)
 
     def match_everywhere(self, features: FeatureSet) -> Matches:
-        """Matches of a query's features with the whole map."""
-        return self._matches(self._everywhere, np.arange(len(self.map.descriptors)), features, mutual=False)
+        """Matches of a query's features with the whole map, each feature standing by its first descriptor."""
+        return self._matches(self._everywhere, self._medoids, features, mutual=False)
 
     def match_within(self, features: FeatureSet, landmarks: IntArray) -> Matches:
         """Matches with some of the map's features only, each the other's nearest."""
@@ -62,17 +75,18 @@ class MapIndex:
 
     def match_near(
         self, features: FeatureSet, camera: Camera, T_map_camera: FloatArray, radius_px: float
-    ) -> tuple[Matches, int]:
+    ) -> tuple[Matches, float]:
         """Matches with the landmarks that a camera at ``T_map_camera`` (4, 4) would see close by.
 
-        Each is the other's likest within ``radius_px``. Also tells how many landmarks the camera would see.
+        Each is the other's likest within ``radius_px``. Also tells how many detections would find
+        something alike there by chance alone: what the matches are to be held against.
         """
         present = np.flatnonzero(self.present(T_map_camera[:3, 3]))
         pixels = camera.project((self.landmarks[present] - T_map_camera[:3, 3]) @ T_map_camera[:3, :3])
         inside = camera.contains(pixels)
         present, pixels = present[inside], pixels[inside]
         if len(present) == 0 or len(features) == 0:
-            return Matches.none(), 0
+            return Matches.none(), 0.0
         near = cKDTree(features.pixels).sparse_distance_matrix(cKDTree(pixels), radius_px, output_type="ndarray")
         detections, landmarks = near["i"].astype(np.int64), present[near["j"]]
         distances = self.distances_to(features, detections, landmarks)
@@ -82,7 +96,9 @@ class MapIndex:
             & _is_least(distances, landmarks, len(self.map))
         )
         chances = guided_chances(distances[mutual], self.metric)
-        return Matches(detections[mutual], landmarks[mutual], chances), len(present)
+        pairs_of = np.bincount(detections, minlength=len(features))
+        by_chance = float((1 - (1 - self.chance_of_likeness) ** pairs_of).sum())
+        return Matches(detections[mutual], landmarks[mutual], chances), by_chance
 
     def descriptor_rows(self, landmarks: IntArray) -> IntArray:
         """The rows of all descriptors of the given landmarks."""

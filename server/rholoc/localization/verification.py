@@ -13,8 +13,7 @@ from rholoc.localization.matches import Matches
 from rholoc.localization.types import Query
 
 _SEARCH_RADII_PX = (14.0, 7.0)
-_TOLERANCES_PX = (8.0, 5.0, 4.0)
-FINAL_TOLERANCE_PX = _TOLERANCES_PX[-1]
+FINAL_TOLERANCE_PX = 4.0
 _MIN_MATCHES = 6
 
 
@@ -27,24 +26,19 @@ class Verified:
         matches: the matches found there.
         evidence: what they say.
         pixels: (M, 2) the pixels of the matched detections.
-        visible: how many landmarks the camera should see from there.
+        by_chance: how many detections chance alone would match.
     """
 
     optimum: Optimum
     matches: Matches
     evidence: Evidence
     pixels: FloatArray
-    visible: int
+    by_chance: float
 
     @property
     def inliers(self) -> int:
         """How many matches agree with the pose."""
         return int((self.optimum.density > 0).sum())
-
-    @property
-    def agreement(self) -> float:
-        """Which share of the matches found nearby agree with the pose; by chance it is (4 px / 7 px)²."""
-        return self.inliers / max(len(self.matches), 1)
 
 
 def evidence_of(index: MapIndex, matches: Matches, rays: FloatArray, camera: Camera) -> Evidence:
@@ -68,14 +62,14 @@ def verify(
     radii = (first_radius_px, first_radius_px / 2) if first_radius_px > _SEARCH_RADII_PX[0] else ()
     T, found = T_map_camera, None
     for radius in (*radii, *_SEARCH_RADII_PX):
-        matches, visible = index.match_near(query.features, query.camera, T, radius)
+        matches, by_chance = index.match_near(query.features, query.camera, T, radius)
         if len(matches) < _MIN_MATCHES:
             return None
         evidence = evidence_of(index, matches, rays, query.camera)
-        optimum = ascend(evidence, T, (radius, *_TOLERANCES_PX), query.dof)
+        optimum = ascend(evidence, T, (radius, radius / 2, FINAL_TOLERANCE_PX), query.dof)
         T, found = (
             optimum.T_map_camera,
-            Verified(optimum, matches, evidence, query.features.pixels[matches.detections], visible),
+            Verified(optimum, matches, evidence, query.features.pixels[matches.detections], by_chance),
         )
     return found
 
