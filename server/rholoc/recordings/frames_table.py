@@ -12,6 +12,8 @@ from rholoc.recordings.csv_table import read_numbers, require_increasing, write_
 
 FRAME_COLUMNS = ("frame", "timestamp")
 
+_MAX_EXACT = 2**53  # above it a float64 is not exact
+
 
 def read_frames_csv(path: Path) -> tuple[IntArray, FloatArray]:
     """Read frame numbers (N,) int64 and times (N,) in seconds, under the header ``frame,timestamp``.
@@ -21,9 +23,9 @@ def read_frames_csv(path: Path) -> tuple[IntArray, FloatArray]:
             or numbers or times do not increase.
     """
     table = read_numbers(path, FRAME_COLUMNS)
-    numbers = table["frame"].astype(np.int64)
-    if np.any(numbers != table["frame"]):
+    if np.any((table["frame"] != np.floor(table["frame"])) | (np.abs(table["frame"]) > _MAX_EXACT)):
         raise InvalidRecording(f"{path.name}: a frame number is not a whole number.")
+    numbers = table["frame"].astype(np.int64)
     if np.any(np.diff(numbers) <= 0):
         raise InvalidRecording(f"{path.name}: frame numbers do not increase from row to row.")
     require_increasing(table["timestamp"], path)

@@ -65,7 +65,8 @@ def image_size(path: Path, max_pixels: int = DEFAULT_MAX_PIXELS) -> tuple[int, i
     """
     with _opened(path, max_pixels) as image:
         width, height = image.size
-        transposed = image.getexif().get(_ORIENTATION_TAG) in _TRANSPOSED
+        exif = Image.Image.getexif(image)  # a PNG file's own getexif would decode the pixels
+        transposed = exif.get(_ORIENTATION_TAG) in _TRANSPOSED
     return (height, width) if transposed else (width, height)
 
 

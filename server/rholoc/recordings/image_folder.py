@@ -35,7 +35,7 @@ class ImageFolderFrames:
         """The images (H, W, 3) BGR of the rows, which must increase.
 
         Raises:
-            InvalidRecording: a file is broken.
+            InvalidRecording: a file is broken, or has changed since.
         """
         for row in rows:
             path = self.paths[row]
@@ -43,6 +43,8 @@ class ImageFolderFrames:
                 image = read_image(path)
             except InvalidImage as error:
                 raise InvalidRecording(f"{path.name}: {error.message}", "Leave that frame out.") from error
+            if image.shape[1::-1] != self.size:
+                raise InvalidRecording(f"{path.name} is not of the {self.size[0]}×{self.size[1]} pixels of the others.")
             yield image
 
 

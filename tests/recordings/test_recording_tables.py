@@ -1,0 +1,199 @@
+"""imu.csv, frames.csv, camera.json, poses.txt: what is written is read back, and what is broken is told."""
+
+from __future__ import annotations
+
+import json
+from contextlib import suppress
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from rholoc.errors import InvalidCamera, InvalidRecording, InvalidTrajectory
+from rholoc.geometry import Camera, Pose
+from rholoc.recordings import (
+    CameraFile,
+    Imu,
+    read_camera_json,
+    read_frames_csv,
+    read_imu_csv,
+    read_pose_table,
+    write_camera_json,
+    write_frames_csv,
+    write_imu_csv,
+)
+
+IMU_HEADER = "timestamp,ax,ay,az,gx,gy,gz"
+_SHARED_FOLDER = settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
+
+
+def test_an_imu_table_comes_back(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    imu = Imu(100 + np.arange(50) / 200, rng.normal(size=(50, 3)) * 10, rng.normal(size=(50, 3)), True, None)
+    write_imu_csv(tmp_path / "imu.csv", imu)
+    assert (tmp_path / "imu.csv").read_text().splitlines()[0] == IMU_HEADER
+    back = read_imu_csv(tmp_path / "imu.csv", includes_gravity=False, R_camera_imu=np.eye(3))
+    np.testing.assert_allclose(back.times, imu.times, atol=1e-6)
+    np.testing.assert_allclose(back.acceleration, imu.acceleration, rtol=1e-8)
+    np.testing.assert_allclose(back.angular_velocity, imu.angular_velocity, rtol=1e-8)
+    assert not back.includes_gravity
+    assert back.R_camera_imu is not None
+
+
+def test_columns_may_come_in_another_order_with_others_between_and_a_byte_order_mark(tmp_path: Path) -> None:
+    text = "\ufeffgz,note,timestamp,ax,ay,az,gx,gy\r\n6,hi,0.5,1,2,3,4,5\r\n\r\n"
+    (tmp_path / "imu.csv").write_text(text, encoding="utf-8")
+    imu = read_imu_csv(tmp_path / "imu.csv")
+    assert imu.times.tolist() == [0.5]
+    assert imu.acceleration.tolist() == [[1, 2, 3]]
+    assert imu.angular_velocity.tolist() == [[4, 5, 6]]
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        ("", "empty"),
+        (f"{IMU_HEADER}\n", "no rows"),
+        ("time,ax,ay,az,gx,gy,gz\n0,0,0,0,0,0,0\n", "no column timestamp"),
+        (f"{IMU_HEADER.replace(',', ';')}\n0;0;0;0;0;0;0\n", "no column"),
+        (f"{IMU_HEADER}\n0,0,0,0,0,0\n", "row 2: 6 values"),
+        (f"{IMU_HEADER}\n0,0,0,0,0,0,x\n", "'x' under gz"),
+        (f"{IMU_HEADER}\n0,0,0,0,0,0,nan\n", "row 2: 'nan'"),
+        (f"{IMU_HEADER}\n0,0,0,inf,0,0,0\n", "'inf' under az"),
+        (f"{IMU_HEADER}\n1,0,0,0,0,0,0\n0.5,0,0,0,0,0,0\n", "row 3: time 0.5"),
+        (f"{IMU_HEADER}\n1,0,0,0,0,0,0\n1,0,0,0,0,0,0\n", "does not come after"),
+    ],
+)
+def test_a_broken_imu_table_is_told(tmp_path: Path, text: str, complaint: str) -> None:
+    (tmp_path / "imu.csv").write_text(text)
+    with pytest.raises(InvalidRecording, match=complaint) as caught:
+        read_imu_csv(tmp_path / "imu.csv")
+    assert "imu.csv" in caught.value.message
+
+
+def test_a_table_that_is_not_text_is_told(tmp_path: Path) -> None:
+    (tmp_path / "imu.csv").write_bytes(b"\x89PNG\xff\xfe")
+    with pytest.raises(InvalidRecording, match="not a text file"):
+        read_imu_csv(tmp_path / "imu.csv")
+
+
+@_SHARED_FOLDER
+@given(tail=st.text(st.characters(exclude_categories=["Cs"]), max_size=60))
+def test_whatever_follows_a_header_gives_a_table_or_our_error(tmp_path: Path, tail: str) -> None:
+    path = tmp_path / "frames.csv"
+    path.write_text("frame,timestamp\n" + tail, encoding="utf-8")
+    with suppress(InvalidRecording):
+        numbers, times = read_frames_csv(path)
+        assert len(numbers) == len(times) > 0
+    with suppress(InvalidTrajectory):
+        assert np.isfinite(read_pose_table(path).T_map_camera).all()
+
+
+def test_a_frame_table_comes_back(tmp_path: Path) -> None:
+    numbers, times = np.array([0, 1, 5]), np.array([0.0, 0.0333, 0.1667])
+    write_frames_csv(tmp_path / "frames.csv", numbers, times)
+    back_numbers, back_times = read_frames_csv(tmp_path / "frames.csv")
+    np.testing.assert_array_equal(back_numbers, numbers)
+    np.testing.assert_allclose(back_times, times)
+
+
+@pytest.mark.parametrize("rows", ["0,0\n0,1\n", "1,0\n0,1\n", "0.5,0\n", "0,1\n1,1\n", "0,1\n1,0.5\n", "1e30,0\n"])
+def test_a_broken_frame_table_is_told(tmp_path: Path, rows: str) -> None:
+    (tmp_path / "frames.csv").write_text("frame,timestamp\n" + rows)
+    with pytest.raises(InvalidRecording):
+        read_frames_csv(tmp_path / "frames.csv")
+
+
+@pytest.mark.parametrize(
+    "description",
+    [
+        CameraFile(),
+        CameraFile(fps=25.0, gravity_included=False),
+        CameraFile(Camera(640, 480, 500, 501, 320, 240, (0.1, 0.2, 0, 0, 0.3)), R_camera_imu=np.eye(3)[[1, 2, 0]]),
+    ],
+)
+def test_a_camera_file_comes_back(tmp_path: Path, description: CameraFile) -> None:
+    write_camera_json(tmp_path / "camera.json", description)
+    back = read_camera_json(tmp_path / "camera.json")
+    assert (back.camera, back.fps, back.gravity_included) == (
+        description.camera,
+        description.fps,
+        description.gravity_included,
+    )
+    np.testing.assert_array_equal(back.R_camera_imu, description.R_camera_imu)
+
+
+WHOLE = {"width": 640, "height": 480, "fx": 500, "fy": 500, "cx": 320, "cy": 240}
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "[]",
+        "{",
+        json.dumps({"fx": 500}),
+        json.dumps(WHOLE | {"fx": "wide"}),
+        json.dumps(WHOLE | {"fx": -1}),
+        json.dumps(WHOLE | {"fx": float("nan")}),
+        json.dumps(WHOLE | {"width": float("inf")}),
+        json.dumps(WHOLE | {"distortion": [1, 2]}),
+        json.dumps(WHOLE | {"distortion": 3}),
+        json.dumps({"R_camera_imu": [[1, 0], [0, 1]]}),
+        json.dumps({"R_camera_imu": [[1, 0, 0], [0, 1, 0], [0, 0, -1]]}),
+        json.dumps({"R_camera_imu": "identity"}),
+        json.dumps({"gravity_included": "yes"}),
+        json.dumps({"fps": 0}),
+        json.dumps({"fps": "30"}),
+    ],
+)
+def test_a_broken_camera_file_is_told(tmp_path: Path, text: str) -> None:
+    (tmp_path / "camera.json").write_text(text)
+    with pytest.raises(InvalidCamera):
+        read_camera_json(tmp_path / "camera.json")
+
+
+def pose_rows(separator: str) -> tuple[str, np.ndarray]:
+    rng = np.random.default_rng(3)
+    quaternions, positions = Rotation.random(4, rng=rng).as_quat(), rng.normal(size=(4, 3))
+    rows = [
+        separator.join(f"{value:.9f}" for value in (0.5 * i, *p, *q))
+        for i, (p, q) in enumerate(zip(positions, quaternions, strict=True))
+    ]
+    T = np.array([Pose.from_quaternion(p, q).T_map_camera for p, q in zip(positions, quaternions, strict=True)])
+    return "\n".join(rows) + "\n", T
+
+
+@pytest.mark.parametrize("separator", [" ", ",", ", ", "\t"])
+@pytest.mark.parametrize("head", ["", "# frame tx ty tz\n\n", "timestamp,tx,ty,tz,qx,qy,qz,qw\n"])
+def test_a_pose_table_is_read_with_blanks_or_commas_comments_or_a_header(
+    tmp_path: Path, separator: str, head: str
+) -> None:
+    rows, T = pose_rows(separator)
+    (tmp_path / "poses.txt").write_text(head + rows)
+    table = read_pose_table(tmp_path / "poses.txt")
+    np.testing.assert_allclose(table.keys, [0, 0.5, 1, 1.5])
+    np.testing.assert_allclose(table.T_map_camera, T, atol=1e-7)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "# nothing\n",
+        "0 1 2 3\n",
+        "0 0 0 0 0 0 0 1 9\n",
+        "0 0 0 0 0 0 0 nan\n",
+        "0 0 0 0 0 0 0 0\n",
+        "0 0 0 0 0 0 0 2\n",
+        "0 0 0 0 0 0 0 1\n0 0 0 0 0 0 0 1\n",
+        "0 0 0 0 0 0 0 1\nx 0 0 0 0 0 0 1\n",
+    ],
+)
+def test_a_broken_pose_table_is_told(tmp_path: Path, text: str) -> None:
+    (tmp_path / "poses.txt").write_text(text)
+    with pytest.raises(InvalidTrajectory):
+        read_pose_table(tmp_path / "poses.txt")

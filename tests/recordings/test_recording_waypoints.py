@@ -1,0 +1,112 @@
+"""waypoints.csv."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from rholoc.errors import InvalidWaypoints
+from rholoc.recordings import Waypoint, check_waypoints_fix_frame, read_waypoints_csv, write_waypoints_csv
+
+ROWS = "W1,0.5,1,0,1.5\nW2,1.0,1,2,1.5\nE,1.5,0,2,1.6\n"
+
+
+@dataclass(frozen=True)
+class Frames:
+    """Frames 100, 102, … at 10 a second from 0 s on."""
+
+    numbers: np.ndarray
+    times: np.ndarray
+    size: tuple[int, int] = (64, 48)
+
+
+FRAMES = Frames(np.arange(100, 142, 2), np.arange(21) / 10)
+
+
+def written(folder: Path, text: str) -> Path:
+    path = folder / "waypoints.csv"
+    path.write_text(text)
+    return path
+
+
+def test_waypoints_by_time(tmp_path: Path) -> None:
+    waypoints = read_waypoints_csv(written(tmp_path, "name,time,x,y,z\n" + ROWS), FRAMES)
+    assert waypoints[0] == Waypoint("W1", 0.5, (1, 0, 1.5))
+    assert [waypoint.name for waypoint in waypoints] == ["W1", "W2", "E"]
+
+
+def test_waypoints_by_frame(tmp_path: Path) -> None:
+    text = "name,frame,x,y,z\nA,100,0,0,0\nB,110,1,0,0\nC,140,0,1,0\n"
+    assert [waypoint.time for waypoint in read_waypoints_csv(written(tmp_path, text), FRAMES)] == [0, 0.5, 2.0]
+
+
+def test_waypoints_come_back(tmp_path: Path) -> None:
+    waypoints = (
+        Waypoint('the "door", left', 0.25, (1.25, -2, 3)),
+        Waypoint("W2", 1.0, (0, 0, 0)),
+        Waypoint("Ä", 2.0, (0, 5, 0)),
+    )
+    write_waypoints_csv(tmp_path / "w.csv", waypoints)
+    assert read_waypoints_csv(tmp_path / "w.csv", FRAMES) == waypoints
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        ("", "empty"),
+        ("name,time,x,y,z\n", "0 waypoints"),
+        ("name,time,x,y,z\nW1,0.5,1,0,1\nW2,1,2,0,1\n", "2 waypoints"),
+        ("name,x,y,z\nW1,1,0,1\n", "neither a column time nor a column frame"),
+        ("name,time,x,y\n", "no column z"),
+        ("name,time,x,y,z\n" + ROWS + "W1,1.7,1,1,1\n", "W1 more than once"),
+        ("name,time,x,y,z\n" + ROWS + ",1.7,1,1,1\n", "no name"),
+        ("name,time,x,y,z\n" + ROWS + "N,1.7,nan,1,1\n", "row 5: 'nan' under x"),
+        ("name,time,x,y,z\n" + ROWS + "N,soon,1,1,1\n", "'soon' under time"),
+        ("name,time,x,y,z\n" + ROWS + "late,2.1,1,1,1\n", "late is at 2.100 s, outside"),
+        ("name,time,x,y,z\n" + ROWS + "early,-0.1,1,1,1\n", "early is at"),
+        ("name,frame,x,y,z\nodd,101,1,1,1\n", "odd is at frame 101"),
+        ("name,frame,x,y,z\nhalf,100.5,1,1,1\n", "half is at frame 100.5"),
+    ],
+)
+def test_broken_waypoints_are_told(tmp_path: Path, text: str, complaint: str) -> None:
+    with pytest.raises(InvalidWaypoints, match=complaint):
+        read_waypoints_csv(written(tmp_path, text), FRAMES)
+
+
+def test_wrong_columns_tell_the_right_ones(tmp_path: Path) -> None:
+    with pytest.raises(InvalidWaypoints) as caught:
+        read_waypoints_csv(written(tmp_path, "label,x,y\nA,1,2\n"), FRAMES)
+    assert "name,time,x,y,z or name,frame,x,y,z" in caught.value.hint
+
+
+def test_a_missing_file_is_told(tmp_path: Path) -> None:
+    with pytest.raises(InvalidWaypoints, match="does not exist"):
+        read_waypoints_csv(tmp_path / "none.csv", FRAMES)
+
+
+def as_waypoints(positions: np.ndarray) -> list[Waypoint]:
+    return [Waypoint(f"W{i}", float(i), tuple(map(float, position))) for i, position in enumerate(positions)]
+
+
+@given(seed=st.integers(0, 1000), n=st.integers(3, 6), length=st.floats(0.1, 50))
+def test_a_line_fixes_no_frame_but_a_bend_does(seed: int, n: int, length: float) -> None:
+    R = Rotation.random(rng=np.random.default_rng(seed)).as_matrix()
+    line = np.column_stack([np.linspace(0, length, n), np.zeros(n), np.zeros(n)])
+    with pytest.raises(InvalidWaypoints, match="one line"):
+        check_waypoints_fix_frame(as_waypoints(line @ R.T + 3))
+    line[1, 1] = 0.2 * length
+    check_waypoints_fix_frame(as_waypoints(line @ R.T + 3))
+
+
+def test_one_place_or_two_points_fix_no_frame() -> None:
+    with pytest.raises(InvalidWaypoints):
+        check_waypoints_fix_frame(as_waypoints(np.ones((4, 3))))
+    with pytest.raises(InvalidWaypoints, match="at least 3"):
+        check_waypoints_fix_frame(as_waypoints(np.eye(3)[:2]))
+    check_waypoints_fix_frame(as_waypoints(np.eye(3)))
