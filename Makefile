@@ -8,10 +8,13 @@ VENV := .venv
 BIN := $(VENV)/bin
 INSTALLED := $(VENV)/.installed
 
-.PHONY: demo test lint format clean
+.PHONY: demo serve test lint format clean
 
 demo: $(INSTALLED)
 	$(BIN)/rholoc demo
+
+serve: $(INSTALLED)
+	$(BIN)/rholoc serve
 
 test: $(INSTALLED)
 	$(BIN)/pytest -n 2
