@@ -111,7 +111,7 @@ def test_a_full_disk_replaces_nothing(library: MapLibrary, room_map: Map, monkey
     monkeypatch.setattr("rholoc.maps.files.os.fsync", full)
     with pytest.raises(StorageFull):
         library.put("kitchen", with_version(room_map, 2))
-    with pytest.raises(StorageFull):
+    with pytest.raises(StorageFull, match=r"kitchen\.rho"):
         library.put_file("kitchen", map_to_bytes(with_version(room_map, 2)))
     monkeypatch.undo()
     assert library.get("kitchen").info.version == 1

@@ -12,10 +12,11 @@ from rholoc.errors import InvalidInput, StorageFull
 _FULL = (errno.ENOSPC, errno.EDQUOT)
 
 
-def replace_file(path: Path, data: bytes | memoryview) -> None:
+def replace_file(path: Path, data: bytes | memoryview, called: str = "") -> None:
     """Write ``data`` to ``path`` so that readers see the old content or the new, never a part.
 
     It is written beside ``path``, brought to the disk, and renamed; a file that is open or mapped stays what it was.
+    Errors speak of the file as ``called``, else by its name.
 
     Raises:
         StorageFull: the disk is full; the old content stays.
@@ -33,9 +34,10 @@ def replace_file(path: Path, data: bytes | memoryview) -> None:
     except OSError as error:
         if error.errno in _FULL:
             raise StorageFull(
-                f"No room left to write {path.name}; what was there is unchanged.", "Free some space and try again."
+                f"No room left to write {called or path.name}; what was there is unchanged.",
+                "Free some space and try again.",
             ) from error
-        raise InvalidInput(f"{path} cannot be written: {error.strerror}.", "Check the folder.") from error
+        raise InvalidInput(f"{called or path} cannot be written: {error.strerror}.", "Check the folder.") from error
 
 
 def _write(path: Path, data: bytes | memoryview) -> None:

@@ -130,7 +130,7 @@ class MapLibrary:
         data = source if isinstance(source, bytes) else _read(source)
         self._make_folder()
         arrived = self.folder / f".{uuid4().hex}.upload"  # in the same folder, so that it can be renamed into place
-        replace_file(arrived, data)
+        replace_file(arrived, data, called=path.name)
         try:
             map_ = _loaded_as(arrived, name)
             arrived.replace(path)
