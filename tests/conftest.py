@@ -3,9 +3,28 @@
 from __future__ import annotations
 
 import os
+import socket
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
+from urllib.parse import urlsplit
 
+import cv2
+import numpy as np
 import pytest
+import uvicorn
+
+from rholoc.features import FeatureSet, get_extractor
+from rholoc.geometry import ByteArray, Camera, FloatArray, Pose
+from rholoc.maps import DensityKind, Map, MapInfo, map_to_bytes
+
+if TYPE_CHECKING:
+    from fastapi import FastAPI
+
+    from rholoc.service import Settings
 
 _REAL_DATA = Path(__file__).parents[2] / "shared" / "data"
 
@@ -18,3 +37,173 @@ def real_data() -> Path:
             pytest.fail("RHOLOC_REQUIRE_REAL_DATA=1, but the real recordings are absent.")
         pytest.skip("the real recordings are absent")
     return _REAL_DATA
+
+
+@dataclass(frozen=True, eq=False)
+class PictureWorld:
+    """A picture, the camera and pose it was taken with, and a map whose landmarks are what it shows."""
+
+    image: ByteArray
+    camera: Camera
+    pose: Pose
+    map_: Map
+
+    def png(self) -> bytes:
+        """The picture as a PNG file."""
+        return cv2.imencode(".png", self.image)[1].tobytes()
+
+    def rho(self, **changes: Any) -> bytes:
+        """The map as a file; ``changes`` are of its description."""
+        return map_to_bytes(replace(self.map_, info=replace(self.map_.info, **changes)))
+
+
+@pytest.fixture(scope="session")
+def picture_world() -> PictureWorld:
+    """A speckled picture of points 2–5 m away, and its map; small enough to localize in at once."""
+    rng = np.random.default_rng(7)
+    speckles = [cv2.resize(rng.random((48 * k, 64 * k)), (640, 480)) for k in (1, 2, 5)]
+    image = np.uint8(255 * np.mean(speckles, axis=0))
+    image = cv2.normalize(image, None, 0, 255, cv2.NORM_MINMAX)
+    image = np.ascontiguousarray(np.repeat(image[:, :, None], 3, axis=2))
+    camera = Camera(640, 480, 520.0, 520.0, 319.5, 239.5)
+    pose = Pose.from_heading(np.array([1.0, 2.0, 1.5]), np.array([0.8, 0.6, 0.0]))
+    features = get_extractor("gray").extract(image)
+    n, views = len(features), 4
+    landmarks = pose.position + rng.uniform(2, 5, (n, 1)) * (camera.rays(features.pixels) @ pose.R_map_camera.T)
+    covariances = np.zeros((n, 6), np.float32)
+    covariances[:, [0, 3, 5]] = 0.002**2
+    sideways = np.linspace(-0.1, 0.1, views)[:, None] * pose.R_map_camera[:, 0]
+    positions = pose.position + sideways
+    info = MapInfo(
+        id="00112233445566778899aabbccddeeff",
+        version=3,
+        density=DensityKind.RAY,
+        features="gray",
+        metric=True,
+        upright=True,
+        created="2026-01-02T03:04:05Z",
+        camera=camera,
+        sources=({"name": "walk", "frames": 4},),
+        waypoints=({"name": "W1", "position": [1.0, 2.0, 1.5], "residual_m": 0.01},),
+        report={"held_out": 4, "median_cm": 1.5},
+    )
+    map_ = Map(
+        info=info,
+        channels=features.channels,
+        landmarks=landmarks.astype(np.float32),
+        covariances=covariances,
+        descriptors=features.descriptors,
+        descriptor_features=np.arange(n, dtype=np.int32),
+        view_times=np.arange(views, dtype=np.float64),
+        view_poses=np.column_stack([positions, np.tile(pose.quaternion_xyzw, (views, 1))]).astype(np.float32),
+        view_offsets=np.arange(0, n * views + 1, n, dtype=np.int32),
+        view_features=np.tile(np.arange(n, dtype=np.int32), views),
+    )
+    return PictureWorld(image, camera, pose, map_)
+
+
+@dataclass(frozen=True, eq=False)
+class PointRoom:
+    """Points on the walls of a room, each with a descriptor, and a camera that sees them with noise."""
+
+    points: FloatArray
+    descriptors: ByteArray
+    camera: Camera
+    noise_px: float = 0.5
+    flipped_bits: int = 12
+
+    def see(self, pose: Pose, seed: int, share: float = 0.7) -> FeatureSet:
+        """What a camera at ``pose`` detects: the points in view, some missed, pixels and descriptors disturbed."""
+        rng = np.random.default_rng(seed)
+        pixels = self.camera.project((self.points - pose.position) @ pose.R_map_camera)
+        seen = np.flatnonzero(self.camera.contains(pixels) & (rng.random(len(pixels)) < share))
+        bits = np.unpackbits(self.descriptors[seen], axis=1)
+        flips = rng.random(bits.shape) < self.flipped_bits / bits.shape[1]
+        n = len(seen)
+        return FeatureSet(
+            (pixels[seen] + rng.normal(size=(n, 2)) * self.noise_px).astype(np.float32),
+            np.zeros(n, np.uint8),
+            np.packbits(bits ^ flips, axis=1),
+            np.full(n, 31, np.float32),
+            np.zeros(n, np.float32),
+        )
+
+    def walk(self, count: int, sideways_m: float = 0.0) -> list[Pose]:
+        """Upright poses along a curve through the room, turning as they go."""
+        turns = np.linspace(0, 1.5 * np.pi, count)
+        return [
+            Pose.from_heading(
+                np.array([np.cos(t) + sideways_m, np.sin(t), 1.4 + 0.05 * np.sin(5 * t)]),
+                np.array([np.cos(t), np.sin(t), -0.05]),
+            )
+            for t in turns
+        ]
+
+
+@pytest.fixture(scope="session")
+def point_room() -> PointRoom:
+    """A room of 6 × 5 × 3 m with 1200 points on its four walls."""
+    rng = np.random.default_rng(11)
+    n = 1200
+    along, height, wall = rng.uniform(-1, 1, n), rng.uniform(0.2, 2.8, n), rng.integers(0, 4, n)
+    x = np.choose(wall, [3.0 * along, np.full(n, 3.0), 3.0 * along, np.full(n, -3.0)])
+    y = np.choose(wall, [np.full(n, 2.5), 2.5 * along, np.full(n, -2.5), 2.5 * along])
+    descriptors = rng.integers(0, 256, (n, 32), dtype=np.uint8)
+    return PointRoom(np.column_stack([x, y, height]), descriptors, Camera(640, 480, 520.0, 520.0, 319.5, 239.5))
+
+
+@dataclass(frozen=True, eq=False)
+class RunningService:
+    """The service on a real socket of this machine."""
+
+    url: str
+    app: FastAPI
+    settings: Settings
+
+    @property
+    def address(self) -> tuple[str, int]:
+        """Host and port."""
+        parts = urlsplit(self.url)
+        assert parts.hostname is not None
+        assert parts.port is not None
+        return parts.hostname, parts.port
+
+
+ServeFunction = Callable[..., RunningService]
+
+
+@pytest.fixture(scope="module")
+def serve(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ServeFunction]:
+    """Starts services with chosen settings, in folders of their own and without a worker; stops them at the end."""
+    from rholoc.service import Settings, create_app
+
+    started: list[tuple[uvicorn.Server, threading.Thread]] = []
+
+    def start(**settings: Any) -> RunningService:
+        folder = tmp_path_factory.mktemp("service")
+        defaults = {"maps_dir": folder / "maps", "data_dir": folder / "data", "worker": False, "concurrency": 2}
+        chosen = Settings(**{**defaults, **settings})
+        app = create_app(chosen)
+        listener = socket.create_server(("127.0.0.1", 0))
+        server = uvicorn.Server(uvicorn.Config(app, log_level="error", timeout_graceful_shutdown=2))
+        thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]}, daemon=True)
+        thread.start()
+        while not server.started:
+            assert thread.is_alive(), "the service did not start"
+            time.sleep(0.01)
+        started.append((server, thread))
+        return RunningService(f"http://127.0.0.1:{listener.getsockname()[1]}", app, chosen)
+
+    yield start
+    for server, thread in started:
+        server.should_exit = True
+        thread.join(10)
+
+
+@pytest.fixture(scope="module")
+def service(serve: ServeFunction, picture_world: PictureWorld) -> RunningService:
+    """A service with the map ``room``, metric, and the map ``loose``, of arbitrary scale."""
+    running = serve()
+    (running.settings.maps_dir / "room.rho").write_bytes(picture_world.rho())
+    (running.settings.maps_dir / "loose.rho").write_bytes(picture_world.rho(metric=False, version=1))
+    return running

@@ -1,0 +1,28 @@
+"""Presence: a feature is expected from where it was seen, not from behind it or from afar."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from rholoc.density.presence import Presence, group_sums
+
+LANDMARKS = np.array([[0.0, 0.0, 0.0], [5.0, 0.0, 0.0]])
+POSITIONS = np.array([[0.0, -2.0, 0.0], [0.5, -2.0, 0.0], [5.0, 3.0, 0.0]])
+PRESENCE = Presence.of(LANDMARKS, POSITIONS, np.array([0, 0, 1]))
+
+
+def test_where_it_was_seen_from_is_allowed() -> None:
+    assert PRESENCE.allows(LANDMARKS, POSITIONS[0])[0]
+    assert PRESENCE.allows(LANDMARKS, POSITIONS[1])[0]
+    assert PRESENCE.allows(LANDMARKS, POSITIONS[2])[1]
+
+
+def test_behind_and_too_far_are_not() -> None:
+    assert not PRESENCE.allows(LANDMARKS, np.array([0.0, 2.0, 0.0]))[0]
+    assert not PRESENCE.allows(LANDMARKS, np.array([0.0, -20.0, 0.0]))[0]
+    assert not PRESENCE.allows(LANDMARKS, np.array([0.0, -0.2, 0.0]))[0]
+
+
+def test_group_sums_add_by_group() -> None:
+    sums = group_sums(np.array([0, 2, 0]), np.array([[1.0, 2.0], [3.0, 4.0], [5.0, 6.0]]), 3)
+    np.testing.assert_array_equal(sums, [[6, 8], [0, 0], [3, 4]])

@@ -1,0 +1,85 @@
+"""The ray density: information sums add, and the gradient is the density's own."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rholoc.density.ray import (
+    landmarks_from_information,
+    observation_information,
+    ray_density,
+    ray_density_gradient,
+    squared_ray_distance,
+)
+
+seeds = st.integers(0, 2**31)
+
+
+def _rays(seed: int, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A landmark (3,), positions (N, 3) around it and exact bearings (N, 3)."""
+    rng = np.random.default_rng(seed)
+    landmark = rng.uniform(-2, 2, 3)
+    positions = landmark + rng.normal(size=(count, 3)) * 2
+    offset = landmark - positions
+    return landmark, positions, offset / np.linalg.norm(offset, axis=1, keepdims=True)
+
+
+@given(seed=seeds, count=st.integers(3, 12))
+def test_exact_rays_meet_in_the_landmark(seed: int, count: int) -> None:
+    landmark, positions, bearings = _rays(seed, count)
+    information, eta = observation_information(bearings, positions, np.ones(count))
+    found, _ = landmarks_from_information(information.sum(axis=0)[None], eta.sum(axis=0)[None])
+    np.testing.assert_allclose(found[0], landmark, atol=1e-5)
+
+
+@given(seed=seeds)
+def test_sums_do_not_depend_on_the_order(seed: int) -> None:
+    _, positions, bearings = _rays(seed, 9)
+    bearings = bearings + np.random.default_rng(seed).normal(size=(9, 3)) * 1e-3
+    bearings /= np.linalg.norm(bearings, axis=1, keepdims=True)
+    information, eta = observation_information(bearings, positions, np.linspace(1, 2, 9))
+    at_once, _ = landmarks_from_information(information.sum(axis=0)[None], eta.sum(axis=0)[None])
+    later = information[4:].sum(axis=0) + information[:4].sum(axis=0)
+    in_parts, _ = landmarks_from_information(later[None], (eta[4:].sum(axis=0) + eta[:4].sum(axis=0))[None])
+    np.testing.assert_allclose(in_parts, at_once, atol=1e-6)
+
+
+def test_parallel_rays_determine_nothing() -> None:
+    bearings = np.repeat([[0.0, 0.0, 1.0]], 3, axis=0)
+    information, eta = observation_information(bearings, np.eye(3), np.ones(3))
+    found, covariance = landmarks_from_information(information.sum(axis=0)[None], eta.sum(axis=0)[None])
+    assert np.isnan(found).all()
+    assert np.isnan(covariance).all()
+
+
+@given(seed=seeds)
+def test_the_squared_distance_is_that_of_the_perpendicular(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    m, x, b = rng.normal(size=3), rng.normal(size=3), rng.normal(size=3)
+    b /= np.linalg.norm(b)
+    assert squared_ray_distance(m, b, x) == pytest.approx(np.linalg.norm(np.cross(b, m - x)) ** 2, abs=1e-9)
+
+
+@given(seed=seeds)
+def test_gradients_agree_with_finite_differences(seed: int) -> None:
+    landmark, positions, bearings = _rays(seed, 1)
+    x, tolerance = positions[0], np.array(0.5)
+    b = bearings[0] + np.random.default_rng(seed + 1).normal(size=3) * 0.02
+    by_bearing, by_position = ray_density_gradient(landmark, b, x, tolerance)
+    if not 0.05 < ray_density(landmark, b, x, tolerance) < 1:
+        return
+    step = 1e-6
+    for axis in np.eye(3):
+        forward = ray_density(landmark, b, x + step * axis, tolerance)
+        backward = ray_density(landmark, b, x - step * axis, tolerance)
+        assert by_position @ axis == pytest.approx((forward - backward) / (2 * step), abs=1e-4)
+        forward = ray_density(landmark, b + step * axis, x, tolerance)
+        backward = ray_density(landmark, b - step * axis, x, tolerance)
+        assert by_bearing @ axis == pytest.approx((forward - backward) / (2 * step), abs=1e-4)
+
+
+def test_landmarks_behind_the_camera_have_no_density() -> None:
+    assert ray_density(np.array([0, 0, -1.0]), np.array([0, 0, 1.0]), np.zeros(3), np.array(1.0)) == 0

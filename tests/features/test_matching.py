@@ -1,0 +1,62 @@
+"""Matching finds what it must, within channels only."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rholoc.features import FeatureSet, Metric
+from rholoc.features.matching import DescriptorIndex, descriptor_distances, mutual_matches
+
+
+def _features(descriptors: np.ndarray, channel: int = 0) -> FeatureSet:
+    n = len(descriptors)
+    zeros = np.zeros(n, np.float32)
+    return FeatureSet(np.zeros((n, 2), np.float32), np.full(n, channel, np.uint8), descriptors, zeros, zeros)
+
+
+def _random(n: int, size: int, seed: int) -> np.ndarray:
+    return np.random.default_rng(seed).integers(0, 256, (n, size), dtype=np.uint8)
+
+
+@pytest.mark.parametrize(("metric", "size"), [(Metric.HAMMING, 32), (Metric.EUCLIDEAN, 128)])
+def test_the_nearest_is_the_nearest(metric: Metric, size: int) -> None:
+    stored, asked = _random(200, size, 0), _random(20, size, 1)
+    index = DescriptorIndex(stored, np.zeros(200, np.uint8), metric)
+    distances, rows = index.nearest(_features(asked), 3)
+    every = np.array([descriptor_distances(np.repeat(a[None], 200, 0), stored, metric) for a in asked])
+    np.testing.assert_allclose(distances, np.sort(every, axis=1)[:, :3], rtol=1e-4)
+    np.testing.assert_allclose(np.take_along_axis(every, rows, axis=1), distances, rtol=1e-4)
+
+
+@given(flips=st.sets(st.integers(0, 255), max_size=60))
+def test_hamming_counts_flipped_bits(flips: set[int]) -> None:
+    a = _random(1, 32, 2)
+    bits = np.unpackbits(a)
+    bits[list(flips)] ^= 1
+    assert descriptor_distances(a, np.packbits(bits)[None], Metric.HAMMING)[0] == len(flips)
+
+
+@pytest.mark.parametrize(("metric", "size"), [(Metric.HAMMING, 32), (Metric.EUCLIDEAN, 128)])
+def test_a_shuffled_copy_matches_itself(metric: Metric, size: int) -> None:
+    descriptors = _random(100, size, 3)
+    order = np.random.default_rng(4).permutation(100)
+    pairs = mutual_matches(_features(descriptors), _features(descriptors[order]), metric, limit=1)
+    assert len(pairs) == 100
+    np.testing.assert_array_equal(order[pairs[:, 1]], pairs[:, 0])
+
+
+def test_channels_do_not_mix() -> None:
+    descriptors = _random(10, 32, 5)
+    assert len(mutual_matches(_features(descriptors, 1), _features(descriptors, 2), Metric.HAMMING, 64)) == 0
+    distances, rows = DescriptorIndex(descriptors, np.full(10, 1, np.uint8), Metric.HAMMING).nearest(
+        _features(descriptors, 2), 2
+    )
+    assert np.isinf(distances).all()
+    assert (rows == -1).all()
+
+
+def test_nothing_matches_nothing() -> None:
+    assert mutual_matches(FeatureSet.empty(32), FeatureSet.empty(32), Metric.HAMMING, 64).shape == (0, 2)

@@ -1,0 +1,112 @@
+"""The localizer, in a room of points."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from rholoc.errors import InvalidDescriptors
+from rholoc.features import FeatureSet
+from rholoc.geometry import Pose, pose_matrix
+from rholoc.localization import Dof, Localizer, Prior, Query, Reason
+
+
+def _off(answer: Any, truth: Pose) -> tuple[float, float]:
+    assert answer.pose is not None, answer.reason
+    angle = Rotation.from_matrix(answer.pose.R_map_camera.T @ truth.R_map_camera).magnitude()
+    return float(np.linalg.norm(answer.pose.position - truth.position)), float(np.degrees(angle))
+
+
+@pytest.mark.parametrize("dof", list(Dof))
+def test_frames_between_the_views_are_localized(localizer: Localizer, point_room: Any, dof: Dof) -> None:
+    for seed, truth in enumerate(point_room.walk(12, sideways_m=0.12)):
+        answer = localizer.localize(Query(point_room.see(truth, 1000 + seed), point_room.camera, dof))
+        distance, angle = _off(answer, truth)
+        assert distance < 0.03
+        assert angle < 0.5
+        assert answer.confidence > 0.5
+        assert answer.inliers == len(answer.inlier_pixels) == len(answer.inlier_features)
+
+
+def test_a_rolled_camera_is_found_with_six_degrees_of_freedom(localizer: Localizer, point_room: Any) -> None:
+    upright = point_room.walk(7)[3]
+    truth = Pose.from_heading(upright.position, upright.heading, roll=0.5)
+    answer = localizer.localize(Query(point_room.see(truth, 5), point_room.camera, Dof.FREE))
+    assert _off(answer, truth)[0] < 0.03
+    assert answer.pose is not None
+    assert answer.pose.roll == pytest.approx(0.5, abs=0.01)
+
+
+def test_the_same_query_gives_the_same_answer(localizer: Localizer, point_room: Any) -> None:
+    query = Query(point_room.see(point_room.walk(5)[2], 3), point_room.camera)
+    first, second = localizer.localize(query), localizer.localize(query)
+    assert first.pose is not None
+    assert second.pose is not None
+    np.testing.assert_array_equal(first.pose.T_map_camera, second.pose.T_map_camera)
+
+
+def test_errors_are_consistent_with_the_covariance(localizer: Localizer, point_room: Any) -> None:
+    inside = []
+    for seed, truth in enumerate(point_room.walk(20, sideways_m=0.1)):
+        answer = localizer.localize(Query(point_room.see(truth, 2000 + seed), point_room.camera, Dof.FREE))
+        assert answer.pose is not None
+        assert answer.covariance is not None
+        error = answer.pose.position - truth.position
+        inside.append(error @ np.linalg.solve(answer.covariance[:3, :3], error) < 7.81)
+    assert np.mean(inside) >= 0.85
+
+
+def test_a_prior_is_used_and_kept_to(localizer: Localizer, point_room: Any) -> None:
+    truth = point_room.walk(9)[4]
+    features = point_room.see(truth, 8)
+    near = Pose(pose_matrix(truth.R_map_camera, truth.position + np.array([0.05, -0.04, 0.02])))
+    answer = localizer.localize(Query(features, point_room.camera, prior=Prior(near, 0.5, 0.3)))
+    assert _off(answer, truth)[0] < 0.03
+    assert "seed" not in answer.timings_ms  # tracking needs no search
+    far = Pose(pose_matrix(truth.R_map_camera, truth.position + np.array([3.0, 0.0, 0.0])))
+    answer = localizer.localize(Query(features, point_room.camera, prior=Prior(far, 0.5, 0.3)))
+    assert not answer.localized
+
+
+def test_gravity_that_contradicts_forbids_an_answer(localizer: Localizer, point_room: Any) -> None:
+    truth = point_room.walk(9)[4]
+    features, down = point_room.see(truth, 8), truth.R_map_camera.T @ np.array([0, 0, -1.0])
+    agreed = localizer.localize(Query(features, point_room.camera, Dof.FREE, gravity=down))
+    assert _off(agreed, truth)[0] < 0.03
+    assert not localizer.localize(Query(features, point_room.camera, Dof.FREE, gravity=-down)).localized
+
+
+def test_another_room_is_refused(localizer: Localizer, point_room: Any) -> None:
+    rng = np.random.default_rng(99)
+    for _ in range(20):
+        n = 400
+        features = FeatureSet(
+            rng.uniform((0, 0), (640, 480), (n, 2)).astype(np.float32),
+            np.zeros(n, np.uint8),
+            rng.integers(0, 256, (n, 32), dtype=np.uint8),
+            np.zeros(n, np.float32),
+            np.zeros(n, np.float32),
+        )
+        answer = localizer.localize(Query(features, point_room.camera, Dof.FREE))
+        assert not answer.localized
+        assert answer.pose is None
+        assert answer.reason is not None
+
+
+def test_nothing_to_see_is_an_answer(localizer: Localizer, point_room: Any) -> None:
+    answer = localizer.localize(Query(FeatureSet.empty(32), point_room.camera))
+    assert answer.reason is Reason.NO_FEATURES
+
+
+def test_a_deadline_that_has_passed_is_an_answer(localizer: Localizer, point_room: Any) -> None:
+    features = point_room.see(point_room.walk(5)[2], 3)
+    answer = localizer.localize(Query(features, point_room.camera, deadline_s=0.0))
+    assert answer.reason is Reason.DEADLINE
+
+
+def test_descriptors_of_another_kind_are_refused(localizer: Localizer, point_room: Any) -> None:
+    with pytest.raises(InvalidDescriptors, match="128 bytes"):
+        localizer.localize(Query(FeatureSet.empty(128), point_room.camera))

@@ -1,0 +1,99 @@
+"""Tracks and landmarks against the points they should be."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+
+from rholoc.features import Metric
+from rholoc.mapping.landmarks import (
+    Landmarks,
+    extend_and_merge,
+    representative_rows,
+    select_stable,
+    triangulate,
+)
+from rholoc.mapping.observations import Views, link_observations, neighbour_pairs
+
+
+@pytest.fixture(scope="module")
+def landmarks(walked: Views) -> Landmarks:
+    return triangulate(walked, link_observations(walked, Metric.HAMMING))
+
+
+def test_landmarks_are_the_rooms_points(landmarks: Landmarks, point_room: Any) -> None:
+    distance, _ = cKDTree(point_room.points).query(landmarks.positions)
+    assert len(landmarks) > 600
+    assert np.median(distance) < 0.02
+    # honest uncertainty: errors of a few sigma, not of many
+    sigma = np.sqrt(np.trace(landmarks.covariances, axis1=1, axis2=2))
+    assert np.percentile(distance / sigma, 95) < 3
+
+
+def test_no_landmark_is_seen_twice_in_a_view(landmarks: Landmarks, walked: Views) -> None:
+    rows = landmarks.observed_rows
+    seen = np.column_stack([landmarks.labels[rows], walked.view_of[rows]])
+    assert len(np.unique(seen, axis=0)) == len(seen)
+
+
+def test_positions_follow_from_the_information(landmarks: Landmarks) -> None:
+    solved = np.linalg.solve(landmarks.information, landmarks.eta[..., None])[..., 0]
+    np.testing.assert_allclose(landmarks.positions, solved, atol=1e-6)
+
+
+def test_extension_finds_more_and_loses_no_accuracy(landmarks: Landmarks, walked: Views, point_room: Any) -> None:
+    # half of the observations are hidden: looking where landmarks should be must find them again
+    labels = landmarks.labels.copy()
+    hidden = np.flatnonzero(labels >= 0)[::2]
+    labels[hidden] = -1
+    thinned = triangulate(walked, labels)
+    extended = extend_and_merge(walked, thinned, Metric.HAMMING)
+    assert extended.view_counts.sum() > 1.7 * thinned.view_counts.sum()
+    distance, _ = cKDTree(point_room.points).query(extended.positions)
+    assert np.median(distance) < 0.02
+
+
+def test_split_tracks_are_merged(landmarks: Landmarks, walked: Views) -> None:
+    labels = landmarks.labels.copy()
+    late = (walked.view_of >= 30) & (labels >= 0)
+    labels[late] += len(landmarks)
+    kept = labels >= 0
+    labels[kept] = np.unique(labels[kept], return_inverse=True)[1]
+    split = triangulate(walked, labels)
+    merged = extend_and_merge(walked, split, Metric.HAMMING)
+    assert len(merged) < len(split)
+
+
+def test_wrong_observations_lose_their_label(walked: Views, landmarks: Landmarks) -> None:
+    labels = landmarks.labels.copy()
+    victim = int(np.argmax(landmarks.view_counts))
+    elsewhere = ~np.isin(walked.view_of, walked.view_of[labels == victim])
+    intruder = int(np.flatnonzero((labels >= 0) & elsewhere)[0])
+    labels[intruder] = victim
+    again = triangulate(walked, labels)
+    assert again.labels[intruder] == -1
+
+
+def test_selection_keeps_what_is_seen_often(landmarks: Landmarks, walked: Views) -> None:
+    few = select_stable(walked, landmarks, per_view=20)
+    all_ = select_stable(walked, landmarks, per_view=10_000)
+    assert len(few) < len(all_) <= len(landmarks)
+    assert few.view_counts.min() >= 3
+    assert few.view_counts.mean() > all_.view_counts.mean()
+
+
+def test_representatives_start_with_the_medoid(landmarks: Landmarks, walked: Views) -> None:
+    rows = representative_rows(walked, landmarks, Metric.HAMMING, most=2)
+    assert len(rows) == len(landmarks)
+    for landmark, chosen in list(enumerate(rows))[:20]:
+        assert 1 <= len(chosen) <= 2
+        assert (landmarks.labels[chosen] == landmark).all()
+
+
+def test_neighbours_are_near_in_time_or_alike(walked: Views) -> None:
+    pairs = neighbour_pairs(walked)
+    assert (pairs[:, 0] < pairs[:, 1]).all()
+    assert {(0, 1), (10, 15)} <= set(map(tuple, pairs.tolist()))
