@@ -27,6 +27,7 @@ from rholoc.service.errors import (
     status_of,
 )
 from rholoc.service.localizers import Localizers
+from rholoc.service.logs import configure_logs
 from rholoc.service.middleware import RequestBoundary
 from rholoc.service.openapi import install
 from rholoc.service.routes import ROUTERS
@@ -46,6 +47,7 @@ def create_app(settings: Settings | None = None) -> FastAPI:
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
+        configure_logs()
         app.state.rholoc = state = _start(settings)
         worker = EmbeddedWorker(settings.data_dir, settings.maps_dir) if settings.worker else None
         if worker is not None:
@@ -58,7 +60,9 @@ def create_app(settings: Settings | None = None) -> FastAPI:
             state.compute.close()
             state.jobs.close()
 
-    app = FastAPI(title="rholoc", version=__version__, description=_DESCRIPTION, lifespan=lifespan)
+    app = FastAPI(
+        title="rholoc", version=__version__, description=_DESCRIPTION, lifespan=lifespan, redirect_slashes=False
+    )
     for router in ROUTERS:
         app.include_router(router)
     for kind in (RholocError, ValidationError, RequestValidationError, HTTPException, OSError):

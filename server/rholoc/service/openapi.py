@@ -44,7 +44,7 @@ def failures(*kinds: type[RholocError]) -> dict[int | str, dict[str, Any]]:
 
 
 def install(app: FastAPI) -> None:
-    """Let ``app.openapi()`` also define the models that bodies read by hand refer to."""
+    """Let ``app.openapi()`` define the models of bodies that are read by hand, and no error but ours."""
 
     def openapi() -> dict[str, Any]:
         if app.openapi_schema is None:
@@ -57,6 +57,8 @@ def install(app: FastAPI) -> None:
             )
             _, definitions = models_json_schema([(model, "validation") for model in _BY_HAND], ref_template=_REF)
             schema["components"]["schemas"] = {**definitions["$defs"], **schema["components"]["schemas"]}
+            for own in ("HTTPValidationError", "ValidationError"):
+                schema["components"]["schemas"].pop(own, None)
             app.openapi_schema = schema
         return app.openapi_schema
 

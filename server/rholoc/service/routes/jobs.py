@@ -7,6 +7,7 @@ from starlette.concurrency import run_in_threadpool
 
 from rholoc.errors import Conflict, UnknownJob
 from rholoc.jobs import Job
+from rholoc.service.errors import InvalidRequest
 from rholoc.service.openapi import failures
 from rholoc.service.schemas import JobError, JobList, JobOut
 from rholoc.service.state import Service
@@ -43,20 +44,22 @@ async def list_jobs(service: Service) -> JobList:
     return JobList(jobs=[job_out(job) for job in sorted(jobs, key=lambda job: job.created, reverse=True)])
 
 
-@router.get("/{job}", summary="One job", responses=failures(UnknownJob))
+@router.get("/{job}", summary="One job", responses=failures(InvalidRequest, UnknownJob))
 async def get_job(job: str, service: Service) -> JobOut:
     """Its state, stage and progress; why it failed, if it did."""
     return job_out(await run_in_threadpool(service.jobs.get, job))
 
 
-@router.delete("/{job}", summary="Cancel a job", responses=failures(UnknownJob, Conflict))
+@router.delete("/{job}", summary="Cancel a job", responses=failures(InvalidRequest, UnknownJob, Conflict))
 async def cancel_job(job: str, service: Service) -> JobOut:
     """The recording is kept; the job can be tried again."""
     await run_in_threadpool(service.jobs.cancel, job)
     return job_out(await run_in_threadpool(service.jobs.get, job))
 
 
-@router.post("/{job}/retry", status_code=202, summary="Try a job again", responses=failures(UnknownJob, Conflict))
+@router.post(
+    "/{job}/retry", status_code=202, summary="Try a job again", responses=failures(InvalidRequest, UnknownJob, Conflict)
+)
 async def retry_job(job: str, service: Service) -> JobOut:
     """Queue a failed or cancelled job again, with the recording that was kept."""
     return job_out(await run_in_threadpool(service.jobs.retry, job))

@@ -14,6 +14,7 @@ from fastapi.responses import FileResponse
 from starlette.concurrency import run_in_threadpool
 
 from rholoc.errors import (
+    Busy,
     Conflict,
     InvalidInput,
     InvalidMap,
@@ -36,7 +37,7 @@ from rholoc.service.state import Service
 from rholoc.trajectory import Scale
 
 router = APIRouter(prefix="/v1/maps", tags=["maps"])
-_FAILURES = failures(UnknownMap, InvalidName, InvalidMap)
+_FAILURES = (UnknownMap, InvalidName, InvalidMap)
 
 
 class MapFormat(StrEnum):
@@ -56,7 +57,7 @@ async def list_maps(service: Service) -> MapList:
     return await run_in_threadpool(_list, service.library)
 
 
-@router.get("/{map_name}", summary="One map", responses=_FAILURES)
+@router.get("/{map_name}", summary="One map", responses=failures(*_FAILURES))
 async def get_map(map_name: str, service: Service) -> MapDetail:
     """What the map says of itself."""
     return await run_in_threadpool(_detail, service.library, map_name)
@@ -88,7 +89,7 @@ async def put_map(map_name: str, request: Request, service: Service, response: R
     return await run_in_threadpool(_detail, service.library, map_name)
 
 
-@router.patch("/{map_name}", summary="Rename a map", responses={**_FAILURES, **failures(Conflict, InvalidRequest)})
+@router.patch("/{map_name}", summary="Rename a map", responses=failures(*_FAILURES, Conflict, InvalidRequest))
 async def patch_map(map_name: str, change: MapPatch, service: Service) -> MapDetail:
     """The new name must be free."""
     check_map_name(change.name)
@@ -114,8 +115,7 @@ async def delete_map(map_name: str, service: Service) -> None:
             "description": "The file.",
             "content": {"application/octet-stream": {"schema": BINARY}},
         },
-        **_FAILURES,
-        **failures(InvalidRequest),
+        **failures(*_FAILURES, InvalidRequest),
     },
 )
 async def download_map(
@@ -135,7 +135,7 @@ async def download_map(
     return Response(content, headers=attachment, media_type="application/octet-stream")
 
 
-@router.get("/{map_name}/report", summary="A map's own quality report", responses=_FAILURES)
+@router.get("/{map_name}/report", summary="A map's own quality report", responses=failures(*_FAILURES))
 async def get_report(map_name: str, service: Service) -> MapReport:
     """What the map found out about itself while it was built: held-out frames localized, coverage, residuals."""
     info = (await run_in_threadpool(service.library.get, map_name)).info
@@ -146,7 +146,10 @@ async def get_report(map_name: str, service: Service) -> MapReport:
     "/{map_name}/preview.png",
     summary="A map from above",
     response_class=Response,
-    responses={200: {"description": "A picture.", "content": {"image/png": {"schema": BINARY}}}, **_FAILURES},
+    responses={
+        200: {"description": "A picture.", "content": {"image/png": {"schema": BINARY}}},
+        **failures(*_FAILURES, Busy),
+    },
 )
 async def get_preview(map_name: str, service: Service) -> Response:
     """Landmarks, the walk, waypoints."""

@@ -1,0 +1,53 @@
+"""What is not documented fails here: every route, setting and error code is in the README."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from rholoc.service import Settings, create_app
+from rholoc.service.errors import error_classes, status_of
+
+README = (Path(__file__).parents[2] / "server" / "README.md").read_text(encoding="utf-8")
+
+
+def rows(heading: str) -> dict[str, list[str]]:
+    """The table under a heading: its first column → the others."""
+    section = README.split(f"## {heading}\n", 1)[1].split("\n## ", 1)[0]
+    lines = [line.strip("|").split("|") for line in section.splitlines() if line.startswith("| `")]
+    return {cells[0].strip().strip("`"): [cell.strip().strip("`") for cell in cells[1:]] for cells in lines}
+
+
+def test_every_route_is_documented_and_no_other():
+    paths = create_app(Settings()).openapi()["paths"]
+    assert set(rows("Routes")) == {f"{method.upper()} {path}" for path, item in paths.items() for method in item}
+
+
+def test_every_error_code_is_documented_with_its_status_and_no_other():
+    documented = {code: int(cells[0]) for code, cells in rows("Errors").items()}
+    assert documented == {kind.code: status_of(kind) for kind in error_classes()}
+
+
+def test_every_setting_is_documented_with_its_default_and_no_other():
+    documented = rows("Settings")
+    assert set(documented) == {f"RHOLOC_{name.upper()}" for name in Settings.model_fields}
+    for name, field in Settings.model_fields.items():
+        if field.default_factory is None:
+            assert documented[f"RHOLOC_{name.upper()}"][0] == str(field.default).replace("True", "true").removesuffix(
+                ".0"
+            )
+
+
+def test_every_setting_comes_from_the_environment(monkeypatch):
+    monkeypatch.setenv("RHOLOC_PORT", "81")
+    monkeypatch.setenv("RHOLOC_WORKER", "false")
+    assert (Settings().port, Settings().worker) == (81, False)
+
+
+@pytest.mark.parametrize("parameter", ["fx", "distortion", "dof", "prior_position", "prior_radius_deg", "deadline_ms"])
+def test_the_named_parameters_exist(parameter):
+    operation = create_app(Settings()).openapi()["paths"]["/v1/maps/{map_name}/localize"]["post"]
+    assert parameter in {one["name"] for one in operation["parameters"]}
+    assert re.search(rf"`{parameter}`", README)

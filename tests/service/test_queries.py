@@ -1,0 +1,71 @@
+"""Intrinsics, priors and descriptor sets, as requests give them."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from rholoc.errors import InvalidCamera, InvalidDescriptors, InvalidInput
+from rholoc.features import get_extractor
+from rholoc.geometry import Camera
+from rholoc.service.queries import camera_for, feature_set, gravity_of, prior_of
+from rholoc.service.schemas import CameraIn, FeaturesIn, PriorIn
+
+MAP_CAMERA = Camera(640, 480, 520.0, 521.0, 318.0, 241.0, (0.1, -0.1, 0.0, 0.0))
+
+
+def test_the_maps_own_camera_serves_pictures_of_its_shape():
+    assert camera_for(CameraIn(), (640, 480), MAP_CAMERA) == MAP_CAMERA
+    assert camera_for(CameraIn(), (1280, 960), MAP_CAMERA) == MAP_CAMERA.resized(1280, 960)
+    for size in ((480, 640), (640, 360), (0, 0), (-640, -480)):
+        with pytest.raises(InvalidCamera):
+            camera_for(CameraIn(), size, MAP_CAMERA)
+
+
+def test_given_intrinsics_win_and_are_scaled_to_the_picture():
+    given = CameraIn(width=1920, height=1080, fx=1500.0, fy=1510.0, cx=950.0, cy=530.0, distortion=[0.1, 0, 0, 0])
+    full = Camera(1920, 1080, 1500.0, 1510.0, 950.0, 530.0, (0.1, 0.0, 0.0, 0.0))
+    assert camera_for(given, (1920, 1080), MAP_CAMERA) == full
+    assert camera_for(given, (960, 540), MAP_CAMERA) == full.resized(960, 540)
+    with pytest.raises(InvalidCamera, match="1920×1080"):
+        camera_for(given, (640, 480), MAP_CAMERA)
+
+
+def test_only_fx_must_be_given():
+    assert camera_for(CameraIn(fx=500.0), (641, 481), MAP_CAMERA) == Camera(641, 481, 500.0, 500.0, 320.0, 240.0)
+
+
+def test_a_prior_is_a_heading_or_a_quaternion():
+    by_heading = prior_of(PriorIn(position=[1, 2, 3], heading=[0, 2, 0], radius_deg=90))
+    np.testing.assert_allclose(by_heading.pose.heading, [0, 1, 0], atol=1e-12)
+    assert by_heading.radius_rad == pytest.approx(math.pi / 2)
+    quaternion = by_heading.pose.quaternion_xyzw.tolist()
+    by_quaternion = prior_of(PriorIn(position=[1, 2, 3], quaternion_xyzw=quaternion))
+    np.testing.assert_allclose(by_quaternion.pose.T_map_camera, by_heading.pose.T_map_camera, atol=1e-12)
+    assert prior_of(None) is None
+    with pytest.raises(InvalidInput):
+        prior_of(PriorIn(position=[1, 2, 3]))
+    with pytest.raises(InvalidInput):
+        prior_of(PriorIn(position=[1, 2, 3], heading=[1, 0, 0], quaternion_xyzw=[0, 0, 0, 1]))
+
+
+def test_gravity_is_a_direction():
+    np.testing.assert_allclose(gravity_of([0, 9.81, 0]), [0, 1, 0])
+    assert gravity_of(None) is None
+
+
+def test_channels_are_names_or_numbers():
+    extractor = get_extractor("lab3")
+    given = FeaturesIn(pixels=[(1, 2)] * 3, descriptors=["00" * 32] * 3, channels=["A", 2, "L"])
+    assert feature_set(given, extractor, 10).channels.tolist() == [1, 2, 0]
+    with pytest.raises(InvalidDescriptors, match="channels"):
+        feature_set(FeaturesIn(pixels=[(1, 2)], descriptors=["00" * 32]), extractor, 10)
+
+
+def test_what_is_unknown_of_a_feature_is_marked_so():
+    found = feature_set(FeaturesIn(pixels=[(1, 2)], descriptors=["0f" * 32]), get_extractor("gray"), 10)
+    assert found.sizes.tolist() == [0]
+    assert np.isnan(found.angles).all()
+    assert found.descriptors.tolist() == [[15] * 32]

@@ -1,0 +1,58 @@
+"""Recordings and jobs over HTTP, on the real store and queue; no worker runs."""
+
+from __future__ import annotations
+
+import httpx
+
+from rholoc.jobs import RecordingStore
+
+VIDEO = b"\0" * 3_000_000
+
+
+def upload(service, files, **fields):
+    return httpx.post(service.url + "/v1/recordings", files=files, data={"map": "hall", **fields}, timeout=30)
+
+
+def test_an_upload_becomes_a_recording_and_a_job(service):
+    answer = upload(service, {"file": ("walk.mp4", VIDEO)}, features="lab", poses="visual", camera="500,500,320,240")
+    assert answer.status_code == 202
+    body = answer.json()
+    job = body["job"]
+    assert answer.headers["Location"] == f"/v1/jobs/{job['id']}"
+    assert (job["map"], job["recording"], job["state"]) == ("hall", body["recording"], "queued")
+    stored = RecordingStore(service.settings.data_dir).path(body["recording"])
+    assert stored.name == "walk.mp4"
+    assert stored.read_bytes() == VIDEO
+    assert httpx.get(service.url + answer.headers["Location"]).json()["id"] == job["id"]
+    assert job["id"] in [one["id"] for one in httpx.get(service.url + "/v1/jobs").json()["jobs"]]
+
+
+def test_the_files_of_a_folder_keep_their_places(service):
+    files = [("file", ("frames/0001.jpg", b"1")), ("file", ("frames/0002.jpg", b"2")), ("file", ("imu.csv", b"3"))]
+    recording = upload(service, files).json()["recording"]
+    entry = RecordingStore(service.settings.data_dir).get(recording)
+    assert entry.files == ("frames/0001.jpg", "frames/0002.jpg", "imu.csv")
+
+
+def test_waypoints_lie_beside_the_video(service):
+    files = {"file": ("walk.mp4", VIDEO), "waypoints": ("measured on monday.csv", b"name,time,x,y,z\n")}
+    recording = upload(service, files).json()["recording"]
+    entry = RecordingStore(service.settings.data_dir).get(recording)
+    assert entry.files == ("walk.mp4", "waypoints.csv")
+
+
+def test_names_of_files_are_not_trusted(service):
+    recording = upload(service, {"file": ("../../../etc/evil.mp4", b"x")}).json()["recording"]
+    stored = RecordingStore(service.settings.data_dir).path(recording).resolve()
+    assert service.settings.data_dir.resolve() in stored.parents
+
+
+def test_a_job_is_cancelled_and_tried_again(service):
+    url = service.url + "/v1/jobs/" + upload(service, {"file": ("walk.mp4", VIDEO)}).json()["job"]["id"]
+    assert httpx.post(url + "/retry").json()["code"] == "conflict"
+    assert httpx.delete(url).json()["state"] == "cancelled"
+    assert httpx.delete(url).json()["code"] == "conflict"
+    again = httpx.post(url + "/retry")
+    assert again.status_code == 202
+    assert again.json()["state"] == "queued"
+    assert httpx.delete(url).json()["state"] == "cancelled"

@@ -1,0 +1,45 @@
+"""Liveness, readiness, logs."""
+
+from __future__ import annotations
+
+import json
+
+import httpx
+import structlog
+
+from rholoc import __version__
+from rholoc.service.logs import configure_logs
+
+
+def test_alive(service):
+    assert httpx.get(service.url + "/healthz").json() == {"status": "ok", "version": __version__}
+
+
+def test_ready_says_what_is_not(serve):
+    running = serve()
+    answer = httpx.get(running.url + "/readyz")
+    assert answer.status_code == 200
+    assert answer.json() == {"ready": True, "checks": dict.fromkeys(("maps", "data", "jobs", "compute"), "ok")}
+    running.settings.maps_dir.rmdir()
+    answer = httpx.get(running.url + "/readyz")
+    assert answer.status_code == 503
+    assert not answer.json()["ready"]
+    assert answer.json()["checks"]["maps"] == "the folder is missing"
+    assert httpx.get(running.url + "/healthz").status_code == 200
+    running.settings.maps_dir.mkdir()
+
+
+def test_no_other_site_may_call_from_a_browser(service):
+    answer = httpx.get(service.url + "/v1/maps", headers={"Origin": "https://example.com"})
+    assert not [name for name in answer.headers if name.startswith("access-control-")]
+
+
+def test_the_log_is_json(capsys):
+    configure_logs()
+    try:
+        raise ValueError("what went wrong")
+    except ValueError:
+        structlog.get_logger("test").exception("internal_error", request_id="r1")
+    line = json.loads(capsys.readouterr().err)
+    assert (line["event"], line["request_id"], line["level"]) == ("internal_error", "r1", "error")
+    assert "what went wrong" in line["exception"]
