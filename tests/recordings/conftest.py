@@ -44,7 +44,7 @@ def make_video() -> Callable[..., Path]:
         writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*codec), fps, SIZE)
         assert writer.isOpened()
         for i in range(frames):
-            writer.write(picture(15 * i))
+            writer.write(picture(15 * i % 250))
         writer.release()
         return path
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import gc
 import shutil
 import zipfile
@@ -11,7 +12,15 @@ import cv2
 import numpy as np
 import pytest
 
-from rholoc.errors import InvalidCamera, InvalidRecording, InvalidTrajectory, InvalidWaypoints, RholocError, TooLarge
+from rholoc.errors import (
+    InvalidCamera,
+    InvalidRecording,
+    InvalidTrajectory,
+    InvalidWaypoints,
+    RholocError,
+    StorageFull,
+    TooLarge,
+)
 from rholoc.geometry import Camera
 from rholoc.recordings import (
     CameraFile,
@@ -204,6 +213,15 @@ def test_broken_videos_are_told(make_video, tmp_path: Path) -> None:
         read_recording(make_video(tmp_path / "frameless.mp4", frames=0))
 
 
+def test_a_broken_video_is_told_in_one_line(capfd: pytest.CaptureFixture[str], make_video, tmp_path: Path) -> None:
+    whole = make_video(tmp_path / "whole.mp4", frames=60).read_bytes()
+    (tmp_path / "cut.mp4").write_bytes(whole[: len(whole) // 2])
+    capfd.readouterr()
+    with pytest.raises(InvalidRecording):
+        read_recording(tmp_path / "cut.mp4")
+    assert capfd.readouterr() == ("", "")
+
+
 def test_a_video_that_shrinks_after_it_was_read_is_told(make_video, tmp_path: Path) -> None:
     frames = read_recording(make_video(tmp_path / "clip.avi")).frames
     make_video(tmp_path / "clip.avi", frames=5)
@@ -377,6 +395,19 @@ def test_a_zip_file_that_lies_about_sizes_writes_no_more_than_declared(tmp_path:
     with pytest.raises(InvalidRecording):
         read_recording(path, workdir=tmp_path)
     assert [file.name for file in tmp_path.iterdir()] == ["liar.zip"]
+
+
+def test_a_full_disk_leaves_nothing_unpacked(own: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    workdir = tmp_path / "work"
+    workdir.mkdir()
+    path = zipped(own)
+    monkeypatch.setattr("rholoc.recordings.archive.shutil.copyfileobj", full)
+    with pytest.raises(StorageFull):
+        read_recording(path, workdir=workdir)
+    assert list(workdir.iterdir()) == []
 
 
 def test_damaged_zip_files_are_told(own: Path, tmp_path: Path) -> None:
