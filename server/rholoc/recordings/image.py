@@ -21,6 +21,9 @@ DEFAULT_MAX_PIXELS = 50_000_000
 _FORMATS = ("JPEG", "PNG", "WEBP", "BMP", "PPM")
 _ORIENTATION_TAG = 0x0112  # EXIF
 _TRANSPOSED = range(5, 9)  # the EXIF orientations that swap width and height
+# Ours is the limit that counts. Set once, because the filters are shared by all threads.
+warnings.filterwarnings("ignore", category=Image.DecompressionBombWarning)
+
 _DECODING_ERRORS = (OSError, SyntaxError, ValueError, struct.error, EOFError, IndexError, KeyError, TypeError)
 
 
@@ -75,10 +78,7 @@ def _opened(source: Path | io.BytesIO, max_pixels: int) -> Iterator[Image.Image]
     """The image with its header read; whatever goes wrong inside becomes an InvalidImage."""
     hint = "Send a whole JPEG or PNG file."
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # our own limit follows
-            image = Image.open(source, formats=_FORMATS)
-        with image:
+        with Image.open(source, formats=_FORMATS) as image:
             width, height = image.size
             if width * height > max_pixels:
                 raise _too_large(f"of {width}×{height} pixels", max_pixels)
