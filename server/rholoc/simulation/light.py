@@ -24,6 +24,8 @@ _BOUNCE_PATCH_M = 0.35
 _VIRTUAL_LIGHTS = 64
 _OFF_SURFACE_M = 0.01
 _SAMPLES_PER_SIDE = 3
+_DARKEST_WHITE = 0.01  # cd/m²
+_SMALLEST_SOURCE_PX = 25
 _SOFTENING_M2 = 0.15  # keeps a virtual light from blazing at what touches it
 
 
@@ -131,7 +133,7 @@ def light_scene(scene: Scene, light: Light) -> Lighting:
         )
         illuminance.append(d.reshape(*shape, 3).astype(np.float32) + soft + remainder.astype(np.float32))
     typical = float(np.median(np.concatenate([e.mean(axis=2).ravel() for e in illuminance])))
-    white = 4.0 * typical / math.pi
+    white = max(4.0 * typical / math.pi, _DARKEST_WHITE)
     glows = {
         Source.LAMP: conditions.lamp_luminance * white_point(conditions.lamp_kelvin),
         Source.WINDOW: conditions.sky_luminance * white_point(conditions.sky_kelvin),
@@ -157,7 +159,8 @@ def _rectangles(face: Face) -> list[tuple[float, float, float, float]]:
         return []
     rows, columns = face.paint.glow.shape
     stats = cv2.connectedComponentsWithStats(face.paint.glow.astype(np.uint8))[2][1:]
-    return [(x / columns, y / rows, w / columns, h / rows) for x, y, w, h, pixels in stats if pixels > 100]
+    stats = stats[stats[:, 4] >= _SMALLEST_SOURCE_PX, :4]
+    return [(x / columns, y / rows, w / columns, h / rows) for x, y, w, h in stats]
 
 
 def _sources(faces: list[Face], conditions: _Conditions) -> _Emitters:
@@ -221,6 +224,8 @@ def _sunlight(
 def _virtual_lights(points: FloatArray, normals: FloatArray, flux: FloatArray) -> _Emitters:
     """Patches drawn in proportion to the light they reflect (N, 3) lumen; together they carry all of it."""
     power = flux.sum(axis=1)
+    if power.sum() == 0:  # a room without a source stays dark
+        return _Emitters(*np.zeros((3, 0, 3)))
     steps = (np.arange(_VIRTUAL_LIGHTS) + 0.5) / _VIRTUAL_LIGHTS
     chosen = np.minimum(np.searchsorted(np.cumsum(power) / power.sum(), steps), len(power) - 1)
     share = power.sum() / _VIRTUAL_LIGHTS

@@ -16,6 +16,7 @@ import numpy as np
 from rholoc.errors import StorageFull
 from rholoc.geometry import ByteArray, Camera, FloatArray, Pose
 from rholoc.recordings import CameraFile, write_camera_json, write_frames_csv, write_imu_csv, write_waypoints_csv
+from rholoc.recordings.waypoints import MIN_WAYPOINTS
 from rholoc.simulation.light import Light, light_scene
 from rholoc.simulation.render import SAMPLES, Renderer
 from rholoc.simulation.rooms import make_test_site
@@ -79,7 +80,8 @@ def simulate_recording(
 
     Args:
         walk: a walk, or the number of one of :func:`make_walk`'s.
-        seconds: the recording's length; less than a whole walk takes ends on the way.
+        seconds: the recording's length; less than a whole walk takes ends on the way, and without ``waypoints.csv``
+            where it ends before the third.
         scene: another room than the test site of ``seed``.
         progress: hears the fraction that is done; may raise to stop.
 
@@ -93,7 +95,11 @@ def simulate_recording(
 
     write_frames_csv(out / "frames.csv", np.arange(len(times)), times)
     write_imu_csv(out / "imu.csv", measure_imu(walk, seconds, time_offset_s=imu_time_offset_s, seed=seed))
-    write_waypoints_csv(out / "waypoints.csv", measure_waypoints(walk, seconds, seed=seed))
+    waypoints = measure_waypoints(walk, seconds, seed=seed)
+    if len(waypoints) >= MIN_WAYPOINTS:
+        write_waypoints_csv(out / "waypoints.csv", waypoints)
+    else:
+        (out / "waypoints.csv").unlink(missing_ok=True)
     write_camera_json(out / "camera.json", CameraFile(camera=camera, R_camera_imu=R_CAMERA_IMU))
     _write_truth(out / "truth.csv", times, T_map_camera)
     _write_video(out / "video.mp4", _film(walk, times, camera, light, seed, scene), camera, fps, len(times), progress)

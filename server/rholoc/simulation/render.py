@@ -22,9 +22,9 @@ _NEAR_M = 0.02
 _GUTTER_PX = 2
 _MAX_LEVELS = 7
 _ATLAS_WIDTH_PX = 8192
-_SHARPNESS = -0.35  # mipmap levels finer than the footprint of one sample: four samples share a pixel
-SAMPLES = ((-0.125, -0.375), (0.375, -0.125), (-0.375, 0.125), (0.125, 0.375))  # places in the pixel (u, v)
-_LEVEL_DITHER = (-0.375, 0.125, -0.125, 0.375)
+_SHARPNESS = -0.35  # mipmap levels finer than the footprint of one sample: several samples share a pixel
+SAMPLES = ((-1 / 3, 0.0), (1 / 3, -1 / 3), (0.0, 1 / 3))  # places in the pixel (u, v)
+_LEVEL_DITHER = (-1 / 3, 0.0, 1 / 3)
 
 
 @dataclass(frozen=True, eq=False)

@@ -274,8 +274,8 @@ def _furnish(
     build.add("chair post", (4.63, 2.87, 0.0), (0.07, 0.07, 0.42), textures.plaster((60, 60, 64)))
 
     _bookshelf(build, "back shelf", (3.45, 4.72), (1.5, 0.28), oak, levels=2)
-    build.add("plant pot", (3.6, 4.76, 0.98), (0.2, 0.2, 0.2), textures.fabric_pattern, yaw=0.3)
-    build.add("box on shelf", (4.2, 4.75, 0.98), (0.45, 0.22, 0.2), textures.cardboard)
+    build.add("plant pot", (3.6, 4.76, 1.01), (0.2, 0.2, 0.2), textures.fabric_pattern, yaw=0.3)
+    build.add("box on shelf", (4.2, 4.75, 1.01), (0.45, 0.22, 0.2), textures.cardboard)
 
     build.add("locker", (5.55, 4.45, 0.0), (0.45, 0.5, 1.5 + jitter(0.2)), textures.panel(pale, 1, 2), hidden="z-,x+")
     build.add("bin", (5.62, 2.3, 0.0), (0.28, 0.28, 0.4), textures.poster, yaw=0.2)

@@ -218,8 +218,8 @@ def books(rng: Rng, height: int, width: int) -> ByteArray:
         image[top:, left : left + 1] = (0.45 * np.array(ink)).astype(np.uint8)
         trim = random_color(rng, (0.0, 0.9), (0.05, 1.0))
         for _ in range(int(rng.integers(1, 4))):
-            y = int(rng.uniform(top, height))
-            image[y : y + int(rng.integers(2, 9)), left + 1 : right] = trim
+            band = int(rng.uniform(top, height))
+            image[band : band + int(rng.integers(2, 9)), left + 1 : right] = trim
         y = top + 0.15 * (height - top)
         while y < top + rng.uniform(0.4, 0.9) * (height - top):
             write_text(image, rng, left + 2, y, right - left - 2, max(3.0, 0.6 * (right - left)), trim)

@@ -1,0 +1,142 @@
+"""Pictures agree with the geometry they are drawn from."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from rholoc.geometry import FloatArray, Pose
+from rholoc.simulation import (
+    PHONE_CAMERA,
+    Light,
+    Renderer,
+    Scene,
+    make_blank_wall,
+    make_test_site,
+    make_walk,
+    render_view,
+)
+
+CAMERA = PHONE_CAMERA.resized(320, 240)
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    return make_test_site(0)
+
+
+@pytest.fixture(scope="module")
+def renderer(scene: Scene) -> Renderer:
+    return Renderer(scene, [face.paint.albedo for face in scene.faces])
+
+
+def poses_at(*times: float, walk: int = 1) -> list[Pose]:
+    return make_walk(walk).poses(np.array(times))
+
+
+def project(pose: Pose, points: FloatArray) -> FloatArray:
+    T = pose.inverse()
+    return CAMERA.project(points @ T[:3, :3].T + T[:3, 3])
+
+
+def cast_rays(scene: Scene, pose: Pose, pixels: FloatArray) -> FloatArray:
+    """The depth (N,) along the optical axis of what pixels see, by intersecting their rays with every face."""
+    rays = CAMERA.rays(pixels)
+    directions = rays @ pose.R_map_camera.T
+    nearest = np.full(len(pixels), np.inf)
+    for face in scene.faces:
+        cosine = directions @ face.normal
+        with np.errstate(divide="ignore", invalid="ignore"):
+            distance = (face.origin - pose.position) @ face.normal / cosine
+            points = pose.position + distance[:, None] * directions - face.origin
+            a, b = points @ face.right / face.width_m**2, points @ face.down / face.height_m**2
+            hit = (cosine < 0) & (distance > 0) & (a >= 0) & (a <= 1) & (b >= 0) & (b <= 1)
+        nearest = np.where(hit, np.minimum(nearest, distance), nearest)
+    return np.asarray(nearest * rays[:, 2])
+
+
+def test_what_hides_what_agrees_with_ray_casting(scene: Scene, renderer: Renderer) -> None:
+    pixels = np.random.default_rng(0).integers(0, (CAMERA.width, CAMERA.height), (3000, 2))
+    for pose in [*poses_at(0.5, 6.0, 12.0, 18.0, 24.0, 29.0), *poses_at(9.0, 21.0, walk=2)]:
+        drawn = renderer.surface(CAMERA, pose).depth[pixels[:, 1], pixels[:, 0]]
+        cast = cast_rays(scene, pose, pixels.astype(np.float64))
+        assert np.mean(np.abs(drawn - cast) < 1e-6) > 0.998  # the rest are pixels right on an edge
+
+
+def test_surface_points_project_to_their_pixels(renderer: Renderer) -> None:
+    (pose,) = poses_at(13.0)
+    surface = renderer.surface(CAMERA, pose)
+    u, v = np.meshgrid(np.arange(CAMERA.width), np.arange(CAMERA.height))
+    np.testing.assert_allclose(
+        project(pose, surface.points.reshape(-1, 3)), np.column_stack([u.ravel(), v.ravel()]), atol=1e-6
+    )
+
+
+def test_a_point_has_the_same_colour_in_two_views(renderer: Renderer) -> None:
+    first, second = poses_at(13.0, 13.6)
+    surface, other = renderer.surface(CAMERA, first), renderer.surface(CAMERA, second)
+    image, target = (renderer.radiance(CAMERA, [pose] * 3).astype(np.float32) for pose in (first, second))
+    pixels = project(second, surface.points.reshape(-1, 3)).reshape(*surface.depth.shape, 2).astype(np.float32)
+    seen = cv2.remap(target, pixels[..., 0], pixels[..., 1], cv2.INTER_LINEAR)
+    T = second.inverse()
+    depth = surface.points @ T[2, :3] + T[2, 3]
+    visible = cv2.remap(other.depth.astype(np.float32), pixels[..., 0], pixels[..., 1], cv2.INTER_LINEAR)
+    both = CAMERA.contains(pixels.reshape(-1, 2)).reshape(depth.shape) & (np.abs(visible - depth) < 0.01)
+    assert both.mean() > 0.5
+    difference = np.abs(seen - image).mean(axis=2)[both]
+    assert np.median(difference) < 3
+    shifted = np.abs(np.roll(seen, 3, axis=1) - image).mean(axis=2)[both]
+    assert difference.mean() < 0.5 * shifted.mean()  # three pixels off would be noticed
+
+
+def test_features_move_as_the_truth_says(renderer: Renderer) -> None:
+    first, second = poses_at(13.0, 13.3)
+    sift = cv2.SIFT_create(600)
+    (points_a, found_a), (points_b, found_b) = (
+        sift.detectAndCompute(cv2.cvtColor(renderer.radiance(CAMERA, [pose] * 3), cv2.COLOR_BGR2GRAY), None)
+        for pose in (first, second)
+    )
+    matches = cv2.BFMatcher(cv2.NORM_L2, crossCheck=True).match(found_a, found_b)
+    a = np.array([points_a[m.queryIdx].pt for m in matches])
+    b = np.array([points_b[m.trainIdx].pt for m in matches])
+    points = renderer.surface(CAMERA, first).points[np.round(a[:, 1]).astype(int), np.round(a[:, 0]).astype(int)]
+    expected = project(second, points) + (a - np.round(a))  # the surface is known at pixel centres
+    error = b - expected
+    true = np.linalg.norm(error, axis=1) < 3
+    assert true.sum() > 100
+    assert np.median(np.linalg.norm(error[true], axis=1)) < 0.5
+    assert np.abs(np.median(error[true], axis=0)).max() < 0.1  # no bias to a side
+
+
+def test_the_camera_may_look_anywhere(renderer: Renderer) -> None:
+    for heading in ((0, 0.01, 1), (0.01, 0, -1), (-1, 0, 0), (0, -1, -0.2)):
+        surface = renderer.surface(CAMERA, Pose.from_heading(np.zeros(3), np.array(heading, dtype=float)))
+        assert (surface.depth > 0.02).all()
+
+
+def test_textured_rooms_give_features_and_blank_walls_do_not(scene: Scene) -> None:
+    orb = cv2.ORB_create(1000)
+    (pose,) = poses_at(8.0)
+    counts = [
+        len(orb.detect(cv2.cvtColor(render_view(s, PHONE_CAMERA, pose), cv2.COLOR_BGR2GRAY)))
+        for s in (scene, make_blank_wall())
+    ]
+    assert counts[0] > 400
+    assert counts[1] < 0.25 * counts[0]
+
+
+def test_rooms_and_pictures_follow_from_their_seed(scene: Scene) -> None:
+    again, other = make_test_site(0), make_test_site(3)
+    assert all(np.array_equal(a.paint.albedo, b.paint.albedo) for a, b in zip(scene.faces, again.faces, strict=True))
+    assert any(
+        a.paint.albedo.shape != b.paint.albedo.shape or not np.array_equal(a.paint.albedo, b.paint.albedo)
+        for a, b in zip(scene.faces, other.faces, strict=False)
+    )
+    (pose,) = poses_at(2.0)
+    small = replace(scene, boxes=scene.boxes[:3])
+    pictures = [render_view(small, CAMERA, pose, Light.DIM, seed) for seed in (1, 1, 2)]
+    assert np.array_equal(pictures[0], pictures[1])
+    assert not np.array_equal(pictures[0], pictures[2])
