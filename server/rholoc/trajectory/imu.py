@@ -1,0 +1,107 @@
+"""The gyroscope against the cameras' rotations: time offset, bias, mounting, and whether they agree."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation, Slerp
+
+from rholoc.geometry import FloatArray
+from rholoc.recordings import Imu
+
+_OFFSETS_S = np.arange(-0.25, 0.2501, 0.01)
+_FINE_OFFSETS_S = np.arange(-0.01, 0.0101, 0.001)
+_MIN_INTERVAL_S = 0.2  # rotations over shorter times are mostly noise
+_CHECK_INTERVAL_S = 2.0
+
+
+@dataclass(frozen=True, eq=False)
+class GyroCalibration:
+    """How the gyroscope relates to the camera.
+
+    Attributes:
+        time_offset_s: to be added to a frame's time to get the IMU's.
+        bias: (3,) rad/s, of the gyroscope.
+        R_camera_imu: (3, 3).
+        residual_deg: the median angle between the camera's rotation and the gyroscope's over short intervals.
+        contradiction: the share of two-second intervals over which they differ by more than 5° and a fifth.
+    """
+
+    time_offset_s: float
+    bias: FloatArray
+    R_camera_imu: FloatArray
+    residual_deg: float
+    contradiction: float
+
+
+def orientations(imu: Imu, bias: FloatArray) -> Rotation:
+    """The gyroscope integrated: R_start_imu at every IMU time, midpoint rule."""
+    rate = imu.angular_velocity - bias
+    steps = Rotation.from_rotvec(0.5 * (rate[1:] + rate[:-1]) * np.diff(imu.times)[:, None])
+    R = np.empty((len(imu.times), 3, 3))
+    R[0] = np.eye(3)
+    for i, step in enumerate(steps.as_matrix()):
+        R[i + 1] = R[i] @ step
+    return Rotation.from_matrix(R)
+
+
+def calibrate_gyro(times: FloatArray, R_world_camera: FloatArray, imu: Imu) -> GyroCalibration | None:
+    """Fit the gyroscope to the rotations (N, 3, 3) of the camera at ``times`` (N,); None without common rotations.
+
+    The time offset is searched, bias and (where unknown) mounting are solved for: Wahba's problem on rotation vectors.
+    """
+    rows = spaced_rows(times, _MIN_INTERVAL_S)
+    margin = -_OFFSETS_S[0] + 0.01
+    rows = rows[(times[rows] > imu.times[0] + margin) & (times[rows] < imu.times[-1] - margin)]
+    if len(rows) < 8:
+        return None
+    t, R = times[rows], Rotation.from_matrix(R_world_camera[rows])
+    spans = np.diff(t)
+    camera = (R[:-1].inv() * R[1:]).as_rotvec()
+    bias = np.zeros(3)
+    offset = 0.0
+    R_camera_imu = np.eye(3) if imu.R_camera_imu is None else imu.R_camera_imu
+    for offsets in (_OFFSETS_S, _OFFSETS_S, _FINE_OFFSETS_S):
+        slerp = Slerp(imu.times, orientations(imu, bias))
+        fits = []
+        for candidate in offsets if offsets is _OFFSETS_S else offset + offsets:
+            turned = slerp(t + candidate)
+            gyro = (turned[:-1].inv() * turned[1:]).as_rotvec()
+            mounting = imu.R_camera_imu if imu.R_camera_imu is not None else _wahba(gyro, camera)
+            remaining = gyro - camera @ mounting
+            drift = np.median(remaining / spans[:, None], axis=0)
+            error = np.linalg.norm(remaining - drift * spans[:, None], axis=1)
+            fits.append((float(np.mean(np.minimum(error, np.radians(5)))), float(candidate), drift, mounting, error))
+        _, offset, drift, R_camera_imu, error = min(fits, key=lambda fit: fit[0])
+        bias = bias + drift
+    residual_deg = float(np.degrees(np.median(error)))
+    slerp = Slerp(imu.times, orientations(imu, bias))
+    return GyroCalibration(offset, bias, R_camera_imu, residual_deg, _contradiction(t, R, slerp, offset, R_camera_imu))
+
+
+def spaced_rows(times: FloatArray, interval_s: float, start: int = 0) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
+    """Rows at least ``interval_s`` apart, beginning with ``start``."""
+    rows = [start]
+    for row in range(start + 1, len(times)):
+        if times[row] - times[rows[-1]] >= interval_s:
+            rows.append(row)
+    return np.array(rows, dtype=np.int64)
+
+
+def _contradiction(t: FloatArray, R: Rotation, slerp: Slerp, offset: float, R_camera_imu: FloatArray) -> float:
+    rows = spaced_rows(t, _CHECK_INTERVAL_S)
+    if len(rows) < 2:
+        return 0.0
+    turned = slerp(t[rows] + offset)
+    mounting = Rotation.from_matrix(R_camera_imu)
+    gyro = mounting * (turned[:-1].inv() * turned[1:]) * mounting.inv()
+    camera = R[rows[:-1]].inv() * R[rows[1:]]
+    apart = (camera.inv() * gyro).magnitude()
+    return float(np.mean(apart > np.radians(5) + 0.2 * gyro.magnitude()))
+
+
+def _wahba(source: FloatArray, target: FloatArray) -> FloatArray:
+    """The rotation (3, 3) that takes vectors (N, 3) to vectors (N, 3) best (Kabsch)."""
+    U, _, Vt = np.linalg.svd(target.T @ source)
+    return np.asarray(U @ np.diag([1, 1, np.sign(np.linalg.det(U @ Vt))]) @ Vt)

@@ -1,0 +1,81 @@
+"""The paper's own way: the IMU integrated between waypoints."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from rholoc.errors import MappingFailed
+from rholoc.geometry import FloatArray, pose_matrix
+from rholoc.recordings import Imu, Waypoint, check_waypoints_fix_frame
+from rholoc.trajectory.imu import orientations
+from rholoc.trajectory.upright import rotation_to_upright
+from rholoc.trajectory.visual_inertial import GRAVITY, rotations_at
+
+_PAUSE_S = 0.6  # the camera rests this long around a waypoint
+
+
+def integrate_between_waypoints(imu: Imu, waypoints: Sequence[Waypoint], at: FloatArray) -> FloatArray:
+    """Poses T_map_camera (N, 4, 4) at times ``at`` (N,), all between the first and the last waypoint.
+
+    At a waypoint the camera rests: its velocity is zero there and its place is measured. Between two waypoints the
+    acceleration is integrated twice; what is left of velocity and place at the end is taken out, as a constant error of
+    acceleration and a linear one of place (paper, section 3). The tilt comes from gravity at the first waypoint, the
+    gyroscope's bias from the pauses, the heading from the waypoints.
+
+    Raises:
+        InvalidWaypoints: they do not fix a frame.
+        MappingFailed: the IMU's axes are unknown to the camera, its acceleration is without gravity, or it does not
+            cover the waypoints.
+    """
+    check_waypoints_fix_frame(waypoints)
+    if imu.R_camera_imu is None or not imu.includes_gravity:
+        raise MappingFailed(
+            "The IMU alone cannot place this recording: its mounting or gravity is not known.",
+            "Choose poses 'visual-inertial'.",
+        )
+    ordered = sorted(waypoints, key=lambda waypoint: waypoint.time)
+    stops = np.array([waypoint.time for waypoint in ordered])
+    places = np.array([waypoint.position for waypoint in ordered])
+    if imu.times[0] > stops[0] or imu.times[-1] < stops[-1]:
+        raise MappingFailed("The IMU does not cover the waypoints.", "Record the IMU for the whole walk.")
+    resting = np.abs(imu.times[:, None] - stops).min(axis=1) <= _PAUSE_S / 2
+    bias = np.median(imu.angular_velocity[resting], axis=0)
+    orientation = orientations(imu, bias)
+    felt = orientation.apply(imu.acceleration)
+    start = np.abs(imu.times - stops[0]) <= _PAUSE_S / 2
+    level = Rotation.from_matrix(rotation_to_upright(np.mean(felt[start], axis=0)))
+    acceleration = level.apply(felt) - [0.0, 0.0, GRAVITY]
+    paths = [_rest_to_rest(imu.times, acceleration, a, b) for a, b in pairwise(stops)]
+    yaw = _yaw(np.array([path[-1] for _, path in paths]), np.diff(places, axis=0))
+    positions = np.empty((len(at), 3))
+    for (times, path), a, b, from_place, to_place in zip(
+        paths, stops[:-1], stops[1:], places[:-1], places[1:], strict=True
+    ):
+        here = (at >= a) & (at <= b)
+        turned = yaw.apply(path)
+        share = ((times - a) / (b - a))[:, None]
+        corrected = from_place + turned + share * (to_place - from_place - turned[-1])
+        positions[here] = np.column_stack([np.interp(at[here], times, corrected[:, i]) for i in range(3)])
+    R_map_imu = yaw * level * rotations_at(imu, orientation, at)
+    return pose_matrix(R_map_imu.as_matrix() @ imu.R_camera_imu.T, positions)
+
+
+def _rest_to_rest(times: FloatArray, acceleration: FloatArray, a: float, b: float) -> tuple[FloatArray, FloatArray]:
+    """Times from ``a`` to ``b`` and the displacement (M, 3) since ``a``, the velocity zero at both ends."""
+    t = np.concatenate([[a], times[(times > a) & (times < b)], [b]])
+    felt = np.column_stack([np.interp(t, times, acceleration[:, i]) for i in range(3)])
+    dt = np.diff(t)[:, None]
+    velocity = np.concatenate([np.zeros((1, 3)), np.cumsum(0.5 * (felt[1:] + felt[:-1]) * dt, axis=0)])
+    velocity -= ((t - a) / (b - a))[:, None] * velocity[-1]
+    return t, np.concatenate([np.zeros((1, 3)), np.cumsum(0.5 * (velocity[1:] + velocity[:-1]) * dt, axis=0)])
+
+
+def _yaw(moved: FloatArray, measured: FloatArray) -> Rotation:
+    """The rotation about z that takes displacements (N, 3) to measured ones best."""
+    cross = np.sum(moved[:, 0] * measured[:, 1] - moved[:, 1] * measured[:, 0])
+    dot = np.sum(moved[:, 0] * measured[:, 0] + moved[:, 1] * measured[:, 1])
+    return Rotation.from_euler("z", float(np.arctan2(cross, dot)))

@@ -1,0 +1,55 @@
+"""Which way is up: the no-roll prior."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from rholoc.geometry import FloatArray
+
+_MAX_ROLL_DEG = 3.0  # the root mean square over the frames up to which the cameras count as not rolled
+_MIN_TURN_DEG = 15.0  # how far the x axes must spread for their common normal to be defined
+
+
+@dataclass(frozen=True, eq=False)
+class Up:
+    """An estimate of the upward direction.
+
+    Attributes:
+        direction: (3,), unit, in the frame of the poses.
+        roll_deg: how far the cameras' x axes are off the horizontal, root mean square.
+        turn_deg: how far the x axes spread about the direction, root mean square.
+    """
+
+    direction: FloatArray
+    roll_deg: float
+    turn_deg: float
+
+    @property
+    def holds(self) -> bool:
+        """Whether the prior holds for these poses and fixes the direction."""
+        return self.roll_deg <= _MAX_ROLL_DEG and self.turn_deg >= _MIN_TURN_DEG and self.roll_deg < self.turn_deg / 4
+
+
+def up_without_roll(R_world_camera: FloatArray) -> Up:
+    """The direction that all camera x axes avoid, from rotations (N, 3, 3): least squares over the unit sphere.
+
+    The paper's upright model: the camera pitches and turns but does not roll, so its x axis stays horizontal. The sign
+    is that in which the cameras' y axes point down.
+    """
+    _, singular, Vt = np.linalg.svd(R_world_camera[:, :, 0], full_matrices=False)
+    direction = Vt[2]
+    if np.mean(R_world_camera[:, :, 1] @ direction) > 0:
+        direction = -direction
+    spread = np.degrees(np.arcsin(np.clip(singular / np.sqrt(len(R_world_camera)), 0, 1)))
+    return Up(direction, float(spread[2]), float(spread[1]))
+
+
+def rotation_to_upright(up: FloatArray) -> FloatArray:
+    """The smallest rotation (3, 3) that takes ``up`` (3,) to the z axis."""
+    z = up / np.linalg.norm(up)
+    x = np.cross([0.0, 1.0, 0.0], z) if abs(z[1]) < 0.9 else np.cross([0.0, 0.0, 1.0], z)
+    x /= np.linalg.norm(x)
+    basis = np.stack([x, np.cross(z, x), z])
+    return np.asarray(basis)

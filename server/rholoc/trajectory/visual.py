@@ -1,0 +1,191 @@
+"""Keyframe features → a reconstruction, and whether to trust it. Runs in a child process."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+import pycolmap
+
+from rholoc.errors import MappingFailed
+from rholoc.features import FeatureSet
+from rholoc.geometry import Camera, FloatArray, IntArray
+from rholoc.progress import ProgressListener, Stage, silent
+from rholoc.trajectory.alignment import align_poses, rotation_angles_deg
+from rholoc.trajectory.loops import Pair, loop_candidates, sequential_pairs, supported_loops
+from rholoc.trajectory.structure_from_motion import Reconstruction, reconstruct
+from rholoc.trajectory.two_view import VerifiedPair, verify
+
+_OVERLAP = 8  # keyframes that each is matched with in sequence
+_LOOPS_EACH = 6
+_SEQUENTIAL_INLIERS = 20
+_LOOP_INLIERS = 50
+_THREADS = 2
+MIN_PLACED = 0.7  # the share of the keyframes that must be placed
+_MAX_DISAGREEMENT = 0.02  # of the median depth, between two reconstructions that count as the same
+_MAX_DISAGREEMENT_DEG = 2.0
+_GUESSED_FOCAL = 1.0  # times the longer side, where intrinsics are unknown
+_PAIRS_SHARE = 0.4  # of the time that matching takes, for honest fractions
+_SEEDS = (1, 2)
+
+_ADVICE = "Walk slower, keep more texture in view."
+
+
+@dataclass(frozen=True, eq=False)
+class VisualPoses:
+    """What structure from motion found.
+
+    Attributes:
+        reconstruction: the keyframes' poses.
+        camera: given, or estimated where it was not.
+        loops: how many pairs of keyframes were found to show a place seen again.
+        trusted: whether a second reconstruction, from every other keyframe, agrees.
+        why: one line on that.
+        disagreement: the median distance between the two, as a share of the median depth; NaN without a second.
+        disagreement_deg: the median angle between the two.
+    """
+
+    reconstruction: Reconstruction
+    camera: Camera
+    loops: int
+    trusted: bool
+    why: str
+    disagreement: float
+    disagreement_deg: float
+
+
+def structure_from_motion(
+    features: Sequence[FeatureSet],
+    camera: Camera | None,
+    size: tuple[int, int],
+    progress: ProgressListener = silent,
+) -> VisualPoses:
+    """Poses of keyframes from their features.
+
+    A reconstruction can look perfect and be wrong, so there are two, from different keyframes, seeds and starting
+    pairs: the second is from every other keyframe.
+
+    Args:
+        features: SIFT features of each keyframe, in the order of time, pixels of the full image.
+        camera: the intrinsics, or None to estimate focal length and one radial coefficient.
+        size: of the images, width and height in pixels.
+        progress: hears of :data:`Stage.POSES`.
+
+    Raises:
+        MappingFailed: fewer than 70 % of the keyframes could be placed.
+    """
+    pycolmap.logging.minloglevel = 2
+    pycolmap.set_random_seed(_SEEDS[0])
+    if len(features) < 2:
+        raise MappingFailed("The camera did not move.", "Walk through the room while recording.")
+    model, places = _colmap_camera(features, camera, size)
+    sequential, loops = _match(features, places, model, progress)
+
+    def told(placed: int) -> None:
+        tried = min(placed, len(features))
+        share = (tried / len(features)) ** 2  # the later ones take longer
+        fraction = _PAIRS_SHARE + (0.99 - _PAIRS_SHARE) * share
+        progress(Stage.POSES, fraction, f"{tried} of {len(features)} keyframes tried")
+
+    alternate = np.arange(0, len(features), 2)
+    with ThreadPoolExecutor(2) as pool:
+        pairs = [*sequential, *loops]
+        first = pool.submit(reconstruct, model, camera is None, places, pairs, _SEEDS[0], told)
+        second = pool.submit(_reconstruct_some, model, camera is None, places, pairs, alternate)
+        full, half = first.result(), second.result()
+    placed = 0 if full is None else len(full.placed)
+    if full is None or placed < MIN_PLACED * len(features):
+        raise MappingFailed(f"{placed} of {len(features)} keyframes could be placed.", _ADVICE)
+    trusted, why, distance, angle_deg = _agreement(full, half, alternate)
+    found = camera if camera is not None else _found_camera(full.parameters, size)
+    return VisualPoses(full, found, len(loops), trusted, why, distance, angle_deg)
+
+
+def _match(
+    features: Sequence[FeatureSet],
+    places: Sequence[FloatArray],
+    camera: pycolmap.Camera,
+    progress: ProgressListener,
+) -> tuple[list[VerifiedPair], list[VerifiedPair]]:
+    sequential = sequential_pairs(len(features), _OVERLAP)
+    candidates = loop_candidates(features, 2 * _OVERLAP + 1, _LOOPS_EACH)
+    total = len(sequential) + len(candidates)
+    done = 0
+
+    def verified(pair: Pair, fewest: int) -> VerifiedPair | None:
+        i, j = pair
+        return verify(pair, features[i], features[j], camera, (places[i], places[j]), fewest)
+
+    def run(pairs: list[Pair], fewest: int) -> list[VerifiedPair]:
+        nonlocal done
+        kept = []
+        for found in pool.map(lambda pair: verified(pair, fewest), pairs):
+            done += 1
+            progress(Stage.POSES, _PAIRS_SHARE * done / total, f"{done} of {total} pairs of keyframes matched")
+            if found is not None:
+                kept.append(found)
+        return kept
+
+    with ThreadPoolExecutor(_THREADS) as pool:
+        return run(sequential, _SEQUENTIAL_INLIERS), supported_loops(run(candidates, _LOOP_INLIERS))
+
+
+def _reconstruct_some(
+    camera: pycolmap.Camera,
+    refine: bool,
+    places: Sequence[FloatArray],
+    pairs: Sequence[VerifiedPair],
+    some: IntArray,
+) -> Reconstruction | None:
+    number = {int(keyframe): i for i, keyframe in enumerate(some)}
+    kept = [
+        VerifiedPair(number[p.first], number[p.second], p.matches, p.candidates, p.R_second_first, p.geometry)
+        for p in pairs
+        if p.first in number and p.second in number
+    ]
+    return reconstruct(camera, refine, [places[i] for i in some], kept, _SEEDS[1])
+
+
+def _agreement(
+    full: Reconstruction, half: Reconstruction | None, alternate: IntArray
+) -> tuple[bool, str, float, float]:
+    both = np.zeros(0, np.int64) if half is None else np.intersect1d(full.placed, alternate[half.placed])
+    if half is None or len(both) < max(3, MIN_PLACED * len(alternate)):
+        return False, f"Only {len(both)} of {len(alternate)} keyframes could be checked.", float("nan"), float("nan")
+    a = full.T_world_camera[np.searchsorted(full.placed, both)]
+    b = half.T_world_camera[np.searchsorted(alternate[half.placed], both)]
+    aligned = align_poses(b, a).poses(b)
+    distance = float(np.median(np.linalg.norm(aligned[:, :3, 3] - a[:, :3, 3], axis=1))) / full.median_depth
+    turned = np.swapaxes(aligned[:, :3, :3], 1, 2) @ a[:, :3, :3]
+    angle_deg = float(np.median(rotation_angles_deg(turned)))
+    trusted = distance <= _MAX_DISAGREEMENT and angle_deg <= _MAX_DISAGREEMENT_DEG
+    verb = "agree" if trusted else "disagree"
+    why = f"Two reconstructions {verb}: {distance:.1%} of the median depth and {angle_deg:.1f}° apart."
+    return trusted, why, distance, angle_deg
+
+
+def _colmap_camera(
+    features: Sequence[FeatureSet], camera: Camera | None, size: tuple[int, int]
+) -> tuple[pycolmap.Camera, list[FloatArray]]:
+    """COLMAP's camera and the features' places for it: its top-left pixel's centre is (0.5, 0.5), ours (0, 0).
+
+    Known distortion is taken out of the places, so that one pinhole model serves.
+    """
+    width, height = size
+    if camera is None:
+        focal = _GUESSED_FOCAL * max(size)
+        model = pycolmap.Camera(
+            model="SIMPLE_RADIAL", width=width, height=height, params=[focal, width / 2, height / 2, 0.0]
+        )
+        return model, [f.pixels.astype(np.float64) + 0.5 for f in features]
+    parameters = [camera.fx, camera.fy, camera.cx + 0.5, camera.cy + 0.5]
+    model = pycolmap.Camera(model="PINHOLE", width=width, height=height, params=parameters)
+    centre, focal_px = np.array(parameters[2:]), np.array(parameters[:2])
+    return model, [camera.undistort(f.pixels) * focal_px + centre for f in features]
+
+
+def _found_camera(parameters: FloatArray, size: tuple[int, int]) -> Camera:
+    focal, cx, cy, k1 = (float(value) for value in parameters)
+    return Camera(*size, fx=focal, fy=focal, cx=cx - 0.5, cy=cy - 0.5, distortion=(k1, 0.0, 0.0, 0.0))
