@@ -108,7 +108,7 @@ def ascend(
             step = _newton_step(evidence, T, tolerance_px, dof)
             if step is None:
                 break
-            T = _moved(T, step, dof)
+            T = moved(T, step, dof)
             if np.abs(step).max() < 1e-5:
                 break
     density = densities(evidence, T[None], tolerances_px[-1])[0]
@@ -164,7 +164,7 @@ def _normal_equations(
     weight = 2 / ((evidence.epsilon[inside] + density[inside]) * tolerance[inside])
     residual, J = residual[inside], J[inside]
     if dof is Dof.UPRIGHT:
-        J = np.concatenate([J[:, :, :3], J[:, :, 3:] @ _upright_axes(T)], axis=2)
+        J = np.concatenate([J[:, :, :3], J[:, :, 3:] @ upright_axes(T)], axis=2)
     weighted = J * weight[:, None, None]
     return -np.einsum("mrp,mr->p", weighted, residual), np.einsum("mrp,mrq->pq", weighted, J)
 
@@ -190,13 +190,14 @@ def _residuals(
     return residual, J, tolerance, density
 
 
-def _upright_axes(T: FloatArray) -> FloatArray:
+def upright_axes(T: FloatArray) -> FloatArray:
     """(3, 2) the axes an upright camera turns about: the vertical and its own x axis."""
     return np.column_stack([_UP, T[:3, 0]])
 
 
-def _moved(T: FloatArray, step: FloatArray, dof: Dof) -> FloatArray:
-    rotation = step[3:] if dof is Dof.FREE else _upright_axes(T) @ step[3:]
+def moved(T: FloatArray, step: FloatArray, dof: Dof) -> FloatArray:
+    """The pose (4, 4) after a ``step``: (6,), or (5,) with a rotation about the upright axes."""
+    rotation = step[3:] if dof is Dof.FREE else upright_axes(T) @ step[3:]
     R = Rotation.from_rotvec(rotation).as_matrix() @ T[:3, :3]
     moved = pose_matrix(R, T[:3, 3] + step[:3])
     return upright(moved) if dof is Dof.UPRIGHT else moved

@@ -11,7 +11,7 @@ import numpy as np
 from rholoc.errors import InvalidDescriptors
 from rholoc.features import Extractor, get_extractor
 from rholoc.geometry import FloatArray, Pose
-from rholoc.localization.ascent import ascend, covariance_at, upright
+from rholoc.localization.ascent import covariance_at, upright
 from rholoc.localization.confidence import confidence_of
 from rholoc.localization.map_index import MapIndex
 from rholoc.localization.matches import Matches
@@ -21,6 +21,7 @@ from rholoc.localization.verification import (
     FINAL_TOLERANCE_PX,
     Verified,
     better,
+    climb,
     distance_between,
     evidence_of,
     verify,
@@ -159,7 +160,8 @@ class Localizer:
         )
         seeds = [T for T in samples if _plausible(T, query)][: self.options.seeds]
         watch.lap("seed")
-        optima = [ascend(evidence, T, self.options.seed_tolerances_px, query.dof) for T in seeds]
+        tolerances_px = self.options.seed_tolerances_px
+        optima = [climb(self.index, matches, evidence, T, tolerances_px, query.dof) for T in seeds]
         watch.lap("ascend")
         if not optima:
             return None

@@ -13,7 +13,8 @@ from rholoc.features import FeatureSet, Metric, get_extractor
 from rholoc.features.matching import LIMITS, DescriptorIndex, descriptor_distances
 from rholoc.geometry import BoolArray, Camera, FloatArray, IntArray
 from rholoc.localization.matches import Matches, guided_chances, match_chances
-from rholoc.maps import Map
+from rholoc.localization.tensor_ascent import TensorIndex
+from rholoc.maps import DensityKind, Map
 
 _CANDIDATES = 4
 _CHANCE_SAMPLES = 20_000
@@ -33,6 +34,7 @@ class MapIndex:
         self.view_positions = map_.view_poses[:, :3].astype(np.float64)
         self._first_descriptor = np.searchsorted(map_.descriptor_features, np.arange(len(map_) + 1))
         self._medoids = self._first_descriptor[:-1]
+        self.tensors = TensorIndex.of(map_) if map_.info.density is DensityKind.TENSOR else None
         self._everywhere = DescriptorIndex(map_.descriptors[self._medoids], map_.channels, self.metric)
         views = np.repeat(np.arange(len(self.view_positions)), np.diff(map_.view_offsets))
         self.presence = Presence.of(self.landmarks, self.view_positions[views], map_.view_features)

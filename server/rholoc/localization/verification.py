@@ -10,7 +10,8 @@ from rholoc.geometry import Camera, FloatArray
 from rholoc.localization.ascent import Evidence, Optimum, ascend
 from rholoc.localization.map_index import MapIndex
 from rholoc.localization.matches import Matches
-from rholoc.localization.types import Query
+from rholoc.localization.tensor_ascent import ascend_tensors
+from rholoc.localization.types import Dof, Query
 
 _SEARCH_RADII_PX = (14.0, 7.0)
 FINAL_TOLERANCE_PX = 4.0
@@ -52,6 +53,20 @@ def evidence_of(index: MapIndex, matches: Matches, rays: FloatArray, camera: Cam
     )
 
 
+def climb(
+    index: MapIndex,
+    matches: Matches,
+    evidence: Evidence,
+    T_map_camera: FloatArray,
+    tolerances_px: tuple[float, ...],
+    dof: Dof,
+) -> Optimum:
+    """The ascent from a pose (4, 4), on the densities that the map has."""
+    if index.tensors is None:
+        return ascend(evidence, T_map_camera, tolerances_px, dof)
+    return ascend_tensors(index.tensors, matches, evidence, T_map_camera, tolerances_px, dof)
+
+
 def verify(
     index: MapIndex, query: Query, rays: FloatArray, T_map_camera: FloatArray, first_radius_px: float = 0.0
 ) -> Verified | None:
@@ -66,7 +81,7 @@ def verify(
         if len(matches) < _MIN_MATCHES:
             return None
         evidence = evidence_of(index, matches, rays, query.camera)
-        optimum = ascend(evidence, T, (radius, radius / 2, FINAL_TOLERANCE_PX), query.dof)
+        optimum = climb(index, matches, evidence, T, (radius, radius / 2, FINAL_TOLERANCE_PX), query.dof)
         T, found = (
             optimum.T_map_camera,
             Verified(optimum, matches, evidence, query.features.pixels[matches.detections], by_chance),

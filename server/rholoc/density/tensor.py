@@ -1,0 +1,353 @@
+"""The ``tensor`` density: the paper's own polynomial, equation (3) in s = (u, v, x, y, z, hx, hy, hz).
+
+For a landmark m, seen at the pixel (u, v) of an upright camera at x with heading h, the fit's target is
+
+    1 − |z (u − u*, v − v*)|² / (D r)²
+
+with (u*, v*) where m projects to, z its depth and D its distance from the place that it is seen from: d is measured
+in metres, in the plane through the landmark and parallel to the image. It is 1 where the feature was seen and falls,
+through 0 at r = 60 px, to negative values where it was not; clipped to [0, 1] it is a bump (Epanechnikov's). The
+target is a quadratic in (u, v) and in the position *exactly*, and z u − z u* is free of division, so that only the
+heading's dependence is approximated. Weighing pixels by depth makes the peaks five to ten times more exact than the
+bare |(u, v) − (u*, v*)|² does.
+
+Locality: a density belongs to a place. Its headings are turned so that the landmark, seen from the place, lies in
+the horizontal plane, on the diagonal between the x and the y axis: on the sphere a heading along an axis hardly
+changes that component, and its powers are wasted; on the diagonal all of them tell. There the camera's roll is
+undone, which for a pinhole is exactly a rotation of (u, v) about the principal point: so that one density serves
+cameras of any roll and any intrinsics, (u, v) being on the plane z = 1, undistorted. The pixel of the same ray for
+another heading (Figure 4, rotational symmetry) is a rotated copy: every sample is injected for every heading of the
+layout.
+
+Fit, equation (5): the samples' layout is a product, of nodes for each of u, v, x, y, z and of headings within a cap.
+The pseudo-inverse of a product is the product of the pseudo-inverses, so that those of three small matrices fit
+densities of 6561 coefficients, all of them by the same ones. Of the coefficients those with more than a total power
+of two in (u, v), or in (x, y, z), come out zero and are not kept.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from rholoc.density.polynomial import monomial_derivatives, monomials, power_factors, tensor_powers
+from rholoc.geometry import BoolArray, FloatArray, IntArray, rotation_from_heading
+
+DEGREES = (1, 2, 3)
+TARGET_RADIUS = 60 / 525  # r on the plane z = 1: 60 px of a camera with a focal length of 525 px
+HEADING_LIMIT_RAD = math.radians(50.0)
+VARIABLES = ("u", "v", "x", "y", "z", "hx", "hy", "hz")
+_VIEWPORT = 0.75  # half the width of the viewport on the plane z = 1
+_HEADINGS = {1: 60, 2: 120, 3: 300}  # how many a degree's layout has: several for each of (P + 1)³ monomials
+_RIDGE = 1e-12
+_CHUNK = 64
+_DIAGONAL = np.array([math.sqrt(0.5), math.sqrt(0.5), 0.0])
+_HEADING_SCALE = math.sin(HEADING_LIMIT_RAD)
+
+
+@dataclass(frozen=True, eq=False)
+class TensorDensities:
+    """T densities, each local to a place.
+
+    The coefficients are of the monomials whose powers are a row of ``uv_powers``, of ``position_powers`` and of
+    ``heading_powers`` together; all others are zero. Their variables are u, v on the plane z = 1; the position
+    relative to the place, in units of the radius; the heading in the density's own frame, relative to the diagonal
+    (1, 1, 0) / √2, in units of sin 50°.
+
+    Attributes:
+        degree: P.
+        coefficients: (T, U, X, H) float32.
+        landmarks: (T, 3) metres.
+        places: (T, 3) metres, the places they are seen from.
+        radii: (T,) metres, how far around its place each is valid.
+    """
+
+    degree: int
+    coefficients: FloatArray
+    landmarks: FloatArray
+    places: FloatArray
+    radii: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.coefficients)
+
+    @cached_property
+    def distances(self) -> FloatArray:
+        """D (T,) metres, from place to landmark."""
+        return np.asarray(np.linalg.norm(self.landmarks - self.places, axis=1))
+
+    @cached_property
+    def directions(self) -> FloatArray:
+        """(T, 3) unit vectors from place to landmark: the middle of the headings that a density is valid for."""
+        return np.asarray((self.landmarks - self.places) / self.distances[:, None])
+
+    @cached_property
+    def R_local_map(self) -> FloatArray:
+        """(T, 3, 3): turns the direction into the diagonal (1, 1, 0) / √2, upright."""
+        return local_frames(self.directions)
+
+    def take(self, rows: IntArray) -> TensorDensities:
+        """The densities at ``rows``, in that order, their coefficients in double precision for fast evaluation."""
+        coefficients = self.coefficients[rows].astype(np.float64)
+        taken = TensorDensities(self.degree, coefficients, self.landmarks[rows], self.places[rows], self.radii[rows])
+        taken.__dict__["R_local_map"] = self.R_local_map[rows]
+        return taken
+
+    def valid_at(self, position: FloatArray, heading: FloatArray, rows: IntArray) -> BoolArray:
+        """Which of the densities at ``rows`` (N,) may be asked at a position (3,) and heading (3,): their domain."""
+        near = np.linalg.norm(position - self.places[rows], axis=1) <= self.radii[rows]
+        return np.asarray(near & (self.directions[rows] @ heading >= math.cos(HEADING_LIMIT_RAD)))
+
+    def all_coefficients(self) -> FloatArray:
+        """(T, (P + 1)⁸) float32: all of equation (3)'s, in the order of Table 5, the zeros among them."""
+        full = np.zeros((len(self), (self.degree + 1) ** len(VARIABLES)), dtype=np.float32)
+        full[:, coefficient_columns(self.degree)] = self.coefficients.reshape(len(self), -1)
+        return full
+
+    def variables(self, plane: FloatArray, T_map_camera: FloatArray) -> FloatArray:
+        """s (T, 8) of pixels ``plane`` (T, 2) on the plane z = 1, each for its density, of a camera at (4, 4)."""
+        local = _Local.of(self, plane, T_map_camera)
+        return np.column_stack([local.plane, local.position, local.heading])
+
+    def at(self, plane: FloatArray, T_map_camera: FloatArray) -> Peaks:
+        """All densities at pixels ``plane`` (T, 2) on the plane z = 1, each at its own, of a camera at (4, 4)."""
+        return _peaks(self, _Local.of(self, plane, T_map_camera))
+
+
+@dataclass(frozen=True, eq=False)
+class Peaks:
+    """T densities at one pose, each at its pixel, as functions of a small motion of the camera.
+
+    A motion is (position in metres, rotation in radians from the left), both in the map frame.
+
+    Attributes:
+        value: (T,) the polynomial, not clipped.
+        gradient: (T, 6) by the motion, equation (4).
+        offset: (T, 2) of the pixel from the polynomial's peak over (u, v) at this pose, on the plane z = 1.
+        offset_jacobian: (T, 2, 6) by the motion.
+        fall: (T, 2, 2) F: the polynomial falls from its peak by offsetᵀ F offset.
+        drop: (T,) that fall, peak − value, and
+        drop_gradient: (T, 6) by the motion.
+        peaked: (T,) whether there is a peak at all.
+    """
+
+    value: FloatArray
+    gradient: FloatArray
+    offset: FloatArray
+    offset_jacobian: FloatArray
+    fall: FloatArray
+    drop: FloatArray
+    drop_gradient: FloatArray
+    peaked: BoolArray
+
+
+def kept_powers(degree: int) -> tuple[IntArray, IntArray, IntArray]:
+    """The powers (U, 2) of (u, v), (X, 3) of the position and (H, 3) of the heading that coefficients are kept for."""
+    plane, position = tensor_powers(2, degree), tensor_powers(3, degree)
+    return plane[plane.sum(axis=1) <= 2], position[position.sum(axis=1) <= 2], tensor_powers(3, degree)
+
+
+def coefficient_columns(degree: int) -> IntArray:
+    """Where the coefficients kept, (U, X, H) in one row, stand among all (P + 1)⁸ in the order of Table 5."""
+    digits = [powers @ (degree + 1) ** np.arange(powers.shape[1])[::-1] for powers in kept_powers(degree)]
+    base = (degree + 1) ** 3
+    return np.asarray((digits[0][:, None, None] * base + digits[1][:, None]) * base + digits[2]).ravel()
+
+
+def local_frames(directions: FloatArray) -> FloatArray:
+    """R_local_map (T, 3, 3) for unit ``directions`` (T, 3): each on the diagonal (1, 1, 0) / √2, the frame upright."""
+    c = math.sqrt(0.5)
+    turn = np.array([[c, -c, 0], [c, c, 0], [0, 0, 1]])
+    axes = np.array([rotation_from_heading(d) for d in directions]).reshape(-1, 3, 3)
+    ahead_left_up = np.stack([axes[:, :, 2], -axes[:, :, 0], -axes[:, :, 1]], axis=1)
+    return np.asarray(turn @ ahead_left_up)
+
+
+def fit_tensors(landmarks: FloatArray, places: FloatArray, radii: FloatArray, degree: int) -> TensorDensities:
+    """Least-squares fits of equation (3) to equation (5), for landmarks (T, 3) seen from places (T, 3).
+
+    Args:
+        landmarks: (T, 3) metres.
+        places: (T, 3) metres.
+        radii: (T,) metres, how far around its place each is to be valid.
+        degree: P, one of 1, 2 and 3. With 1 a density has no peak: it is linear in u and in v.
+    """
+    layout = _Layout.of(degree)
+    distances = np.linalg.norm(landmarks - places, axis=1)
+    frames = local_frames((landmarks - places) / distances[:, None])
+    fitted = [
+        layout.fit(frames[i : i + _CHUNK], (landmarks - places)[i : i + _CHUNK], radii[i : i + _CHUNK])
+        for i in range(0, len(landmarks), _CHUNK)
+    ]
+    sizes = [len(powers) for powers in kept_powers(degree)]
+    coefficients = np.concatenate(fitted) if fitted else np.zeros((0, *sizes), dtype=np.float32)
+    return TensorDensities(degree, coefficients, landmarks, places, radii)
+
+
+@dataclass(frozen=True, eq=False)
+class _Layout:
+    """The samples that all densities of a degree are fitted with, and the pseudo-inverses that fit them.
+
+    Attributes:
+        plane: (A, 2) nodes of (u, v).
+        position: (B, 3) nodes of the position, in units of the radius.
+        axes: (C, 3, 3) upright cameras' x, y and z axis (rows) in the density's frame.
+        of_plane: (U, A), of_position (X, B), of_heading (H, C): from samples to coefficients.
+    """
+
+    plane: FloatArray
+    position: FloatArray
+    axes: FloatArray
+    of_plane: FloatArray
+    of_position: FloatArray
+    of_heading: FloatArray
+
+    @classmethod
+    def of(cls, degree: int) -> _Layout:
+        nodes = max(degree + 1, 3)  # the target is a quadratic: fewer would not show it
+        line = np.cos((np.arange(nodes) + 0.5) * np.pi / nodes)
+        plane = _VIEWPORT * _grid(line, 2)
+        position = _grid(line, 3)
+        headings = _cap(_HEADINGS[degree])
+        every = [tensor_powers(2, degree), tensor_powers(3, degree), tensor_powers(3, degree)]
+        samples = [plane, position, (headings - _DIAGONAL) / _HEADING_SCALE]
+        inverses = []
+        for powers, kept, points in zip(every, kept_powers(degree), samples, strict=True):
+            solved = np.linalg.pinv(monomials(powers, points), rcond=math.sqrt(_RIDGE))
+            rows = np.flatnonzero((powers[:, None] == kept).all(axis=2).any(axis=1))
+            inverses.append(solved[rows])
+        return cls(plane, position, upright_axes(headings), *inverses)
+
+    def fit(self, R_local_map: FloatArray, to_landmark: FloatArray, radii: FloatArray) -> FloatArray:
+        """Coefficients (t, U, X, H) of landmarks ``to_landmark`` (t, 3) from their places."""
+        distances = np.linalg.norm(to_landmark, axis=1)
+        offsets = to_landmark[:, None] - radii[:, None, None] * self.position  # (t, B, 3), map frame
+        local = np.einsum("tij,tbj->tbi", R_local_map, offsets)
+        along = np.einsum("tbi,cki->ktbc", local, self.axes)  # x, y, z (3, t, B, C) of the landmark in each camera
+        x, y, z = along[:, :, None]  # (t, 1, B, C)
+        u, v = self.plane.T[:, :, None, None]
+        scale = (distances * TARGET_RADIUS)[:, None, None, None]
+        target = 1 - ((z * u - x) ** 2 + (z * v - y) ** 2) / scale**2  # (t, A, B, C)
+        fitted = target @ self.of_heading.T
+        fitted = self.of_position @ fitted
+        return np.asarray(np.einsum("ua,taxh->tuxh", self.of_plane, fitted), dtype=np.float32)
+
+
+@dataclass(frozen=True, eq=False)
+class _Local:
+    """The variables of T densities at one pose, and how they change with a motion of the camera.
+
+    Attributes:
+        plane: (T, 2) u, v with the roll undone.
+        position: (T, 3).
+        heading: (T, 3).
+        plane_jacobian: (T, 2, 6).
+        position_jacobian: (T, 3, 6).
+        heading_jacobian: (T, 3, 6).
+    """
+
+    plane: FloatArray
+    position: FloatArray
+    heading: FloatArray
+    plane_jacobian: FloatArray
+    position_jacobian: FloatArray
+    heading_jacobian: FloatArray
+
+    @classmethod
+    def of(cls, densities: TensorDensities, plane: FloatArray, T_map_camera: FloatArray) -> _Local:
+        frames, R, position = densities.R_local_map, T_map_camera[:3, :3], T_map_camera[:3, 3]
+        camera_x, heading = frames @ R[:, 0], frames @ R[:, 2]
+        axes = upright_axes(heading)
+        cos_roll = np.einsum("ti,ti->t", axes[:, 0], camera_x)
+        sin_roll = np.einsum("ti,ti->t", axes[:, 1], camera_x)
+        u = cos_roll * plane[:, 0] - sin_roll * plane[:, 1]
+        v = sin_roll * plane[:, 0] + cos_roll * plane[:, 1]
+        count = len(plane)
+        plane_jacobian = np.zeros((count, 2, 6))
+        position_jacobian = np.zeros((count, 3, 6))
+        heading_jacobian = np.zeros((count, 3, 6))
+        position_jacobian[:, :, :3] = np.eye(3) / densities.radii[:, None, None]
+        x, y, z = R[:, 2]
+        cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+        heading_jacobian[:, :, 3:] = -frames @ cross / _HEADING_SCALE
+        # a rotation ω rolls the camera, against the upright one with the same heading, by (ωx hx + ωy hy) / (hx² + hy²)
+        horizontal = np.maximum(heading[:, 0] ** 2 + heading[:, 1] ** 2, 1e-9)
+        rolled = np.einsum("ti,tij->tj", heading[:, :2] / horizontal[:, None], frames[:, :2])
+        plane_jacobian[:, 0, 3:] = -v[:, None] * rolled
+        plane_jacobian[:, 1, 3:] = u[:, None] * rolled
+        return cls(
+            np.column_stack([u, v]),
+            (position - densities.places) / densities.radii[:, None],
+            (heading - _DIAGONAL) / _HEADING_SCALE,
+            plane_jacobian,
+            position_jacobian,
+            heading_jacobian,
+        )
+
+
+def upright_axes(headings: FloatArray) -> FloatArray:
+    """The x, y and z axis (..., 3, 3), as rows, of upright cameras with unit ``headings`` (..., 3)."""
+    x, y, z = headings[..., 0], headings[..., 1], headings[..., 2]
+    n = np.sqrt(np.maximum(x**2 + y**2, 1e-18))
+    right = np.stack([y / n, -x / n, np.zeros_like(z)], axis=-1)
+    down = np.stack([x * z / n, y * z / n, -n], axis=-1)
+    return np.stack([right, down, headings], axis=-2)
+
+
+def _peaks(densities: TensorDensities, local: _Local) -> Peaks:
+    plane_powers, position_powers, heading_powers = kept_powers(densities.degree)
+    count, (u_, x_, h_) = len(densities), densities.coefficients.shape[1:]
+    by_heading = monomial_derivatives(heading_powers, local.heading)  # (T, H, 4)
+    by_position = monomial_derivatives(position_powers, local.position)  # (T, X, 4)
+    by_plane = _plane_derivatives(plane_powers, local.plane)  # (T, 6, U)
+    # the GEMM: every coefficient once, for the values and the derivatives by the heading
+    turned = (densities.coefficients.reshape(count, u_ * x_, h_) @ by_heading).reshape(count, u_, x_, 4)
+    moved = turned[..., 0] @ by_position  # (T, U, 4): value and derivatives by the position
+    turned = np.einsum("tuxk,tx->tuk", turned[..., 1:], by_position[..., 0])
+    both = by_plane @ np.concatenate([moved, turned], axis=2)  # (T, 6, 7): 1, u, v, uu, uv, vv by 1, position, heading
+    motion = np.concatenate([local.position_jacobian, local.heading_jacobian], axis=1)  # (T, 6, 6)
+    by_motion = both[:, :, 1:] @ motion  # (T, 6, 6), (u, v) held
+    slope, slope_by_motion = both[:, 1:3, 0], by_motion[:, 1:3]
+    hessian = both[:, [3, 4, 4, 5], 0].reshape(-1, 2, 2)
+    hessian_by_motion = by_motion[:, [3, 4, 4, 5]].reshape(-1, 2, 2, 6)
+    determinant = hessian[:, 0, 0] * hessian[:, 1, 1] - hessian[:, 0, 1] ** 2
+    peaked = (hessian[:, 0, 0] < 0) & (determinant > 0)
+    safe = np.where(peaked[:, None, None], hessian, -np.eye(2))
+    slope_by_motion = slope_by_motion + hessian @ local.plane_jacobian
+    offset = np.linalg.solve(safe, slope[..., None])[..., 0]
+    curved = np.einsum("tijp,tj->tip", hessian_by_motion, offset)
+    return Peaks(
+        value=both[:, 0, 0],
+        gradient=by_motion[:, 0] + np.einsum("ti,tip->tp", slope, local.plane_jacobian),
+        offset=offset,
+        offset_jacobian=np.linalg.solve(safe, slope_by_motion - curved),
+        fall=-safe / 2,
+        drop=-np.einsum("ti,ti->t", offset, slope) / 2,
+        drop_gradient=-np.einsum("ti,tip->tp", offset, slope_by_motion) + np.einsum("ti,tip->tp", offset, curved) / 2,
+        peaked=peaked,
+    )
+
+
+def _plane_derivatives(powers: IntArray, plane: FloatArray) -> FloatArray:
+    """(T, 6, U): monomials of (u, v) and their derivatives by u, v, uu, uv and vv at ``plane`` (T, 2)."""
+    u, v = zip(*(power_factors(powers, plane, order) for order in range(3)), strict=True)
+    orders = [(0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2)]
+    return np.stack([u[i] * v[j] for i, j in orders], axis=1)
+
+
+def _grid(line: FloatArray, dimensions: int) -> FloatArray:
+    """All points (L^d, d) whose coordinates are of ``line`` (L,), the last counting fastest."""
+    return np.stack(np.meshgrid(*[line] * dimensions, indexing="ij"), axis=-1).reshape(-1, dimensions)
+
+
+def _cap(count: int) -> FloatArray:
+    """Headings (count, 3) spread evenly over the cap of 50° about the diagonal, on a sunflower's spiral."""
+    i = np.arange(count)
+    ahead = 1 - (1 - math.cos(HEADING_LIMIT_RAD)) * (i + 0.5) / count
+    turn = np.pi * (3 - math.sqrt(5)) * i
+    side = np.sqrt(1 - ahead**2)
+    across = np.stack([[-_DIAGONAL[1], _DIAGONAL[0], 0.0], [0.0, 0.0, 1.0]])
+    return np.asarray(ahead[:, None] * _DIAGONAL + (side * np.array([np.cos(turn), np.sin(turn)])).T @ across)
