@@ -19,7 +19,10 @@ def test_ready_says_what_is_not(serve):
     running = serve()
     answer = httpx.get(running.url + "/readyz")
     assert answer.status_code == 200
-    assert answer.json() == {"ready": True, "checks": dict.fromkeys(("maps", "data", "jobs", "compute"), "ok")}
+    assert answer.json() == {
+        "ready": True,
+        "checks": dict.fromkeys(("maps", "data", "jobs", "worker", "compute"), "ok"),
+    }
     running.settings.maps_dir.rmdir()
     answer = httpx.get(running.url + "/readyz")
     assert answer.status_code == 503

@@ -49,14 +49,13 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
         configure_logs()
         app.state.rholoc = state = _start(settings)
-        worker = EmbeddedWorker(settings.data_dir, settings.maps_dir) if settings.worker else None
-        if worker is not None:
-            worker.start()
+        if state.worker is not None:
+            state.worker.start()
         try:
             yield
         finally:
-            if worker is not None:
-                worker.stop()
+            if state.worker is not None:
+                state.worker.stop()
             state.compute.close()
             state.jobs.close()
 
@@ -83,6 +82,7 @@ def _start(settings: Settings) -> State:
         compute=ComputePool(settings.concurrency, settings.queue_length),
         recordings=RecordingStore(settings.data_dir),
         jobs=JobQueue(settings.data_dir),
+        worker=EmbeddedWorker(settings.data_dir, settings.maps_dir) if settings.worker else None,
     )
 
 

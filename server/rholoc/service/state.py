@@ -7,7 +7,7 @@ from typing import Annotated
 
 from fastapi import Depends, Request
 
-from rholoc.jobs import JobQueue, RecordingStore
+from rholoc.jobs import EmbeddedWorker, JobQueue, RecordingStore
 from rholoc.maps import MapLibrary
 from rholoc.service.compute import ComputePool
 from rholoc.service.localizers import Localizers
@@ -24,6 +24,7 @@ class State:
     compute: ComputePool
     recordings: RecordingStore
     jobs: JobQueue
+    worker: EmbeddedWorker | None
 
 
 def _state(request: Request) -> State:

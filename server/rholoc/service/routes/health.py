@@ -36,6 +36,7 @@ def _checks(service: State) -> dict[str, str]:
         "maps": _folder(service.settings.maps_dir),
         "data": _folder(service.settings.data_dir),
         "jobs": _jobs(service),
+        "worker": _OK if service.worker is None or service.worker.running else "the worker is starting again",
         "compute": "the queue is full" if service.compute.full else _OK,
     }
 

@@ -145,9 +145,9 @@ async def localize_in_maps(
 
 async def _localize(names: list[str], request: Request, service: State, options: OptionParameters) -> LocalizationOut:
     clock = Stopwatch()
-    for name in names:
-        service.library.stat(name)  # an unknown map is refused before the body is read
     frame = await _frame(request, options.options(), service.settings.max_request_bytes)
+    for name in names:
+        service.library.stat(name)  # an unknown map is refused before it takes a place in the queue
     return await service.compute.run(lambda: localize_frame(frame, names, service.localizers, service.settings, clock))
 
 

@@ -88,7 +88,11 @@ async def upload_recording(request: Request, service: Service, response: Respons
     finally:
         await run_in_threadpool(pending.abort)
     options = JobOptions(fields.density, fields.features, fields.poses, fields.camera)
-    job = await run_in_threadpool(service.jobs.submit, entry.id, fields.map, options)
+    try:
+        job = await run_in_threadpool(service.jobs.submit, entry.id, fields.map, options)
+    except Exception:
+        await run_in_threadpool(service.recordings.delete, entry.id)  # no job would ever read it
+        raise
     response.headers["Location"] = f"/v1/jobs/{job.id}"
     return RecordingAccepted(recording=entry.id, job=job_out(job))
 

@@ -1,0 +1,188 @@
+"""The clients against a running service."""
+
+from __future__ import annotations
+
+import asyncio
+import inspect
+import zipfile
+from contextlib import contextmanager
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import rholoc_client
+from rholoc.features import get_extractor
+from rholoc.jobs import RecordingStore
+from rholoc_client import AsyncClient, Camera, Client, ConnectionFailed, Features, JobFailed, Prior, WaitTimedOut
+
+ONE_SHORT_DESCRIPTOR = Features(640, 480, [(1, 2)], [b"x"])
+
+
+class Blocking:
+    """An AsyncClient that is waited for, so that one test serves both clients."""
+
+    def __init__(self, url):
+        self._loop = asyncio.new_event_loop()
+        self._client = AsyncClient(url)
+
+    def __getattr__(self, name):
+        method = getattr(self._client, name)
+        assert inspect.iscoroutinefunction(method)
+        return lambda *args, **options: self._loop.run_until_complete(method(*args, **options))
+
+    def end(self):
+        self._loop.run_until_complete(self._client.close())
+        self._loop.close()
+
+
+@contextmanager
+def connected(kind, url):
+    if kind == "sync":
+        with Client(url) as client:
+            yield client
+    else:
+        client = Blocking(url)
+        yield client
+        client.end()
+
+
+@pytest.fixture(params=["sync", "async"])
+def client(request, service):
+    with connected(request.param, service.url) as client:
+        yield client
+
+
+def feature_lists(world) -> Features:
+    found = get_extractor("gray").extract(world.image)
+    return Features(
+        width=640,
+        height=480,
+        pixels=found.pixels,
+        descriptors=[row.tobytes() for row in found.descriptors],
+        channels=found.channels,
+        sizes_px=found.sizes,
+        angles_deg=np.degrees(found.angles),
+    )
+
+
+def test_a_robots_loop(client, picture_world):
+    camera, prior = Camera(520.0, 520.0, 319.5, 239.5), None
+    for _ in range(2):
+        answer = client.localize("room", picture_world.image, camera=camera, prior=prior, dof=6)
+        assert answer.localized
+        prior = answer.pose.as_prior(radius_m=0.5)
+    np.testing.assert_allclose(answer.pose.position, picture_world.pose.position, atol=0.02)
+    assert (answer.map, answer.map_version, answer.scale) == ("room", 3, "metric")
+    assert isinstance(prior, Prior)
+
+
+def test_pictures_and_descriptor_sets_give_the_same_pose(client, picture_world, tmp_path):
+    (tmp_path / "frame.png").write_bytes(picture_world.png())
+    answers = [
+        client.localize("room", tmp_path / "frame.png", dof=6),
+        client.localize("room", picture_world.png(), dof=6),
+        client.localize("room", picture_world.image, dof=6),
+        client.localize_descriptors("room", feature_lists(picture_world), dof=6),
+    ]
+    for answer in answers[1:]:
+        np.testing.assert_allclose(answer.pose.T_map_camera, answers[0].pose.T_map_camera, atol=1e-9)
+
+
+def test_several_maps(client, picture_world):
+    assert client.localize(None, picture_world.png()).map in ("room", "loose")
+    assert client.localize(["loose"], picture_world.png()).scale == "arbitrary"
+    with pytest.raises(rholoc_client.UnknownMap):
+        client.localize(["loose", "attic"], picture_world.png())
+
+
+def test_maps(client, picture_world):
+    assert [one.name for one in client.maps()] == ["loose", "room"]
+    room = client.map("room")
+    assert room.camera == Camera(520.0, 520.0, 319.5, 239.5, (), 640, 480)
+    content = client.download_map("room")
+    assert client.upload_map("copy", content).landmarks == room.landmarks
+    assert client.rename_map("copy", "other").name == "other"
+    client.delete_map("other")
+    assert client.map_report("room") == picture_world.map_.info.report
+    assert client.map_preview("room").startswith(b"\x89PNG")
+    assert client.download_map("room", "ply").startswith(b"ply\n")
+    assert set(client.readiness().values()) == {"ok"}
+
+
+@pytest.mark.parametrize(
+    ("call", "error"),
+    [
+        (lambda client: client.localize("attic", b""), "UnknownMap"),
+        (lambda client: client.localize("room", b"hello"), "InvalidImage"),
+        (lambda client: client.localize("room", b"hello", dof=4), "InvalidRequest"),
+        (
+            lambda client: client.localize_descriptors("room", Features(640, 480, [(1, 2)], [b"x"])),
+            "InvalidDescriptors",
+        ),
+        (lambda client: client.map(".."), "InvalidName"),
+        (lambda client: client.upload_map("room", b"rubbish"), "InvalidMap"),
+        (lambda client: client.rename_map("room", "loose"), "Conflict"),
+        (lambda client: client.job("nonsense"), "UnknownJob"),
+    ],
+)
+def test_errors_are_the_services(client, call, error):
+    with pytest.raises(getattr(rholoc_client, error)) as caught:
+        call(client)
+    assert caught.value.message
+    assert caught.value.request_id
+
+
+def test_a_camera_that_is_absurd(client, picture_world):
+    with pytest.raises(rholoc_client.InvalidCamera):
+        client.localize("room", picture_world.png(), camera=Camera(-1.0, 1.0, 0.0, 0.0))
+
+
+def test_a_folder_is_uploaded_as_a_zip_file(client, service, tmp_path):
+    folder = tmp_path / "walk"
+    (folder / "frames").mkdir(parents=True)
+    (folder / "frames" / "0001.jpg").write_bytes(b"\xff\xd8" * 200_000)
+    (folder / "imu.csv").write_text("timestamp,ax\n" + "0,1\n" * 1000)
+    (folder / ".hidden").write_text("no")
+    heard = []
+    job = client.upload_recording(
+        folder, "hall", poses="visual", camera=Camera(500.0, 500.0, 320.0, 240.0), progress=lambda *at: heard.append(at)
+    )
+    assert (job.map, job.state) == ("hall", "queued")
+    stored = RecordingStore(service.settings.data_dir).path(job.recording)
+    assert stored.name == "walk.zip"
+    with zipfile.ZipFile(stored) as archive:
+        assert archive.namelist() == ["frames/0001.jpg", "imu.csv"]
+    assert heard == sorted(heard)
+    assert heard[-1] == (stored.stat().st_size, stored.stat().st_size)
+    client.cancel_job(job.id)
+
+
+def test_a_video_with_waypoints(client, service, tmp_path):
+    (tmp_path / "walk.mp4").write_bytes(b"\0" * 1000)
+    (tmp_path / "measured.csv").write_text("name,time,x,y,z\n")
+    job = client.upload_recording(tmp_path / "walk.mp4", "hall", waypoints=tmp_path / "measured.csv")
+    assert RecordingStore(service.settings.data_dir).get(job.recording).files == ("walk.mp4", "waypoints.csv")
+    assert job.id in [one.id for one in client.jobs()]
+    with pytest.raises(WaitTimedOut):
+        client.wait_for_job(job.id, timeout_s=0.05, poll_s=0.01)
+    client.cancel_job(job.id)
+    heard = []
+    with pytest.raises(JobFailed):
+        client.wait_for_job(job.id, progress=heard.append)
+    assert [one.state for one in heard] == ["cancelled"]
+    assert client.retry_job(job.id).state == "queued"
+    client.cancel_job(job.id)
+
+
+def test_a_service_that_is_not_there():
+    with pytest.raises(ConnectionFailed, match=r"127\.0\.0\.1:9"), Client("http://127.0.0.1:9", retries=0) as nobody:
+        nobody.maps()
+
+
+def test_a_pose_is_frozen(picture_world, service):
+    with Client(service.url) as client:
+        pose = client.localize("room", picture_world.png()).pose
+    assert replace(pose, roll_deg=1.0) != pose
+    with pytest.raises(AttributeError):
+        pose.roll_deg = 2.0

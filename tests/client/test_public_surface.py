@@ -1,0 +1,67 @@
+"""The client's public names, its error tree, and that it stands alone."""
+
+from __future__ import annotations
+
+import dataclasses
+import inspect
+import re
+import subprocess
+import sys
+
+import rholoc_client
+from rholoc.service.errors import error_classes, status_of
+from rholoc_client import errors
+
+MODELS = ("Camera", "Features", "Job", "Localization", "MapSummary", "Pose", "Prior")
+
+
+def client_errors() -> list[type[Exception]]:
+    return [kind for _, kind in inspect.getmembers(errors, inspect.isclass) if issubclass(kind, Exception)]
+
+
+def test_all_is_what_is_public():
+    public = {name for name in vars(rholoc_client) if not name.startswith("_") and name[0].isupper()}
+    assert set(rholoc_client.__all__) == public
+    assert public == {"AsyncClient", "Client", *MODELS} | {kind.__name__ for kind in client_errors()}
+
+
+def test_models_are_frozen():
+    for name in MODELS:
+        assert getattr(rholoc_client, name).__dataclass_params__.frozen
+        assert dataclasses.is_dataclass(getattr(rholoc_client, name))
+
+
+def test_the_drawn_tree_is_the_real_one():
+    drawn: dict[str, str] = {}
+    above: list[str] = []
+    for line in (errors.__doc__ or "").splitlines():
+        found = re.match(r"    ([│├└─ ]*)([A-Z]\w+)", line)
+        if found:
+            depth = len(found[1]) // 4
+            above[depth:] = [found[2]]
+            drawn[found[2]] = above[depth - 1] if depth else "Exception"
+    assert drawn == {kind.__name__: kind.__base__.__name__ for kind in client_errors()}
+
+
+def test_every_code_of_the_service_is_an_exception():
+    assert {kind.code for kind in error_classes()} <= set(errors.BY_CODE)
+    for kind in error_classes():
+        assert errors.BY_CODE[kind.code].__name__ == kind.__name__
+        assert status_of(kind) >= 400
+
+
+def test_both_clients_have_the_same_methods():
+    def methods(kind):
+        return {
+            name: list(inspect.signature(method).parameters)
+            for name, method in inspect.getmembers(kind, inspect.isfunction)
+            if not name.startswith("_")
+        }
+
+    assert methods(rholoc_client.Client) == methods(rholoc_client.AsyncClient)
+
+
+def test_the_client_needs_neither_the_service_nor_numpy():
+    code = "import sys, rholoc_client; print([m for m in ('rholoc', 'numpy', 'cv2') if m in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
