@@ -79,7 +79,6 @@ class FakePipeline(MappingPipeline):
         self._wait("built")
 
     def publish(self, task: MappingTask) -> None:
-        self._wait("before-publishing")
         target = task.maps_dir / f"{task.map_name}.rho"
         before = target.stat().st_ino if target.exists() else None
         super().publish(task)

@@ -18,7 +18,7 @@ from rholoc.errors import Cancelled, RholocError
 from rholoc.jobs.disk import is_full, storage_full
 from rholoc.jobs.pipeline import MappingTask, Pipeline
 from rholoc.jobs.table import Failure
-from rholoc.progress import Stage
+from rholoc.progress import ProgressListener, Stage
 
 _log = logging.getLogger("rholoc.jobs")
 
@@ -144,15 +144,16 @@ def _child(pipeline: Pipeline, task: MappingTask, connection: Connection) -> Non
     os.nice(_NICENESS)
     listener = _Listener(connection)
     threading.Thread(target=_watch_worker, args=(connection, listener), daemon=True).start()
-    failure = _run(pipeline, task, listener)
+    failure = run_build(pipeline, task, listener)
     listener.send(Finished(failure))
 
 
-def _run(pipeline: Pipeline, task: MappingTask, listener: _Listener) -> Failure | None:
+def run_build(pipeline: Pipeline, task: MappingTask, listener: ProgressListener) -> Failure | None:
+    """Run ``pipeline.build`` in this process; returns why it failed, or None."""
     try:
         pipeline.build(task, listener)
     except RholocError as error:
-        return Failure(error.code, error.message, error.hint)
+        return describe(error)
     except OSError as error:
         return describe(storage_full()) if is_full(error) else unexpected(error)
     except Exception as error:
