@@ -83,7 +83,8 @@ def _solve(
             y, covariance = _least_squares(B, b - A[:, 1:4] @ g, weights)
             x = np.concatenate([y[:1], g + tangent @ y[1:3], y[3:]])
     scale = float(x[0])
-    return scale, float(np.sqrt(covariance[0, 0])) / max(abs(scale), 1e-12), x[1:4]
+    sigma = float(np.sqrt(covariance[0, 0]))
+    return scale, sigma / abs(scale) if scale else float("inf"), x[1:4]
 
 
 def _least_squares(A: FloatArray, b: FloatArray, weights: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -91,7 +92,8 @@ def _least_squares(A: FloatArray, b: FloatArray, weights: FloatArray) -> tuple[F
     information = W.T @ W
     inverse = np.linalg.pinv(information, rcond=1e-14, hermitian=True)
     x = inverse @ (W.T @ c)
-    variance = float(np.sum((W @ x - c) ** 2)) / max(len(b) - np.count_nonzero(np.diag(information)), 1)
+    redundancy = max(len(b) - int(np.count_nonzero(np.diag(information))), 1)
+    variance = float(np.sum((W @ x - c) ** 2)) / redundancy
     return x, inverse * max(variance, 1e-12)
 
 
