@@ -12,6 +12,10 @@ from rholoc.geometry import ByteArray, FloatArray, IntArray
 
 _NEVER = np.float32(np.inf)
 
+# Searches here take milliseconds: threads that spin for each other cost more than they bring, and a busy service has
+# a request for every core anyway.
+faiss.omp_set_num_threads(1)
+
 
 @dataclass(frozen=True)
 class MatchLimits:
