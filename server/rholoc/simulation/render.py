@@ -188,9 +188,11 @@ class Renderer:
             u = np.arange(x0, x1) + shift[0]
             v = np.arange(y0, y1) + shift[1]
             x, y, w = ((row[0] * u).astype(np.float32) + (row[1] * v + row[2]).astype(np.float32)[:, None] for row in H)
-            np.divide(np.float32(1), w, out=w)
-            x *= w
-            y *= w
+            with np.errstate(divide="ignore"):  # outside the face, where nothing is taken
+                np.divide(np.float32(1), w, out=w)
+            with np.errstate(invalid="ignore"):
+                x *= w
+                y *= w
             # The footprint's area in texels is |det H| / w³ for a pixel at homogeneous scale w.
             bias = 0.5 * np.log2(abs(np.linalg.det(H))) + _SHARPNESS + dither + 0.5
             level = np.log2(np.abs(w, out=w), out=w)
