@@ -13,7 +13,7 @@ from typing import NoReturn
 import pytest
 
 from rholoc import __version__
-from rholoc.cli import main, maps
+from rholoc.cli import main
 from rholoc.errors import InvalidMap
 
 Run = Callable[..., tuple[int, str, str]]
@@ -90,6 +90,7 @@ def test_an_output_folder_that_is_not_there_is_told_before_the_work(rholoc: Run,
         ("map", "build", "a", "b", "--waypoints", "w.csv"),
         ("localize", "m.rho", "v.mp4", "--dof", "7"),
         ("serve", "--port", "70000"),
+        ("simulate", "out", "--light", "candle"),
         ("evaluate", "a.csv", "b.csv", "--wrong"),
     ],
 )
@@ -113,7 +114,7 @@ def test_no_error_is_a_traceback(
     rholoc: Run, monkeypatch: pytest.MonkeyPatch, error: BaseException, status: int, expected: str
 ) -> None:
     monkeypatch.delenv("RHOLOC_DEBUG", raising=False)
-    monkeypatch.setattr(maps, "load_map", fail_with(error))
+    monkeypatch.setattr("rholoc.maps.load_map", fail_with(error))
     got, out, err = rholoc("map", "info", "map.rho")
     assert (got, out) == (status, "")
     assert expected in err
@@ -121,7 +122,7 @@ def test_no_error_is_a_traceback(
 
 
 def test_a_markup_like_message_is_printed_as_it_is(rholoc: Run, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(maps, "load_map", fail_with(InvalidMap("No [bold]map[/bold] at [/x].")))
+    monkeypatch.setattr("rholoc.maps.load_map", fail_with(InvalidMap("No [bold]map[/bold] at [/x].")))
     assert rholoc("map", "info", "map.rho")[2] == "rholoc: No [bold]map[/bold] at [/x].\n"
 
 
@@ -139,7 +140,7 @@ def test_the_command_runs_as_a_module_and_says_what_it_can() -> None:
 
 
 def test_help_does_not_load_what_it_does_not_need() -> None:
-    heavy = ("pycolmap", "matplotlib", "fastapi", "dbos", "uvicorn", "faiss")
+    heavy = ("pycolmap", "matplotlib", "fastapi", "dbos", "uvicorn", "faiss", "scipy", "cv2")
     code = f"import rholoc.cli, sys; print([m for m in {heavy!r} if m in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"

@@ -13,13 +13,18 @@ import typer.main
 
 from rholoc import __version__
 from rholoc.cli import app
+from rholoc.features import extractor_names
 from rholoc.mapping import BuildOptions
-from rholoc.service import Settings
+from rholoc.maps import DensityKind
+from rholoc.simulation import Light
+from rholoc.trajectory import PoseMethod
 
 ROOT = Path(__file__).parents[2]
-PAGES = [ROOT / name for name in ("README.md", "CHANGELOG.md", "server/README.md", "maps/README.md")]
+PAGES = [
+    ROOT / name for name in ("README.md", "CHANGELOG.md", "server/README.md", "server/COMMANDS.md", "maps/README.md")
+]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
-REFERENCE = (ROOT / "server" / "README.md").read_text(encoding="utf-8")
+REFERENCE = (ROOT / "server" / "COMMANDS.md").read_text(encoding="utf-8")
 
 
 def commands(group: Any = None, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any]]:
@@ -38,7 +43,7 @@ COMMANDS = dict(commands())
 def section(path: tuple[str, ...]) -> str:
     """The reference's section on a command."""
     match = re.search(rf"^### `rholoc {' '.join(path)}\b.*?(?=^##|\Z)", REFERENCE, re.MULTILINE | re.DOTALL)
-    assert match, f"server/README.md has no section on rholoc {' '.join(path)}"
+    assert match, f"server/COMMANDS.md has no section on rholoc {' '.join(path)}"
     return match[0]
 
 
@@ -99,19 +104,26 @@ def test_the_readmes_python_runs_on_the_client() -> None:
         assert name in rholoc_client.Pose.__dataclass_fields__
 
 
-def test_every_setting_is_documented_with_its_default() -> None:
-    for name, field in Settings.model_fields.items():
-        row = re.search(rf"^\| `RHOLOC_{name.upper()}` \| (.*?) \|", REFERENCE, re.MULTILINE)
-        assert row, f"RHOLOC_{name.upper()} is not documented"
-        if field.default_factory is None:
-            assert row[1] == str(field.default)
-
-
 def test_defaults_are_told_as_they_are() -> None:
     text = section(("map", "build"))
     options = BuildOptions()
     for value in (options.features, options.density.value, options.poses.value):
         assert f"`{value}` (default)" in text
+
+
+@pytest.mark.parametrize(
+    ("path", "option", "choices"),
+    [
+        (("map", "build"), "density", list(DensityKind)),
+        (("map", "build"), "poses", list(PoseMethod)),
+        (("map", "build"), "features", extractor_names()),
+        (("simulate",), "light", list(Light)),
+    ],
+)
+def test_help_names_the_choices_there_are(path: tuple[str, ...], option: str, choices: list[str]) -> None:
+    (parameter,) = [one for one in COMMANDS[path].params if one.name == option]
+    assert sorted(parameter.metavar.split("|")) == sorted(choices)
+    assert all(f"`{one}`" in section(path) for one in choices)
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))

@@ -6,16 +6,16 @@ import json
 from collections.abc import Iterator, Mapping
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from rholoc.cli import options
 from rholoc.cli.console import print_figures, print_json, print_notice, stage_progress
 from rholoc.errors import InvalidInput
-from rholoc.maps import DensityKind, Map, load_map, save_map
-from rholoc.maps.info_json import info_to_json
-from rholoc.trajectory import PoseMethod
+
+if TYPE_CHECKING:
+    from rholoc.maps import Map
 
 app = typer.Typer(no_args_is_help=True, help="Build maps, look into them, export them.")
 
@@ -28,11 +28,13 @@ def build(
     out: Annotated[
         Path | None, typer.Option("--out", "-o", metavar="MAP.rho", help="Where to; default: the recording's name.")
     ] = None,
-    density: Annotated[DensityKind, typer.Option(help="The form of the densities.")] = DensityKind.RAY,
+    density: Annotated[str, typer.Option(metavar="ray|tensor", help="The form of the densities.")] = "ray",
     features: Annotated[
         str | None, typer.Option(metavar="gray|rgb|lab|lab3|sift", help="What the map's features are.")
     ] = None,
-    poses: Annotated[PoseMethod, typer.Option(help="Where frame poses come from.")] = PoseMethod.VISUAL_INERTIAL,
+    poses: Annotated[
+        str, typer.Option(metavar="visual-inertial|visual|inertial|given", help="Where frame poses come from.")
+    ] = "visual-inertial",
     frames: options.Frames = None,
     camera: options.Camera = None,
     waypoints: Annotated[
@@ -50,9 +52,16 @@ def build(
     if not target.parent.is_dir():
         raise InvalidInput(f"There is no folder {target.parent} to write the map to.", "Make it first.")
     from rholoc.mapping import DEFAULT_FEATURES, BuildOptions, build_map
+    from rholoc.maps import DensityKind, save_map
     from rholoc.recordings import read_recording
+    from rholoc.trajectory import PoseMethod
 
-    build_options = BuildOptions(density=density, features=features or DEFAULT_FEATURES, poses=poses, report=report)
+    build_options = BuildOptions(
+        density=options.choice(DensityKind, density, "--density"),
+        features=features or DEFAULT_FEATURES,
+        poses=options.choice(PoseMethod, poses, "--poses"),
+        report=report,
+    )
     with stage_progress() as progress:
         read = [read_recording(path, camera=camera, frames=frames, waypoints=waypoints) for path in recordings]
         map_ = build_map(read, build_options, progress)
@@ -63,6 +72,8 @@ def build(
 @app.command()
 def info(map_file: options.MapFile, as_json: options.Json = False) -> None:
     """Print what a map says of itself, its quality report included."""
+    from rholoc.maps import load_map
+
     _print_map(load_map(map_file), map_file, as_json)
 
 
@@ -83,7 +94,7 @@ def export(
     ] = None,
 ) -> None:
     """Write a map for other programs, or as a picture."""
-    from rholoc.maps import map_to_ply, map_to_vtp, preview_png
+    from rholoc.maps import load_map, map_to_ply, map_to_vtp, preview_png
     from rholoc.maps.files import replace_file
 
     target = out or map_file.with_suffix(f".{to.value}")
@@ -110,6 +121,8 @@ def _print_map(map_: Map, path: Path, as_json: bool) -> None:
 
 
 def _map_figures(map_: Map, path: Path) -> dict[str, Any]:
+    from rholoc.maps.info_json import info_to_json
+
     counts = {
         "file": str(path),
         "bytes": path.stat().st_size,

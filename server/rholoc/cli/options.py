@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, TypeVar
 
 import typer
+
+_Choice = TypeVar("_Choice", bound=StrEnum)
 
 Camera = Annotated[
     str | None,
@@ -21,3 +24,15 @@ Frames = Annotated[
 Json = Annotated[bool, typer.Option("--json", help="Print the figures as JSON.")]
 MapFile = Annotated[Path, typer.Argument(metavar="MAP", help="A map file (.rho).")]
 Source = Annotated[Path, typer.Argument(metavar="SOURCE", help="A video, a folder of images, or a recording's folder.")]
+
+
+def choice(kind: type[_Choice], text: str, option: str) -> _Choice:
+    """The member of an enum that an option names.
+
+    Options are strings until here, so that the enums' packages, and all that they need, are loaded only for commands
+    that use them: ``rholoc --help`` stays quick.
+    """
+    try:
+        return kind(text)
+    except ValueError as error:
+        raise typer.BadParameter(f"'{text}' is not one of {', '.join(kind)}.", param_hint=option) from error

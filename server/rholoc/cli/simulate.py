@@ -7,20 +7,23 @@ from typing import Annotated
 
 import typer
 
+from rholoc.cli import options
 from rholoc.cli.console import fraction_progress, print_notice
-from rholoc.simulation import Light, simulate_recording
 
 Seed = Annotated[int, typer.Option(min=0, help="Another seed is another room; the same one the same recording.")]
 
 
 def simulate(
     out: Annotated[Path, typer.Argument(metavar="OUT", help="The folder to write the recording to.")],
-    light: Annotated[Light, typer.Option(help="How the room is lit.")] = Light.ARTIFICIAL,
+    light: Annotated[str, typer.Option(metavar="daylight|artificial|dim", help="How the room is lit.")] = "artificial",
     seconds: Annotated[float, typer.Option(min=1, max=600, help="The recording's length.")] = 30.0,
     seed: Seed = 0,
     walk: Annotated[int, typer.Option(min=1, help="Which walk through the room; all share one map frame.")] = 1,
 ) -> None:
     """Simulate a walk through the test site: video, IMU, waypoints, and the true poses in truth.csv."""
+    from rholoc.simulation import Light, simulate_recording
+
+    chosen = options.choice(Light, light, "--light")
     with fraction_progress(f"walk {walk}") as progress:
-        recording = simulate_recording(out, walk=walk, light=light, seconds=seconds, seed=seed, progress=progress)
+        recording = simulate_recording(out, walk=walk, light=chosen, seconds=seconds, seed=seed, progress=progress)
     print_notice(f"{len(recording.times)} frames in {out}; their true poses are in {recording.truth}.")
