@@ -32,7 +32,7 @@ def _walk(delay_s: float = 0.0, includes_gravity: bool = True, known_mounting: b
     knots = np.arange(-2.0, 24.0, 0.7)
     path = make_interp_spline(knots, np.cumsum(rng.normal(0, 0.25, (len(knots), 3)), axis=0), k=5)
     angles = np.column_stack([rng.uniform(-20, 20, len(knots)), np.cumsum(rng.normal(0, 15, len(knots))), 0 * knots])
-    turn = RotationSpline(knots, Rotation.from_euler("xyz", angles + [-90, 0, 0], degrees=True))
+    turn = RotationSpline(knots, Rotation.from_euler("xyz", np.add(angles, [-90, 0, 0]), degrees=True))
     t = np.arange(-1.0, 22.0, 0.005)
     R_map_camera = turn(t).as_matrix()
     force = path.derivative(2)(t) + ([0, 0, GRAVITY] if includes_gravity else [0, 0, 0])
@@ -109,13 +109,13 @@ def test_the_imu_alone_joins_waypoints_at_rest() -> None:
     path = places[0] + smooth @ np.diff(places, axis=0)
     yaw = 0.8 * smooth.sum(axis=1)
     R = (Rotation.from_rotvec(np.outer(yaw, [0, 0, 1])) * Rotation.from_euler("x", -90, degrees=True)).as_matrix()
-    acceleration = np.gradient(np.gradient(path, t, axis=0), t, axis=0) + [0, 0, GRAVITY]
+    acceleration = np.add(np.gradient(np.gradient(path, t, axis=0), t, axis=0), [0, 0, GRAVITY])
     rate = np.column_stack([0 * t, 0 * t, np.gradient(yaw, t)])
     R_map_imu = R @ _R_CAMERA_IMU
     imu = Imu(
         t,
-        np.einsum("nij,ni->nj", R_map_imu, acceleration) + [0.03, -0.02, 0.02],
-        np.einsum("nij,ni->nj", R_map_imu, rate) + [0.002, -0.001, 0.001],
+        np.add(np.einsum("nij,ni->nj", R_map_imu, acceleration), [0.03, -0.02, 0.02]),
+        np.add(np.einsum("nij,ni->nj", R_map_imu, rate), [0.002, -0.001, 0.001]),
         True,
         _R_CAMERA_IMU,
     )

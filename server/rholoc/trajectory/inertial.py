@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
+from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from rholoc.errors import MappingFailed
@@ -16,6 +17,9 @@ from rholoc.trajectory.upright import rotation_to_upright
 from rholoc.trajectory.visual_inertial import GRAVITY, rotations_at
 
 _PAUSE_S = 0.6  # the camera rests this long around a waypoint
+_LEG_SIGMA_M = 0.3  # how far an integrated leg ends from its waypoint
+_LEVEL_SIGMA = 0.3  # m/s², of the horizontal force felt at rest
+_BIAS_SIGMA = 0.02  # rad/s, of the gyroscope
 
 
 def integrate_between_waypoints(imu: Imu, waypoints: Sequence[Waypoint], at: FloatArray) -> FloatArray:
@@ -24,7 +28,7 @@ def integrate_between_waypoints(imu: Imu, waypoints: Sequence[Waypoint], at: Flo
     At a waypoint the camera rests: its velocity is zero there and its place is measured. Between two waypoints the
     acceleration is integrated twice; what is left of velocity and place at the end is taken out, as a constant error of
     acceleration and a linear one of place (paper, section 3). The tilt comes from gravity at the first waypoint, the
-    gyroscope's bias from the pauses, the heading from the waypoints.
+    heading from the waypoints, the gyroscope's bias from the legs' ends and from gravity at every waypoint.
 
     Raises:
         InvalidWaypoints: they do not fix a frame.
@@ -42,14 +46,27 @@ def integrate_between_waypoints(imu: Imu, waypoints: Sequence[Waypoint], at: Flo
     places = np.array([waypoint.position for waypoint in ordered])
     if imu.times[0] > stops[0] or imu.times[-1] < stops[-1]:
         raise MappingFailed("The IMU does not cover the waypoints.", "Record the IMU for the whole walk.")
-    resting = np.abs(imu.times[:, None] - stops).min(axis=1) <= _PAUSE_S / 2
-    bias = np.median(imu.angular_velocity[resting], axis=0)
-    orientation = orientations(imu, bias)
-    felt = orientation.apply(imu.acceleration)
-    start = np.abs(imu.times - stops[0]) <= _PAUSE_S / 2
-    level = Rotation.from_matrix(rotation_to_upright(np.mean(felt[start], axis=0)))
-    acceleration = level.apply(felt) - [0.0, 0.0, GRAVITY]
-    paths = [_rest_to_rest(imu.times, acceleration, a, b) for a, b in pairwise(stops)]
+    near = [np.abs(imu.times - stop) <= _PAUSE_S / 2 for stop in stops]
+
+    def walked(bias: FloatArray) -> tuple[Rotation, Rotation, list[tuple[FloatArray, FloatArray]], FloatArray]:
+        """Orientations, the level, the path of every leg, and the force felt at every stop in the level frame."""
+        orientation = orientations(imu, bias)
+        felt = orientation.apply(imu.acceleration)
+        level = Rotation.from_matrix(rotation_to_upright(np.mean(felt[near[0]], axis=0)))
+        felt = level.apply(felt)
+        legs = [_rest_to_rest(imu.times, felt - [0.0, 0.0, GRAVITY], a, b) for a, b in pairwise(stops)]
+        return orientation, level, legs, np.array([felt[here].mean(axis=0) for here in near])
+
+    def residuals(bias: FloatArray) -> FloatArray:
+        _, _, legs, felt = walked(bias)
+        moved = np.array([path[-1] for _, path in legs])
+        missed = _yaw(moved, np.diff(places, axis=0)).apply(moved) - np.diff(places, axis=0)
+        return np.concatenate([missed.ravel() / _LEG_SIGMA_M, felt[:, :2].ravel() / _LEVEL_SIGMA, bias / _BIAS_SIGMA])
+
+    bias = least_squares(
+        residuals, np.zeros(3), loss="soft_l1", diff_step=np.full(3, 1e-3), x_scale=_BIAS_SIGMA, max_nfev=15
+    ).x
+    orientation, level, paths, _ = walked(bias)
     yaw = _yaw(np.array([path[-1] for _, path in paths]), np.diff(places, axis=0))
     positions = np.empty((len(at), 3))
     for (times, path), a, b, from_place, to_place in zip(
