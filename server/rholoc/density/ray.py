@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from rholoc.geometry import FloatArray
+from rholoc.geometry import FloatArray, IntArray
 
 _ALONG = 1e-9  # relative information along a direction below which a landmark has no place in it
 
@@ -58,7 +58,7 @@ def squared_ray_distance(landmarks: FloatArray, bearings: FloatArray, positions:
     """d² of landmarks (..., 3) to the rays of bearings (..., 3) from positions (..., 3), m²."""
     to_landmark = landmarks - positions
     along = np.einsum("...i,...i->...", bearings, to_landmark)
-    return np.einsum("...i,...i->...", to_landmark, to_landmark) - along**2
+    return np.asarray(np.einsum("...i,...i->...", to_landmark, to_landmark) - along**2)
 
 
 def ray_density(
@@ -79,3 +79,35 @@ def ray_density_gradient(
     inside = ray_density(landmarks, bearings, positions, tolerances) > 0
     scale = np.where(inside, 2 / tolerances**2, 0)[..., None]
     return scale * along * to_landmark, scale * (to_landmark - along * bearings)
+
+
+def ray_coefficients(landmarks: FloatArray, tolerances: FloatArray) -> FloatArray:
+    """Equation (3)'s coefficients (F, 729) of 1 − d²/r² in s = (bx, by, bz, x, y, z), degree 2, in Table 5's order.
+
+    Closed form, from |m − x|² = Σ (m_i² − 2 m_i x_i + x_i²) and (b · (m − x))² = Σ b_i b_j (m_i − x_i)(m_j − x_j).
+
+    Args:
+        landmarks: (F, 3) m, metres.
+        tolerances: (F,) r, metres.
+    """
+    coefficients = np.zeros((len(landmarks), *(3,) * 6))
+    unit = np.eye(3, dtype=np.int64)
+    none = np.zeros(3, dtype=np.int64)
+
+    def add(b_powers: IntArray, x_powers: IntArray, value: FloatArray | float) -> None:
+        coefficients[(slice(None), *b_powers, *x_powers)] += value
+
+    for i in range(3):
+        m_i = landmarks[:, i]
+        add(none, none, -(m_i**2))
+        add(none, unit[i], 2 * m_i)
+        add(none, 2 * unit[i], -1)
+        for j in range(3):
+            m_j, along = landmarks[:, j], unit[i] + unit[j]
+            add(along, none, m_i * m_j)
+            add(along, unit[i], -m_j)
+            add(along, unit[j], -m_i)
+            add(along, unit[i] + unit[j], 1)
+    scaled = coefficients.reshape(len(landmarks), -1) / (tolerances**2)[:, None]
+    scaled[:, 0] += 1
+    return scaled

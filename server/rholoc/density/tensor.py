@@ -34,7 +34,7 @@ from functools import cached_property
 import numpy as np
 
 from rholoc.density.polynomial import monomial_derivatives, monomials, power_factors, tensor_powers
-from rholoc.geometry import BoolArray, FloatArray, IntArray, rotation_from_heading
+from rholoc.geometry import BoolArray, FloatArray, IntArray
 
 DEGREES = (1, 2, 3)
 TARGET_RADIUS = 60 / 525  # r on the plane z = 1: 60 px of a camera with a focal length of 525 px
@@ -44,6 +44,7 @@ _VIEWPORT = 0.75  # half the width of the viewport on the plane z = 1
 _HEADINGS = {1: 60, 2: 120, 3: 300}  # how many a degree's layout has: several for each of (P + 1)³ monomials
 _RIDGE = 1e-12
 _CHUNK = 64
+_VERTICAL = 1e-9  # a heading this close to the vertical has no horizontal direction of its own
 _DIAGONAL = np.array([math.sqrt(0.5), math.sqrt(0.5), 0.0])
 _HEADING_SCALE = math.sin(HEADING_LIMIT_RAD)
 
@@ -161,8 +162,8 @@ def local_frames(directions: FloatArray) -> FloatArray:
     """R_local_map (T, 3, 3) for unit ``directions`` (T, 3): each on the diagonal (1, 1, 0) / √2, the frame upright."""
     c = math.sqrt(0.5)
     turn = np.array([[c, -c, 0], [c, c, 0], [0, 0, 1]])
-    axes = np.array([rotation_from_heading(d) for d in directions]).reshape(-1, 3, 3)
-    ahead_left_up = np.stack([axes[:, :, 2], -axes[:, :, 0], -axes[:, :, 1]], axis=1)
+    right, down, ahead = np.moveaxis(upright_axes(directions), -2, 0)
+    ahead_left_up = np.stack([ahead, -right, -down], axis=1)
     return np.asarray(turn @ ahead_left_up)
 
 
@@ -289,11 +290,16 @@ class _Local:
 
 
 def upright_axes(headings: FloatArray) -> FloatArray:
-    """The x, y and z axis (..., 3, 3), as rows, of upright cameras with unit ``headings`` (..., 3)."""
+    """The x, y and z axis (..., 3, 3), as rows, of upright cameras with unit ``headings`` (..., 3).
+
+    As :func:`rholoc.geometry.rotation_from_heading`'s columns, for many headings at once.
+    """
     x, y, z = headings[..., 0], headings[..., 1], headings[..., 2]
-    n = np.sqrt(np.maximum(x**2 + y**2, 1e-18))
-    right = np.stack([y / n, -x / n, np.zeros_like(z)], axis=-1)
-    down = np.stack([x * z / n, y * z / n, -n], axis=-1)
+    n = np.hypot(x, y)
+    vertical, n = n < _VERTICAL, np.maximum(n, _VERTICAL)
+    right_x, right_y = np.where(vertical, 1.0, y / n), np.where(vertical, 0.0, -x / n)
+    right = np.stack([right_x, right_y, np.zeros_like(z)], axis=-1)
+    down = np.stack([-z * right_y, z * right_x, x * right_y - y * right_x], axis=-1)
     return np.stack([right, down, headings], axis=-2)
 
 

@@ -24,6 +24,7 @@ from rholoc.maps import Map
 from rholoc.maps.tensor_arrays import tensors_of
 
 _ITERATIONS = 4
+_REACH = 2.0  # in tolerances: how far off a feature may be to be listened to while one tolerance holds
 _STEP_M, _STEP_RAD = 0.5, 0.3
 
 
@@ -101,6 +102,18 @@ class _Voices:
         plane = rays[:, :2] / rays[:, 2:]
         return cls(chosen, index.densities.take(rows), plane, evidence.epsilon[chosen], variances, evidence.focal_px)
 
+    def within(self, tolerance_px: float, T_map_camera: FloatArray) -> _Voices:
+        """Those that agree with a pose (4, 4) to the tolerance: the others are not going to speak nearby."""
+        kept = np.flatnonzero(self.at(T_map_camera, tolerance_px)[2] > 0)
+        return _Voices(
+            self.matches[kept],
+            self.densities.take(kept),
+            self.plane[kept],
+            self.epsilon[kept],
+            self.variances[kept],
+            self.focal_px,
+        )
+
     def at(self, T_map_camera: FloatArray, tolerance_px: float) -> tuple[Peaks, FloatArray, FloatArray]:
         """The peaks at a pose (4, 4), the falls t (K,) that the tolerance allows, and ρ (K,)."""
         peaks = self.densities.at(self.plane, T_map_camera)
@@ -124,7 +137,7 @@ def ascend_tensors(
     """
     T = upright(T_map_camera) if dof is Dof.UPRIGHT else T_map_camera
     for tolerance_px in tolerances_px:
-        voices = _Voices.of(index, matches, evidence, T)
+        voices = _Voices.of(index, matches, evidence, T).within(_REACH * tolerance_px, T)
         for _ in range(_ITERATIONS):
             step = _step(voices, T, tolerance_px, dof)
             T = moved(T, step, dof)

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from rholoc.density.tensor import DEGREES
 from rholoc.errors import InvalidInput, MappingFailed
 from rholoc.features import Extractor, FeatureSet, get_extractor
 from rholoc.geometry import Camera, FloatArray, IntArray
@@ -23,6 +24,7 @@ from rholoc.mapping.landmarks import (
 )
 from rholoc.mapping.observations import Views, link_observations
 from rholoc.mapping.report import HeldOut, map_report
+from rholoc.mapping.tensor_fit import DEFAULT_DEGREE, fit_map_tensors
 from rholoc.mapping.views import choose_views
 from rholoc.maps import DensityKind, Map, MapInfo
 from rholoc.progress import ProgressListener, Stage, silent
@@ -46,12 +48,14 @@ class BuildOptions:
         features: the extractor's name.
         poses: where frame poses come from.
         report: whether to hold frames out and localize them for the map's report (takes time).
+        degree: P of ``tensor`` densities: 1, 2 or 3. With 1 they have no peak, and poses stay where the seeds are.
     """
 
     density: DensityKind = DensityKind.RAY
     features: str = DEFAULT_FEATURES
     poses: PoseMethod = PoseMethod.VISUAL_INERTIAL
     report: bool = True
+    degree: int = DEFAULT_DEGREE
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,14 +84,16 @@ def build_map(
     """
     options = options or BuildOptions()
     extractor = get_extractor(options.features)
-    if options.density is not DensityKind.RAY:
-        raise InvalidInput(f"Maps with '{options.density}' densities cannot be built yet.", "Use 'ray'.")
+    if options.degree not in DEGREES:
+        raise InvalidInput(f"A density of degree {options.degree} cannot be fitted.", "Use 1, 2 or 3.")
     walks = [_walk(recording, options, progress) for recording in recordings]
     _check_common_frame(walks)
     views, held_out = _extract(walks, extractor, progress)
     landmarks = _landmarks(views, extractor, progress)
     progress(Stage.DENSITIES, 0.6, f"{len(landmarks)} stable features")
     map_ = _assemble(walks, views, landmarks, extractor, options)
+    if options.density is DensityKind.TENSOR:
+        map_ = fit_map_tensors(map_, options.degree, progress)
     progress(Stage.DENSITIES, 1.0, f"{len(map_.descriptors)} descriptors")
     report = map_report(map_, landmarks.view_counts, held_out if options.report else HeldOut.none(), progress)
     for walk in walks:
@@ -172,7 +178,7 @@ def _assemble(
     info = MapInfo(
         id=uuid.uuid4().hex,
         version=1,
-        density=options.density,
+        density=DensityKind.RAY,
         features=extractor.name,
         metric=all(walk.trajectory.scale is Scale.METRIC for walk in walks),
         upright=all(walk.trajectory.upright for walk in walks),

@@ -16,8 +16,8 @@ _SAME_PLACE_RATIO = 1.7  # of their distances from it
 _MAX_PLACES = 4  # a feature
 _MIN_VIEWS = 2  # of every place but a feature's first
 _MAX_DENSITIES = 20_000  # 6.5 kB each with degree 2
-_RADIUS_SHARE = 0.25  # of the distance, at least
-_MAX_RADIUS_SHARE = 0.6  # at most: nearer, the directions differ too much
+_RADIUS_SHARE = 0.6  # of the distance, at least: the fit is exact in the position, the headings are its limit
+_MAX_RADIUS_SHARE = 0.95  # at most: a landmark must stay ahead
 _RADIUS_MARGIN = 1.2  # times the distance of the views from the middle of their place
 _CHUNK = 256
 
