@@ -19,13 +19,13 @@ _WEIGHTS = np.array([4.05, -3.38, -2.06])
 _REFERENCE_SIGMA_M = 0.05
 
 
-def confidence_inputs(verified: Verified, covariance: FloatArray) -> FloatArray:
+def confidence_inputs(verified: Verified) -> FloatArray:
     """The three numbers (3,) that the logistic weighs.
 
     log₂ of the optimum's value (nats), log₂ of the matches that chance would find, and log₂ of the position's
     greatest sigma over 5 cm where it is more.
     """
-    sigma_m = math.sqrt(max(float(np.linalg.eigvalsh(covariance[:3, :3])[-1]), 1e-12))
+    sigma_m = math.sqrt(max(float(np.linalg.eigvalsh(verified.covariance[:3, :3])[-1]), 1e-12))
     return np.array(
         [
             math.log2(1 + verified.optimum.value),
@@ -35,7 +35,7 @@ def confidence_inputs(verified: Verified, covariance: FloatArray) -> FloatArray:
     )
 
 
-def confidence_of(verified: Verified, covariance: FloatArray) -> float:
+def confidence_of(verified: Verified) -> float:
     """0..1, the probability that the pose is within 10 cm and 5°."""
-    score = _INTERCEPT + float(_WEIGHTS @ confidence_inputs(verified, covariance))
+    score = _INTERCEPT + float(_WEIGHTS @ confidence_inputs(verified))
     return 1 / (1 + math.exp(-float(np.clip(score, -50, 50))))

@@ -4,21 +4,20 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from rholoc.errors import InvalidDescriptors
 from rholoc.features import Extractor, get_extractor
 from rholoc.geometry import FloatArray, Pose
-from rholoc.localization.ascent import covariance_at, upright
+from rholoc.localization.ascent import upright
 from rholoc.localization.confidence import confidence_of
 from rholoc.localization.map_index import MapIndex
 from rholoc.localization.matches import Matches
 from rholoc.localization.seeds import Place, minimal_samples, vote_for_places
 from rholoc.localization.types import Dof, Localization, Prior, Query, Reason
 from rholoc.localization.verification import (
-    FINAL_TOLERANCE_PX,
     Verified,
     better,
     climb,
@@ -101,12 +100,14 @@ class Localizer:
         """
         watch = _Stopwatch(query.deadline_s)
         self._check(query)
+        if not self.map.info.upright:
+            query = replace(query, gravity=None)
         if len(query.features) < _MIN_FEATURES:
             return _refusal(Reason.NO_FEATURES, 0, watch)
         rays = query.camera.rays(query.features.pixels)
         tracked = self._track(query, rays)
         watch.lap("verify")
-        if tracked is not None and self._confidence(tracked) >= self.options.conclusive:
+        if tracked is not None and self._conclusive(tracked):
             return self._answer(tracked, len(tracked.matches), watch)
         everywhere = self.index.match_everywhere(query.features)
         watch.lap("match")
@@ -118,7 +119,7 @@ class Localizer:
                 return self._settle(best, Reason.DEADLINE, len(everywhere), watch)
             found = self._search(place, query, rays, watch)
             best = better(best, found)
-            if best is not None and best is found and self._confidence(best) >= self.options.conclusive:
+            if best is found and self._conclusive(found):
                 break
         return self._settle(best, Reason.NO_AGREEMENT, len(everywhere), watch)
 
@@ -170,15 +171,14 @@ class Localizer:
         watch.lap("verify")
         return found if found is not None and _permitted(found, query) else None
 
-    def _confidence(self, verified: Verified) -> float:
-        return confidence_of(verified, covariance_at(verified.evidence, verified.optimum, FINAL_TOLERANCE_PX))
+    def _conclusive(self, verified: Verified | None) -> bool:
+        return verified is not None and confidence_of(verified) >= self.options.conclusive
 
     def _settle(self, best: Verified | None, otherwise: Reason, matches: int, watch: _Stopwatch) -> Localization:
         return _refusal(otherwise, matches, watch) if best is None else self._answer(best, matches, watch)
 
     def _answer(self, verified: Verified, matches: int, watch: _Stopwatch) -> Localization:
-        covariance = covariance_at(verified.evidence, verified.optimum, FINAL_TOLERANCE_PX)
-        confidence = confidence_of(verified, covariance)
+        confidence = confidence_of(verified)
         agreeing = verified.optimum.density > 0
         localized = confidence >= self.min_confidence
         pixels = verified.pixels[agreeing]
@@ -186,7 +186,7 @@ class Localizer:
             localized=localized,
             reason=None if localized else Reason.LOW_CONFIDENCE,
             pose=Pose(verified.optimum.T_map_camera) if localized else None,
-            covariance=covariance if localized else None,
+            covariance=verified.covariance if localized else None,
             confidence=confidence,
             matches=matches,
             inliers=verified.inliers,

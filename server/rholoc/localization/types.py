@@ -50,7 +50,8 @@ class Query:
         camera: its intrinsics.
         dof: what is estimated.
         prior: where the pose is expected, or None.
-        gravity: (3,) the direction of gravity in the camera frame (down), or None; with it roll and pitch are known.
+        gravity: (3,) the direction of gravity in the camera frame (down), or None. Poses that contradict it by more
+            than 10° are not considered; in a map that is not known to be upright it says nothing.
         deadline_s: seconds that the answer may take, or None.
     """
 

@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from rholoc.geometry import Camera, FloatArray
-from rholoc.localization.ascent import Evidence, Optimum, ascend
+from rholoc.localization.ascent import Evidence, Optimum, ascend, covariance_at
 from rholoc.localization.map_index import MapIndex
 from rholoc.localization.matches import Matches
 from rholoc.localization.tensor_ascent import ascend_tensors
 from rholoc.localization.types import Dof, Query
 
 _SEARCH_RADII_PX = (14.0, 7.0)
-FINAL_TOLERANCE_PX = 4.0
+_FINAL_TOLERANCE_PX = 4.0
 _MIN_MATCHES = 6
 
 
@@ -35,6 +36,11 @@ class Verified:
     evidence: Evidence
     pixels: FloatArray
     by_chance: float
+
+    @cached_property
+    def covariance(self) -> FloatArray:
+        """(6, 6) of position (m) and rotation (rad, map frame, from the left)."""
+        return covariance_at(self.evidence, self.optimum, _FINAL_TOLERANCE_PX)
 
     @property
     def inliers(self) -> int:
@@ -81,7 +87,7 @@ def verify(
         if len(matches) < _MIN_MATCHES:
             return None
         evidence = evidence_of(index, matches, rays, query.camera)
-        optimum = climb(index, matches, evidence, T, (radius, radius / 2, FINAL_TOLERANCE_PX), query.dof)
+        optimum = climb(index, matches, evidence, T, (radius, radius / 2, _FINAL_TOLERANCE_PX), query.dof)
         T, found = (
             optimum.T_map_camera,
             Verified(optimum, matches, evidence, query.features.pixels[matches.detections], by_chance),
