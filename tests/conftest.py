@@ -59,11 +59,12 @@ class PictureWorld:
 
 @pytest.fixture(scope="session")
 def picture_world() -> PictureWorld:
-    """A speckled picture of points 2–5 m away, and its map; small enough to localize in at once."""
+    """A picture with a speckled disk of points 2–5 m away, and its map; small enough to localize in at once."""
     rng = np.random.default_rng(7)
     speckles = [cv2.resize(rng.random((48 * k, 64 * k)), (640, 480)) for k in (1, 2, 5)]
     image = np.uint8(255 * np.mean(speckles, axis=0))
     image = cv2.normalize(image, None, 0, 255, cv2.NORM_MINMAX)
+    image = np.where(cv2.circle(np.zeros_like(image), (320, 240), 75, 1, -1), image, 128).astype(np.uint8)
     image = np.ascontiguousarray(np.repeat(image[:, :, None], 3, axis=2))
     camera = Camera(640, 480, 520.0, 520.0, 319.5, 239.5)
     pose = Pose.from_heading(np.array([1.0, 2.0, 1.5]), np.array([0.8, 0.6, 0.0]))

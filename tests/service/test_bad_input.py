@@ -9,6 +9,7 @@ import socket
 import struct
 import time
 import zlib
+from pathlib import Path
 
 import cv2
 import httpx
@@ -261,7 +262,8 @@ def test_an_unknown_map(service, picture_world):
         refused(httpx.get(f"{service.url}/v1/maps/attic{path}"), 404, "unknown_map")
     refused(httpx.delete(service.url + "/v1/maps/attic"), 404, "unknown_map")
     refused(httpx.patch(service.url + "/v1/maps/attic", json={"name": "b"}), 404, "unknown_map")
-    refused(httpx.post(service.url + "/v1/localize?maps=room,attic", content=b""), 404, "unknown_map")
+    several = service.url + "/v1/localize?maps=room,attic"
+    refused(httpx.post(several, content=b"", headers={"Content-Type": PNG}), 404, "unknown_map")
 
 
 def raw_request(service, method: bytes, path: bytes) -> tuple[int, dict[str, str]]:
@@ -362,24 +364,30 @@ def eventually(condition) -> None:
         time.sleep(0.01)
 
 
-@pytest.fixture
-def full_disk(monkeypatch):
-    """No file takes another byte."""
-
-    def no_space(*_args, **_kwargs):
-        raise OSError(errno.ENOSPC, "No space left on device")
-
-    def fill():
-        monkeypatch.setattr("os.fsync", no_space)
-        monkeypatch.setattr("rholoc.service.routes.maps.save_body", no_space)
-
-    return fill
+def no_space(*_args, **_kwargs):
+    raise OSError(errno.ENOSPC, "No space left on device")
 
 
-def test_a_full_disk(service, picture_world, full_disk, monkeypatch):
-    full_disk()
+def test_a_disk_that_is_full_when_it_comes_to_publishing(service, picture_world, monkeypatch):
+    monkeypatch.setattr("os.fsync", no_space)
     refused(httpx.put(service.url + "/v1/maps/room", content=picture_world.rho(version=9)), 507, "storage_full")
     files = {"file": ("walk.mp4", b"\0" * 100)}
+    refused(httpx.post(service.url + "/v1/recordings", files=files, data={"map": "new"}), 507, "storage_full")
+    monkeypatch.undo()
+
+
+def test_a_disk_that_fills_up_during_an_upload(service, picture_world, monkeypatch):
+    really_open = Path.open
+
+    def open_on_a_full_disk(path, mode="r", *args, **options):
+        return really_open(
+            Path("/dev/full") if mode in ("xb", "ab") else path, mode.replace("x", "w"), *args, **options
+        )
+
+    monkeypatch.setattr(Path, "open", open_on_a_full_disk)
+    content = picture_world.rho(version=9) * 2
+    refused(httpx.put(service.url + "/v1/maps/room", content=content), 507, "storage_full")
+    files = {"file": ("walk.mp4", content)}
     refused(httpx.post(service.url + "/v1/recordings", files=files, data={"map": "new"}), 507, "storage_full")
     monkeypatch.undo()
 

@@ -8,6 +8,8 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import TypeVar
 
+import faiss
+
 from rholoc.errors import Busy
 
 _T = TypeVar("_T")
@@ -22,7 +24,9 @@ class ComputePool:
     """
 
     def __init__(self, concurrency: int, queue_length: int) -> None:
-        self._executor = ThreadPoolExecutor(concurrency, thread_name_prefix="rholoc-compute")
+        self._executor = ThreadPoolExecutor(
+            concurrency, thread_name_prefix="rholoc-compute", initializer=_keep_to_one_core
+        )
         self._concurrency = concurrency
         self._capacity = concurrency + queue_length
         self._taken = 0
@@ -60,3 +64,8 @@ class ComputePool:
     def close(self) -> None:
         """Let running work end and take no more."""
         self._executor.shutdown(wait=True, cancel_futures=True)
+
+
+def _keep_to_one_core() -> None:
+    """Requests run beside each other; were each to spread over all cores too, they would wait for one another."""
+    faiss.omp_set_num_threads(1)  # OpenMP keeps this for each thread apart

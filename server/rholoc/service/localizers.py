@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-from collections import defaultdict
 
 from rholoc.localization import Localizer
 from rholoc.maps import Map, MapLibrary
@@ -19,7 +18,7 @@ class Localizers:
         self._library = library
         self._min_confidence = min_confidence
         self._ready: dict[str, Localizer] = {}
-        self._building: defaultdict[str, threading.Lock] = defaultdict(threading.Lock)
+        self._building: dict[str, threading.Lock] = {}
 
     def get(self, name: str) -> Localizer:
         """The localizer of the map as it stands now; built when the map is new or was replaced.
@@ -28,7 +27,7 @@ class Localizers:
             InvalidName, UnknownMap, InvalidMap: as :meth:`MapLibrary.get` does.
         """
         map_ = self._library.get(name)
-        with self._building[name]:
+        with self._building.setdefault(name, threading.Lock()):
             ready = self._ready.get(name)
             if ready is None or ready.map is not map_:
                 ready = self._ready[name] = self._build(map_)

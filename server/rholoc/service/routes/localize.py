@@ -28,7 +28,6 @@ from rholoc.service.state import Service, State
 
 router = APIRouter(prefix="/v1", tags=["localization"])
 
-_IMAGE_TYPES = ("image/jpeg", "image/png")
 _FAILURES = failures(
     UnknownMap, InvalidName, InvalidRequest, InvalidImage, InvalidCamera, InvalidDescriptors, InvalidInput, InvalidMap,
     TooLarge, UnsupportedMediaType, Busy,
@@ -153,7 +152,7 @@ async def _localize(names: list[str], request: Request, service: State, options:
 
 async def _frame(request: Request, options: dict[str, Any], max_bytes: int) -> Frame:
     kind = media_type(request)
-    if kind in _IMAGE_TYPES:
+    if kind.startswith("image/"):  # what it really is, its bytes tell
         image = await read_body(request, max_bytes)
         return Frame(LocalizeOptions.model_validate(options), image=image)
     if kind == "application/json":
