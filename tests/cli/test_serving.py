@@ -1,0 +1,91 @@
+"""The command's processes: a server that starts, answers and stops with whoever started it."""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+from pathlib import Path
+
+import httpx
+import pytest
+
+from rholoc.cli.server_process import running_server
+from rholoc.errors import RholocError
+
+
+def has_ended(url: str) -> bool:
+    try:
+        httpx.get(f"{url}/healthz")
+    except httpx.TransportError:
+        return True
+    return False
+
+
+def test_a_server_answers_until_its_user_fails(tmp_path: Path) -> None:
+    def ask_in_vain(url: str) -> None:
+        assert httpx.get(f"{url}/v1/maps").json()["maps"] == []
+        raise RuntimeError("the user's")
+
+    with (
+        pytest.raises(RuntimeError, match="the user's"),
+        running_server(tmp_path / "maps", tmp_path / "data", tmp_path / "log") as server,
+    ):
+        ask_in_vain(server.url)
+    assert has_ended(server.url)
+    assert "Traceback" not in server.log.read_text()
+
+
+def test_sigterm_stops_the_server_too(tmp_path: Path) -> None:
+    before = signal.getsignal(signal.SIGTERM)
+    with (
+        pytest.raises(KeyboardInterrupt),
+        running_server(tmp_path / "maps", tmp_path / "data", tmp_path / "log") as server,
+    ):
+        os.kill(os.getpid(), signal.SIGTERM)
+    assert has_ended(server.url)
+    assert signal.getsignal(signal.SIGTERM) is before
+
+
+def test_a_server_that_cannot_start_is_told_with_its_log(tmp_path: Path) -> None:
+    (tmp_path / "maps").write_text("a file where a folder should be")
+    with (
+        pytest.raises(RholocError, match="log"),
+        running_server(tmp_path / "maps", tmp_path / "data", tmp_path / "log"),
+    ):
+        pytest.fail("it started")
+
+
+def test_a_port_that_is_taken_is_one_line(tmp_path: Path) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        port = str(listener.getsockname()[1])
+        command = [sys.executable, "-m", "rholoc", "serve", "--port", port, "--no-worker"]
+        done = subprocess.run(
+            [*command, "--maps", tmp_path / "maps", "--data", tmp_path / "data"],
+            capture_output=True,
+            text=True,
+            timeout=60,
+            check=False,
+        )
+    assert done.returncode == 1
+    assert done.stderr.count("\n") == 1
+    assert f"127.0.0.1:{port}" in done.stderr
+
+
+def test_ctrl_c_ends_serve_and_worker_in_order(tmp_path: Path) -> None:
+    for command in (["serve", "--port", "0", "--no-worker"], ["worker"]):
+        arguments = [*command, "--maps", str(tmp_path / "maps"), "--data", str(tmp_path / "data")]
+        process = subprocess.Popen(
+            [sys.executable, "-m", "rholoc", *arguments], stderr=subprocess.PIPE, text=True, start_new_session=True
+        )
+        assert process.stderr is not None
+        try:
+            assert str(tmp_path) in process.stderr.readline()  # it says what it works on once it is up
+            process.send_signal(signal.SIGINT)
+            _, rest = process.communicate(timeout=60)
+        finally:
+            process.kill()
+        assert process.returncode in (0, 130)
+        assert "Traceback" not in rest
