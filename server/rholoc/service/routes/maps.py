@@ -26,9 +26,7 @@ from rholoc.errors import (
 )
 from rholoc.features import get_extractor
 from rholoc.geometry import Camera
-from rholoc.maps import Map, MapLibrary, check_map_name, load_map
-from rholoc.maps.point_files import map_to_ply, map_to_vtp
-from rholoc.maps.preview import map_to_png
+from rholoc.maps import Map, MapLibrary, check_map_name, load_map, map_to_ply, map_to_vtp, preview_png
 from rholoc.service.bodies import save_body
 from rholoc.service.errors import InvalidRequest
 from rholoc.service.openapi import BINARY, failures, request_body
@@ -154,7 +152,7 @@ async def get_report(map_name: str, service: Service) -> MapReport:
 async def get_preview(map_name: str, service: Service) -> Response:
     """Landmarks, the walk, waypoints."""
     map_ = await run_in_threadpool(service.library.get, map_name)
-    return Response(await service.compute.run(lambda: map_to_png(map_)), media_type="image/png")
+    return Response(await service.compute.run(lambda: preview_png(map_, title=map_name)), media_type="image/png")
 
 
 def _list(library: MapLibrary) -> MapList:
