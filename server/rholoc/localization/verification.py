@@ -15,7 +15,7 @@ from rholoc.localization.tensor_ascent import ascend_tensors
 from rholoc.localization.types import Dof, Query
 
 _SEARCH_RADII_PX = (14.0, 7.0)
-_FINAL_TOLERANCE_PX = 4.0
+FINAL_TOLERANCE_PX = 4.0
 _MIN_MATCHES = 6
 
 
@@ -40,7 +40,7 @@ class Verified:
     @cached_property
     def covariance(self) -> FloatArray:
         """(6, 6) of position (m) and rotation (rad, map frame, from the left)."""
-        return covariance_at(self.evidence, self.optimum, _FINAL_TOLERANCE_PX)
+        return covariance_at(self.evidence, self.optimum, FINAL_TOLERANCE_PX)
 
     @property
     def inliers(self) -> int:
@@ -87,7 +87,7 @@ def verify(
         if len(matches) < _MIN_MATCHES:
             return None
         evidence = evidence_of(index, matches, rays, query.camera)
-        optimum = climb(index, matches, evidence, T, (radius, radius / 2, _FINAL_TOLERANCE_PX), query.dof)
+        optimum = climb(index, matches, evidence, T, (radius, radius / 2, FINAL_TOLERANCE_PX), query.dof)
         T, found = (
             optimum.T_map_camera,
             Verified(optimum, matches, evidence, query.features.pixels[matches.detections], by_chance),
