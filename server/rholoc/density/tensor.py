@@ -29,7 +29,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 
 import numpy as np
 
@@ -102,10 +102,10 @@ class TensorDensities:
         near = np.linalg.norm(position - self.places[rows], axis=1) <= self.radii[rows]
         return np.asarray(near & (self.directions[rows] @ heading >= math.cos(HEADING_LIMIT_RAD)))
 
-    def all_coefficients(self) -> FloatArray:
-        """(T, (P + 1)⁸) float32: all of equation (3)'s, in the order of Table 5, the zeros among them."""
-        full = np.zeros((len(self), (self.degree + 1) ** len(VARIABLES)), dtype=np.float32)
-        full[:, coefficient_columns(self.degree)] = self.coefficients.reshape(len(self), -1)
+    def all_coefficients(self, rows: IntArray) -> FloatArray:
+        """(N, (P + 1)⁸) float32: all of equation (3)'s at ``rows`` (N,), in the order of Table 5, zeros among them."""
+        full = np.zeros((len(rows), (self.degree + 1) ** len(VARIABLES)), dtype=np.float32)
+        full[:, coefficient_columns(self.degree)] = self.coefficients[rows].reshape(len(rows), -1)
         return full
 
     def variables(self, plane: FloatArray, T_map_camera: FloatArray) -> FloatArray:
@@ -145,12 +145,14 @@ class Peaks:
     peaked: BoolArray
 
 
+@cache
 def kept_powers(degree: int) -> tuple[IntArray, IntArray, IntArray]:
     """The powers (U, 2) of (u, v), (X, 3) of the position and (H, 3) of the heading that coefficients are kept for."""
     plane, position = tensor_powers(2, degree), tensor_powers(3, degree)
     return plane[plane.sum(axis=1) <= 2], position[position.sum(axis=1) <= 2], tensor_powers(3, degree)
 
 
+@cache
 def coefficient_columns(degree: int) -> IntArray:
     """Where the coefficients kept, (U, X, H) in one row, stand among all (P + 1)⁸ in the order of Table 5."""
     digits = [powers @ (degree + 1) ** np.arange(powers.shape[1])[::-1] for powers in kept_powers(degree)]

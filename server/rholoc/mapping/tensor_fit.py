@@ -26,8 +26,8 @@ def fit_map_tensors(map_: Map, degree: int = DEFAULT_DEGREE, progress: ProgressL
     """The map, of ``ray`` densities, with ``tensor`` ones.
 
     A feature's views are gathered into places, from each of which it is seen from one side and from like distances;
-    the observations enter by the landmark, their intersection. Where the densities would be too many, those of the
-    fewest views are left out.
+    the observations enter by the landmark, their intersection. Where the densities would be too many, each feature
+    keeps that of its first place, and of the others those of the most views.
     """
     views = np.repeat(np.arange(len(map_.view_poses)), np.diff(map_.view_offsets))
     positions = map_.view_poses[views, :3].astype(np.float64)
@@ -37,13 +37,14 @@ def fit_map_tensors(map_: Map, degree: int = DEFAULT_DEGREE, progress: ProgressL
     features, places, radii, support = [], [], [], []
     for feature, landmark in enumerate(landmarks):
         seen_from = positions[order[bounds[feature] : bounds[feature + 1]]]
-        for members in gather_places(landmark, seen_from):
+        for rank, members in enumerate(gather_places(landmark, seen_from)):
             place, radius_m = _place(landmark, seen_from[members])
             features.append(feature)
             places.append(place)
             radii.append(radius_m)
-            support.append(len(members))
-    kept = np.sort(np.argsort(-np.array(support, dtype=np.int64), kind="stable")[:_MAX_DENSITIES])
+            support.append(len(members) if rank else len(positions))
+    most = max(_MAX_DENSITIES, len(map_))
+    kept = np.sort(np.argsort(-np.array(support, dtype=np.int64), kind="stable")[:most])
     owners = np.array(features, dtype=np.int64)[kept]
     # fitted to what is stored, so that a map read back is the one that was fitted
     places_ = np.array(places).reshape(-1, 3)[kept].astype(np.float32).astype(np.float64)

@@ -1,5 +1,7 @@
 """The map, its file formats, the library of maps on disk."""
 
+from rholoc.maps.coefficient_reading import read_coefficient_table
+from rholoc.maps.coefficient_table import write_coefficient_table
 from rholoc.maps.export import landmark_sigmas, map_to_ply, map_to_vtp, preview_png
 from rholoc.maps.library import MapLibrary, MapStat, check_map_name
 from rholoc.maps.map import DensityKind, Map, MapInfo
@@ -24,9 +26,11 @@ __all__ = [
     "map_to_vtp",
     "observations_csv",
     "preview_png",
+    "read_coefficient_table",
     "read_trajectory_csv",
     "save_map",
     "trajectory_csv",
     "validate_map",
+    "write_coefficient_table",
     "write_trajectory_csv",
 ]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+from collections.abc import Iterable
 from pathlib import Path
 from uuid import uuid4
 
@@ -12,8 +13,8 @@ from rholoc.errors import InvalidInput, StorageFull
 _FULL = (errno.ENOSPC, errno.EDQUOT)
 
 
-def replace_file(path: Path, data: bytes | memoryview, called: str = "") -> None:
-    """Write ``data`` to ``path`` so that readers see the old content or the new, never a part.
+def replace_file(path: Path, data: bytes | memoryview | Iterable[bytes], called: str = "") -> None:
+    """Write ``data``, whole or in pieces, to ``path`` so that readers see the old content or the new, never a part.
 
     It is written beside ``path``, brought to the disk, and renamed; a file that is open or mapped stays what it was.
     Errors speak of the file as ``called``, else by its name.
@@ -40,12 +41,13 @@ def replace_file(path: Path, data: bytes | memoryview, called: str = "") -> None
         raise InvalidInput(f"{called or path} cannot be written: {error.strerror}.", "Check the folder.") from error
 
 
-def _write(path: Path, data: bytes | memoryview) -> None:
+def _write(path: Path, data: bytes | memoryview | Iterable[bytes]) -> None:
     descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666)
     try:
-        rest = memoryview(data).cast("B")
-        while len(rest):
-            rest = rest[os.write(descriptor, rest) :]
+        for piece in [data] if isinstance(data, bytes | memoryview) else data:
+            rest = memoryview(piece).cast("B")
+            while len(rest):
+                rest = rest[os.write(descriptor, rest) :]
         os.fsync(descriptor)
     finally:
         os.close(descriptor)
