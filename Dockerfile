@@ -30,7 +30,8 @@ RUN /opt/rholoc/bin/pip install --no-deps . \
 
 FROM ${BASE}
 # /maps and /data belong to the user that runs the service; a new volume takes over what is in them here.
-RUN useradd --system --uid 10001 --user-group --home-dir /data --no-create-home --shell /usr/sbin/nologin rholoc \
+RUN groupadd --gid 10001 rholoc \
+    && useradd --uid 10001 --gid 10001 --home-dir /data --no-create-home --shell /usr/sbin/nologin rholoc \
     && install -d -o rholoc -g rholoc /maps /data
 COPY --from=builder /opt/rholoc /opt/rholoc
 COPY --chown=rholoc:rholoc maps /maps
