@@ -23,7 +23,7 @@ def room_map(point_room: Any) -> Map:
     features = [point_room.see(pose, seed) for seed, pose in enumerate(poses)]
     views = Views.from_features([point_room.camera] * 60, T, np.arange(60) / 10, features)
     landmarks = select_stable(views, triangulate(views, link_observations(views, Metric.HAMMING)), 500)
-    rows = representative_rows(views, landmarks, Metric.HAMMING, 1)
+    rows = representative_rows(views, landmarks.labels, len(landmarks), Metric.HAMMING, 1)
     observed = landmarks.observed_rows
     upper = np.triu_indices(3)
     return Map(

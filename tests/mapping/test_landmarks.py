@@ -86,7 +86,7 @@ def test_selection_keeps_what_is_seen_often(landmarks: Landmarks, walked: Views)
 
 
 def test_representatives_start_with_the_medoid(landmarks: Landmarks, walked: Views) -> None:
-    rows = representative_rows(walked, landmarks, Metric.HAMMING, most=2)
+    rows = representative_rows(walked, landmarks.labels, len(landmarks), Metric.HAMMING, most=2)
     assert len(rows) == len(landmarks)
     for landmark, chosen in list(enumerate(rows))[:20]:
         assert 1 <= len(chosen) <= 2

@@ -20,7 +20,7 @@ from rholoc.progress import Stage
 @pytest.fixture(scope="module")
 def ray_map(walked: Views) -> Map:
     landmarks = select_stable(walked, triangulate(walked, link_observations(walked, Metric.HAMMING)), 60)
-    rows = np.concatenate(representative_rows(walked, landmarks, Metric.HAMMING, 1))
+    rows = np.concatenate(representative_rows(walked, landmarks.labels, len(landmarks), Metric.HAMMING, 1))
     upper = np.triu_indices(3)
     quaternions = Rotation.from_matrix(walked.T_map_camera[:, :3, :3]).as_quat()
     observed = landmarks.observed_rows

@@ -9,19 +9,19 @@ from datetime import UTC, datetime
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from rholoc.density.tensor import DEGREES
 from rholoc.errors import InvalidInput, MappingFailed
 from rholoc.features import Extractor, FeatureSet, get_extractor
 from rholoc.geometry import Camera, FloatArray, IntArray
+from rholoc.mapping.assembly import assemble
 from rholoc.mapping.landmarks import (
     Landmarks,
     extend_and_merge,
-    representative_rows,
     select_stable,
     triangulate,
 )
+from rholoc.mapping.memory import recording_id, source_camera, with_landmarks
 from rholoc.mapping.observations import Views, link_observations
 from rholoc.mapping.report import HeldOut, map_report
 from rholoc.mapping.tensor_fit import DEFAULT_DEGREE, fit_map_tensors
@@ -33,7 +33,6 @@ from rholoc.trajectory import PoseMethod, Scale, Trajectory, estimate_trajectory
 
 DEFAULT_FEATURES = "gray"
 _FEATURES_PER_VIEW = 400
-_DESCRIPTORS_PER_FEATURE = 2
 _EXTENSION_ROUNDS = 2
 _MIN_VIEWS = 5
 _MIN_FEATURES = 60
@@ -168,13 +167,6 @@ def _landmarks(views: Views, extractor: Extractor, progress: ProgressListener) -
 def _assemble(
     walks: Sequence[_Walk], views: Views, landmarks: Landmarks, extractor: Extractor, options: BuildOptions
 ) -> Map:
-    representatives = representative_rows(views, landmarks, extractor.metric, _DESCRIPTORS_PER_FEATURE)
-    rows = np.concatenate(representatives)
-    owners = np.repeat(np.arange(len(landmarks)), [len(r) for r in representatives])
-    observed = landmarks.observed_rows
-    offsets = np.searchsorted(views.view_of[observed], np.arange(len(views) + 1))
-    quaternions = Rotation.from_matrix(views.T_map_camera[:, :3, :3]).as_quat()
-    upper = np.triu_indices(3)
     info = MapInfo(
         id=uuid.uuid4().hex,
         version=1,
@@ -187,27 +179,16 @@ def _assemble(
         sources=tuple(_source(walk, options) for walk in walks),
         waypoints=tuple(_waypoint(waypoint, walk) for walk in walks for waypoint in walk.recording.waypoints),
     )
-    return Map(
-        info=info,
-        channels=views.features.channels[[r[0] for r in representatives]],
-        landmarks=landmarks.positions.astype(np.float32),
-        covariances=landmarks.covariances[:, upper[0], upper[1]].astype(np.float32),
-        descriptors=views.features.descriptors[rows],
-        descriptor_features=owners.astype(np.int32),
-        view_times=views.times.astype(np.float64),
-        view_poses=np.column_stack([views.positions, quaternions]).astype(np.float32),
-        view_offsets=offsets.astype(np.int32),
-        view_features=landmarks.labels[observed].astype(np.int32),
-        extras={
-            "information": landmarks.information[:, upper[0], upper[1]],
-            "eta": landmarks.eta,
-        },
-    )
+    counts = [len(walk.views) for walk in walks]
+    map_ = assemble(info, views, landmarks, np.repeat(np.arange(len(walks)), counts), extractor.metric)
+    return with_landmarks(map_)
 
 
 def _source(walk: _Walk, options: BuildOptions) -> dict[str, Any]:
     return {
+        "id": recording_id(walk.recording),
         "name": walk.recording.name,
+        "camera": source_camera(walk.trajectory.camera),
         "frames": len(walk.recording.frames.times),
         "posed": len(walk.trajectory.rows),
         "views": len(walk.views),

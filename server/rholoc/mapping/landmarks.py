@@ -80,14 +80,7 @@ def triangulate(views: Views, labels: IntArray) -> Landmarks:
     tracks, count = labels[rows], int(labels.max(initial=-1)) + 1
     view = views.view_of[rows]
     bearings, positions, focal_px = views.bearings[rows], views.positions[view], views.focal_px[view]
-    information, eta = _information_sums(tracks, count, bearings, positions, np.ones(len(rows)))
-    for scale_px in _ROBUST_SCALES_PX:
-        residual_px, weights = _residuals(information, eta, tracks, bearings, positions, focal_px)
-        fading = 1 / (1 + np.minimum(residual_px / scale_px, 1e3) ** 2) ** 2
-        information, eta = _information_sums(tracks, count, bearings, positions, weights * fading)
-    residual_px, weights = _residuals(information, eta, tracks, bearings, positions, focal_px)
-    kept = residual_px < _OUTLIER_PX
-    information, eta = _information_sums(tracks, count, bearings, positions, np.where(kept, weights, 0))
+    information, eta, kept = estimate_information(tracks, count, bearings, positions, focal_px)
     final = np.full(len(labels), -1, dtype=np.int64)
     final[rows] = np.where(kept, tracks, -1)
     landmarks, covariances = landmarks_from_information(information, eta)
@@ -96,10 +89,39 @@ def triangulate(views: Views, labels: IntArray) -> Landmarks:
     return every.keep(enough & np.isfinite(landmarks).all(axis=1))
 
 
+def estimate_information(
+    tracks: IntArray, count: int, bearings: FloatArray, positions: FloatArray, focal_px: FloatArray
+) -> tuple[FloatArray, FloatArray, BoolArray]:
+    """Λ (count, 3, 3) and η (count, 3) of each track, and which observations (O,) agree with it.
+
+    The sums' weights fade with the residual, over tolerances that narrow. They are a function of a track's own
+    observations, whatever their order.
+
+    Args:
+        tracks: (O,) each observation's track, 0..count-1.
+        count: how many tracks there are.
+        bearings: (O, 3) unit vectors in the map frame.
+        positions: (O, 3) of the cameras, metres.
+        focal_px: (O,) their focal lengths.
+    """
+    information, eta = _information_sums(tracks, count, bearings, positions, np.ones(len(tracks)))
+    for scale_px in _ROBUST_SCALES_PX:
+        residual_px, weights = _residuals(information, eta, tracks, bearings, positions, focal_px)
+        fading = 1 / (1 + np.minimum(residual_px / scale_px, 1e3) ** 2) ** 2
+        information, eta = _information_sums(tracks, count, bearings, positions, weights * fading)
+    residual_px, weights = _residuals(information, eta, tracks, bearings, positions, focal_px)
+    kept = residual_px < _OUTLIER_PX
+    information, eta = _information_sums(tracks, count, bearings, positions, np.where(kept, weights, 0))
+    return information, eta, kept
+
+
 def extend_and_merge(views: Views, landmarks: Landmarks, metric: Metric) -> Landmarks:
     """Find further observations where each landmark should appear, merge landmarks that are one, triangulate again."""
     labels = landmarks.labels.copy()
-    medoids = np.array([rows[0] for rows in representative_rows(views, landmarks, metric, most=1)], dtype=np.int64)
+    medoids = np.array(
+        [rows[0] for rows in representative_rows(views, landmarks.labels, len(landmarks), metric, most=1)],
+        dtype=np.int64,
+    )
     presence = landmarks.presence(views)
     same: list[IntArray] = []
     for k in range(len(views)):
@@ -134,20 +156,24 @@ def select_stable(views: Views, landmarks: Landmarks, per_view: int) -> Landmark
     return landmarks.keep(kept)
 
 
-def representative_rows(views: Views, landmarks: Landmarks, metric: Metric, most: int) -> list[IntArray]:
-    """For each landmark the detections whose descriptors stand best for all of its observations, at most ``most``.
+def representative_rows(views: Views, labels: IntArray, count: int, metric: Metric, most: int) -> list[IntArray]:
+    """For each of ``count`` landmarks the detections whose descriptors stand best for all that are labelled (N,) so.
+
+    At most ``most``, none where no detection has the label.
 
     The first is the medoid; each further one lowers the others' distances most, as long as one is still badly
     described.
     """
-    order = np.argsort(landmarks.labels, kind="stable")
-    bounds = np.searchsorted(landmarks.labels[order], np.arange(len(landmarks) + 1))
-    return [_representatives(order[bounds[f] : bounds[f + 1]], views, metric, most) for f in range(len(landmarks))]
+    order = np.argsort(labels, kind="stable")
+    bounds = np.searchsorted(labels[order], np.arange(count + 1))
+    return [_representatives(order[bounds[f] : bounds[f + 1]], views, metric, most) for f in range(count)]
 
 
 def _representatives(rows: IntArray, views: Views, metric: Metric, most: int) -> IntArray:
     descriptors = views.features.descriptors[rows]
     n = len(rows)
+    if n == 0:
+        return rows
     distances = descriptor_distances(np.repeat(descriptors, n, axis=0), np.tile(descriptors, (n, 1)), metric).reshape(
         n, n
     )
