@@ -41,9 +41,9 @@ TARGET_RADIUS = 60 / 525  # r on the plane z = 1: 60 px of a camera with a focal
 HEADING_LIMIT_RAD = math.radians(50.0)
 VARIABLES = ("u", "v", "x", "y", "z", "hx", "hy", "hz")
 _VIEWPORT = 0.75  # half the width of the viewport on the plane z = 1
-_HEADINGS = {1: 60, 2: 120, 3: 300}  # how many a degree's layout has: several for each of (P + 1)³ monomials
+_HEADINGS = {1: 60, 2: 120, 3: 200}  # how many a degree's layout has: several for each of (P + 1)³ monomials
 _RIDGE = 1e-12
-_CHUNK = 64
+_CHUNK = 2_000_000  # samples of as many densities are held at once
 _VERTICAL = 1e-9  # a heading this close to the vertical has no horizontal direction of its own
 _DIAGONAL = np.array([math.sqrt(0.5), math.sqrt(0.5), 0.0])
 _HEADING_SCALE = math.sin(HEADING_LIMIT_RAD)
@@ -181,9 +181,10 @@ def fit_tensors(landmarks: FloatArray, places: FloatArray, radii: FloatArray, de
     layout = _Layout.of(degree)
     distances = np.linalg.norm(landmarks - places, axis=1)
     frames = local_frames((landmarks - places) / distances[:, None])
+    step = max(1, _CHUNK // layout.samples)
     fitted = [
-        layout.fit(frames[i : i + _CHUNK], (landmarks - places)[i : i + _CHUNK], radii[i : i + _CHUNK])
-        for i in range(0, len(landmarks), _CHUNK)
+        layout.fit(frames[i : i + step], (landmarks - places)[i : i + step], radii[i : i + step])
+        for i in range(0, len(landmarks), step)
     ]
     sizes = [len(powers) for powers in kept_powers(degree)]
     coefficients = np.concatenate(fitted) if fitted else np.zeros((0, *sizes), dtype=np.float32)
@@ -223,6 +224,11 @@ class _Layout:
             rows = np.flatnonzero((powers[:, None] == kept).all(axis=2).any(axis=1))
             inverses.append(solved[rows])
         return cls(plane, position, upright_axes(headings), *inverses)
+
+    @property
+    def samples(self) -> int:
+        """How many samples a density is fitted to."""
+        return len(self.plane) * len(self.position) * len(self.axes)
 
     def fit(self, R_local_map: FloatArray, to_landmark: FloatArray, radii: FloatArray) -> FloatArray:
         """Coefficients (t, U, X, H) of landmarks ``to_landmark`` (t, 3) from their places."""

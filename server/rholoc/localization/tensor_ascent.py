@@ -6,7 +6,8 @@ pose its peak over (u, v) is not quite 1. A pixel must be somewhere, so ρ count
     ρ_f = max(0, 1 − (max_{u,v} q_f − q_f) / t)
 
 where q_f is the polynomial and t the fall that the tolerance allows. Both are equation (3)'s values and the gradients
-are equation (4)'s, of first and mixed order; the landmark's position plays no part beyond choosing the tolerance.
+are equation (4)'s, of first and mixed order. The landmark's position only tells how wide the tolerance is in metres,
+and spares the features whose bump is far away.
 """
 
 from __future__ import annotations
@@ -93,25 +94,26 @@ class _Voices:
     focal_px: float
 
     @classmethod
-    def of(cls, index: TensorIndex, matches: Matches, evidence: Evidence, T_map_camera: FloatArray) -> _Voices:
-        chosen, rows = index.choose(matches.landmarks, T_map_camera)
-        rays = evidence.rays[chosen]
-        ahead = rays[:, 2] > 0
-        chosen, rows, rays = chosen[ahead], rows[ahead], rays[ahead]
-        variances = np.trace(evidence.covariances[chosen], axis1=1, axis2=2) / 3
-        plane = rays[:, :2] / rays[:, 2:]
-        return cls(chosen, index.densities.take(rows), plane, evidence.epsilon[chosen], variances, evidence.focal_px)
-
-    def within(self, tolerance_px: float, T_map_camera: FloatArray) -> _Voices:
-        """Those that agree with a pose (4, 4) to the tolerance: the others are not going to speak nearby."""
-        kept = np.flatnonzero(self.at(T_map_camera, tolerance_px)[2] > 0)
-        return _Voices(
-            self.matches[kept],
-            self.densities.take(kept),
-            self.plane[kept],
-            self.epsilon[kept],
-            self.variances[kept],
-            self.focal_px,
+    def of(
+        cls, index: TensorIndex, matches: Matches, evidence: Evidence, T_map_camera: FloatArray, reach_px: float
+    ) -> _Voices:
+        """The matches that may speak near a pose (4, 4): those whose landmark is within ``reach_px`` of the pixel."""
+        points = (evidence.landmarks - T_map_camera[:3, 3]) @ T_map_camera[:3, :3]
+        along = np.einsum("mi,mi->m", points, evidence.rays)
+        aside = np.einsum("mi,mi->m", points, points) - along**2
+        variances = np.trace(evidence.covariances, axis1=1, axis2=2) / 3
+        deviation = np.maximum(reach_px / evidence.focal_px * along, 0) ** 2 + 4 * variances
+        near = np.flatnonzero((along > 0) & (evidence.rays[:, 2] > 0) & (aside < deviation))
+        chosen, rows = index.choose(matches.landmarks[near], T_map_camera)
+        near = near[chosen]
+        rays = evidence.rays[near]
+        return cls(
+            near,
+            index.densities.take(rows),
+            rays[:, :2] / rays[:, 2:],
+            evidence.epsilon[near],
+            variances[near],
+            evidence.focal_px,
         )
 
     def at(self, T_map_camera: FloatArray, tolerance_px: float) -> tuple[Peaks, FloatArray, FloatArray]:
@@ -137,13 +139,13 @@ def ascend_tensors(
     """
     T = upright(T_map_camera) if dof is Dof.UPRIGHT else T_map_camera
     for tolerance_px in tolerances_px:
-        voices = _Voices.of(index, matches, evidence, T).within(_REACH * tolerance_px, T)
+        voices = _Voices.of(index, matches, evidence, T, _REACH * tolerance_px)
         for _ in range(_ITERATIONS):
             step = _step(voices, T, tolerance_px, dof)
             T = moved(T, step, dof)
-            if np.abs(step).max() < 1e-6:
+            if np.abs(step).max() < 1e-5:
                 break
-    voices = _Voices.of(index, matches, evidence, T)
+    voices = _Voices.of(index, matches, evidence, T, _REACH * tolerances_px[-1])
     density = np.zeros(len(matches))
     density[voices.matches] = voices.at(T, tolerances_px[-1])[2]
     return Optimum(T, float(np.log1p(density / evidence.epsilon).sum()), density)
@@ -153,7 +155,7 @@ def tensor_gradient(
     index: TensorIndex, matches: Matches, evidence: Evidence, T_map_camera: FloatArray, tolerance_px: float
 ) -> tuple[float, FloatArray]:
     """Σ log(ε + ρ) and its gradient (6,) by a motion (position, rotation) at a pose, the tolerances held."""
-    voices = _Voices.of(index, matches, evidence, T_map_camera)
+    voices = _Voices.of(index, matches, evidence, T_map_camera, _REACH * tolerance_px)
     peaks, fall, density = voices.at(T_map_camera, tolerance_px)
     weight = _weights(voices, fall, density)
     return float(np.log(voices.epsilon + density).sum()), np.asarray(-weight @ peaks.drop_gradient)
