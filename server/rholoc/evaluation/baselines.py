@@ -1,0 +1,138 @@
+"""The geometric baselines: absolute pose from 2D–3D matches by RANSAC, as OpenCV and poselib have it.
+
+Settings are those that did best on real hard queries among 1000–10 000 iterations and thresholds of 8 and 12 px; 8 px
+and many iterations it was for both. poselib draws its samples from the likeliest matches first (PROSAC), which was
+worth more than any other setting. OpenCV's USAC with a MAGSAC score was tried too, and was no better than its P3P
+RANSAC followed by Levenberg–Marquardt.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+import cv2
+import numpy as np
+import poselib
+
+from rholoc.geometry import Camera, FloatArray, pose_matrix
+from rholoc.localization import Query
+from rholoc.localization.map_index import MapIndex
+from rholoc.localization.matches import Matches
+from rholoc.localization.verification import FINAL_TOLERANCE_PX, climb, evidence_of
+
+_FEWEST_MATCHES = 4
+_DISTINCT_CHANCE = 0.3
+_ASCENT_PX = (12.0, 6.0, FINAL_TOLERANCE_PX)
+
+
+class Solver(StrEnum):
+    """How a pose is found from matches without any density."""
+
+    CV2 = "cv2"  # P3P RANSAC, then Levenberg–Marquardt over the inliers
+    POSELIB = "poselib"  # LO-RANSAC with progressive sampling, then its own non-linear refinement
+
+
+class MatchSet(StrEnum):
+    """Which matches a solver is given."""
+
+    EVERYWHERE = "everywhere"  # each feature of the query with its nearest of the whole map
+    DISTINCT = "distinct"  # those of them that stand out against their nearest rival (the ratio test's part)
+    PLACE = "place"  # mutual matches within the place that most matches vote for: with half of our seeding
+
+
+@dataclass(frozen=True)
+class RansacOptions:
+    """Settings of a RANSAC.
+
+    Attributes:
+        iterations: the most samples.
+        threshold_px: the reprojection error below which a match is an inlier.
+        confidence: at which sampling stops early.
+    """
+
+    iterations: int = 10_000
+    threshold_px: float = 8.0
+    confidence: float = 0.9999
+
+
+def solve(
+    solver: Solver, pixels: FloatArray, points: FloatArray, camera: Camera, options: RansacOptions | None = None
+) -> FloatArray | None:
+    """T_map_camera (4, 4) from pixels (M, 2) and points (M, 3) of the map frame, the likeliest match first, or None."""
+    if len(pixels) < _FEWEST_MATCHES:
+        return None
+    straight = camera.undistort(pixels) * (camera.fx, camera.fy) + (camera.cx, camera.cy)
+    run = _solve_cv2 if solver is Solver.CV2 else _solve_poselib
+    T = run(straight, np.asarray(points, dtype=np.float64), camera, options or RansacOptions())
+    return T if T is not None and np.isfinite(T).all() else None
+
+
+def distinct(matches: Matches) -> Matches:
+    """The matches whose descriptors alone make them believable."""
+    return matches.take(np.flatnonzero(matches.chances >= _DISTINCT_CHANCE))
+
+
+def likeliest_first(matches: Matches) -> Matches:
+    """The matches by their chances, descending."""
+    return matches.take(np.argsort(-matches.chances, kind="stable"))
+
+
+def refine_by_density(
+    index: MapIndex, query: Query, rays: FloatArray, matches: Matches, T_map_camera: FloatArray
+) -> FloatArray:
+    """The density's optimum (4, 4) near a pose, over all of the matches and none thrown away.
+
+    Args:
+        rays: (N, 3) of all the query's features, camera frame.
+    """
+    evidence = evidence_of(index, matches, rays, query.camera)
+    return climb(index, matches, evidence, T_map_camera, _ASCENT_PX, query.dof).T_map_camera
+
+
+def _solve_cv2(pixels: FloatArray, points: FloatArray, camera: Camera, options: RansacOptions) -> FloatArray | None:
+    try:
+        found, rotation, translation, inliers = cv2.solvePnPRansac(
+            points,
+            pixels,
+            camera.matrix,
+            None,
+            iterationsCount=options.iterations,
+            reprojectionError=options.threshold_px,
+            confidence=options.confidence,
+            flags=cv2.SOLVEPNP_P3P,
+        )
+        if not found or inliers is None or len(inliers) < _FEWEST_MATCHES:
+            return None
+        chosen = inliers[:, 0]
+        rotation, translation = cv2.solvePnPRefineLM(
+            points[chosen], pixels[chosen], camera.matrix, None, rotation, translation
+        )
+    except cv2.error:  # degenerate samples
+        return None
+    return _inverted(
+        np.asarray(cv2.Rodrigues(rotation)[0], dtype=np.float64), np.asarray(translation, dtype=np.float64).ravel()
+    )
+
+
+def _solve_poselib(pixels: FloatArray, points: FloatArray, camera: Camera, options: RansacOptions) -> FloatArray | None:
+    pinhole = {
+        "model": "PINHOLE",
+        "width": camera.width,
+        "height": camera.height,
+        "params": [camera.fx, camera.fy, camera.cx, camera.cy],
+    }
+    settings = {
+        "max_iterations": options.iterations,
+        "max_reproj_error": options.threshold_px,
+        "success_prob": options.confidence,
+        "progressive_sampling": True,
+    }
+    pose, report = poselib.estimate_absolute_pose(pixels, points, pinhole, settings, {})
+    if report["num_inliers"] < _FEWEST_MATCHES:
+        return None
+    return _inverted(np.asarray(pose.R), np.asarray(pose.t))
+
+
+def _inverted(R_camera_map: FloatArray, t: FloatArray) -> FloatArray:
+    return pose_matrix(R_camera_map.T, -R_camera_map.T @ t)

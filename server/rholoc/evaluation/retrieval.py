@@ -1,0 +1,140 @@
+"""Localization as hierarchical pipelines do it, without a GPU: SIFT, image retrieval by VLAD, LO-RANSAC.
+
+It stands for hloc (Sarlin et al., CVPR 2019) with classical parts: the likest views are retrieved by a global
+descriptor, the query is matched with each of them alone, and the 2D–3D matches of all give one pose by poselib. The
+points are those of a SIFT map: landmarks triangulated from the views' given poses.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import faiss
+import numpy as np
+
+from rholoc.evaluation.baselines import RansacOptions, Solver, solve
+from rholoc.features import FeatureSet
+from rholoc.features.matching import DescriptorIndex
+from rholoc.geometry import ByteArray, Camera, FloatArray, IntArray, Pose
+from rholoc.localization.map_index import MapIndex
+
+_WORDS = 64
+_TRAINING_DESCRIPTORS = 40_000
+_SEED = 7
+_OBSERVED_PX = 3.0
+_RATIO = 0.85
+OPTIONS = RansacOptions(threshold_px=12.0)
+
+
+@dataclass(frozen=True, eq=False)
+class _View:
+    """What one view offers: the features that observe landmarks."""
+
+    features: FeatureSet
+    landmarks: IntArray
+    index: DescriptorIndex
+
+
+class VladPipeline:
+    """The baseline's map: VLAD vectors of the views, and each view's own descriptors with their landmarks.
+
+    Args:
+        index: a map of SIFT features.
+        view_features: the features of the map's views, in their order, by the map's extractor.
+        retrieved: how many views a query is matched with.
+    """
+
+    def __init__(self, index: MapIndex, view_features: Sequence[FeatureSet], retrieved: int = 20) -> None:
+        self._landmarks = index.landmarks
+        self._retrieved = retrieved
+        self._views = [_view(index, k, features) for k, features in enumerate(view_features)]
+        self._words = _vocabulary([features.descriptors for features in view_features])
+        self._vlads = np.array([vlad(features.descriptors, self._words) for features in view_features])
+
+    @property
+    def bytes(self) -> int:
+        """What has to be stored: descriptors with their landmarks, landmarks, VLAD vectors as float32, words."""
+        views = sum(view.features.descriptors.nbytes + 4 * len(view.landmarks) for view in self._views)
+        return views + 4 * (self._landmarks.size + self._vlads.size + self._words.size)
+
+    def localize(self, features: FeatureSet, camera: Camera) -> tuple[FloatArray | None, dict[str, float]]:
+        """T_map_camera (4, 4) or None, and the milliseconds of ``retrieve``, ``match`` and ``solve``."""
+        laps = [time.perf_counter()]
+        likeness = self._vlads @ vlad(features.descriptors, self._words)
+        views = np.argsort(-likeness, kind="stable")[: self._retrieved]
+        laps.append(time.perf_counter())
+        detections, landmarks = self._match(features, views)
+        laps.append(time.perf_counter())
+        T = solve(Solver.POSELIB, features.pixels[detections], self._landmarks[landmarks], camera, OPTIONS)
+        laps.append(time.perf_counter())
+        return T, dict(zip(("retrieve", "match", "solve"), (1e3 * np.diff(laps)).tolist(), strict=True))
+
+    def _match(self, features: FeatureSet, views: IntArray) -> tuple[IntArray, IntArray]:
+        """Different (detection, landmark) matches of all views, those found in most views first."""
+        found = [_match_view(features, self._views[k]) for k in views]
+        pairs = np.concatenate(found) if found else np.zeros((0, 2), dtype=np.int64)
+        different, counts = np.unique(pairs, axis=0, return_counts=True)
+        different = different[np.argsort(-counts, kind="stable")]
+        return different[:, 0], different[:, 1]
+
+
+def vlad(descriptors: ByteArray, words: FloatArray) -> FloatArray:
+    """The VLAD vector (W · D,) of descriptors (N, D) on words (W, D), unit length (Jégou et al., CVPR 2010).
+
+    Normalised within each word, then as a whole (Arandjelović and Zisserman, CVPR 2013).
+    """
+    d = descriptors.astype(np.float32)
+    squared = (words**2).sum(axis=1) - 2 * d @ words.T
+    nearest = squared.argmin(axis=1)
+    total = np.zeros_like(words)
+    np.add.at(total, nearest, d - words[nearest])
+    total /= np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-9)
+    flat = total.ravel()
+    return np.asarray(flat / max(float(np.linalg.norm(flat)), 1e-9))
+
+
+def _vocabulary(descriptors: Sequence[ByteArray]) -> FloatArray:
+    everything = np.concatenate(descriptors).astype(np.float32)
+    rng = np.random.default_rng(_SEED)
+    sample = everything[rng.permutation(len(everything))[:_TRAINING_DESCRIPTORS]]
+    kmeans = faiss.Kmeans(sample.shape[1], min(_WORDS, len(sample)), niter=15, seed=_SEED, verbose=False)
+    kmeans.train(sample)
+    return np.asarray(kmeans.centroids)
+
+
+def _view(index: MapIndex, k: int, features: FeatureSet) -> _View:
+    """The features that view ``k`` observes landmarks with: those within a few pixels of their projections."""
+    map_ = index.map
+    landmarks = map_.view_features[map_.view_offsets[k] : map_.view_offsets[k + 1]].astype(np.int64)
+    camera = map_.info.camera
+    pixels = camera.project(_in_camera(index.landmarks[landmarks], map_.view_poses[k]))
+    apart = np.linalg.norm(pixels[:, None] - features.pixels[None], axis=2) if len(features) else np.zeros((0, 0))
+    landmarks_, detections = np.nonzero(np.nan_to_num(apart, nan=np.inf) <= _OBSERVED_PX)
+    like = index.distances_to(features, detections, landmarks[landmarks_])
+    order = np.argsort(like, kind="stable")
+    first = np.sort(order[np.unique(landmarks_[order], return_index=True)[1]])
+    observing = features.take(detections[first])
+    return _View(
+        observing,
+        landmarks[landmarks_[first]],
+        DescriptorIndex(observing.descriptors, observing.channels, index.metric),
+    )
+
+
+def _in_camera(points: FloatArray, view_pose: FloatArray) -> FloatArray:
+    pose = Pose.from_quaternion(view_pose[:3].astype(np.float64), view_pose[3:])
+    return np.asarray((points - pose.position) @ pose.R_map_camera)
+
+
+def _match_view(features: FeatureSet, view: _View) -> IntArray:
+    """(detection, landmark) rows (M, 2) of mutual matches that pass the ratio test."""
+    if len(view.features) < 2 or len(features) == 0:
+        return np.zeros((0, 2), dtype=np.int64)
+    distances, rows = view.index.nearest(features, 2)
+    good = np.flatnonzero(distances[:, 0] < _RATIO * distances[:, 1])
+    best = np.full(len(view.features), np.inf)
+    np.minimum.at(best, rows[good, 0], distances[good, 0])
+    mutual = good[distances[good, 0] <= best[rows[good, 0]]]
+    return np.column_stack([mutual, view.landmarks[rows[mutual, 0]]])
