@@ -1,14 +1,18 @@
-"""Make what ``maps/`` ships: a small map of the simulated test site, and three pictures to localize in it.
+"""Make what ``maps/`` ships: a small map of the simulated test site and three pictures to localize in it.
+
+The README's picture, the second walk from above, is made on the way.
 
     python benchmarks/make_shipped_map.py
 
-The map is built from video, IMU and waypoints of the first walk, as a user's would be. The pictures are of the second
-walk; their true poses lie beside them in ``poses.txt``, so that a test can tell how far off the answers are.
+The map is built from some frames of the first walk and their true poses, which keeps it small; the demo builds its own
+from video, IMU and waypoints. The pictures are of the second walk; their true poses lie beside them in ``poses.txt``,
+so that a test can tell how far off the answers are.
 """
 
 from __future__ import annotations
 
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -16,51 +20,64 @@ import numpy as np
 
 from rholoc.errors import MappingFailed
 from rholoc.evaluation import trajectory_errors
-from rholoc.geometry import ByteArray, Pose
+from rholoc.evaluation.plots import plot_top_view, save_figure
+from rholoc.geometry import ByteArray, FloatArray, Pose
 from rholoc.localization import Localizer, Query
-from rholoc.mapping import build_map
+from rholoc.mapping import BuildOptions, build_map
 from rholoc.maps import Map, map_to_bytes, save_map
-from rholoc.recordings import CameraFile, Recording, read_recording, write_camera_json
+from rholoc.recordings import CameraFile, GivenPoses, Recording, read_recording, write_camera_json
 from rholoc.simulation import SimulatedRecording, simulate_recording
+from rholoc.trajectory import PoseMethod
 
 MAPS = Path(__file__).parents[1] / "maps"
 QUERIES = MAPS / "queries"
-SECONDS = 11.0  # of the walk: a part of the test site, so that the map stays small
+PICTURE = MAPS.parent / "server" / "pictures" / "top_view.png"
+MAP_FPS = 2.0  # of the first walk: few views, so that the map stays small
 MAX_MAP_BYTES = 500_000
+QUERY_FPS = 2.0  # of the second walk: enough to choose from
 PICTURES = 3
 JPEG_QUALITY = 90
 MAX_ERROR_M = 0.05
 
 
 def main() -> None:
-    """Simulate, map, choose pictures, write."""
+    """Simulate, map, localize, choose pictures, write."""
     with tempfile.TemporaryDirectory() as scratch:
-        first = simulate_recording(Path(scratch, "walk-1"), walk=1, seconds=SECONDS)
-        second = simulate_recording(Path(scratch, "walk-2"), walk=2, seconds=SECONDS)
-        map_ = build_map([read_recording(first.path)])
+        first = simulate_recording(Path(scratch, "walk-1"), walk=1, fps=MAP_FPS)
+        second = simulate_recording(Path(scratch, "walk-2"), walk=2, fps=QUERY_FPS)
+        map_ = build_map([with_truth(first)], BuildOptions(poses=PoseMethod.GIVEN))
         size_bytes = len(map_to_bytes(map_))
         if size_bytes > MAX_MAP_BYTES:
             raise MappingFailed(f"The map has {size_bytes} bytes.", f"At most {MAX_MAP_BYTES} are shipped.")
         save_map(map_, MAPS / "testsite.rho")
-        _write_queries(choose_queries(map_, second, read_recording(second.path)), second)
+        images = list(read_recording(second.path).frames.images(range(len(second.times))))
+        estimated = localized(map_, images, second)
+        _write_queries({row: images[row] for row in choose_queries(estimated, second)}, second)
+        points = [(point["name"], np.asarray(point["position"])) for point in map_.info.waypoints]
+        save_figure(plot_top_view(estimated, second.T_map_camera, map_.landmarks, points), PICTURE)
     print(f"maps/testsite.rho: {size_bytes} bytes, {len(map_)} landmarks")
 
 
-def choose_queries(map_: Map, walk: SimulatedRecording, recording: Recording) -> dict[int, ByteArray]:
-    """Frames by their row, spread over the walk, of those that the map places well."""
+def with_truth(walk: SimulatedRecording) -> Recording:
+    """The recording of a walk with the true poses of three frames in four, as a dataset would give them."""
+    poses = GivenPoses(np.arange(len(walk.times)) % 4 != 3, walk.T_map_camera)
+    return replace(read_recording(walk.path), poses=poses)
+
+
+def localized(map_: Map, images: list[ByteArray], walk: SimulatedRecording) -> FloatArray:
+    """T_map_camera (N, 4, 4) of the images, NaN where the map does not place one."""
     localizer = Localizer(map_)
-    rows = range(0, len(walk.times), 10)
-    good: dict[int, ByteArray] = {}
-    for row, image in zip(rows, recording.frames.images(rows), strict=True):
-        answer = localizer.localize(Query(localizer.extractor.extract(image), walk.camera))
-        if answer.localized and answer.pose is not None:
-            errors = trajectory_errors(answer.pose.T_map_camera[None], walk.T_map_camera[row][None])
-            if errors.within(MAX_ERROR_M, 5.0)[0]:
-                good[row] = image
+    answers = [localizer.localize(Query(localizer.extractor.extract(image), walk.camera)) for image in images]
+    nothing = np.full((4, 4), np.nan)
+    return np.stack([nothing if answer.pose is None else answer.pose.T_map_camera for answer in answers])
+
+
+def choose_queries(estimated: FloatArray, walk: SimulatedRecording) -> list[int]:
+    """Rows of frames, spread over the walk, of those that the map places well."""
+    good = np.flatnonzero(trajectory_errors(estimated, walk.T_map_camera).within(MAX_ERROR_M, 5.0))
     if len(good) < PICTURES:
         raise MappingFailed("The map places too few frames of the second walk.", "Look at its report.")
-    places = np.linspace(0, len(good) - 1, PICTURES + 2)[1:-1].astype(int)
-    return {row: good[row] for row in np.array(list(good))[places].tolist()}
+    return good[np.linspace(0, len(good) - 1, PICTURES + 2)[1:-1].astype(int)].tolist()
 
 
 def _write_queries(images: dict[int, ByteArray], walk: SimulatedRecording) -> None:
