@@ -18,7 +18,9 @@ from unittest import mock
 
 import numpy as np
 from matplotlib.figure import Figure
-from rholoc.features import FeatureSet
+from scipy.optimize import minimize
+
+from rholoc.features import FeatureSet, Metric
 from rholoc.geometry import Camera, FloatArray
 from rholoc.localization import Dof, Localizer, Query
 from rholoc.localization import localizer as localizer_module
@@ -26,7 +28,6 @@ from rholoc.localization.confidence import confidence_inputs, confidence_of
 from rholoc.localization.verification import Verified, distance_between
 from rholoc.maps import load_map
 from rholoc.recordings import read_recording
-from scipy.optimize import minimize
 
 SHARES = (1.0, 0.4, 0.2, 0.1, 0.05, 0.03)  # of a frame's features that are kept
 RIGHT_M, RIGHT_RAD = 0.10, np.deg2rad(5.0)
@@ -50,9 +51,9 @@ def answers(localizer: Localizer, query: Query) -> Verified | None:
     """The candidate that the localizer settles on, however doubtful."""
     settled: list[Verified] = []
 
-    def note(verified: Verified) -> float:
+    def note(verified: Verified, metric: Metric) -> float:
         settled.append(verified)
-        return confidence_of(verified)
+        return confidence_of(verified, metric)
 
     with mock.patch.object(localizer_module, "confidence_of", note):
         localizer.localize(query)
@@ -70,7 +71,7 @@ def own_cases(localizer: Localizer, args: argparse.Namespace) -> Iterator[Case]:
     recording = read_recording(args.recording, camera=args.camera, frames=args.frames)
     assert recording.poses is not None
     assert recording.camera is not None
-    rng = np.random.default_rng(0)
+    metric, rng = localizer.index.metric, np.random.default_rng(0)
     rows = np.flatnonzero(recording.poses.known)[:: args.every]
     for number, (row, image) in enumerate(zip(rows, recording.frames.images(rows.tolist()), strict=True)):
         for share, features in thinned(localizer.extractor.extract(image), rng):
@@ -79,7 +80,9 @@ def own_cases(localizer: Localizer, args: argparse.Namespace) -> Iterator[Case]:
                 continue
             apart, turned = distance_between(found.optimum.T_map_camera, recording.poses.T_map_camera[row])
             right = apart < RIGHT_M and turned < RIGHT_RAD
-            yield Case(confidence_inputs(found), confidence_of(found), right, share == 1, False, number % 2 == 0)
+            yield Case(
+                confidence_inputs(found), confidence_of(found, metric), right, share == 1, False, number % 2 == 0
+            )
 
 
 def other_cases(localizer: Localizer, path: Path) -> Iterator[Case]:
@@ -87,12 +90,13 @@ def other_cases(localizer: Localizer, path: Path) -> Iterator[Case]:
     recording = read_recording(path)
     width, height = recording.frames.size
     camera = Camera(width, height, 0.8 * width, 0.8 * width, (width - 1) / 2, (height - 1) / 2)
+    metric = localizer.index.metric
     step = max(1, len(recording.frames.times) // OTHER_ROOM_FRAMES)
     rows = list(range(0, len(recording.frames.times), step))
     for number, image in enumerate(recording.frames.images(rows)):
         found = answers(localizer, Query(localizer.extractor.extract(image), camera, Dof.FREE))
         inputs = np.zeros(3) if found is None else confidence_inputs(found)
-        yield Case(inputs, confidence_of(found) if found else 0.0, False, True, True, number % 2 == 0)
+        yield Case(inputs, confidence_of(found, metric) if found else 0.0, False, True, True, number % 2 == 0)
 
 
 def fit(cases: list[Case]) -> FloatArray:

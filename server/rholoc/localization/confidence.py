@@ -10,12 +10,15 @@ import math
 
 import numpy as np
 
+from rholoc.features import Metric
 from rholoc.geometry import FloatArray
 from rholoc.localization.verification import Verified
 
-# Fitted by benchmarks/calibrate_confidence.py, which also tells on what.
-_INTERCEPT = -8.7
-_WEIGHTS = np.array([4.05, -3.38, -2.06])
+# Intercept and weights, fitted by benchmarks/calibrate_confidence.py.
+_LOGISTIC = {
+    Metric.HAMMING: np.array([-9.7, 3.82, -2.60, -1.65]),
+    Metric.EUCLIDEAN: np.array([-10.9, 3.14, -2.07, -0.37]),
+}
 _REFERENCE_SIGMA_M = 0.05
 
 
@@ -35,7 +38,8 @@ def confidence_inputs(verified: Verified) -> FloatArray:
     )
 
 
-def confidence_of(verified: Verified) -> float:
-    """0..1, the probability that the pose is within 10 cm and 5°."""
-    score = _INTERCEPT + float(_WEIGHTS @ confidence_inputs(verified))
+def confidence_of(verified: Verified, metric: Metric) -> float:
+    """0..1, the probability that the pose is within 10 cm and 5°, for descriptors of one metric."""
+    intercept, *weights = _LOGISTIC[metric]
+    score = intercept + float(np.dot(weights, confidence_inputs(verified)))
     return 1 / (1 + math.exp(-float(np.clip(score, -50, 50))))

@@ -172,13 +172,13 @@ class Localizer:
         return found if found is not None and _permitted(found, query) else None
 
     def _conclusive(self, verified: Verified | None) -> bool:
-        return verified is not None and confidence_of(verified) >= self.options.conclusive
+        return verified is not None and confidence_of(verified, self.index.metric) >= self.options.conclusive
 
     def _settle(self, best: Verified | None, otherwise: Reason, matches: int, watch: _Stopwatch) -> Localization:
         return _refusal(otherwise, matches, watch) if best is None else self._answer(best, matches, watch)
 
     def _answer(self, verified: Verified, matches: int, watch: _Stopwatch) -> Localization:
-        confidence = confidence_of(verified)
+        confidence = confidence_of(verified, self.index.metric)
         agreeing = verified.optimum.density > 0
         localized = confidence >= self.min_confidence
         pixels = verified.pixels[agreeing]
