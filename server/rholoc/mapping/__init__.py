@@ -1,5 +1,18 @@
-"""Recording → map: the pipeline and the report."""
+"""Recording → map: the pipeline, the report, and learning that goes on."""
 
 from rholoc.mapping.build import DEFAULT_FEATURES, BuildOptions, build_map
+from rholoc.mapping.forgetting import forget_recording
+from rholoc.mapping.learning import UpdateOptions, update_map
+from rholoc.mapping.memory import check_memory
+from rholoc.mapping.merging import merge_maps
 
-__all__ = ["DEFAULT_FEATURES", "BuildOptions", "build_map"]
+__all__ = [
+    "DEFAULT_FEATURES",
+    "BuildOptions",
+    "UpdateOptions",
+    "build_map",
+    "check_memory",
+    "forget_recording",
+    "merge_maps",
+    "update_map",
+]

@@ -47,7 +47,7 @@ class BuildOptions:
         features: the extractor's name.
         poses: where frame poses come from.
         report: whether to hold frames out and localize them for the map's report (takes time).
-        degree: P of ``tensor`` densities: 1, 2 or 3. With 1 they have no peak, and poses stay where the seeds are.
+        degree: P of ``tensor`` densities: 1, 2 or 3. With 1 they have no peak, and nothing is localized.
     """
 
     density: DensityKind = DensityKind.RAY
@@ -94,7 +94,7 @@ def build_map(
     if options.density is DensityKind.TENSOR:
         map_ = fit_map_tensors(map_, options.degree, progress)
     progress(Stage.DENSITIES, 1.0, f"{len(map_.descriptors)} descriptors")
-    report = map_report(map_, landmarks.view_counts, held_out if options.report else HeldOut.none(), progress)
+    report = map_report(map_, held_out if options.report else HeldOut.none(), progress)
     for walk in walks:
         report.setdefault("trajectories", []).append(walk.trajectory.report)
     map_.info.report.update(report)

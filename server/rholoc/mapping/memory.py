@@ -8,7 +8,8 @@ observation's distance from its landmark, be found anew; sums of fixed weights w
 
 ``Map.extras`` holds ``observation_pixels`` (V, 2) uint16, the pixel of each entry of ``view_features``, in units of
 1/65536 of the image's width and height from its top left corner; ``view_sources`` (K,) int32, the row of
-``info.sources`` that each view comes from; and ``descriptor_sources`` (D,) int32. A source has ``id``, ``name`` and ``camera``.
+``info.sources`` that each view comes from; and ``descriptor_sources`` (D,) int32.
+A source has ``id``, ``name`` and ``camera``.
 """
 
 from __future__ import annotations

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from rholoc.features import FeatureSet
-from rholoc.geometry import Camera, FloatArray, IntArray
+from rholoc.geometry import Camera, FloatArray
 from rholoc.localization import Dof, Localizer, Query
 from rholoc.maps import Map
 from rholoc.progress import ProgressListener, Stage
@@ -28,26 +28,31 @@ class HeldOut:
         return cls(())
 
 
-def map_report(map_: Map, view_counts: IntArray, held_out: HeldOut, progress: ProgressListener) -> dict[str, Any]:
+def map_report(map_: Map, held_out: HeldOut, progress: ProgressListener) -> dict[str, Any]:
     """The report: statistics of the landmarks and the errors of frames held out (DESIGN, section 3).
 
     Errors are against the trajectory's own poses, so they tell how well the map agrees with itself; they do not see
     an error of the trajectory as a whole.
     """
-    sigma_m = np.sqrt(map_.covariances[:, [0, 3, 5]].max(axis=1))
-    report: dict[str, Any] = {
-        "features": len(map_),
-        "descriptors": len(map_.descriptors),
-        "views": len(map_.view_poses),
-        "views_per_feature_median": float(np.median(view_counts)),
-        "landmark_sigma_median_m": float(np.median(sigma_m)),
-        "landmark_sigma_p90_m": float(np.percentile(sigma_m, 90)),
-        "features_per_view_median": float(np.median(np.diff(map_.view_offsets))),
-    }
+    report = landmark_statistics(map_)
     if held_out.frames:
         report["held_out"] = _held_out_errors(map_, held_out, progress)
     progress(Stage.REPORT, 1.0, "report complete")
     return report
+
+
+def landmark_statistics(map_: Map) -> dict[str, Any]:
+    """How many features, views and descriptors a map has, and how well its landmarks are determined."""
+    sigma_m = np.sqrt(map_.covariances[:, [0, 3, 5]].max(axis=1))
+    return {
+        "features": len(map_),
+        "descriptors": len(map_.descriptors),
+        "views": len(map_.view_poses),
+        "views_per_feature_median": float(np.median(np.bincount(map_.view_features, minlength=len(map_)))),
+        "landmark_sigma_median_m": float(np.median(sigma_m)),
+        "landmark_sigma_p90_m": float(np.percentile(sigma_m, 90)),
+        "features_per_view_median": float(np.median(np.diff(map_.view_offsets))),
+    }
 
 
 def _held_out_errors(map_: Map, held_out: HeldOut, progress: ProgressListener) -> dict[str, Any]:

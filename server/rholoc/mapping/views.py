@@ -7,16 +7,16 @@ import numpy as np
 from rholoc.geometry import FloatArray, IntArray
 
 _METRES_PER_RADIAN = 1.0
-_STEP = 0.05  # metres moved plus radians turned from view to view; in a map of arbitrary scale, of its unit
+VIEW_STEP = 0.05  # metres moved plus radians turned from view to view; in a map of arbitrary scale, of its unit
 _HOLD_OUT_EVERY = 10
 _MAX_VIEWS = 400
 
 
-def choose_views(T_map_camera: FloatArray, hold_out: bool) -> tuple[IntArray, IntArray]:
+def choose_views(T_map_camera: FloatArray, hold_out: bool, step: float = VIEW_STEP) -> tuple[IntArray, IntArray]:
     """Rows of the views and of the frames held out, of a trajectory's poses (K, 4, 4) in the order of time.
 
     Every tenth pose is held out. Of the others a view is taken whenever the camera has moved or turned on (a radian
-    counting as a metre), in steps small enough for features to overlap well, and never more than 400 in all.
+    counting as a metre), in steps ``step`` small enough for features to overlap well, and never more than 400 in all.
     """
     rows = np.arange(len(T_map_camera))
     held_out = (
@@ -24,7 +24,7 @@ def choose_views(T_map_camera: FloatArray, hold_out: bool) -> tuple[IntArray, In
     )
     rest = np.setdiff1d(rows, held_out)
     moved = _motion(T_map_camera[rest])
-    step = max(_STEP, float(moved[-1]) / _MAX_VIEWS)
+    step = max(step, float(moved[-1]) / _MAX_VIEWS)
     bins = np.floor(moved / step)
     first_in_step = np.concatenate([[True], np.diff(bins) > 0])
     return rest[first_in_step], held_out

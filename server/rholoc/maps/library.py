@@ -138,6 +138,23 @@ class MapLibrary:
             arrived.unlink(missing_ok=True)
         return map_
 
+    def replace(self, name: str, next_version: Map) -> None:
+        """Store the next version of a map in place of the version before it; do nothing if it is there already.
+
+        Raises:
+            InvalidName: it is not a name.
+            UnknownMap: there is no such map any more.
+            Conflict: the map has changed since: another update would be lost. Nothing was replaced.
+            InvalidMap, StorageFull, InvalidInput: as :meth:`put`; nothing was replaced.
+        """
+        with self._lock:
+            present = self.get(name).info
+            if present == next_version.info:
+                return
+            if (present.id, present.version) != (next_version.info.id, next_version.info.version - 1):
+                raise Conflict(f"The map {name} was changed meanwhile.", "Try again: the change starts from it then.")
+            self.put(name, next_version)
+
     def delete(self, name: str) -> None:
         """Delete a map.
 

@@ -1,0 +1,34 @@
+"""The ``ray`` form that learning works on, and the way back to the form that a map has."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+from rholoc.mapping.report import landmark_statistics
+from rholoc.mapping.tensor_fit import fit_map_tensors
+from rholoc.maps import DensityKind, Map
+from rholoc.maps.tensor_arrays import tensors_of
+from rholoc.progress import ProgressListener, silent
+
+_TENSORS = "tensor_"
+
+
+def ray_form(map_: Map) -> Map:
+    """The map without its tensors: they are a function of what it remembers."""
+    extras = {name: array for name, array in map_.extras.items() if not name.startswith(_TENSORS)}
+    return replace(map_, info=replace(map_.info, density=DensityKind.RAY), extras=extras)
+
+
+def as_learned(before: Map, after: Map, figures: dict[str, Any], progress: ProgressListener = silent) -> Map:
+    """The next version of a map: ``after``, of ``ray`` form, in the form that ``before`` has, its report brought up.
+
+    ``figures`` say what was learned; the report lists them under ``learned``.
+    """
+    version = before.info.version + 1
+    learned = [*before.info.report.get("learned", []), {"version": version, **figures}]
+    report = before.info.report | landmark_statistics(after) | {"learned": learned}
+    after = replace(after, info=replace(after.info, version=version, report=report))
+    if before.info.density is DensityKind.TENSOR:
+        after = fit_map_tensors(after, tensors_of(before)[0].degree, progress)
+    return after

@@ -1,0 +1,234 @@
+"""Learning goes on: a further recording of the same place, learned into a map."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from rholoc.errors import Conflict, InvalidCamera, MappingFailed
+from rholoc.features import FeatureSet, get_extractor
+from rholoc.features.matching import LIMITS
+from rholoc.geometry import Camera, FloatArray, IntArray
+from rholoc.localization import Localizer
+from rholoc.mapping.assembly import assemble
+from rholoc.mapping.forms import as_learned, ray_form
+from rholoc.mapping.joining import join
+from rholoc.mapping.landmarks import Landmarks, extend_and_merge, select_stable, triangulate
+from rholoc.mapping.memory import check_memory, recording_id, source_camera
+from rholoc.mapping.observations import Views, link_observations
+from rholoc.mapping.registration import MIN_FOUND, Alignment, align_to_found, find_frames
+from rholoc.mapping.views import choose_views
+from rholoc.maps import Map, MapInfo
+from rholoc.progress import ProgressListener, Stage, silent
+from rholoc.recordings import Recording
+from rholoc.trajectory import PoseMethod, Scale, estimate_trajectory
+
+_FEATURES_PER_VIEW = 400
+_VIEW_STEP = 0.1  # wider than while building: most of what is seen is known already
+_FRAMES_PER_S = 6.0
+_MAX_FRAMES = 240
+_MAX_LOCALIZED = 24  # of a recording with a trajectory of its own
+_RADIUS_PX = 5.0
+_EXTENSION_ROUNDS = 1
+
+
+@dataclass(frozen=True)
+class UpdateOptions:
+    """How a recording is learned into a map.
+
+    Attributes:
+        poses: where its frame poses come from, to be aligned to the map; None: its own if it comes with poses, else
+            each frame is localized in the map, and frames beyond what the map shows are left out.
+    """
+
+    poses: PoseMethod | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class _Walk:
+    """The frames of a recording that are learned from: camera, times (K,), T_map_camera (K, 4, 4), features of each."""
+
+    camera: Camera
+    times: FloatArray
+    T_map_camera: FloatArray
+    features: list[FeatureSet]
+    poses: str
+    figures: dict[str, Any]
+
+
+def update_map(
+    map_: Map, recording: Recording, options: UpdateOptions | None = None, progress: ProgressListener = silent
+) -> Map:
+    """The map with a further recording learned into it: more observations of its features, and features that are new.
+
+    The recording finds its place by being localized in the map. The map handed in stays as it was.
+
+    Raises:
+        InvalidInput: the map does not remember its observations.
+        Conflict: the map has learned this recording already.
+        InvalidRecording, InvalidCamera, InvalidWaypoints: the recording cannot be read, or its poses not be had.
+        MappingFailed: it shows another place, or disagrees with the map; says by how much.
+        Cancelled: ``progress`` asked to stop.
+    """
+    options = options or UpdateOptions()
+    check_memory(map_, "The map")
+    id_ = recording_id(recording)
+    if any(source["id"] == id_ for source in map_.info.sources):
+        raise Conflict(f"The map has learned {recording.name} already.", "Forget it first, to learn it anew.")
+    known = ray_form(map_)
+    localizer = Localizer(known)
+    method = options.poses or (PoseMethod.GIVEN if recording.poses is not None else None)
+    if method is None:
+        walk = _localized_walk(localizer, recording, progress)
+    else:
+        walk = _aligned_walk(localizer, recording, method, progress)
+    views = Views.from_features([walk.camera] * len(walk.times), walk.T_map_camera, walk.times, walk.features)
+    labels, new = _recognize(localizer, views, progress)
+    source = {
+        "id": id_,
+        "name": recording.name,
+        "camera": source_camera(walk.camera),
+        "frames": len(recording.frames.times),
+        "views": len(views),
+        "poses": walk.poses,
+    }
+    seen, landmarks = _seen_landmarks(known, labels, new)
+    info = replace(known.info, sources=(source,), waypoints=())
+    learned = assemble(info, views, landmarks, np.zeros(len(views), dtype=np.int64), localizer.extractor.metric)
+    joined = join(known, learned, seen)
+    progress(Stage.DENSITIES, 0.9, f"{len(joined)} features, {len(known)} of them known before")
+    figures = walk.figures | {
+        "source": id_,
+        "views": len(views),
+        "features_seen_again": int((seen >= 0).sum()),
+        "features_new": int((seen < 0).sum()),
+    }
+    return as_learned(map_, joined, figures, progress)
+
+
+def _localized_walk(localizer: Localizer, recording: Recording, progress: ProgressListener) -> _Walk:
+    """Each frame where it is localized; frames that are not found are left out."""
+    camera = _camera_of(recording, localizer.map.info)
+    times = recording.frames.times
+    count = int(np.clip((times[-1] - times[0]) * _FRAMES_PER_S, MIN_FOUND, _MAX_FRAMES))
+    rows = np.unique(np.linspace(0, len(times) - 1, count).round().astype(np.int64))
+    features = _features(localizer, recording, rows, progress)
+    frames = [(camera, one) for one in features]
+    found = find_frames(localizer, frames, np.arange(len(rows)), recording.name, progress)
+    views = found.rows[choose_views(found.T_map_camera[found.rows], hold_out=False, step=_VIEW_STEP)[0]]
+    figures = {"frames_tried": found.tried, "frames_found": len(found.rows)}
+    return _Walk(
+        camera,
+        times[rows[views]],
+        found.T_map_camera[views],
+        [features[view] for view in views],
+        "localized",
+        figures,
+    )
+
+
+def _aligned_walk(localizer: Localizer, recording: Recording, method: PoseMethod, progress: ProgressListener) -> _Walk:
+    """The recording's own trajectory, aligned to those of its frames that are localized."""
+    trajectory = estimate_trajectory(recording, method, progress)
+    views, _ = choose_views(trajectory.T_map_camera, hold_out=False, step=_VIEW_STEP)
+    if len(views) < MIN_FOUND:
+        raise MappingFailed(
+            f"Only {len(views)} frames of {recording.name} with different views have a pose.", "Record a longer walk."
+        )
+    features = _features(localizer, recording, trajectory.rows[views], progress)
+    frames = [(trajectory.camera, one) for one in features]
+    tried = np.unique(np.linspace(0, len(views) - 1, _MAX_LOCALIZED).round().astype(np.int64))
+    found = find_frames(localizer, frames, tried, recording.name, progress)
+    metric = localizer.map.info.metric and trajectory.scale is Scale.METRIC
+    own = trajectory.T_map_camera[views]
+    alignment = align_to_found(own, found, metric, recording.name)
+    figures = {"frames_tried": found.tried, "frames_found": len(found.rows), **alignment_figures(alignment)}
+    return _Walk(
+        trajectory.camera,
+        trajectory.times[views],
+        alignment.similarity.poses(own),
+        features,
+        str(method),
+        figures,
+    )
+
+
+def alignment_figures(alignment: Alignment) -> dict[str, Any]:
+    """What a report says of an alignment."""
+    return {
+        "residual_median_m": alignment.residual_m,
+        "residual_median_deg": float(np.degrees(alignment.residual_rad)),
+        "scale": alignment.similarity.scale,
+    }
+
+
+def _features(
+    localizer: Localizer, recording: Recording, rows: IntArray, progress: ProgressListener
+) -> list[FeatureSet]:
+    extractor = get_extractor(localizer.map.info.features)
+    features = []
+    for image in recording.frames.images(rows.tolist()):
+        features.append(extractor.extract(image))
+        progress(Stage.FEATURES, len(features) / len(rows), f"features of {len(features)} of {len(rows)} frames")
+    return features
+
+
+def _camera_of(recording: Recording, info: MapInfo) -> Camera:
+    """The recording's camera, or the map's where that one is of the same size."""
+    if recording.camera is not None:
+        return recording.camera
+    if recording.frames.size == (info.camera.width, info.camera.height):
+        return info.camera
+    raise InvalidCamera(
+        "The recording's intrinsics are unknown, and its frames are not of the size of the map's.",
+        "Give the camera as fx,fy,cx,cy[,k1,k2,p1,p2[,k3]].",
+    )
+
+
+def _recognize(localizer: Localizer, views: Views, progress: ProgressListener) -> tuple[IntArray, Landmarks]:
+    """Each detection's feature (N,) of the map, or -1, and the landmarks that the other detections make up."""
+    index, metric = localizer.index, localizer.extractor.metric
+    labels = np.full(len(views.features), -1, dtype=np.int64)
+    for k in range(len(views)):
+        features = views.of_view(k)
+        matches, _ = index.match_near(features, views.cameras[k], views.T_map_camera[k], _RADIUS_PX)
+        alike = index.distances_to(features, matches.detections, matches.landmarks) <= LIMITS[metric].strict
+        labels[views.offsets[k] + matches.detections[alike]] = matches.landmarks[alike]
+        progress(Stage.OBSERVATIONS, 0.3 * (k + 1) / len(views), f"{k + 1} of {len(views)} views compared with the map")
+    known_per_view = int(np.median(np.bincount(views.view_of[labels >= 0], minlength=len(views))))
+    unknown = np.flatnonzero(labels < 0)
+    others = Views.from_features(
+        views.cameras,
+        views.T_map_camera,
+        views.times,
+        [views.features.take(unknown[views.view_of[unknown] == k]) for k in range(len(views))],
+    )
+    fresh = triangulate(others, link_observations(others, metric, progress))
+    for _ in range(_EXTENSION_ROUNDS):
+        fresh = extend_and_merge(others, fresh, metric)
+    fresh = select_stable(others, fresh, max(0, _FEATURES_PER_VIEW - known_per_view))
+    in_all = np.full(len(labels), -1, dtype=np.int64)
+    in_all[unknown] = fresh.labels
+    return labels, Landmarks(fresh.information, fresh.eta, in_all, fresh.positions, fresh.covariances)
+
+
+def _seen_landmarks(known: Map, labels: IntArray, new: Landmarks) -> tuple[IntArray, Landmarks]:
+    """All landmarks that the recording shows, those of the map first; and which of the map's each is, or -1."""
+    again, number = np.unique(labels[labels >= 0], return_inverse=True)
+    together = np.where(new.labels >= 0, new.labels + len(again), -1)
+    together[labels >= 0] = number
+    upper = np.triu_indices(3)
+    covariances = np.zeros((len(again), 3, 3))
+    covariances[:, upper[0], upper[1]] = known.covariances[again]
+    covariances[:, upper[1], upper[0]] = known.covariances[again]
+    unknown = np.zeros((len(again), 3, 3))  # the sums are found anew when the maps are joined
+    landmarks = Landmarks(
+        np.concatenate([unknown, new.information]),
+        np.concatenate([unknown[:, 0], new.eta]),
+        together,
+        np.concatenate([known.landmarks[again].astype(np.float64), new.positions]),
+        np.concatenate([covariances, new.covariances]),
+    )
+    return np.concatenate([again, np.full(len(new), -1, dtype=np.int64)]), landmarks

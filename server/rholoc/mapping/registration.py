@@ -1,0 +1,165 @@
+"""Where frames that a map has not seen stand in it: found by localizing them, or by aligning their own trajectory."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from rholoc.errors import MappingFailed
+from rholoc.features import FeatureSet
+from rholoc.geometry import BoolArray, Camera, FloatArray, IntArray, Pose
+from rholoc.localization import Dof, Localizer, Prior, Query
+from rholoc.progress import ProgressListener, Stage, silent
+from rholoc.trajectory.alignment import Similarity
+
+_PROBES = 12  # frames, spread over all, by which a recording of another place is told at once
+MIN_FOUND = 5
+_MIN_SHARE = 0.1
+_ROUNDS = 10
+_MAX_MEDIAN_M = 0.1  # of the localized positions against the aligned ones
+_MAX_MEDIAN_RAD = np.deg2rad(3.0)
+_MAX_SCALE_ERROR = 0.05  # of two maps or trajectories that both claim to be metric
+_MIN_SPREAD_M = 0.05  # of the positions, below which they tell nothing of scale
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """K frames, some of them localized.
+
+    Attributes:
+        T_map_camera: (K, 4, 4), NaN where a frame was not localized or not tried.
+        tried: how many frames were tried.
+    """
+
+    T_map_camera: FloatArray
+    tried: int
+
+    @property
+    def rows(self) -> IntArray:
+        """The frames (L,) that were localized."""
+        return np.flatnonzero(np.isfinite(self.T_map_camera[:, 0, 0]))
+
+
+def find_frames(
+    localizer: Localizer,
+    frames: Sequence[tuple[Camera, FeatureSet]],
+    rows: IntArray,
+    what: str,
+    progress: ProgressListener = silent,
+) -> Found:
+    """Localize some frames, ``rows`` in rising order, of a recording that ``what`` names to users.
+
+    Raises:
+        MappingFailed: hardly any of them is found: they show another place.
+    """
+    T = np.full((len(frames), 4, 4), np.nan)
+    probes = rows[np.unique(np.linspace(0, len(rows) - 1, _PROBES).round().astype(np.int64))]
+    for row in probes:
+        _localize(localizer, frames, int(row), T, None)
+    if np.isnan(T[probes, 0, 0]).all():
+        raise _elsewhere(0, len(probes), what)
+    last: int | None = None
+    for done, row in enumerate(rows.tolist()):
+        if np.isnan(T[row, 0, 0]):
+            _localize(localizer, frames, row, T, last)
+        last = row if np.isfinite(T[row, 0, 0]) else last
+        progress(Stage.POSES, (done + 1) / len(rows), f"{done + 1} of {len(rows)} frames looked for in the map")
+    found = Found(T, len(rows))
+    if len(found.rows) < max(MIN_FOUND, _MIN_SHARE * len(rows)):
+        raise _elsewhere(len(found.rows), len(rows), what)
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class Alignment:
+    """How a trajectory comes into the map's frame.
+
+    Attributes:
+        similarity: takes it there.
+        agreeing: (L,) which of the localized frames agree with it.
+        residual_m: the median distance of the localized positions from the aligned ones.
+        residual_rad: the same of the rotations.
+    """
+
+    similarity: Similarity
+    agreeing: BoolArray
+    residual_m: float
+    residual_rad: float
+
+
+def align_to_found(T_own_camera: FloatArray, found: Found, scale_is_known: bool, what: str) -> Alignment:
+    """Align a trajectory (K, 4, 4) of its own frame, which ``what`` names to users, to the frames found in the map.
+
+    Robust least squares, rotations first: each frame's own says how the two frames are turned, so that a walk along a
+    line, or on the spot, is aligned as well. The scale is left as it is where ``scale_is_known``, but is looked at.
+
+    Raises:
+        MappingFailed: the trajectory and the map disagree; says by how much.
+    """
+    own, target = T_own_camera[found.rows], found.T_map_camera[found.rows]
+    similarity, distance, angle = _fit(own, target, fixed_scale=scale_is_known)
+    agreeing = (distance < 3 * _MAX_MEDIAN_M) & (angle < 3 * _MAX_MEDIAN_RAD)
+    residual_m, residual_rad = float(np.median(distance)), float(np.median(angle))
+    if residual_m > _MAX_MEDIAN_M or residual_rad > _MAX_MEDIAN_RAD or agreeing.sum() < MIN_FOUND:
+        free, _, _ = _fit(own, target, fixed_scale=False)
+        stretched = abs(free.scale - 1) > _MAX_SCALE_ERROR and scale_is_known
+        scales = f" Their units of length differ by {abs(free.scale - 1):.0%}." if stretched else ""
+        raise MappingFailed(
+            f"{what} and the map disagree: {100 * residual_m:.0f} cm and {np.degrees(residual_rad):.1f}° in the median."
+            + scales,
+            "One of the two is bent or of wrong scale: record and build it again.",
+        )
+    return Alignment(similarity, agreeing, residual_m, residual_rad)
+
+
+def _fit(own: FloatArray, target: FloatArray, fixed_scale: bool) -> tuple[Similarity, FloatArray, FloatArray]:
+    """The robust similarity, and what it leaves of each pose: metres (L,) and radians (L,)."""
+    weights = np.ones(len(own))
+    for _ in range(_ROUNDS):
+        similarity = _weighted_fit(own, target, weights, fixed_scale)
+        aligned = similarity.poses(own)
+        distance = np.linalg.norm(aligned[:, :3, 3] - target[:, :3, 3], axis=1)
+        turned = np.swapaxes(aligned[:, :3, :3], 1, 2) @ target[:, :3, :3]
+        angle = Rotation.from_matrix(turned).magnitude()
+        weights = 1 / (1 + (distance / max(float(np.median(distance)), 1e-6)) ** 2)
+        weights *= 1 / (1 + (angle / max(float(np.median(angle)), 1e-6)) ** 2)
+    return similarity, distance, np.asarray(angle)
+
+
+def _weighted_fit(own: FloatArray, target: FloatArray, weights: FloatArray, fixed_scale: bool) -> Similarity:
+    w = weights / weights.sum()
+    U, _, Vt = np.linalg.svd(np.einsum("l,lij,lkj->ik", w, target[:, :3, :3], own[:, :3, :3]))
+    R = U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt
+    own_mean, target_mean = w @ own[:, :3, 3], w @ target[:, :3, 3]
+    a, b = (own[:, :3, 3] - own_mean) @ R.T, target[:, :3, 3] - target_mean
+    spread, aligned = float(w @ (a * a).sum(axis=1)), float(w @ (a * b).sum(axis=1))
+    told = not fixed_scale and aligned > 0 and float(w @ (b * b).sum(axis=1)) > _MIN_SPREAD_M**2
+    scale = aligned / spread if told else 1.0
+    return Similarity(scale, R, target_mean - scale * R @ own_mean)
+
+
+def _localize(
+    localizer: Localizer, frames: Sequence[tuple[Camera, FeatureSet]], row: int, T: FloatArray, last: int | None
+) -> None:
+    """Fill in the pose of frame ``row``, if it has one; near the last one's, or anywhere."""
+    camera, features = frames[row]
+    query = Query(features, camera, Dof.FREE)
+    if last is not None:
+        from_last = Query(features, camera, Dof.FREE, prior=Prior(Pose(T[last])))
+        answer = localizer.localize(from_last)
+        if answer.pose is not None:
+            T[row] = answer.pose.T_map_camera
+            return
+    answer = localizer.localize(query)
+    if answer.pose is not None:
+        T[row] = answer.pose.T_map_camera
+
+
+def _elsewhere(found: int, tried: int, what: str) -> MappingFailed:
+    return MappingFailed(
+        f"{what} does not show the place of the map: {found} of {tried} frames were found in it.",
+        "Give one of the same place that overlaps with it; the map is unchanged.",
+    )
