@@ -173,6 +173,21 @@ def rename_map(name: str, new_name: str) -> Call[MapSummary]:
     )
 
 
+def update_map(name: str, fields: Mapping[str, Any]) -> Call[Job]:
+    """Learn a stored recording into a map; the answer is the job that does."""
+    return _post(f"{_map_path(name)}/update", _without_none(fields), _job)
+
+
+def merge_maps(name: str, other: str, into: str) -> Call[MapSummary]:
+    """Merge another map into a map's frame."""
+    return _post(f"{_map_path(name)}/merge", {"other": other, "into": into}, _map)
+
+
+def forget_recording(name: str, source: str) -> Call[MapSummary]:
+    """Take a recording out of a map."""
+    return _post(f"{_map_path(name)}/forget", {"source": source}, _map)
+
+
 def delete_map(name: str) -> Call[None]:
     """Delete a map."""
     return Call("DELETE", _map_path(name), lambda response: None, idempotent=False)
@@ -213,6 +228,11 @@ def retry_job(job_id: str) -> Call[Job]:
 def readiness() -> Call[dict[str, str]]:
     """What is ready."""
     return Call("GET", "/readyz", lambda response: dict(response.json()["checks"]), answers=frozenset({503}))
+
+
+def _post(path: str, body: Mapping[str, Any], read: Callable[[httpx.Response], T]) -> Call[T]:
+    headers = {"Content-Type": "application/json"}
+    return Call("POST", path, read, idempotent=False, headers=headers, content=json.dumps(body).encode())
 
 
 def _localization(response: httpx.Response) -> Localization:

@@ -131,6 +131,26 @@ class Client:
         """Give a map another name, which must be free."""
         return self._send(_calls.rename_map(name, new_name))
 
+    def update_map(self, name: str, recording: str, *, poses: str | None = None, camera: Camera | None = None) -> Job:
+        """Have a map learn a stored recording, by its id; the job that does so.
+
+        Args:
+            name: the map.
+            recording: the recording's id: :attr:`Job.recording` of the job that its upload started.
+            poses: where frame poses come from; None: the recording's own, else each frame is localized.
+            camera: the intrinsics, instead of the recording's own.
+        """
+        fields = {"recording": recording, "poses": poses, "camera": _camera_text(camera)}
+        return self._send(_calls.update_map(name, fields))
+
+    def merge_maps(self, name: str, other: str, into: str) -> MapSummary:
+        """Merge ``other`` into the frame of the map ``name``; the merged map is published as ``into``."""
+        return self._send(_calls.merge_maps(name, other, into), _UPLOAD_TIMEOUT_S)
+
+    def forget_recording(self, name: str, source: str) -> MapSummary:
+        """Take out of a map what it learned from a recording, named by its id or name in the map's sources."""
+        return self._send(_calls.forget_recording(name, source))
+
     def delete_map(self, name: str) -> None:
         """Delete a map for good."""
         self._send(_calls.delete_map(name))
@@ -140,6 +160,7 @@ class Client:
         path: Path,
         map_name: str,
         *,
+        kind: str | None = None,
         features: str | None = None,
         density: str | None = None,
         poses: str | None = None,
@@ -152,12 +173,13 @@ class Client:
         Args:
             path: a video, a ZIP file, or a recording's folder, which is packed on the way.
             map_name: the name of the map to publish.
+            kind: "build" a new map, or "update" the one of that name; None: build.
             features, density, poses: how to build it; the service's defaults where None.
             camera: the intrinsics, instead of the recording's own.
             waypoints: a CSV file of measured waypoints beside a video; in a folder or ZIP file it is ``waypoints.csv``.
             progress: hears of bytes sent and bytes in all.
         """
-        fields = _recording_fields(map_name, features, density, poses, camera)
+        fields = _recording_fields(map_name, kind, features, density, poses, camera)
         with opened_recording(path, progress) as (name, file):
             files = _recording_files(name, file, waypoints)
             return self._send(_calls.upload_recording(files, fields), _UPLOAD_TIMEOUT_S)
@@ -307,6 +329,28 @@ class AsyncClient:
         """As :meth:`Client.rename_map`."""
         return await self._send(_calls.rename_map(name, new_name))
 
+    async def update_map(
+        self, name: str, recording: str, *, poses: str | None = None, camera: Camera | None = None
+    ) -> Job:
+        """Have a map learn a stored recording, by its id; the job that does so.
+
+        Args:
+            name: the map.
+            recording: the recording's id: :attr:`Job.recording` of the job that its upload started.
+            poses: where frame poses come from; None: the recording's own, else each frame is localized.
+            camera: the intrinsics, instead of the recording's own.
+        """
+        fields = {"recording": recording, "poses": poses, "camera": _camera_text(camera)}
+        return await self._send(_calls.update_map(name, fields))
+
+    async def merge_maps(self, name: str, other: str, into: str) -> MapSummary:
+        """Merge ``other`` into the frame of the map ``name``; the merged map is published as ``into``."""
+        return await self._send(_calls.merge_maps(name, other, into), _UPLOAD_TIMEOUT_S)
+
+    async def forget_recording(self, name: str, source: str) -> MapSummary:
+        """Take out of a map what it learned from a recording, named by its id or name in the map's sources."""
+        return await self._send(_calls.forget_recording(name, source))
+
     async def delete_map(self, name: str) -> None:
         """As :meth:`Client.delete_map`."""
         await self._send(_calls.delete_map(name))
@@ -316,6 +360,7 @@ class AsyncClient:
         path: Path,
         map_name: str,
         *,
+        kind: str | None = None,
         features: str | None = None,
         density: str | None = None,
         poses: str | None = None,
@@ -324,7 +369,7 @@ class AsyncClient:
         progress: UploadProgress | None = None,
     ) -> Job:
         """As :meth:`Client.upload_recording`."""
-        fields = _recording_fields(map_name, features, density, poses, camera)
+        fields = _recording_fields(map_name, kind, features, density, poses, camera)
         with opened_recording(path, progress) as (name, file):
             files = _recording_files(name, file, waypoints)
             return await self._send(_calls.upload_recording(files, fields), _UPLOAD_TIMEOUT_S)
@@ -405,13 +450,28 @@ def _content(source: Path | bytes) -> bytes:
 
 
 def _recording_fields(
-    map_name: str, features: str | None, density: str | None, poses: str | None, camera: Camera | None
+    map_name: str,
+    kind: str | None,
+    features: str | None,
+    density: str | None,
+    poses: str | None,
+    camera: Camera | None,
 ) -> dict[str, str | None]:
-    intrinsics = None
-    if camera is not None:
-        values = (camera.fx, camera.fy, camera.cx, camera.cy, *camera.distortion)
-        intrinsics = ",".join(repr(float(value)) for value in values)
-    return {"map": map_name, "features": features, "density": density, "poses": poses, "camera": intrinsics}
+    return {
+        "map": map_name,
+        "kind": kind,
+        "features": features,
+        "density": density,
+        "poses": poses,
+        "camera": _camera_text(camera),
+    }
+
+
+def _camera_text(camera: Camera | None) -> str | None:
+    if camera is None:
+        return None
+    values = (camera.fx, camera.fy, camera.cx, camera.cy, *camera.distortion)
+    return ",".join(repr(float(value)) for value in values)
 
 
 def _recording_files(name: str, file: Any, waypoints: Path | None) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""``rholoc map``: build maps, look into them, export them."""
+"""``rholoc map``: build maps, let them learn and forget, look into them, export them."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from rholoc.errors import InvalidInput
 if TYPE_CHECKING:
     from rholoc.maps import Map
 
-app = typer.Typer(no_args_is_help=True, help="Build maps, look into them, export them.")
+app = typer.Typer(no_args_is_help=True, help="Build maps, let them learn and forget, look into them, export them.")
 
 
 @app.command()
@@ -77,6 +77,75 @@ def info(map_file: options.MapFile, as_json: options.Json = False) -> None:
     _print_map(load_map(map_file), map_file, as_json)
 
 
+@app.command()
+def update(
+    map_file: options.MapFile,
+    recording: Annotated[
+        Path, typer.Argument(metavar="RECORDING", help="A video, a folder of images, or a recording's folder.")
+    ],
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", metavar="MAP.rho", help="Where to; default: the map itself.")
+    ] = None,
+    poses: Annotated[
+        str | None,
+        typer.Option(
+            metavar="visual-inertial|visual|inertial|given",
+            help="Where frame poses come from, to be aligned to the map; default: its own poses, if it has any, else "
+            "each frame is localized in the map.",
+        ),
+    ] = None,
+    frames: options.Frames = None,
+    camera: options.Camera = None,
+    as_json: options.Json = False,
+) -> None:
+    """Learn a further recording of the same place into a map."""
+    from rholoc.mapping import UpdateOptions, update_map
+    from rholoc.maps import load_map
+    from rholoc.recordings import read_recording
+    from rholoc.trajectory import PoseMethod
+
+    update_options = UpdateOptions(None if poses is None else options.choice(PoseMethod, poses, "--poses"))
+    map_ = load_map(map_file)
+    with stage_progress() as progress:
+        updated = update_map(map_, read_recording(recording, camera=camera, frames=frames), update_options, progress)
+    _save(updated, out or map_file, as_json)
+
+
+@app.command()
+def merge(
+    map_file: options.MapFile,
+    other: Annotated[Path, typer.Argument(metavar="OTHER", help="The map (.rho) that is merged into its frame.")],
+    out: Annotated[Path, typer.Option("--out", "-o", metavar="MERGED.rho", help="Where to.")],
+    as_json: options.Json = False,
+) -> None:
+    """Merge two maps of rooms that overlap."""
+    from rholoc.mapping import merge_maps
+    from rholoc.maps import load_map
+
+    a, b = load_map(map_file), load_map(other)
+    with stage_progress() as progress:
+        merged = merge_maps(a, b, progress)
+    _save(merged, out, as_json)
+
+
+@app.command()
+def forget(
+    map_file: options.MapFile,
+    recording: Annotated[
+        str, typer.Argument(metavar="RECORDING", help="Its name or id, which `rholoc map info` lists as sources.")
+    ],
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", metavar="MAP.rho", help="Where to; default: the map itself.")
+    ] = None,
+    as_json: options.Json = False,
+) -> None:
+    """Take out of a map what it learned from a recording."""
+    from rholoc.mapping import forget_recording
+    from rholoc.maps import load_map
+
+    _save(forget_recording(load_map(map_file), recording), out or map_file, as_json)
+
+
 class ExportFormat(StrEnum):
     """What a map can be exported to."""
 
@@ -110,6 +179,13 @@ def export(
             content = preview_png(map_, title=map_file.stem)
     replace_file(target, content)
     print_notice(f"{target}: {len(content)} bytes.")
+
+
+def _save(map_: Map, target: Path, as_json: bool) -> None:
+    from rholoc.maps import save_map
+
+    save_map(map_, target)
+    _print_map(map_, target, as_json)
 
 
 def _print_map(map_: Map, path: Path, as_json: bool) -> None:

@@ -1,7 +1,7 @@
 """Durable mapping jobs: recordings on disk, the queue, and the workers that turn one into the other's maps."""
 
 from rholoc.jobs.embedded import EmbeddedWorker
-from rholoc.jobs.job import Job, JobOptions, JobState
+from rholoc.jobs.job import Job, JobKind, JobOptions, JobState
 from rholoc.jobs.pipeline import MappingPipeline, MappingTask, Pipeline
 from rholoc.jobs.queue import JobQueue
 from rholoc.jobs.recording_store import PendingRecording, RecordingEntry, RecordingStore
@@ -10,6 +10,7 @@ from rholoc.jobs.worker import Timing, Worker, run_worker
 __all__ = [
     "EmbeddedWorker",
     "Job",
+    "JobKind",
     "JobOptions",
     "JobQueue",
     "JobState",

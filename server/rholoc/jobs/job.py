@@ -11,21 +11,30 @@ from rholoc.progress import Stage
 from rholoc.trajectory import PoseMethod
 
 
+class JobKind(StrEnum):
+    """What a job does with its recording."""
+
+    BUILD = "build"  # a new map, in place of one of its name
+    UPDATE = "update"  # learn it into the map of the name
+
+
 @dataclass(frozen=True)
 class JobOptions:
-    """How a job builds its map.
+    """How a job builds or updates its map.
 
     Attributes:
+        kind: whether it builds or updates. An update keeps the map's own density and features.
         density: the form of the densities.
         features: the extractor's name.
-        poses: where frame poses come from.
+        poses: where frame poses come from; None leaves it to :class:`rholoc.mapping.BuildOptions` or ``UpdateOptions``.
         camera: intrinsics as users write them (``fx,fy,cx,cy`` and so on), or None to take the recording's own.
     """
 
     density: DensityKind = DensityKind.RAY
     features: str = DEFAULT_FEATURES
-    poses: PoseMethod = PoseMethod.VISUAL_INERTIAL
+    poses: PoseMethod | None = None
     camera: str | None = None
+    kind: JobKind = JobKind.BUILD
 
 
 class JobState(StrEnum):

@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import Protocol
 
 from rholoc.errors import InvalidMap, UnknownMap
-from rholoc.jobs.job import JobOptions
-from rholoc.mapping import BuildOptions, build_map
-from rholoc.maps import MapLibrary, load_map, save_map
+from rholoc.jobs.job import JobKind, JobOptions
+from rholoc.mapping import BuildOptions, UpdateOptions, build_map, update_map
+from rholoc.maps import Map, MapLibrary, load_map, save_map
 from rholoc.progress import ProgressListener, Stage
-from rholoc.recordings import read_recording
+from rholoc.recordings import Recording, read_recording
 
 
 @dataclass(frozen=True)
@@ -53,16 +53,15 @@ class MappingPipeline:
     """The pipeline of the service: recording → map → library."""
 
     def build(self, task: MappingTask, progress: ProgressListener) -> None:
-        """Read the recording, build its map and save it.
+        """Read the recording, build its map or learn it into the one there is, and save that.
 
-        Raises: as :func:`rholoc.recordings.read_recording` and :func:`rholoc.mapping.build_map` do.
+        Raises: as :func:`rholoc.recordings.read_recording`, and :func:`rholoc.mapping.build_map` or ``update_map`` do.
         """
         if task.map_file.exists():
             return
         progress(Stage.READ, 0.0, "reading the recording")
         recording = read_recording(task.recording, camera=task.options.camera, workdir=task.map_file.parent)
-        options = BuildOptions(density=task.options.density, features=task.options.features, poses=task.options.poses)
-        built = build_map([recording], options, progress)
+        built = _updated(task, recording, progress) if _updates(task) else _built(task, recording, progress)
         partial = task.map_file.with_name(f"{os.getpid()}-{task.map_file.name}")
         save_map(built, partial)
         partial.replace(task.map_file)
@@ -70,11 +69,31 @@ class MappingPipeline:
     def publish(self, task: MappingTask) -> None:
         """Put the map into the library unless the one of that name is already this one.
 
-        Raises: as :meth:`rholoc.maps.MapLibrary.put_file` does.
+        Raises:
+            Conflict: the map that was updated is not the one in the library any more.
+            InvalidName, InvalidMap, StorageFull, InvalidInput: as :meth:`rholoc.maps.MapLibrary.put_file` does.
         """
         library = MapLibrary(task.maps_dir)
-        if _published_id(library, task.map_name) != load_map(task.map_file).info.id:
+        map_ = load_map(task.map_file)
+        if _updates(task):
+            library.replace(task.map_name, map_)
+        elif _published_id(library, task.map_name) != map_.info.id:
             library.put_file(task.map_name, task.map_file)
+
+
+def _updates(task: MappingTask) -> bool:
+    return task.options.kind is JobKind.UPDATE
+
+
+def _built(task: MappingTask, recording: Recording, progress: ProgressListener) -> Map:
+    poses = task.options.poses or BuildOptions.poses
+    options = BuildOptions(density=task.options.density, features=task.options.features, poses=poses)
+    return build_map([recording], options, progress)
+
+
+def _updated(task: MappingTask, recording: Recording, progress: ProgressListener) -> Map:
+    map_ = MapLibrary(task.maps_dir).get(task.map_name)
+    return update_map(map_, recording, UpdateOptions(task.options.poses), progress)
 
 
 def _published_id(library: MapLibrary, name: str) -> str | None:

@@ -10,7 +10,7 @@ import sqlalchemy as sa
 
 from rholoc.errors import Conflict, UnknownJob
 from rholoc.jobs.database import jobs_table, workers_table
-from rholoc.jobs.job import Job, JobOptions, JobState
+from rholoc.jobs.job import Job, JobKind, JobOptions, JobState
 from rholoc.maps import DensityKind
 from rholoc.progress import Stage
 from rholoc.trajectory import PoseMethod
@@ -283,8 +283,9 @@ def _options(stored: dict[str, Any]) -> JobOptions:
     return JobOptions(
         density=DensityKind(stored["density"]),
         features=stored["features"],
-        poses=PoseMethod(stored["poses"]),
+        poses=PoseMethod(stored["poses"]) if stored["poses"] else None,
         camera=stored["camera"],
+        kind=JobKind(stored.get("kind", JobKind.BUILD)),  # jobs of before there were updates
     )
 
 

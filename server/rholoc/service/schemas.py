@@ -12,7 +12,7 @@ from rholoc.jobs import JobState
 from rholoc.localization import Dof, Reason
 from rholoc.maps import DensityKind
 from rholoc.progress import Stage
-from rholoc.trajectory import Scale
+from rholoc.trajectory import PoseMethod, Scale
 
 Vector3 = Annotated[list[float], Field(min_length=3, max_length=3)]
 Quaternion = Annotated[list[float], Field(min_length=4, max_length=4)]
@@ -275,6 +275,39 @@ class MapPatch(_In):
     model_config = ConfigDict(extra="forbid", frozen=True, json_schema_extra={"example": {"name": "ground-floor"}})
 
     name: str
+
+
+class UpdateIn(_In):
+    """A stored recording that a map is to learn."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, json_schema_extra={"example": {"recording": _RECORDING_ID}})
+
+    recording: str = Field(description="the recording's id")
+    poses: PoseMethod | None = Field(
+        default=None, description="where frame poses come from; default: its own, else each frame is localized"
+    )
+    camera: str | None = Field(
+        default=None, description="fx,fy,cx,cy[,k1,k2,p1,p2[,k3]] in pixels; default: the recording's own"
+    )
+
+
+class MergeIn(_In):
+    """Another map to merge with, and the name of the merged one."""
+
+    model_config = ConfigDict(
+        extra="forbid", frozen=True, json_schema_extra={"example": {"other": "kitchen", "into": "ground-floor"}}
+    )
+
+    other: str = Field(description="the map whose frame is given up")
+    into: str = Field(description="the name of the merged map; a map of that name is replaced")
+
+
+class ForgetIn(_In):
+    """A recording that a map is to forget."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, json_schema_extra={"example": {"source": "walk-1"}})
+
+    source: str = Field(description="its id or name in the map's sources")
 
 
 class MapReport(_Out):

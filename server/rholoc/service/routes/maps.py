@@ -19,18 +19,34 @@ from rholoc.errors import (
     InvalidInput,
     InvalidMap,
     InvalidName,
+    MappingFailed,
     RholocError,
     StorageFull,
     TooLarge,
     UnknownMap,
+    UnknownRecording,
 )
 from rholoc.features import get_extractor
 from rholoc.geometry import Camera
+from rholoc.jobs import JobKind, JobOptions
+from rholoc.mapping import check_memory, forget_recording, merge_maps
 from rholoc.maps import Map, MapLibrary, check_map_name, load_map, map_to_ply, map_to_vtp, preview_png
 from rholoc.service.bodies import save_body
 from rholoc.service.errors import InvalidRequest
 from rholoc.service.openapi import BINARY, failures, request_body
-from rholoc.service.schemas import CameraIn, MapDetail, MapList, MapPatch, MapReport, MapSummary
+from rholoc.service.routes.jobs import job_out
+from rholoc.service.schemas import (
+    CameraIn,
+    ForgetIn,
+    JobOut,
+    MapDetail,
+    MapList,
+    MapPatch,
+    MapReport,
+    MapSummary,
+    MergeIn,
+    UpdateIn,
+)
 from rholoc.service.state import Service
 from rholoc.trajectory import Scale
 
@@ -140,6 +156,50 @@ async def get_report(map_name: str, service: Service) -> MapReport:
     return MapReport(map=map_name, map_id=info.id, map_version=info.version, report=info.report)
 
 
+@router.post(
+    "/{map_name}/update",
+    status_code=202,
+    summary="Learn a recording into a map",
+    responses=failures(*_FAILURES, UnknownRecording, InvalidInput, InvalidRequest, StorageFull),
+)
+async def update_map(map_name: str, wanted: UpdateIn, service: Service, response: Response) -> JobOut:
+    """A job localizes the recording in the map and learns it; `Location` names the job. The next version of the map
+    takes the place of the present one when the job is done; a recording of another place changes nothing."""
+    await run_in_threadpool(_check_learns, service.library, map_name)
+    options = JobOptions(kind=JobKind.UPDATE, poses=wanted.poses, camera=wanted.camera)
+    job = await run_in_threadpool(service.jobs.submit, wanted.recording, map_name, options)
+    response.headers["Location"] = f"/v1/jobs/{job.id}"
+    return job_out(job)
+
+
+@router.post(
+    "/{map_name}/merge",
+    summary="Merge another map into a map's frame",
+    responses=failures(*_FAILURES, InvalidInput, InvalidRequest, MappingFailed, Conflict, Busy, StorageFull),
+)
+async def merge_map(map_name: str, wanted: MergeIn, service: Service) -> MapDetail:
+    """The merged map is published as `into`; both maps stay, unless `into` is one of them."""
+    into = check_map_name(wanted.into)
+    a = await run_in_threadpool(service.library.get, map_name)
+    b = await run_in_threadpool(service.library.get, wanted.other)
+    merged = await service.compute.run(lambda: merge_maps(a, b))
+    await run_in_threadpool(service.library.put, into, merged)
+    return await run_in_threadpool(_detail, service.library, into)
+
+
+@router.post(
+    "/{map_name}/forget",
+    summary="Forget a recording",
+    responses=failures(*_FAILURES, InvalidInput, InvalidRequest, Conflict, Busy, StorageFull),
+)
+async def forget_source(map_name: str, wanted: ForgetIn, service: Service) -> MapDetail:
+    """The map's next version is without what it learned from the recording, named by its id or name in `sources`."""
+    map_ = await run_in_threadpool(service.library.get, map_name)
+    left = await service.compute.run(lambda: forget_recording(map_, wanted.source))
+    await run_in_threadpool(service.library.replace, map_name, left)
+    return await run_in_threadpool(_detail, service.library, map_name)
+
+
 @router.get(
     "/{map_name}/preview.png",
     summary="A map from above",
@@ -153,6 +213,10 @@ async def get_preview(map_name: str, service: Service) -> Response:
     """Landmarks, the walk, waypoints."""
     map_ = await run_in_threadpool(service.library.get, map_name)
     return Response(await service.compute.run(lambda: preview_png(map_, title=map_name)), media_type="image/png")
+
+
+def _check_learns(library: MapLibrary, name: str) -> None:
+    check_memory(library.get(name), f"The map {name}")
 
 
 def _list(library: MapLibrary) -> MapList:

@@ -8,9 +8,10 @@ from fastapi import APIRouter, Request, Response
 from pydantic import BaseModel, ConfigDict, Field
 from starlette.concurrency import run_in_threadpool
 
-from rholoc.errors import InvalidInput, InvalidName, InvalidRecording, StorageFull, TooLarge
+from rholoc.errors import InvalidInput, InvalidMap, InvalidName, InvalidRecording, StorageFull, TooLarge, UnknownMap
 from rholoc.features import extractor_names, get_extractor
-from rholoc.jobs import JobOptions, PendingRecording
+from rholoc.jobs import JobKind, JobOptions, PendingRecording
+from rholoc.mapping import check_memory
 from rholoc.maps import DensityKind, check_map_name
 from rholoc.service.bodies import media_type, read_multipart
 from rholoc.service.errors import InvalidRequest, UnsupportedMediaType
@@ -32,9 +33,14 @@ class RecordingFields(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     map: Annotated[str, Field(description="the name of the map to publish")]
+    kind: JobKind = Field(default=JobOptions.kind, description="build a new map, or update the one of that name")
     features: str = Field(default=JobOptions.features, description="the extractor: " + ", ".join(extractor_names()))
     density: DensityKind = Field(default=JobOptions.density, description="the form of the densities")
-    poses: PoseMethod = Field(default=JobOptions.poses, description="where frame poses come from")
+    poses: PoseMethod | None = Field(
+        default=None,
+        description="where frame poses come from; default: visual-inertial; of an update: the recording's own, else "
+        "each frame is localized",
+    )
     camera: str | None = Field(
         default=None, description="fx,fy,cx,cy[,k1,k2,p1,p2[,k3]] in pixels; default: the recording's own"
     )
@@ -49,7 +55,12 @@ def _form_schema() -> dict[str, Any]:
             "enum": [kind.value for kind in DensityKind],
             "default": JobOptions.density.value,
         },
-        "poses": {"type": "string", "enum": [method.value for method in PoseMethod], "default": JobOptions.poses.value},
+        "kind": {"type": "string", "enum": [kind.value for kind in JobKind], "default": JobOptions.kind.value},
+        "poses": {
+            "type": "string",
+            "enum": [method.value for method in PoseMethod],
+            "description": fields["properties"]["poses"]["description"],
+        },
         "camera": {"type": "string", "description": fields["properties"]["camera"]["description"]},
     }
     files = {
@@ -68,7 +79,15 @@ def _form_schema() -> dict[str, Any]:
     status_code=202,
     summary="Upload a recording and map it",
     responses=failures(
-        InvalidRequest, InvalidName, InvalidInput, InvalidRecording, TooLarge, StorageFull, UnsupportedMediaType
+        InvalidRequest,
+        InvalidName,
+        InvalidInput,
+        InvalidRecording,
+        UnknownMap,
+        InvalidMap,
+        TooLarge,
+        StorageFull,
+        UnsupportedMediaType,
     ),
     openapi_extra=request_body(
         {"multipart/form-data": {"schema": _form_schema(), "example": {"map": "testsite", "features": "gray"}}}
@@ -84,10 +103,12 @@ async def upload_recording(request: Request, service: Service, response: Respons
         fields = await _receive(request, pending, service)
         check_map_name(fields.map)
         get_extractor(fields.features)
+        if fields.kind is JobKind.UPDATE:
+            check_memory(await run_in_threadpool(service.library.get, fields.map), f"The map {fields.map}")
         entry = await run_in_threadpool(pending.commit)
     finally:
         await run_in_threadpool(pending.abort)
-    options = JobOptions(fields.density, fields.features, fields.poses, fields.camera)
+    options = JobOptions(fields.density, fields.features, fields.poses, fields.camera, fields.kind)
     try:
         job = await run_in_threadpool(service.jobs.submit, entry.id, fields.map, options)
     except Exception:
