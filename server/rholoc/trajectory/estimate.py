@@ -29,6 +29,7 @@ _FEWEST_FEATURES = 50  # in a keyframe that can be placed
 _MAX_SCALE_SIGMA = 0.1  # relative; an IMU scale less certain than this is no scale
 _GRAVITY_SIGMA_DEG = 0.5
 _NO_ROLL_SIGMA_DEG = 1.5
+_MAX_GIVEN_TILT_DEG = 5.0  # of given poses that count as upright
 _MAX_TILT_DEG = 15.0  # between the waypoints' z axis and the measured up, above which they are not the same
 _MAX_WAYPOINT_RESIDUAL_M = 0.1  # of a trajectory that is trusted
 _MAX_CONTRADICTION = 0.2  # the share of intervals in which camera and gyroscope may differ
@@ -64,15 +65,27 @@ def _given(recording: Recording) -> Trajectory:
     rows = np.flatnonzero(recording.poses.known)
     if len(rows) < _FEWEST_GIVEN:
         raise InvalidRecording(f"{len(rows)} frames of the recording have a pose; too few for a map.", hint)
+    T_map_camera = recording.poses.T_map_camera[rows]
+    upright, up = _is_upright(T_map_camera[:, :3, :3])
+    report = {
+        "method": PoseMethod.GIVEN.value,
+        "frames": len(rows),
+        "trusted": True,
+        "why": "The poses were given.",
+        "up": up,
+    }
     return Trajectory(
-        rows=rows,
-        times=recording.frames.times[rows],
-        T_map_camera=recording.poses.T_map_camera[rows],
-        camera=_known_camera(recording),
-        scale=Scale.METRIC,
-        upright=True,
-        report={"method": PoseMethod.GIVEN.value, "frames": len(rows), "trusted": True, "why": "The poses were given."},
+        rows, recording.frames.times[rows], T_map_camera, _known_camera(recording), Scale.METRIC, upright, report
     )
+
+
+def _is_upright(R_map_camera: FloatArray) -> tuple[bool, str]:
+    """Whether the cameras of given poses (K, 3, 3) do not roll about the map's own z axis, and what to say of it."""
+    prior = up_without_roll(R_map_camera)
+    if not prior.holds:
+        return False, f"Unknown; the cameras roll by {prior.roll_deg:.1f}°, so nothing shows whether z is up."
+    tilt_deg = float(np.degrees(np.arccos(np.clip(prior.direction[2], -1, 1))))
+    return tilt_deg <= _MAX_GIVEN_TILT_DEG, f"By the no-roll prior, z is {tilt_deg:.1f}° off the upward direction."
 
 
 def _inertial(recording: Recording, progress: ProgressListener) -> Trajectory:
