@@ -2,8 +2,8 @@
 
     OMP_NUM_THREADS=1 python benchmarks/scaling.py [--features 1000,10000,100000]
 
-Maps are synthetic: rooms of points side by side, each seen from views of its own, as a building's rooms are. Prints, for each
-size, the file's bytes, the memory that map and index take, and milliseconds of localization by stage, one thread.
+Maps are synthetic: rooms of points side by side, each seen from views of its own, as a building's rooms are. For each
+size it prints the file's bytes, the memory at its peak, and milliseconds of localization by stage, on one thread.
 """
 
 from __future__ import annotations
