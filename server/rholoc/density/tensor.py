@@ -91,8 +91,8 @@ class TensorDensities:
         return local_frames(self.directions)
 
     def take(self, rows: IntArray) -> TensorDensities:
-        """The densities at ``rows``, in that order, their coefficients in double precision for fast evaluation."""
-        coefficients = self.coefficients[rows].astype(np.float64)
+        """The densities at ``rows``, in that order."""
+        coefficients = self.coefficients[rows]
         taken = TensorDensities(self.degree, coefficients, self.landmarks[rows], self.places[rows], self.radii[rows])
         taken.__dict__["R_local_map"] = self.R_local_map[rows]
         return taken
@@ -314,8 +314,9 @@ def upright_axes(headings: FloatArray) -> FloatArray:
 def _peaks(densities: TensorDensities, local: _Local) -> Peaks:
     plane_powers, position_powers, heading_powers = kept_powers(densities.degree)
     count, (u_, x_, h_) = len(densities), densities.coefficients.shape[1:]
-    by_heading = monomial_derivatives(heading_powers, local.heading)  # (T, H, 4)
-    by_position = monomial_derivatives(position_powers, local.position)  # (T, X, 4)
+    precision = densities.coefficients.dtype
+    by_heading = monomial_derivatives(heading_powers, local.heading).astype(precision)  # (T, H, 4)
+    by_position = monomial_derivatives(position_powers, local.position).astype(precision)  # (T, X, 4)
     by_plane = _plane_derivatives(plane_powers, local.plane)  # (T, 6, U)
     # the GEMM: every coefficient once, for the values and the derivatives by the heading
     turned = (densities.coefficients.reshape(count, u_ * x_, h_) @ by_heading).reshape(count, u_, x_, 4)
@@ -330,14 +331,16 @@ def _peaks(densities: TensorDensities, local: _Local) -> Peaks:
     determinant = hessian[:, 0, 0] * hessian[:, 1, 1] - hessian[:, 0, 1] ** 2
     peaked = (hessian[:, 0, 0] < 0) & (determinant > 0)
     safe = np.where(peaked[:, None, None], hessian, -np.eye(2))
+    adjugate = safe[:, ::-1, ::-1] * np.array([[1, -1], [-1, 1]])
+    inverse = adjugate / np.where(peaked, determinant, 1.0)[:, None, None]
     slope_by_motion = slope_by_motion + hessian @ local.plane_jacobian
-    offset = np.linalg.solve(safe, slope[..., None])[..., 0]
+    offset = (inverse @ slope[..., None])[..., 0]
     curved = np.einsum("tijp,tj->tip", hessian_by_motion, offset)
     return Peaks(
         value=both[:, 0, 0],
         gradient=by_motion[:, 0] + np.einsum("ti,tip->tp", slope, local.plane_jacobian),
         offset=offset,
-        offset_jacobian=np.linalg.solve(safe, slope_by_motion - curved),
+        offset_jacobian=inverse @ (slope_by_motion - curved),
         fall=-safe / 2,
         drop=-np.einsum("ti,ti->t", offset, slope) / 2,
         drop_gradient=-np.einsum("ti,tip->tp", offset, slope_by_motion) + np.einsum("ti,tip->tp", offset, curved) / 2,

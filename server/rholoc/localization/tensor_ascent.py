@@ -27,6 +27,7 @@ from rholoc.maps.tensor_arrays import tensors_of
 _ITERATIONS = 4
 _REACH = 2.0  # in tolerances: how far off a feature may be to be listened to while one tolerance holds
 _STEP_M, _STEP_RAD = 0.5, 0.3
+_NEARLY_SETTLED, _SETTLED = 1e-4, 1e-5  # metres or radians: steps that end a tolerance, and the last one
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,12 +139,13 @@ def ascend_tensors(
     A step divides the exact gradient by the curvature that the polynomials' own peaks have (Gauss–Newton).
     """
     T = upright(T_map_camera) if dof is Dof.UPRIGHT else T_map_camera
-    for tolerance_px in tolerances_px:
+    for stage, tolerance_px in enumerate(tolerances_px, start=1):
+        settled = _SETTLED if stage == len(tolerances_px) else _NEARLY_SETTLED
         voices = _Voices.of(index, matches, evidence, T, _REACH * tolerance_px)
         for _ in range(_ITERATIONS):
             step = _step(voices, T, tolerance_px, dof)
             T = moved(T, step, dof)
-            if np.abs(step).max() < 1e-5:
+            if np.abs(step).max() < settled:
                 break
     voices = _Voices.of(index, matches, evidence, T, _REACH * tolerances_px[-1])
     density = np.zeros(len(matches))
@@ -176,8 +178,9 @@ def _step(voices: _Voices, T: FloatArray, tolerance_px: float, dof: Dof) -> Floa
     weight = _weights(voices, fall, density)
     slope = -(weight @ peaks.drop_gradient) @ axes
     J = peaks.offset_jacobian @ axes
-    curvature = 2 * np.einsum("k,krp,krs,ksq->pq", weight, J, peaks.fall, J, optimize=True)
-    size = len(curvature)
+    size = J.shape[2]
+    weighted = (2 * weight[:, None, None]) * (peaks.fall @ J)
+    curvature = J.reshape(-1, size).T @ weighted.reshape(-1, size)
     step = np.linalg.solve(curvature + (1e-6 * np.trace(curvature) / size + 1e-12) * np.eye(size), slope)
     length = max(float(np.linalg.norm(step[:3])) / _STEP_M, float(np.linalg.norm(step[3:])) / _STEP_RAD, 1.0)
     return np.asarray(step / length)
