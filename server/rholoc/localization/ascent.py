@@ -182,8 +182,7 @@ def _residuals(
     # ∂e/∂x = −(R E)ᵀ; a rotation δ from the left turns m − x by −δ: ∂e/∂δ = (R E)ᵀ [m − x]×
     J = np.empty((len(offset), 2, 6))
     J[:, :, :3] = -across_map.transpose(0, 2, 1)
-    J[:, 0, 3:] = np.cross(across_map[:, :, 0], offset)
-    J[:, 1, 3:] = np.cross(across_map[:, :, 1], offset)
+    J[:, :, 3:] = _cross(across_map.transpose(0, 2, 1), offset[:, None])
     variance = _mean_variance(evidence.covariances)
     tolerance = (tolerance_px / evidence.focal_px * along) ** 2 + variance
     density = np.where(along > 0, np.maximum(1 - (residual**2).sum(axis=1) / tolerance, 0), 0)
@@ -206,3 +205,9 @@ def moved(T: FloatArray, step: FloatArray, dof: Dof) -> FloatArray:
 def _mean_variance(covariances: FloatArray) -> FloatArray:
     """The variance (M,) along an axis, on the mean over all axes, of covariances (M, 3, 3)."""
     return np.asarray(np.trace(covariances, axis1=1, axis2=2) / 3)
+
+
+def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
+    """a × b of (..., 3); several times faster than NumPy's own on the few hundred vectors of a step."""
+    (ax, ay, az), (bx, by, bz) = np.moveaxis(a, -1, 0), np.moveaxis(b, -1, 0)
+    return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=-1)
