@@ -1,0 +1,76 @@
+"""The whole path, nothing mocked: a recording is uploaded, a worker maps it, a frame gets its pose."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from rholoc.simulation import (
+    PHONE_CAMERA,
+    Light,
+    make_blank_wall,
+    make_test_site,
+    make_walk,
+    render_view,
+    simulate_recording,
+)
+from rholoc_client import Client, JobFailed
+
+MAP_SECONDS = np.arange(0.0, 7.0, 0.14)
+QUERY_SECONDS = (1.07, 3.03, 5.11)
+
+
+@pytest.fixture(scope="module")
+def site():
+    return make_test_site(0)
+
+
+@pytest.fixture(scope="module")
+def recording(site, tmp_path_factory) -> Path:
+    """Fifty rendered frames with their true poses, as a folder."""
+    folder = tmp_path_factory.mktemp("walk")
+    (folder / "frames").mkdir()
+    rows = []
+    for number, pose in enumerate(make_walk(1).poses(MAP_SECONDS)):
+        image = render_view(site, PHONE_CAMERA, pose, Light.ARTIFICIAL, seed=number)
+        cv2.imwrite(str(folder / "frames" / f"frame-{number:04d}.jpg"), image)
+        rows.append([number, *pose.position, *pose.quaternion_xyzw])
+    np.savetxt(folder / "poses.txt", rows)
+    camera = PHONE_CAMERA
+    intrinsics = {"width": camera.width, "height": camera.height, "fx": camera.fx, "fy": camera.fy}
+    (folder / "camera.json").write_text(json.dumps({**intrinsics, "cx": camera.cx, "cy": camera.cy, "distortion": []}))
+    return folder
+
+
+@pytest.mark.slow
+def test_a_recording_becomes_a_map_and_a_frame_becomes_a_pose(serve, site, recording):
+    running = serve(worker=True)
+    seen: list[str] = []
+    with Client(running.url, timeout_s=60) as client:
+        job = client.upload_recording(recording, "site", poses="given")
+        ended = client.wait_for_job(job.id, timeout_s=200, poll_s=0.1, progress=lambda now: seen.append(str(now.stage)))
+        assert str(ended.state) == "published"
+        assert len(set(seen)) >= 3
+        assert [one.name for one in client.maps()] == ["site"]
+        for number, pose in enumerate(make_walk(1).poses(np.array(QUERY_SECONDS))):
+            image = render_view(site, PHONE_CAMERA, pose, Light.ARTIFICIAL, seed=900 + number)
+            answer = client.localize("site", cv2.imencode(".jpg", image)[1].tobytes(), dof=6)
+            assert answer.localized
+            assert np.linalg.norm(np.array(answer.pose.position) - pose.position) < 0.05
+
+
+@pytest.mark.slow
+def test_a_blank_wall_fails_its_job_and_says_what_to_do(serve, tmp_path):
+    simulate_recording(tmp_path / "wall", scene=make_blank_wall(), seconds=2.0, fps=10.0)
+    running = serve(worker=True)
+    with Client(running.url, timeout_s=60) as client:
+        job = client.upload_recording(tmp_path / "wall", "wall")
+        with pytest.raises(JobFailed) as failed:
+            client.wait_for_job(job.id, timeout_s=120, poll_s=0.1)
+        assert failed.value.code == "mapping_failed"
+        assert failed.value.hint
+        assert client.maps() == []
