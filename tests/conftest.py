@@ -6,7 +6,7 @@ import os
 import socket
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,8 +17,12 @@ import numpy as np
 import pytest
 import uvicorn
 
-from rholoc.features import FeatureSet, get_extractor
+from rholoc.features import FeatureSet, Metric, get_extractor
 from rholoc.geometry import ByteArray, Camera, FloatArray, Pose
+from rholoc.mapping.assembly import assemble
+from rholoc.mapping.landmarks import select_stable, triangulate
+from rholoc.mapping.memory import source_camera, with_landmarks
+from rholoc.mapping.observations import Views, link_observations
 from rholoc.maps import DensityKind, Map, MapInfo, map_to_bytes
 
 if TYPE_CHECKING:
@@ -139,6 +143,17 @@ class PointRoom:
             )
             for t in turns
         ]
+
+    def map_of(self, poses: Sequence[Pose], name: str) -> Map:
+        """The map of a recording called ``name``, of cameras at known poses."""
+        T = np.array([pose.T_map_camera for pose in poses])
+        seen = [self.see(pose, seed) for seed, pose in enumerate(poses)]
+        views = Views.from_features([self.camera] * len(T), T, np.arange(len(T)) / 10, seen)
+        landmarks = select_stable(views, triangulate(views, link_observations(views, Metric.HAMMING)), 300)
+        source = {"id": f"{name}-id", "name": name, "camera": source_camera(self.camera)}
+        kind = DensityKind.RAY
+        info = MapInfo("0" * 32, 1, kind, "gray", True, True, "2026-01-01T00:00:00Z", self.camera, (source,))
+        return with_landmarks(assemble(info, views, landmarks, np.zeros(len(T), dtype=np.int64), Metric.HAMMING))
 
 
 @pytest.fixture(scope="session")

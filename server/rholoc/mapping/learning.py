@@ -18,7 +18,7 @@ from rholoc.mapping.joining import join
 from rholoc.mapping.landmarks import Landmarks, extend_and_merge, select_stable, triangulate
 from rholoc.mapping.memory import check_memory, recording_id, source_camera
 from rholoc.mapping.observations import Views, link_observations
-from rholoc.mapping.registration import MIN_FOUND, Alignment, align_to_found, find_frames
+from rholoc.mapping.registration import MIN_FOUND, SURE, Alignment, align_to_found, find_frames, without_jumps
 from rholoc.mapping.views import choose_views
 from rholoc.maps import Map, MapInfo
 from rholoc.progress import ProgressListener, Stage, silent
@@ -78,7 +78,7 @@ def update_map(
     if any(source["id"] == id_ for source in map_.info.sources):
         raise Conflict(f"The map has learned {recording.name} already.", "Forget it first, to learn it anew.")
     known = ray_form(map_)
-    localizer = Localizer(known)
+    localizer = Localizer(known, min_confidence=SURE)
     method = options.poses or (PoseMethod.GIVEN if recording.poses is not None else None)
     if method is None:
         walk = _localized_walk(localizer, recording, progress)
@@ -117,6 +117,7 @@ def _localized_walk(localizer: Localizer, recording: Recording, progress: Progre
     features = _features(localizer, recording, rows, progress)
     frames = [(camera, one) for one in features]
     found = find_frames(localizer, frames, np.arange(len(rows)), recording.name, progress)
+    found = without_jumps(found, times[rows], recording.name)
     views = found.rows[choose_views(found.T_map_camera[found.rows], hold_out=False, step=_VIEW_STEP)[0]]
     figures = {"frames_tried": found.tried, "frames_found": len(found.rows)}
     return _Walk(

@@ -26,7 +26,7 @@ from rholoc.mapping.memory import (
     view_transforms,
     with_landmarks,
 )
-from rholoc.mapping.registration import align_to_found, find_frames
+from rholoc.mapping.registration import SURE, align_to_found, find_frames
 from rholoc.maps import DensityKind, Map
 from rholoc.progress import ProgressListener, Stage, silent
 from rholoc.trajectory.alignment import Similarity
@@ -54,7 +54,7 @@ def merge_maps(a: Map, b: Map, progress: ProgressListener = silent) -> Map:
     if all(source["id"] in shared for source in b.info.sources):
         raise Conflict("The first map has learned all that the second has.", "There is nothing to merge.")
     b = _without_shared(ray_form(b), shared)
-    localizer = Localizer(ray_form(a))
+    localizer = Localizer(ray_form(a), min_confidence=SURE)
     frames, own = _frames(b), view_transforms(b)
     tried = np.unique(np.linspace(0, len(frames) - 1, _MAX_LOCALIZED).round().astype(np.int64))
     found = find_frames(localizer, frames, tried, "The second map", progress)

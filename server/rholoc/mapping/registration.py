@@ -15,9 +15,13 @@ from rholoc.localization import Dof, Localizer, Prior, Query
 from rholoc.progress import ProgressListener, Stage, silent
 from rholoc.trajectory.alignment import Similarity
 
+SURE = 0.8  # the confidence asked of a frame that a map is to be learned from
 _PROBES = 12  # frames, spread over all, by which a recording of another place is told at once
 MIN_FOUND = 5
 _MIN_SHARE = 0.1
+_MAX_GAP_S = 2.0  # between frames found, beyond which one says nothing of the other
+_JUMP_M, _JUMP_RAD = 0.1, np.deg2rad(5.0)  # of two poses without any motion
+_MAX_SPEED_M_PER_S, _MAX_TURN_RAD_PER_S = 2.0, np.deg2rad(180.0)
 _ROUNDS = 10
 _MAX_MEDIAN_M = 0.1  # of the localized positions against the aligned ones
 _MAX_MEDIAN_RAD = np.deg2rad(3.0)
@@ -67,10 +71,35 @@ def find_frames(
             _localize(localizer, frames, row, T, last)
         last = row if np.isfinite(T[row, 0, 0]) else last
         progress(Stage.POSES, (done + 1) / len(rows), f"{done + 1} of {len(rows)} frames looked for in the map")
-    found = Found(T, len(rows))
-    if len(found.rows) < max(MIN_FOUND, _MIN_SHARE * len(rows)):
-        raise _elsewhere(len(found.rows), len(rows), what)
-    return found
+    return _enough(Found(T, len(rows)), what)
+
+
+def without_jumps(found: Found, times: FloatArray, what: str) -> Found:
+    """Only the frames that a camera in a hand could have reached from the one found before or after.
+
+    Frames of another place that are taken for one of the map's lie anywhere in it; those of a walk do not.
+
+    Args:
+        found: K frames.
+        times: (K,) seconds.
+        what: names the recording to users.
+
+    Raises:
+        MappingFailed: hardly any frame is left.
+    """
+    rows = found.rows
+    T, elapsed_s = found.T_map_camera[rows], np.diff(times[rows])
+    moved = np.linalg.norm(np.diff(T[:, :3, 3], axis=0), axis=1)
+    turned = Rotation.from_matrix(np.swapaxes(T[:-1, :3, :3], 1, 2) @ T[1:, :3, :3]).magnitude()
+    reached = (
+        (elapsed_s <= _MAX_GAP_S)
+        & (moved <= _JUMP_M + _MAX_SPEED_M_PER_S * elapsed_s)
+        & (turned <= _JUMP_RAD + _MAX_TURN_RAD_PER_S * elapsed_s)
+    )
+    kept = np.append(reached, False) | np.append(False, reached)
+    left = np.full_like(found.T_map_camera, np.nan)
+    left[rows[kept]] = T[kept]
+    return _enough(Found(left, found.tried), what)
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,6 +185,12 @@ def _localize(
     answer = localizer.localize(query)
     if answer.pose is not None:
         T[row] = answer.pose.T_map_camera
+
+
+def _enough(found: Found, what: str) -> Found:
+    if len(found.rows) < max(MIN_FOUND, _MIN_SHARE * found.tried):
+        raise _elsewhere(len(found.rows), found.tried, what)
+    return found
 
 
 def _elsewhere(found: int, tried: int, what: str) -> MappingFailed:

@@ -1,0 +1,77 @@
+"""``rholoc map update``, ``merge`` and ``forget``."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from rholoc.cli import main
+from rholoc.maps import load_map, save_map
+
+Run = Callable[..., tuple[int, str, str]]
+
+
+@pytest.fixture
+def rholoc(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Run:
+    """Runs ``rholoc map``: arguments → (exit status, standard output, standard error)."""
+
+    def run(*arguments: object) -> tuple[int, str, str]:
+        monkeypatch.setattr(sys, "argv", ["rholoc", "map", *map(str, arguments)])
+        try:
+            main()
+            status: Any = 0
+        except SystemExit as ended:
+            status = ended.code or 0
+        printed = capsys.readouterr()
+        return int(status), printed.out, printed.err
+
+    return run
+
+
+@pytest.fixture
+def maps(tmp_path: Path, point_room: Any) -> Path:
+    """A folder with two maps that overlap."""
+    walk = point_room.walk(80)
+    save_map(point_room.map_of(walk[:45], "first"), tmp_path / "west.rho")
+    save_map(point_room.map_of(walk[25:65], "second"), tmp_path / "east.rho")
+    return tmp_path
+
+
+def test_maps_are_merged_and_a_recording_is_forgotten(rholoc: Run, maps: Path) -> None:
+    before = load_map(maps / "west.rho")
+    status, out, err = rholoc("merge", maps / "west.rho", maps / "east.rho", "-o", maps / "both.rho", "--json")
+    assert (status, err) == (0, "")
+    figures = json.loads(out)
+    assert [source["name"] for source in figures["sources"]] == ["first", "second"]
+    assert figures["report"]["learned"][0]["features_in_both"] > 50
+    status, out, err = rholoc("forget", maps / "both.rho", "second", "--json")
+    assert (status, err, json.loads(out)["version"]) == (0, "", 3)
+    np.testing.assert_allclose(load_map(maps / "both.rho").landmarks, before.landmarks, rtol=0, atol=1e-6)
+
+
+def test_refusals_are_one_line_and_leave_the_map(rholoc: Run, maps: Path) -> None:
+    walk = maps / "walk"
+    walk.mkdir()
+    for number in range(8):
+        noise = np.random.default_rng(number).integers(0, 256, (480, 640), dtype=np.uint8)
+        cv2.imwrite(str(walk / f"{number:04d}.png"), noise)
+    content = (maps / "west.rho").read_bytes()
+    for arguments, said in (
+        (("forget", maps / "west.rho", "attic"), "It learned from: first (first-id)"),
+        (("update", maps / "west.rho", walk), "0 of 5 frames were found"),
+        (("update", maps / "west.rho", maps / "nowhere.mp4"), "nowhere.mp4"),
+        (("merge", maps / "west.rho", maps / "west.rho", "-o", maps / "new.rho"), "nothing to merge"),
+    ):
+        status, out, err = rholoc(*arguments)
+        assert (status, out) == (1, ""), err
+        assert said in err
+        assert err.count("\n") == 1
+    assert (maps / "west.rho").read_bytes() == content
+    assert not (maps / "new.rho").exists()

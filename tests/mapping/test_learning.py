@@ -1,0 +1,260 @@
+"""Recordings and maps that find their place in a map and are learned, and those that do not and are refused."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from copy import deepcopy
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
+
+from rholoc.errors import Conflict, InvalidInput, InvalidMap, MappingFailed
+from rholoc.features import FeatureSet
+from rholoc.geometry import ByteArray, FloatArray, IntArray, Pose
+from rholoc.localization import Dof, Localizer, Query
+from rholoc.mapping import check_memory, forget_recording, learning, merge_maps, update_map
+from rholoc.mapping.merging import moved_map
+from rholoc.mapping.tensor_fit import fit_map_tensors
+from rholoc.maps import DensityKind, Map, load_map, save_map
+from rholoc.maps.validation import ARRAY_NAMES
+from rholoc.recordings import GivenPoses, Recording
+from rholoc.trajectory.alignment import Similarity
+
+TURN = Similarity(1.0, Rotation.from_euler("z", 70, degrees=True).as_matrix(), np.array([4.0, -1.0, 0.2]))
+
+
+@dataclass(frozen=True, eq=False)
+class NumberedFrames:
+    """Frames whose images are their own numbers, which :class:`SeesPoints` turns into features."""
+
+    first: int
+    count: int
+
+    @property
+    def times(self) -> FloatArray:
+        return np.arange(self.count) / 10 + self.first
+
+    @property
+    def numbers(self) -> IntArray:
+        return np.arange(self.count)
+
+    @property
+    def size(self) -> tuple[int, int]:
+        return 640, 480
+
+    def images(self, rows: Sequence[int]) -> Iterator[ByteArray]:
+        for row in rows:
+            yield np.array([[[self.first, row, 0]]], dtype=np.uint8)
+
+
+@dataclass(frozen=True, eq=False)
+class SeesPoints:
+    """An extractor to which a numbered frame is what a camera at that pose of its walk sees of the room."""
+
+    room: Any
+    walks: dict[int, list[Pose]]
+
+    def extract(self, image: ByteArray) -> FeatureSet:
+        first, row, _ = image[0, 0].tolist()
+        return self.room.see(self.walks[first][row], seed=1000 * first + row)
+
+
+def walk_of(room: Any, first: int, poses: Sequence[Pose]) -> Recording:
+    """A recording of a walk, its poses unknown."""
+    return Recording(f"walk-{first}", Path(f"walk-{first}"), NumberedFrames(first, len(poses)), room.camera)
+
+
+def with_poses(recording: Recording, poses: Sequence[Pose], similarity: Similarity) -> Recording:
+    """The recording with poses of its own, in another frame."""
+    T = similarity.poses(np.array([pose.T_map_camera for pose in poses]))
+    return replace(recording, poses=GivenPoses(np.ones(len(T), dtype=bool), T))
+
+
+@dataclass(frozen=True, eq=False)
+class Walks:
+    """The first half of a walk as a map, and the part from its middle on as a further walk."""
+
+    room: Any
+    map_: Map
+    poses: list[Pose]
+    recording: Recording
+
+
+@pytest.fixture(scope="module")
+def walks(point_room: Any) -> Walks:
+    whole = point_room.walk(80)
+    further = point_room.walk(80, sideways_m=0.15)[25:65]
+    return Walks(point_room, point_room.map_of(whole[:45], "first"), further, walk_of(point_room, 2, further))
+
+
+@pytest.fixture(autouse=True)
+def _points_are_features(walks: Walks, monkeypatch: pytest.MonkeyPatch) -> None:
+    extractor = SeesPoints(walks.room, {2: walks.poses})
+    monkeypatch.setattr(learning, "get_extractor", lambda _name: extractor)
+
+
+@pytest.fixture(scope="module")
+def another_room(point_room: Any) -> Any:
+    """The same walls with other points on them."""
+    rng = np.random.default_rng(99)
+    return replace(
+        point_room,
+        points=rng.permutation(point_room.points) * [1, 1, 0.9],
+        descriptors=rng.integers(0, 256, point_room.descriptors.shape, dtype=np.uint8),
+    )
+
+
+def assert_untouched(map_: Map, before: Map) -> None:
+    assert map_.info == before.info
+    for name in ARRAY_NAMES:
+        np.testing.assert_array_equal(getattr(map_, name), getattr(before, name))
+    for name, array in before.extras.items():
+        np.testing.assert_array_equal(map_.extras[name], array)
+
+
+def off_the_points(map_: Map, room: Any) -> float:
+    """The median distance of the map's landmarks from the room's points, metres."""
+    return float(np.median(cKDTree(room.points).query(map_.landmarks)[0]))
+
+
+def localized_share(map_: Map, room: Any, poses: Sequence[Pose]) -> float:
+    """The share of poses found to 5 cm."""
+    localizer, good = Localizer(map_), 0
+    for seed, pose in enumerate(poses):
+        answer = localizer.localize(Query(room.see(pose, 77 + seed), room.camera, Dof.FREE))
+        good += answer.pose is not None and float(np.linalg.norm(answer.pose.position - pose.position)) < 0.05
+    return good / len(poses)
+
+
+def test_a_recording_registers_itself_and_the_map_grows(walks: Walks, tmp_path: Path) -> None:
+    before = deepcopy(walks.map_)
+    updated = update_map(walks.map_, walks.recording)
+    assert_untouched(walks.map_, before)
+    assert (updated.info.id, updated.info.version) == (walks.map_.info.id, 2)
+    assert [source["name"] for source in updated.info.sources] == ["first", "walk-2"]
+    assert len(updated) > len(walks.map_)
+    assert off_the_points(updated, walks.room) < 0.03
+    assert updated.info.report["learned"][0]["features_seen_again"] > 100
+    save_map(updated, tmp_path / "updated.rho")
+    check_memory(load_map(tmp_path / "updated.rho"), "The map")
+    nearby = walks.room.walk(80, sideways_m=0.1)[30:50:5]
+    assert localized_share(updated, walks.room, nearby) >= localized_share(walks.map_, walks.room, nearby)
+
+
+def test_a_trajectory_of_its_own_reaches_beyond_the_map(walks: Walks) -> None:
+    updated = update_map(walks.map_, with_poses(walks.recording, walks.poses, TURN))
+    views = updated.view_poses[len(walks.map_.view_poses) :]
+    true = np.array([pose.position for pose in walks.poses])
+    assert len(views) > 20
+    assert cKDTree(true).query(views[:, :3])[0].max() < 0.03
+    assert off_the_points(updated, walks.room) < 0.03
+    beyond = walks.room.walk(80, sideways_m=0.1)[54:62:2]
+    assert localized_share(walks.map_, walks.room, beyond) < localized_share(updated, walks.room, beyond) == 1
+
+
+def test_forgetting_undoes_an_update(walks: Walks) -> None:
+    updated = update_map(walks.map_, walks.recording)
+    left = forget_recording(updated, "walk-2")
+    assert left.info.version == 3
+    assert left.info.sources == walks.map_.info.sources
+    np.testing.assert_allclose(left.landmarks, walks.map_.landmarks, rtol=0, atol=1e-6)
+    np.testing.assert_array_equal(left.descriptors, walks.map_.descriptors)
+    other = forget_recording(updated, "first-id")
+    assert 0 < len(other) < len(updated)
+    assert off_the_points(other, walks.room) < 0.03
+
+
+def test_a_tensor_map_goes_on_learning_and_forgets(walks: Walks) -> None:
+    tensor = fit_map_tensors(walks.map_, 1)
+    updated = update_map(tensor, walks.recording)
+    assert updated.info.density is DensityKind.TENSOR
+    assert len(np.unique(updated.extras["tensor_features"])) == len(updated) > len(tensor)
+    assert forget_recording(updated, "walk-2").info.density is DensityKind.TENSOR
+
+
+def test_a_recording_of_another_room_is_refused(walks: Walks, another_room: Any, monkeypatch: Any) -> None:
+    monkeypatch.setattr(learning, "get_extractor", lambda _name: SeesPoints(another_room, {2: walks.poses}))
+    before = deepcopy(walks.map_)
+    with pytest.raises(MappingFailed, match=r"0 of 12 frames were found"):
+        update_map(walks.map_, walks.recording)
+    assert_untouched(walks.map_, before)
+
+
+def test_a_trajectory_of_wrong_scale_is_refused_and_told_by_how_much(walks: Walks) -> None:
+    stretched = with_poses(walks.recording, walks.poses, Similarity(1.5, np.eye(3), np.zeros(3)))
+    with pytest.raises(MappingFailed, match=r"disagree: \d+ cm .* units of length differ by 3\d%"):
+        update_map(walks.map_, stretched)
+
+
+def test_a_recording_is_learned_once(walks: Walks) -> None:
+    updated = update_map(walks.map_, walks.recording)
+    with pytest.raises(Conflict, match="already"):
+        update_map(updated, walks.recording)
+
+
+def test_a_map_without_memory_is_refused_and_a_broken_memory_too(walks: Walks) -> None:
+    with pytest.raises(InvalidInput, match="remember"):
+        update_map(replace(walks.map_, extras={}), walks.recording)
+    broken = walks.map_.extras | {"view_sources": walks.map_.extras["view_sources"] + 1}
+    with pytest.raises(InvalidMap, match="contradicts"):
+        forget_recording(replace(walks.map_, extras=broken), "first")
+
+
+def test_what_was_never_learned_cannot_be_forgotten(walks: Walks) -> None:
+    with pytest.raises(InvalidInput, match=r"never learned from attic\. It learned from: first \(first-id\)"):
+        forget_recording(walks.map_, "attic")
+    with pytest.raises(Conflict, match="all that the map was learned from"):
+        forget_recording(walks.map_, "first")
+
+
+def test_a_name_that_several_recordings_have_is_not_enough(walks: Walks) -> None:
+    updated = update_map(walks.map_, replace(walks.recording, name="first"))
+    with pytest.raises(InvalidInput, match="2 recordings named first"):
+        forget_recording(updated, "first")
+    assert len(forget_recording(updated, "first-id").info.sources) == 1
+
+
+def test_maps_that_overlap_are_merged_in_the_frame_of_the_first(walks: Walks) -> None:
+    other = moved_map(walks.room.map_of(walks.poses, "second"), TURN)
+    merged = merge_maps(walks.map_, other)
+    assert [source["name"] for source in merged.info.sources] == ["first", "second"]
+    assert merged.info.id not in (walks.map_.info.id, other.info.id)
+    assert off_the_points(merged, walks.room) < 0.03
+    assert len(walks.map_) < len(merged) < len(walks.map_) + len(other) - 100  # what both know is one
+    left = forget_recording(merged, "second")
+    np.testing.assert_allclose(left.landmarks, walks.map_.landmarks, rtol=0, atol=1e-6)
+    # what both learned counts once
+    again = merge_maps(merged, moved_map(merged_with_third(walks, other), TURN))
+    assert [source["name"] for source in again.info.sources] == ["first", "second", "third"]
+
+
+def merged_with_third(walks: Walks, other: Map) -> Map:
+    third = walks.room.map_of(walks.room.walk(80, sideways_m=-0.1)[20:50], "third")
+    return merge_maps(other, third)
+
+
+def test_merging_refuses_what_does_not_fit(walks: Walks, another_room: Any) -> None:
+    elsewhere = another_room.map_of(walks.poses, "elsewhere")
+    with pytest.raises(MappingFailed, match="0 of 12 frames"):
+        merge_maps(walks.map_, elsewhere)
+    other = walks.room.map_of(walks.poses, "second")
+    with pytest.raises(MappingFailed, match=r"disagree: \d+ cm"):
+        merge_maps(walks.map_, moved_map(other, Similarity(1.5, np.eye(3), np.zeros(3))))
+    with pytest.raises(Conflict, match="all that the second has"):
+        merge_maps(walks.map_, walks.map_)
+    with pytest.raises(InvalidInput, match="different features, gray and lab"):
+        merge_maps(walks.map_, replace(other, info=replace(other.info, features="lab")))
+    with pytest.raises(InvalidInput, match="tensor"):
+        merge_maps(walks.map_, replace(other, info=replace(other.info, density=DensityKind.TENSOR)))
+
+
+def test_a_map_of_arbitrary_scale_takes_that_of_the_first(walks: Walks) -> None:
+    other = walks.room.map_of(walks.poses, "second")
+    loose = replace(other, info=replace(other.info, metric=False))
+    merged = merge_maps(walks.map_, moved_map(loose, Similarity(0.4, TURN.rotation, TURN.translation)))
+    assert off_the_points(merged, walks.room) < 0.03
