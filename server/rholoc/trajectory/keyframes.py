@@ -18,7 +18,7 @@ _LOST_MOTION = 0.05  # assumed where nothing can be tracked, as a share of the i
 
 _FINE_STEP = 0.03  # keyframes are this share of the image's width apart …
 _COARSE_STEP = 0.08  # … or up to this in long recordings
-_USUAL_KEYFRAMES = 120
+_USUAL_KEYFRAMES = 160
 _MOST_KEYFRAMES = 400
 
 
