@@ -31,6 +31,15 @@ def test_frames_between_the_views_are_localized(localizer: Localizer, point_room
         assert answer.inliers == len(answer.inlier_pixels) == len(answer.inlier_features)
 
 
+def test_a_little_roll_does_not_shift_an_upright_answer(localizer: Localizer, point_room: Any) -> None:
+    held = point_room.walk(7)[3]
+    truth = Pose.from_heading(held.position, held.heading, roll=np.deg2rad(1.5))
+    answer = localizer.localize(Query(point_room.see(truth, 5), point_room.camera, Dof.UPRIGHT))
+    assert _off(answer, truth)[0] < 0.02
+    assert answer.pose is not None
+    assert answer.pose.roll == pytest.approx(0, abs=1e-9)
+
+
 def test_a_rolled_camera_is_found_with_six_degrees_of_freedom(localizer: Localizer, point_room: Any) -> None:
     upright = point_room.walk(7)[3]
     truth = Pose.from_heading(upright.position, upright.heading, roll=0.5)

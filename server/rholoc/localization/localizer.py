@@ -108,20 +108,20 @@ class Localizer:
         tracked = self._track(query, rays)
         watch.lap("verify")
         if tracked is not None and self._conclusive(tracked):
-            return self._answer(tracked, len(tracked.matches), watch)
+            return self._answer(tracked, query.dof, len(tracked.matches), watch)
         everywhere = self.index.match_everywhere(query.features)
         watch.lap("match")
         if len(everywhere) < _MIN_FEATURES:
-            return self._settle(tracked, Reason.NO_MATCHES, len(everywhere), watch)
+            return self._settle(tracked, query.dof, Reason.NO_MATCHES, len(everywhere), watch)
         best = tracked
         for place in self._places(everywhere, query.prior):
             if watch.late:
-                return self._settle(best, Reason.DEADLINE, len(everywhere), watch)
+                return self._settle(best, query.dof, Reason.DEADLINE, len(everywhere), watch)
             found = self._search(place, query, rays, watch)
             best = better(best, found)
             if best is found and self._conclusive(found):
                 break
-        return self._settle(best, Reason.NO_AGREEMENT, len(everywhere), watch)
+        return self._settle(best, query.dof, Reason.NO_AGREEMENT, len(everywhere), watch)
 
     def _check(self, query: Query) -> None:
         wanted = self.extractor
@@ -174,18 +174,21 @@ class Localizer:
     def _conclusive(self, verified: Verified | None) -> bool:
         return verified is not None and confidence_of(verified, self.index.metric) >= self.options.conclusive
 
-    def _settle(self, best: Verified | None, otherwise: Reason, matches: int, watch: _Stopwatch) -> Localization:
-        return _refusal(otherwise, matches, watch) if best is None else self._answer(best, matches, watch)
+    def _settle(
+        self, best: Verified | None, dof: Dof, otherwise: Reason, matches: int, watch: _Stopwatch
+    ) -> Localization:
+        return _refusal(otherwise, matches, watch) if best is None else self._answer(best, dof, matches, watch)
 
-    def _answer(self, verified: Verified, matches: int, watch: _Stopwatch) -> Localization:
+    def _answer(self, verified: Verified, dof: Dof, matches: int, watch: _Stopwatch) -> Localization:
         confidence = confidence_of(verified, self.index.metric)
         agreeing = verified.optimum.density > 0
+        T_map_camera = upright(verified.optimum.T_map_camera) if dof is Dof.UPRIGHT else verified.optimum.T_map_camera
         localized = confidence >= self.min_confidence
         pixels = verified.pixels[agreeing]
         return Localization(
             localized=localized,
             reason=None if localized else Reason.LOW_CONFIDENCE,
-            pose=Pose(verified.optimum.T_map_camera) if localized else None,
+            pose=Pose(T_map_camera) if localized else None,
             covariance=verified.covariance if localized else None,
             confidence=confidence,
             matches=matches,

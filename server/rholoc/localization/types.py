@@ -12,7 +12,7 @@ from rholoc.geometry import Camera, FloatArray, IntArray, Pose
 class Dof(IntEnum):
     """The degrees of freedom that are estimated."""
 
-    UPRIGHT = 5  # position and heading; the camera does not roll: the paper's model
+    UPRIGHT = 5  # position and heading; the camera rolls by no more than a hand does: the paper's model
     FREE = 6  # position, heading and roll
 
 
