@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-from rholoc.mapping.report import landmark_statistics
+from rholoc.mapping.report import map_statistics
 from rholoc.mapping.tensor_fit import fit_map_tensors
 from rholoc.maps import DensityKind, Map
 from rholoc.maps.tensor_arrays import tensors_of
@@ -27,7 +27,7 @@ def as_learned(before: Map, after: Map, figures: dict[str, Any], progress: Progr
     """
     version = before.info.version + 1
     learned = [*before.info.report.get("learned", []), {"version": version, **figures}]
-    report = before.info.report | landmark_statistics(after) | {"learned": learned}
+    report = before.info.report | map_statistics(after) | {"learned": learned}
     after = replace(after, info=replace(after.info, version=version, report=report))
     if before.info.density is DensityKind.TENSOR:
         after = fit_map_tensors(after, tensors_of(before)[0].degree, progress)

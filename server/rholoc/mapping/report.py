@@ -10,7 +10,7 @@ import numpy as np
 from rholoc.features import FeatureSet
 from rholoc.geometry import Camera, FloatArray
 from rholoc.localization import Dof, Localizer, Query
-from rholoc.maps import Map
+from rholoc.maps import Map, coverage_of
 from rholoc.progress import ProgressListener, Stage
 
 _MAX_HELD_OUT = 60
@@ -29,16 +29,21 @@ class HeldOut:
 
 
 def map_report(map_: Map, held_out: HeldOut, progress: ProgressListener) -> dict[str, Any]:
-    """The report: statistics of the landmarks and the errors of frames held out (DESIGN, section 3).
+    """The report: statistics of the landmarks, coverage, and the errors of frames held out (DESIGN, section 3).
 
     Errors are against the trajectory's own poses, so they tell how well the map agrees with itself; they do not see
     an error of the trajectory as a whole.
     """
-    report = landmark_statistics(map_)
+    report = map_statistics(map_)
     if held_out.frames:
         report["held_out"] = _held_out_errors(map_, held_out, progress)
     progress(Stage.REPORT, 1.0, "report complete")
     return report
+
+
+def map_statistics(map_: Map) -> dict[str, Any]:
+    """What follows from the map alone: statistics of its landmarks, and its coverage."""
+    return landmark_statistics(map_) | {"coverage": coverage_of(map_).to_json()}
 
 
 def landmark_statistics(map_: Map) -> dict[str, Any]:
@@ -59,21 +64,31 @@ def _held_out_errors(map_: Map, held_out: HeldOut, progress: ProgressListener) -
     localizer = Localizer(map_)
     step = max(1, -(-len(held_out.frames) // _MAX_HELD_OUT))
     frames = held_out.frames[::step]
-    errors = []
+    errors: list[tuple[float, float] | None] = []
+    confidences = []
     for done, (camera, T_map_camera, features) in enumerate(frames):
         answer = localizer.localize(Query(features, camera, Dof.FREE))
-        if answer.pose is not None:
-            errors.append(_error(answer.pose.T_map_camera, T_map_camera))
+        errors.append(None if answer.pose is None else _error(answer.pose.T_map_camera, T_map_camera))
+        confidences.append(answer.confidence)
         progress(Stage.REPORT, (done + 1) / len(frames), f"{done + 1} of {len(frames)} frames held out")
-    distances, angles = np.array(errors).reshape(-1, 2).T
+    return _error_statistics(errors, confidences)
+
+
+def _error_statistics(errors: list[tuple[float, float] | None], confidences: list[float]) -> dict[str, Any]:
+    """Statistics of errors in metres and degrees, None for a frame without a pose, and the errors themselves."""
+    found = [error for error in errors if error is not None]
+    distances, angles = np.array(found).reshape(-1, 2).T
     return {
-        "frames": len(frames),
-        "localized": len(errors),
-        "median_m": float(np.median(distances)) if errors else None,
-        "p90_m": float(np.percentile(distances, 90)) if errors else None,
-        "median_deg": float(np.median(angles)) if errors else None,
-        "recall_5cm_5deg": float(((distances < 0.05) & (angles < 5)).sum() / len(frames)),
-        "recall_10cm_5deg": float(((distances < 0.10) & (angles < 5)).sum() / len(frames)),
+        "frames": len(errors),
+        "localized": len(found),
+        "median_m": float(np.median(distances)) if found else None,
+        "p90_m": float(np.percentile(distances, 90)) if found else None,
+        "median_deg": float(np.median(angles)) if found else None,
+        "recall_5cm_5deg": float(((distances < 0.05) & (angles < 5)).sum() / len(errors)),
+        "recall_10cm_5deg": float(((distances < 0.10) & (angles < 5)).sum() / len(errors)),
+        "errors_m": [None if error is None else round(error[0], 5) for error in errors],
+        "errors_deg": [None if error is None else round(error[1], 4) for error in errors],
+        "confidences": [round(float(confidence), 4) for confidence in confidences],
     }
 
 

@@ -1,0 +1,203 @@
+"""Where a map covers: how many landmarks a camera would see, by position and heading.
+
+Around the places that the map was made from, positions lie on a grid at the height the camera was held; at each of them
+a camera like the map's looks in twelve directions. A landmark counts where the camera may expect it (presence π_f of
+DESIGN, section 3) and its field of view holds it. What stands in the way between two views is not known.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
+
+from rholoc.density.presence import Presence
+from rholoc.geometry import BoolArray, Camera, FloatArray, IntArray
+from rholoc.maps.map import Map
+
+HEADINGS = 12
+SUFFICIENT = 60  # landmarks in view with which localization is to be expected
+
+_STEP_M = 0.25
+_REACH_M = 0.75  # from a view
+_MAX_CELLS = 250
+_GROWTH = 1.15  # of the step, while there are too many cells
+_MAX_COUNT = 9999
+_MIN_UPRIGHT = np.cos(np.deg2rad(45.0))
+_DEPTH_OF_A_ROOM_M = 2.5  # gives a map of arbitrary scale a metre
+
+
+@dataclass(frozen=True, eq=False)
+class Coverage:
+    """C positions on a plane's grid, H headings in it.
+
+    Attributes:
+        origin: (3,) the position of cell (0, 0), map frame, metres.
+        axes: (2, 3) unit vectors along which a cell's first and second number count.
+        up: (3,) unit vector across the plane.
+        step_m: between cells.
+        pitch_deg: how far the camera looks above the plane.
+        cells: (C, 2) numbers of the cells.
+        headings_deg: (H,) from the first axis towards the second.
+        counts: (C, H) landmarks in view, at most 9999.
+    """
+
+    origin: FloatArray
+    axes: FloatArray
+    up: FloatArray
+    step_m: float
+    pitch_deg: float
+    cells: IntArray
+    headings_deg: FloatArray
+    counts: IntArray
+
+    @property
+    def positions(self) -> FloatArray:
+        """(C, 3) metres, map frame."""
+        return np.asarray(self.origin + self.step_m * self.cells @ self.axes)
+
+    def summary(self) -> dict[str, Any]:
+        """Figures on the whole: of all positions and headings, and of the best heading of each position."""
+        if self.counts.size == 0:
+            return {"share_sufficient": 0.0, "positions_sufficient": 0.0, "median": 0.0}
+        sufficient = self.counts >= SUFFICIENT
+        return {
+            "share_sufficient": round(float(sufficient.mean()), 4),
+            "positions_sufficient": round(float(sufficient.any(axis=1).mean()), 4),
+            "median": float(np.median(self.counts)),
+        }
+
+    def to_json(self) -> dict[str, Any]:
+        """As a map's report keeps it; less than 20 kB as text."""
+        return self.summary() | {
+            "sufficient": SUFFICIENT,
+            "origin": np.round(self.origin, 4).tolist(),
+            "axes": np.round(self.axes, 6).tolist(),
+            "step": round(self.step_m, 6),
+            "pitch_deg": round(self.pitch_deg, 1),
+            "headings_deg": self.headings_deg.tolist(),
+            "cells": self.cells.tolist(),
+            "counts": self.counts.tolist(),
+        }
+
+
+def coverage_of(map_: Map) -> Coverage:
+    """How many landmarks a camera like the map's would see from where the views were, and from 0.75 m around them.
+
+    The plane is horizontal where the map is upright, else across the views' mean up. The step is 0.25 m, more where
+    that would make more than 250 positions; in maps of arbitrary scale a metre follows from the landmarks' distance.
+    """
+    positions = map_.view_poses[:, :3].astype(np.float64)
+    rotations = _rotations(map_)
+    up, axes = _plane(rotations, map_.info.upright)
+    height, pitch = _height_and_pitch(positions, rotations, up)
+    origin, step_m, cells = _grid(positions @ axes.T, _metre(map_, positions))
+    headings_deg = np.arange(HEADINGS) * (360.0 / HEADINGS)
+    coverage = Coverage(
+        origin=origin @ axes + height * up,
+        axes=axes,
+        up=up,
+        step_m=step_m,
+        pitch_deg=float(np.degrees(pitch)),
+        cells=cells,
+        headings_deg=headings_deg,
+        counts=np.zeros((len(cells), HEADINGS), dtype=np.int64),
+    )
+    if len(map_):
+        _count(map_, coverage)
+    return coverage
+
+
+def _rotations(map_: Map) -> FloatArray:
+    if len(map_.view_poses) == 0:
+        return np.zeros((0, 3, 3))
+    return np.asarray(Rotation.from_quat(map_.view_poses[:, 3:].astype(np.float64)).as_matrix())
+
+
+def _plane(rotations: FloatArray, upright: bool) -> tuple[FloatArray, FloatArray]:
+    """Up (3,), and two axes (2, 3) of the plane across it, right-handed; x and y where z is up."""
+    z = np.array([0.0, 0.0, 1.0])
+    mean = -rotations[:, :, 1].mean(axis=0) if len(rotations) else z
+    length = np.linalg.norm(mean)
+    if upright or length < 1e-6 or mean[2] / length > _MIN_UPRIGHT:
+        return z, np.eye(3)[:2]
+    up = mean / length
+    first = np.eye(3)[np.argmin(np.abs(up))]
+    first = first - (first @ up) * up
+    first /= np.linalg.norm(first)
+    return up, np.stack([first, np.cross(up, first)])
+
+
+def _height_and_pitch(positions: FloatArray, rotations: FloatArray, up: FloatArray) -> tuple[float, float]:
+    """Medians over the views: the height in metres, and radians above the plane."""
+    if len(positions) == 0:
+        return 0.0, 0.0
+    return float(np.median(positions @ up)), float(np.median(np.arcsin(np.clip(rotations[:, :, 2] @ up, -1, 1))))
+
+
+def _metre(map_: Map, positions: FloatArray) -> float:
+    """The length of a metre in the map's unit."""
+    if map_.info.metric or len(map_.view_features) == 0:
+        return 1.0
+    views = np.repeat(np.arange(len(positions)), np.diff(map_.view_offsets))
+    distances = np.linalg.norm(map_.landmarks[map_.view_features] - positions[views], axis=1)
+    return max(float(np.median(distances)) / _DEPTH_OF_A_ROOM_M, 1e-9)
+
+
+def _grid(places: FloatArray, metre: float) -> tuple[FloatArray, float, IntArray]:
+    """The origin (2,), the step, and the cells (C, 2) within reach of ``places`` (K, 2)."""
+    step = _STEP_M * metre
+    if len(places) == 0:
+        return np.zeros(2), step, np.zeros((0, 2), dtype=np.int64)
+    tree, reach = cKDTree(places), _REACH_M * metre
+    low, high = places.min(axis=0) - reach, places.max(axis=0) + reach
+    step = max(step, float((high - low).max()) / 1000)
+    while True:
+        first, last = np.ceil(low / step).astype(int), np.floor(high / step).astype(int)
+        i, j = np.meshgrid(*(np.arange(a, b + 1) for a, b in zip(first, last, strict=True)), indexing="ij")
+        numbers = np.column_stack([i.ravel(), j.ravel()])
+        near = np.asarray(tree.query(numbers * step, distance_upper_bound=reach)[0] <= reach)
+        if near.sum() <= _MAX_CELLS:
+            return first * step, step, numbers[near] - first
+        step *= _GROWTH
+
+
+def _count(map_: Map, coverage: Coverage) -> None:
+    """Fill in the counts."""
+    views = np.repeat(np.arange(len(map_.view_poses)), np.diff(map_.view_offsets))
+    landmarks = map_.landmarks.astype(np.float64)
+    seen_from = map_.view_poses[views, :3].astype(np.float64)
+    presence = Presence.of(landmarks, seen_from, map_.view_features)
+    R_camera_map = _upright_cameras(coverage)
+    field = _field_of_view(map_.info.camera)
+    for cell, position in enumerate(coverage.positions):
+        present = landmarks[presence.allows(landmarks, position)] - position
+        in_view = _in_view(present @ R_camera_map.transpose(0, 2, 1), field)
+        coverage.counts[cell] = np.minimum(in_view.sum(axis=1), _MAX_COUNT)
+
+
+def _upright_cameras(coverage: Coverage) -> FloatArray:
+    """R_camera_map (H, 3, 3) of cameras that do not roll, one for each heading."""
+    angles, pitch = np.deg2rad(coverage.headings_deg), np.deg2rad(coverage.pitch_deg)
+    level = np.column_stack([np.cos(angles), np.sin(angles)]) @ coverage.axes
+    forward = np.cos(pitch) * level + np.sin(pitch) * coverage.up
+    right = np.cross(level, coverage.up)
+    return np.stack([right, np.cross(forward, right), forward], axis=1)
+
+
+def _field_of_view(camera: Camera) -> FloatArray:
+    """(2, 2) the least and the greatest x and y that the image's edges reach on the plane z = 1."""
+    right, bottom = camera.width - 0.5, camera.height - 0.5
+    edges = np.array([[-0.5, camera.cy], [camera.cx, -0.5], [right, camera.cy], [camera.cx, bottom]])
+    (left, _), (_, top), (right, _), (_, bottom) = camera.undistort(edges)
+    return np.array([[left, top], [right, bottom]])
+
+
+def _in_view(points: FloatArray, field: FloatArray) -> BoolArray:
+    """Which points (..., 3) in the camera frame the field of view holds."""
+    depth = points[..., 2:]
+    inside = (points[..., :2] >= field[0] * depth) & (points[..., :2] <= field[1] * depth)
+    return np.asarray((depth[..., 0] > 0) & inside.all(axis=-1))

@@ -1,0 +1,314 @@
+"""A map's report as a picture: where it will work and where not, how wrong it was, what its landmarks are worth."""
+
+from __future__ import annotations
+
+import io
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.cm import ScalarMappable
+from matplotlib.collections import PolyCollection
+from matplotlib.colors import BoundaryNorm, Colormap, ListedColormap
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patheffects import withStroke
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter, PercentFormatter
+
+from rholoc.geometry import FloatArray
+from rholoc.maps.coverage import SUFFICIENT, Coverage, coverage_of
+from rholoc.maps.export import landmark_sigmas, view_headings
+from rholoc.maps.map import Map
+
+_GREEN = "#1a7f5a"
+_INK = "#22303c"
+_MUTED = "#7b8794"
+_MARKED = "#d1495b"
+_SIZE_PX = (1800, 1080)
+_DPI = 120
+_LEVELS = (0, 1, SUFFICIENT / 4, SUFFICIENT / 2, SUFFICIENT, 2 * SUFFICIENT, 4 * SUFFICIENT, 8 * SUFFICIENT, 10_000)
+_COLOURS = ("#e6e4e1", "#a50026", "#e4593c", "#fbae62", "#c6e2c0", "#78c08c", "#2f8f63", "#0b5440")
+_RADIUS = 0.47  # of a rose, in steps
+_ARC_STEPS = 4
+_BAR_LENGTHS_M = (0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50, 100, 200, 500)
+_HIDDEN_SHARE = (0.5, 99.5)  # percentiles that histograms are made to hold
+_NO_FRAMES = "no errors of single frames are known"
+_LEAST_ERROR = 1e-4  # where the logarithmic error scale ends
+
+
+@dataclass(frozen=True, eq=False)
+class _HeldOut:
+    """Errors in metres of N frames held out, infinite where there was no pose, and their confidences."""
+
+    errors_m: FloatArray
+    confidences: FloatArray
+
+
+def report_png(map_: Map, title: str = "") -> bytes:
+    """The report on a map as a PNG: coverage by position and heading, errors held out, landmarks."""
+    figure = Figure(figsize=(_SIZE_PX[0] / _DPI, _SIZE_PX[1] / _DPI), dpi=_DPI, facecolor="white")
+    FigureCanvasAgg(figure)
+    figure.set_layout_engine("constrained", w_pad=0.12, h_pad=0.12)
+    figure.suptitle(title or "The map's report", x=0.012, ha="left", fontsize=16, fontweight="bold", color=_INK)
+    grid = figure.add_gridspec(2, 3, width_ratios=(2.15, 1, 1))
+    _plot_coverage(figure, figure.add_subplot(grid[:, 0]), map_, coverage_of(map_))
+    unit, factor = ("cm", 100.0) if map_.info.metric else ("units", 1.0)
+    _plot_errors(figure.add_subplot(grid[0, 1]), map_.info.report, unit, factor)
+    _plot_confidences(figure.add_subplot(grid[0, 2]), _held_out(map_.info.report), unit, factor)
+    _plot_sigmas(figure.add_subplot(grid[1, 1]), map_, unit, factor)
+    _plot_views_per_landmark(figure.add_subplot(grid[1, 2]), map_)
+    png = io.BytesIO()
+    figure.savefig(png, format="png")
+    return png.getvalue()
+
+
+def _held_out(report: dict[str, Any]) -> _HeldOut | None:
+    """What the report says of single frames, if it says it, and soundly: maps come from anywhere."""
+    section = report.get("held_out")
+    if not isinstance(section, dict):
+        return None
+    try:
+        errors = [math.inf if error is None else float(error) for error in section["errors_m"]]
+        confidences = [float(confidence) for confidence in section["confidences"]]
+    except (KeyError, TypeError, ValueError):
+        return None
+    if not errors or len(errors) != len(confidences) or any(math.isnan(value) for value in (*errors, *confidences)):
+        return None
+    return _HeldOut(np.array(errors), np.array(confidences))
+
+
+def _plot_coverage(figure: Figure, axes: Axes, map_: Map, coverage: Coverage) -> None:
+    colours: Colormap = ListedColormap(_COLOURS)
+    norm = BoundaryNorm(_LEVELS, colours.N)
+    landmarks, places = map_.landmarks @ coverage.axes.T, map_.view_poses[:, :3] @ coverage.axes.T
+    axes.scatter(landmarks[:, 0], landmarks[:, 1], s=2.0, color=_MUTED, alpha=0.35, linewidths=0, zorder=1)
+    axes.add_collection(
+        PolyCollection(
+            _wedges(coverage),
+            array=coverage.counts.ravel(),
+            cmap=colours,
+            norm=norm,
+            edgecolors="white",
+            linewidths=0.3,
+            zorder=2,
+        )
+    )
+    _plot_path(axes, places, view_headings(map_) @ coverage.axes.T)
+    _plot_waypoints(axes, map_, coverage)
+    _frame(axes, coverage, places, "m" if map_.info.metric else "units")
+    axes.set_title(_caption(map_, coverage), loc="left", fontsize=9, linespacing=1.5, color=_MUTED)
+    axes.set_anchor("N")
+    bar = figure.colorbar(
+        ScalarMappable(norm, colours), ax=axes, orientation="horizontal", shrink=0.75, aspect=45, pad=0.01
+    )
+    bar.set_ticks(_LEVELS[1:-1], labels=[f"{level:g}" for level in _LEVELS[1:-1]])
+    bar.set_label("landmarks in view, a wedge for each heading of the camera", fontsize=9, color=_INK)
+    bar.ax.tick_params(labelsize=8, colors=_MUTED, length=0)
+    bar.outline.set_visible(False)
+
+
+def _wedges(coverage: Coverage) -> list[FloatArray]:
+    """A polygon for each position and heading, in the plane of the coverage."""
+    centres = coverage.positions @ coverage.axes.T
+    width = 360.0 / len(coverage.headings_deg)
+    arcs = np.deg2rad(coverage.headings_deg[:, None] + np.linspace(-width / 2, width / 2, _ARC_STEPS))
+    rim = _RADIUS * coverage.step_m * np.stack([np.cos(arcs), np.sin(arcs)], axis=-1)
+    return [np.vstack([centre, centre + arc]) for centre in centres for arc in rim]
+
+
+def _plot_path(axes: Axes, places: FloatArray, headings: FloatArray) -> None:
+    if len(places) == 0:
+        return
+    halo = [withStroke(linewidth=2.6, foreground="white")]
+    axes.plot(*places.T, color=_INK, linewidth=1.0, zorder=3, path_effects=halo)
+    every = max(1, len(places) // 60)
+    axes.quiver(
+        *places[::every].T,
+        *headings[::every].T,
+        color=_INK,
+        angles="xy",
+        scale=34,
+        width=0.0022,
+        headwidth=4.5,
+        zorder=4,
+    )
+    axes.plot(*places[0], marker="o", markersize=6, color=_INK, markerfacecolor="white", zorder=5)
+
+
+def _plot_waypoints(axes: Axes, map_: Map, coverage: Coverage) -> None:
+    for waypoint in map_.info.waypoints:
+        place = coverage.axes @ np.array(waypoint["position"], dtype=np.float64)
+        axes.plot(*place, marker="D", markersize=6, color=_MARKED, markeredgecolor="white", zorder=6)
+        axes.annotate(
+            str(waypoint["name"]),
+            (float(place[0]), float(place[1])),
+            (6, 6),
+            textcoords="offset points",
+            fontsize=9,
+            color=_MARKED,
+            fontweight="bold",
+            zorder=6,
+            path_effects=[withStroke(linewidth=2.5, foreground="white")],
+        )
+
+
+def _frame(axes: Axes, coverage: Coverage, places: FloatArray, unit: str) -> None:
+    """Equal axes around the roses, without a box, with a scale bar."""
+    shown = np.vstack([coverage.positions @ coverage.axes.T, places, np.zeros((0 if len(places) else 1, 2))])
+    low, high = shown.min(axis=0) - 3 * coverage.step_m, shown.max(axis=0) + 3 * coverage.step_m
+    axes.set_xlim(low[0], high[0])
+    axes.set_ylim(low[1], high[1])
+    axes.set_aspect("equal")
+    axes.set_axis_off()
+    length = max((bar for bar in _BAR_LENGTHS_M if bar <= (high[0] - low[0]) / 4), default=_BAR_LENGTHS_M[0])
+    x, y = low[0] + coverage.step_m / 2, low[1] + coverage.step_m / 2
+    axes.add_line(Line2D([x, x + length], [y, y], color=_INK, linewidth=2.5, solid_capstyle="butt"))
+    axes.annotate(f"{length:g} {unit}", (x + length, y), (5, 0), textcoords="offset points", va="center", fontsize=9)
+
+
+def _caption(map_: Map, coverage: Coverage) -> str:
+    summary = coverage.summary()
+    unit = "m" if map_.info.metric else "units"
+    info = map_.info
+    scale = "" if info.metric else " · scale arbitrary"
+    upright = "" if info.upright else " · not upright"
+    return (
+        f"{len(map_)} landmarks · {len(map_.view_poses)} views · {info.features}, {info.density.value}"
+        f"{scale}{upright}\n"
+        f"{summary['share_sufficient']:.0%} of positions and headings see {SUFFICIENT} landmarks or more (green); "
+        f"{coverage.step_m:.2g} {unit} grid, camera {coverage.pitch_deg:+.0f}°"
+    )
+
+
+def _plot_errors(axes: Axes, report: dict[str, Any], unit: str, factor: float) -> None:
+    """How large a share of the frames is at most so wrong."""
+    _panel(axes, "Error of frames held out", f"position error, {unit}", "share of the frames")
+    held_out = _held_out(report)
+    if held_out is None:
+        _say(axes, _quantiles(report, unit, factor))
+        return
+    errors = factor * np.sort(np.maximum(held_out.errors_m, _LEAST_ERROR))
+    found = errors[np.isfinite(errors)]
+    if len(found) == 0:
+        _say(axes, f"none of {len(errors)} frames was localized")
+        return
+    shares = np.arange(1, len(found) + 1) / len(errors)
+    axes.step(np.append(found, 2 * found[-1]), np.append(shares, shares[-1]), where="post", color=_GREEN, linewidth=1.8)
+    axes.fill_between(found, shares, step="post", color=_GREEN, alpha=0.12, linewidth=0)
+    for share in (0.5, 0.9):
+        if shares[-1] >= share:
+            error = float(found[np.searchsorted(shares, share - 1e-9)])
+            axes.plot([error, error], [0, share], color=_INK, linewidth=0.8, linestyle=":")
+            label = f"{share:.0%}: {error:.2g} {unit}"
+            axes.annotate(label, (error, share), (5, -10), textcoords="offset points", fontsize=8.5, color=_INK)
+    axes.set_ylim(0, 1.04)
+    axes.yaxis.set_major_formatter(PercentFormatter(1.0))
+    _logarithmic(axes, 0.7 * found[0], 2 * found[-1])
+    axes.annotate(
+        f"{len(found)} of {len(errors)} localized",
+        (1, 0.03),
+        xycoords="axes fraction",
+        ha="right",
+        fontsize=8.5,
+        color=_MUTED,
+    )
+
+
+def _quantiles(report: dict[str, Any], unit: str, factor: float) -> str:
+    """What a report without the errors themselves says of them."""
+    try:
+        section = report["held_out"]
+        median, p90 = factor * section["median_m"], factor * section["p90_m"]
+        return f"{section['localized']:d} of {section['frames']:d} localized\n50%: {median:.2g}, 90%: {p90:.2g} {unit}"
+    except (KeyError, TypeError, ValueError):
+        return _NO_FRAMES
+
+
+def _plot_confidences(axes: Axes, held_out: _HeldOut | None, unit: str, factor: float) -> None:
+    """What the answers said of themselves."""
+    _panel(axes, "… and their confidence", f"position error, {unit}", "confidence")
+    if held_out is None:
+        _say(axes, _NO_FRAMES)
+        return
+    found = np.isfinite(held_out.errors_m)
+    if not found.any():
+        _say(axes, "none was localized")
+        return
+    errors = factor * np.maximum(held_out.errors_m[found], _LEAST_ERROR)
+    axes.scatter(errors, held_out.confidences[found], s=22, color=_GREEN, alpha=0.6, linewidths=0, clip_on=False)
+    axes.set_ylim(0, 1.04)
+    _logarithmic(axes, 0.7 * float(errors.min()), 1.4 * float(errors.max()))
+
+
+def _plot_sigmas(axes: Axes, map_: Map, unit: str, factor: float) -> None:
+    _panel(axes, "Landmark uncertainty", f"standard deviation, {unit}", "landmarks")
+    if len(map_) == 0:
+        _say(axes, "no landmarks")
+        return
+    sigmas = factor * np.maximum(landmark_sigmas(map_), _LEAST_ERROR)
+    low, high = _range(sigmas)
+    axes.hist(sigmas, bins=np.geomspace(low, high, 36).tolist(), color=_GREEN, alpha=0.75)
+    _median_line(axes, float(np.median(sigmas)), f" {unit}")
+    _logarithmic(axes, low, high)
+
+
+def _plot_views_per_landmark(axes: Axes, map_: Map) -> None:
+    _panel(axes, "Views of a landmark", "views", "landmarks")
+    if len(map_) == 0:
+        _say(axes, "no landmarks")
+        return
+    views = np.bincount(map_.view_features, minlength=len(map_))
+    last = int(np.ceil(np.percentile(views, _HIDDEN_SHARE[1]))) + 1
+    width = -(-last // 40)
+    axes.hist(views, bins=(np.arange(1, last + width + 1, width) - 0.5).tolist(), color=_GREEN, alpha=0.75)
+    _median_line(axes, float(np.median(views)), "")
+
+
+def _range(values: FloatArray) -> tuple[float, float]:
+    low, high = (float(value) for value in np.percentile(values, _HIDDEN_SHARE))
+    return low / 1.1, max(high, 1.5 * low) * 1.1
+
+
+def _median_line(axes: Axes, median: float, unit: str) -> None:
+    axes.axvline(median, color=_INK, linewidth=0.8, linestyle=":")
+    axes.annotate(
+        f"median {median:.3g}{unit}",
+        (median, 0.97),
+        (5, 0),
+        xycoords=axes.get_xaxis_transform(),
+        textcoords="offset points",
+        va="top",
+        fontsize=8.5,
+        color=_INK,
+        path_effects=[withStroke(linewidth=2.5, foreground="white")],
+    )
+    axes.margins(y=0.12)
+
+
+def _logarithmic(axes: Axes, low: float, high: float) -> None:
+    axes.set_xscale("log")
+    axes.set_xlim(low, high)
+    axes.xaxis.set_major_locator(
+        LogLocator(subs=(1, 2, 5) if high < 60 * low else (1, 3) if high < 600 * low else (1,))
+    )
+    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axes.xaxis.set_minor_formatter(NullFormatter())
+
+
+def _panel(axes: Axes, title: str, x: str, y: str) -> None:
+    axes.set_title(title, loc="left", fontsize=11, fontweight="bold", color=_INK)
+    axes.set_xlabel(x, fontsize=9, color=_MUTED)
+    axes.set_ylabel(y, fontsize=9, color=_MUTED)
+    axes.tick_params(which="both", labelsize=8, colors=_MUTED)
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.spines[["left", "bottom"]].set_color(_MUTED)
+
+
+def _say(axes: Axes, what: str) -> None:
+    """Nothing to plot, and why."""
+    axes.set_xticks([])
+    axes.set_yticks([])
+    axes.text(0.5, 0.5, what, transform=axes.transAxes, ha="center", va="center", fontsize=9, color=_MUTED)

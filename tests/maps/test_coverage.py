@@ -1,0 +1,109 @@
+"""Coverage: what a camera would see from where, told from geometry alone."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from rholoc.geometry import Camera, Pose
+from rholoc.maps import Map, coverage_of
+from rholoc.maps.coverage import SUFFICIENT
+
+
+@pytest.fixture
+def wall_map(make_map) -> Map:
+    """A wall of 200 landmarks at x = 3, seen from a walk along y that looks at it."""
+    map_ = make_map(features=200, views=9)
+    rng = np.random.default_rng(5)
+    wall = np.column_stack([np.full(200, 3.0), rng.uniform(-1, 1, 200), rng.uniform(1, 2, 200)])
+    places = np.column_stack([np.zeros(9), np.linspace(-0.5, 0.5, 9), np.full(9, 1.5)])
+    poses = [np.r_[p, Pose.from_heading(p, np.array([1.0, 0, 0])).quaternion_xyzw] for p in places]
+    return replace(
+        map_,
+        landmarks=wall.astype(np.float32),
+        view_poses=np.array(poses, np.float32),
+        view_offsets=np.arange(0, 1801, 200, dtype=np.int32),
+        view_features=np.tile(np.arange(200), 9).astype(np.int32),
+    )
+
+
+def test_who_looks_at_the_wall_sees_it_and_who_turns_away_does_not(wall_map: Map) -> None:
+    coverage = coverage_of(wall_map)
+    middle = np.argmin(np.linalg.norm(coverage.positions - (0, 0, 1.5), axis=1))
+    assert coverage.counts[middle, 0] == 200
+    assert (coverage.counts[:, 4:9] == 0).all()
+    assert 0 < coverage.summary()["share_sufficient"] < 0.6
+
+
+def test_positions_lie_within_reach_of_the_walk_at_its_height(wall_map: Map) -> None:
+    coverage = coverage_of(wall_map)
+    distances = np.linalg.norm(coverage.positions[:, None] - wall_map.view_poses[:, :3], axis=2).min(axis=1)
+    assert coverage.step_m == 0.25
+    assert distances.max() <= 0.75 + 1e-6
+    np.testing.assert_allclose(coverage.positions[:, 2], 1.5, atol=1e-6)
+    assert len(np.unique(coverage.cells, axis=0)) == len(coverage.cells)
+
+
+def test_counts_are_those_of_the_camera_itself(wall_map: Map) -> None:
+    """Without distortion the field of view is the image."""
+    camera = Camera(640, 480, 500.0, 500.0, 319.5, 239.5)
+    wall_map = replace(wall_map, info=replace(wall_map.info, camera=camera))
+    coverage = coverage_of(wall_map)
+    middle = int(np.argmin(np.linalg.norm(coverage.positions - (0, 0, 1.5), axis=1)))
+    for number, heading_deg in enumerate(coverage.headings_deg):
+        heading = np.array([np.cos(np.deg2rad(heading_deg)), np.sin(np.deg2rad(heading_deg)), 0.0])
+        T_camera_map = Pose.from_heading(coverage.positions[middle], heading).inverse()
+        pixels = camera.project(wall_map.landmarks @ T_camera_map[:3, :3].T + T_camera_map[:3, 3])
+        assert coverage.counts[middle, number] == camera.contains(pixels).sum()
+
+
+def test_a_map_that_is_not_upright_is_covered_alike(wall_map: Map) -> None:
+    """Turned as a whole, with another frame's axes: as many headings see the wall as before."""
+    turn = Rotation.from_euler("xyz", [-90, 0, 0], degrees=True)
+    poses = np.column_stack(
+        [turn.apply(wall_map.view_poses[:, :3]), (turn * Rotation.from_quat(wall_map.view_poses[:, 3:])).as_quat()]
+    )
+    turned = replace(
+        wall_map,
+        info=replace(wall_map.info, upright=False),
+        landmarks=turn.apply(wall_map.landmarks).astype(np.float32),
+        view_poses=poses.astype(np.float32),
+    )
+    coverage, level = coverage_of(turned), coverage_of(wall_map)
+    np.testing.assert_allclose(coverage.up, turn.apply([0, 0, 1]), atol=1e-6)
+    assert np.linalg.det(np.vstack([coverage.axes, coverage.up])) == pytest.approx(1)
+    assert coverage.counts.max() == level.counts.max() == 200
+    assert coverage.summary()["share_sufficient"] == pytest.approx(level.summary()["share_sufficient"], abs=0.05)
+
+
+def test_a_long_walk_takes_longer_steps_and_still_fits_the_report(make_map) -> None:
+    map_ = make_map(features=900, views=60)
+    far = map_.view_poses.copy()
+    far[:, :3] *= 30
+    coverage = coverage_of(replace(map_, view_poses=far, landmarks=map_.landmarks * 30))
+    assert coverage.step_m > 0.25
+    assert 0 < len(coverage.cells) <= 250
+    worst = replace(coverage, counts=np.full_like(coverage.counts, 9999))
+    assert len(json.dumps(worst.to_json(), separators=(",", ":"))) < 20_000
+
+
+def test_the_unit_of_length_does_not_matter_where_it_is_arbitrary(wall_map: Map) -> None:
+    loose = replace(wall_map, info=replace(wall_map.info, metric=False))
+    poses = wall_map.view_poses.copy()
+    poses[:, :3] *= 40
+    large = replace(loose, landmarks=wall_map.landmarks * 40, view_poses=poses)
+    small, large_coverage = coverage_of(loose), coverage_of(large)
+    assert large_coverage.step_m == pytest.approx(40 * small.step_m, rel=1e-4)
+    assert large_coverage.summary()["share_sufficient"] == pytest.approx(small.summary()["share_sufficient"], abs=0.02)
+
+
+@pytest.mark.parametrize(("features", "views"), [(0, 0), (0, 1), (1, 0), (3, 1)])
+def test_small_maps_have_a_coverage(make_map, features: int, views: int) -> None:
+    coverage = coverage_of(make_map(features=features, views=views))
+    assert coverage.counts.shape == (len(coverage.cells), 12)
+    assert coverage.counts.max(initial=0) < SUFFICIENT
+    assert coverage.to_json()["share_sufficient"] == 0.0
