@@ -124,6 +124,10 @@ def test_maps(client, picture_world):
         (lambda client: client.upload_map("room", b"rubbish"), "InvalidMap"),
         (lambda client: client.rename_map("room", "loose"), "Conflict"),
         (lambda client: client.job("nonsense"), "UnknownJob"),
+        (lambda client: client.update_map("attic", "0" * 32), "UnknownMap"),
+        (lambda client: client.update_map("room", "0" * 32, poses="guessed"), "InvalidRequest"),
+        (lambda client: client.merge_maps("room", "attic", "both"), "UnknownMap"),
+        (lambda client: client.forget_recording("room", "walk"), "InvalidInput"),
     ],
 )
 def test_errors_are_the_services(client, call, error):

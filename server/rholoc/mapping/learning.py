@@ -27,7 +27,7 @@ from rholoc.trajectory import PoseMethod, Scale, estimate_trajectory
 
 _FEATURES_PER_VIEW = 400
 _VIEW_STEP = 0.1  # wider than while building: most of what is seen is known already
-_FRAMES_PER_S = 6.0
+_FRAMES_PER_S = 5.0
 _MAX_FRAMES = 240
 _MAX_LOCALIZED = 24  # of a recording with a trajectory of its own
 _RADIUS_PX = 5.0

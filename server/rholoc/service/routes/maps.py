@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import uuid
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
@@ -183,7 +183,7 @@ async def merge_map(map_name: str, wanted: MergeIn, service: Service) -> MapDeta
     a = await run_in_threadpool(service.library.get, map_name)
     b = await run_in_threadpool(service.library.get, wanted.other)
     merged = await service.compute.run(lambda: merge_maps(a, b))
-    await run_in_threadpool(service.library.put, into, merged)
+    await run_in_threadpool(_publish_merged, service.library, {map_name: a, wanted.other: b}, into, merged)
     return await run_in_threadpool(_detail, service.library, into)
 
 
@@ -217,6 +217,13 @@ async def get_preview(map_name: str, service: Service) -> Response:
 
 def _check_learns(library: MapLibrary, name: str) -> None:
     check_memory(library.get(name), f"The map {name}")
+
+
+def _publish_merged(library: MapLibrary, parts: Mapping[str, Map], into: str, merged: Map) -> None:
+    """Publish a merged map, unless it would replace one of its parts that has changed meanwhile."""
+    if into in parts and library.get(into) is not parts[into]:
+        raise Conflict(f"The map {into} was changed meanwhile.", "Merge again.")
+    library.put(into, merged)
 
 
 def _list(library: MapLibrary) -> MapList:
