@@ -102,5 +102,8 @@ def test_lights_are_compared_by_true_geometry(wall: Any, tmp_path: Path) -> None
         assert 0.4 < repeatability <= 1
     same, changed = pairs[0].redetection, pairs[1].redetection
     assert same.right > changed.right
-    save_figure(plot_lights(pairs), tmp_path / "lights.png")
+    figure = plot_lights(pairs)
+    assert figure.axes[0].get_title() == "gray"
+    assert [label.get_text() for label in figure.axes[-1].get_xticklabels()] == ["white", "warm"]
+    save_figure(figure, tmp_path / "lights.png")
     assert cv2.imread(str(tmp_path / "lights.png")) is not None

@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 from rholoc import __version__
-from rholoc.cli import demo, evaluate, localize, maps, serve, simulate
+from rholoc.cli import compare, demo, evaluate, localize, maps, serve, simulate
 from rholoc.cli.console import print_error
 from rholoc.errors import RholocError
 
@@ -33,6 +33,7 @@ app.command()(simulate.simulate)
 app.add_typer(maps.app, name="map")
 app.command()(localize.localize)
 app.command()(evaluate.evaluate)
+app.command()(compare.compare)
 
 
 def _print_version(asked: bool) -> None:

@@ -23,7 +23,7 @@ from rholoc.localization.verification import FINAL_TOLERANCE_PX, climb, evidence
 
 _FEWEST_MATCHES = 4
 _DISTINCT_CHANCE = 0.3
-_ASCENT_PX = (12.0, 6.0, FINAL_TOLERANCE_PX)
+_ASCENT_PX = (4 * FINAL_TOLERANCE_PX, 2 * FINAL_TOLERANCE_PX, FINAL_TOLERANCE_PX)
 
 
 class Solver(StrEnum):

@@ -80,10 +80,17 @@ def plot_errors_from_above(comparison: Comparison, split: SplitResult) -> Figure
         (m for m in split.methods if m.name not in ("ray", "tensor") and not _is_refined(m)), key=_recall, reverse=True
     )
     shown = [method for method in split.methods if method.name == "ray"] + rivals[:1]
-    figure = _figure((6.2 * len(shown), 5.6))
+    low, high = _extent(comparison, split)
+    across = high - low
+    beside = across[0] < 1.3 * across[1]
+    scale = 5.0 / max(across)
+    size = across * scale + (1.6, 0.9)  # inches, room for the labels
+    figure = _figure((2 * size[0] + 1, size[1] + 0.3) if beside else (size[0] + 2, 2 * size[1]))
     norm = LogNorm(0.5, 50)
-    for axes, method in zip(figure.subplots(1, len(shown), squeeze=False)[0], shown, strict=True):
+    panels = figure.subplots(1, 2) if beside else figure.subplots(2, 1)
+    for axes, method in zip(panels, shown, strict=True):
         _draw_from_above(axes, comparison, split, method, norm)
+        axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), xlabel="x (m)", ylabel="y (m)", aspect="equal")
     bar = figure.colorbar(ScalarMappable(norm, "plasma_r"), ax=figure.axes, shrink=0.7)
     bar.set_label("position error (cm)")
     bar.set_ticks([0.5, 1, 2, 5, 10, 25, 50], labels=["0.5", "1", "2", "5", "10", "25", "50"])
@@ -121,16 +128,17 @@ def _draw_from_above(
     )
     if not placed.all():
         axes.plot(*truth[~placed, :2, 3].T, "x", color="#d1495b", ms=6, zorder=4, label=f"{(~placed).sum()} no pose")
-    points = np.concatenate([views[:, :2], truth[:, :2, 3], _bulk(map_.landmarks[:, :2])])
-    low, high = points.min(axis=0) - 0.2, points.max(axis=0) + 0.2
-    axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), xlabel="x (m)", ylabel="y (m)", aspect="equal")
     axes.set_title(f"{method.name}: {100 * _recall(method):.0f} % within 5 cm and 5°", fontsize=10)
     axes.legend(fontsize=7, loc="upper left")
 
 
-def _bulk(points: FloatArray) -> FloatArray:
-    """The corners (2, 2) of the rectangle that nearly all points (N, 2) are in: strays must not shrink the rest."""
-    return np.asarray(np.percentile(points, [3, 97], axis=0))
+def _extent(comparison: Comparison, split: SplitResult) -> tuple[FloatArray, FloatArray]:
+    """The corners (2,) of what is shown: all views and queries, and nearly all landmarks, whose strays must not shrink
+    the rest."""
+    map_ = comparison.map_
+    bulk = np.percentile(map_.landmarks[:, :2], [3, 97], axis=0)
+    points = np.concatenate([map_.view_poses[:, :2], split.truth[:, :2, 3], bulk])
+    return points.min(axis=0) - 0.2, points.max(axis=0) + 0.2
 
 
 def _main_methods(split: SplitResult) -> Sequence[MethodResult]:

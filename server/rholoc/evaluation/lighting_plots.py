@@ -30,14 +30,15 @@ def plot_lights(pairs: Sequence[LightPair]) -> Figure:
     figure = Figure(figsize=(2.1 * len(names) + 1.2, 8.2), layout="constrained", dpi=130, facecolor="white")
     FigureCanvasAgg(figure)
     panels = figure.subplots(len(rows), len(names), squeeze=False)
-    for line, (title, value, top, form) in zip(panels, rows, strict=True):
-        for axes, name in zip(line, names, strict=True):
+    for row, (line, (title, value, top, form)) in enumerate(zip(panels, rows, strict=True)):
+        for column, (axes, name) in enumerate(zip(line, names, strict=True)):
+            is_last = row == len(rows) - 1
             cells = {(p.map_light, p.query_light): value(p) for p in pairs if p.features == name}
             matrix = np.array([[_or_nan(cells.get((a, b))) for b in asked] for a in lights])
             _draw_matrix(axes, matrix, top, form)
-            axes.set_xticks(range(len(asked)), asked if line is panels[-1] else [""] * len(asked), fontsize=7)
-            axes.set_yticks(range(len(lights)), lights if axes is line[0] else [""] * len(lights), fontsize=7)
-            if line is panels[0]:
+            axes.set_xticks(range(len(asked)), asked if is_last else [""] * len(asked), fontsize=7)
+            axes.set_yticks(range(len(lights)), lights if column == 0 else [""] * len(lights), fontsize=7)
+            if row == 0:
                 axes.set_title(name, fontsize=10)
         line[0].set_ylabel(f"{title}\nmap by", fontsize=8)
     figure.supxlabel("queries by", fontsize=8)
