@@ -5,6 +5,7 @@ from rholoc.mapping.forgetting import forget_recording
 from rholoc.mapping.learning import UpdateOptions, update_map
 from rholoc.mapping.memory import check_memory
 from rholoc.mapping.merging import merge_maps
+from rholoc.mapping.observation_table import observation_table
 
 __all__ = [
     "DEFAULT_FEATURES",
@@ -14,5 +15,6 @@ __all__ = [
     "check_memory",
     "forget_recording",
     "merge_maps",
+    "observation_table",
     "update_map",
 ]

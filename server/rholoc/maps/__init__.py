@@ -8,6 +8,7 @@ from rholoc.maps.library import MapLibrary, MapStat, check_map_name
 from rholoc.maps.map import DensityKind, Map, MapInfo
 from rholoc.maps.report_picture import report_png
 from rholoc.maps.rho_file import load_map, map_to_bytes, save_map
+from rholoc.maps.surfaces import map_surfaces_vtp
 from rholoc.maps.tables import ObservationTable, observations_csv
 from rholoc.maps.trajectory_table import TrajectoryTable, read_trajectory_csv, trajectory_csv, write_trajectory_csv
 from rholoc.maps.validation import validate_map
@@ -25,6 +26,7 @@ __all__ = [
     "coverage_of",
     "landmark_sigmas",
     "load_map",
+    "map_surfaces_vtp",
     "map_to_bytes",
     "map_to_ply",
     "map_to_vtp",

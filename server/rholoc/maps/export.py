@@ -92,12 +92,16 @@ def map_to_vtp(map_: Map) -> bytes:
         np.arange(views)[None] if views > 1 else np.zeros((0, 0), int),
         "Lines",
     )
+    return polydata(landmarks, path)
+
+
+def polydata(*pieces: str) -> bytes:
+    """A VTK XML PolyData file of these pieces."""
     lines = [
         '<?xml version="1.0"?>',
         '<VTKFile type="PolyData" version="0.1" byte_order="LittleEndian">',
         "<PolyData>",
-        landmarks,
-        path,
+        *pieces,
         "</PolyData>",
         "</VTKFile>",
     ]
@@ -118,23 +122,24 @@ def _piece(
         [
             f'<Piece NumberOfPoints="{len(points)}" NumberOf{kind}="{len(cells)}">',
             '<PointData Scalars="sigma_m" Vectors="heading">',
-            _data_array("sigma_m", "Float32", sigmas, "%.5f"),
-            _data_array("channel", "UInt8", channels, "%d"),
-            _data_array("heading", "Float32", headings, "%.5f", components=3),
+            data_array("sigma_m", "Float32", sigmas, "%.5f"),
+            data_array("channel", "UInt8", channels, "%d"),
+            data_array("heading", "Float32", headings, "%.5f", components=3),
             "</PointData>",
             "<Points>",
-            _data_array("position", "Float32", points, "%.5f", components=3),
+            data_array("position", "Float32", points, "%.5f", components=3),
             "</Points>",
             f"<{kind}>",
-            _data_array("connectivity", "Int32", cells.ravel(), "%d"),
-            _data_array("offsets", "Int32", offsets, "%d"),
+            data_array("connectivity", "Int32", cells.ravel(), "%d"),
+            data_array("offsets", "Int32", offsets, "%d"),
             f"</{kind}>",
             "</Piece>",
         ]
     )
 
 
-def _data_array(name: str, kind: str, values: FloatArray | IntArray, form: str, components: int = 1) -> str:
+def data_array(name: str, kind: str, values: FloatArray | IntArray, form: str, components: int = 1) -> str:
+    """A DataArray element of VTK's XML: ``values`` (N,) or (N, components), written with ``form``."""
     text = io.StringIO()
     np.savetxt(text, values, fmt=form)
     opening = f'<DataArray type="{kind}" Name="{name}" NumberOfComponents="{components}" format="ascii">'
