@@ -15,6 +15,7 @@ from rholoc import __version__
 from rholoc.errors import RholocError
 from rholoc.jobs import EmbeddedWorker, JobQueue, RecordingStore
 from rholoc.maps import MapLibrary
+from rholoc.service import web
 from rholoc.service.compute import ComputePool
 from rholoc.service.errors import (
     InvalidRequest,
@@ -64,6 +65,7 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     )
     for router in ROUTERS:
         app.include_router(router)
+    web.install(app)
     for kind in (RholocError, ValidationError, RequestValidationError, HTTPException, OSError):
         app.add_exception_handler(kind, _answer_error)
     app.add_middleware(RequestBoundary)

@@ -1,0 +1,116 @@
+// The service over HTTP: one function per kind of call, errors in one shape, and the API key where one is asked for.
+
+import { ask, h } from "./dom.js";
+
+const BASE = new URL("../../", import.meta.url);
+const KEY = "rholoc-api-key";
+
+/** What the service, or the way to it, answered instead of what was asked for. */
+export class ApiError extends Error {
+  constructor({ code, message, hint = "", request_id = "" }, status = 0) {
+    super([message, hint].filter(Boolean).join(" "));
+    Object.assign(this, { code, hint, status, requestId: request_id, summary: message });
+  }
+}
+
+/** The absolute URL of a path of the service, given without a slash in front: `v1/maps`. */
+export function url(path, query = {}) {
+  const address = new URL(path, BASE);
+  for (const [name, value] of Object.entries(query)) {
+    if (value !== null && value !== undefined && value !== "") address.searchParams.set(name, value);
+  }
+  return address;
+}
+
+/** A path with its parts escaped: path`v1/maps/${name}`. */
+export function path(texts, ...values) {
+  return texts.reduce((whole, text, i) => whole + encodeURIComponent(values[i - 1]) + text);
+}
+
+/** The headers that prove who asks; none without a key. For uploads that do not go through `request`. */
+export function authorization() {
+  const key = localStorage.getItem(KEY);
+  return key ? { Authorization: `Bearer ${key}` } : {};
+}
+
+/**
+ * The response of the service. Without a key that is good enough the user is asked for one, once.
+ * @throws {ApiError} for every other answer, and with the code `unreachable` where there is none.
+ */
+export async function request(where, { query, headers, ...options } = {}) {
+  const response = await send(url(where, query), { ...options, headers: { ...headers, ...authorization() } });
+  if (response.ok) return response;
+  const error = await errorOf(response);
+  if (response.status === 401 && (await askForKey(error))) return request(where, { query, headers, ...options });
+  throw error;
+}
+
+/** What the service answers, as JSON; `body` is sent as JSON unless it is a Blob or FormData. */
+export async function call(method, where, { body, headers, ...options } = {}) {
+  const raw = body === undefined || body instanceof Blob || body instanceof FormData;
+  const response = await request(where, {
+    method,
+    body: raw ? body : JSON.stringify(body),
+    headers: raw ? headers : { "Content-Type": "application/json", ...headers },
+    ...options,
+  });
+  return response.status === 204 ? null : response.json();
+}
+
+/** GET as JSON. */
+export const get = (where, options) => call("GET", where, options);
+
+/** GET as an object URL, for pictures; the caller revokes it. */
+export async function objectUrl(where, options) {
+  return URL.createObjectURL(await (await request(where, options)).blob());
+}
+
+/** Save what a GET answers under a name, as the browser saves downloads. */
+export async function download(where, name, options) {
+  const address = await objectUrl(where, options);
+  h("a", { href: address, download: name }).click();
+  setTimeout(() => URL.revokeObjectURL(address), 60_000);
+}
+
+async function send(address, options) {
+  try {
+    return await fetch(address, { credentials: "omit", ...options });
+  } catch (error) {
+    if (error.name === "AbortError") throw error;
+    throw new ApiError({
+      code: "unreachable",
+      message: "The server does not answer.",
+      hint: "Check the connection and try again.",
+    });
+  }
+}
+
+/** The error that a response tells of, in the one shape of all errors. */
+export async function errorOf(response) {
+  try {
+    return new ApiError(await response.json(), response.status);
+  } catch {
+    return new ApiError({ code: "internal", message: `The server answered with ${response.status}.` }, response.status);
+  }
+}
+
+let asking = null;
+
+/** Ask for an API key; true when one was given. Calls that come while the question stands wait for the same answer. */
+export function askForKey(error) {
+  asking ??= (async () => {
+    const field = h("input", { name: "key", type: "password", required: true, autocomplete: "current-password" });
+    const answer = await ask(
+      "API key",
+      [
+        h("p", {}, error.message),
+        h("label", {}, "Key", field),
+        h("p", { class: "small muted" }, "It is kept in this browser. Whoever runs the server makes keys with ", h("code", {}, "rholoc key create"), "."),
+      ],
+      h("button", { class: "primary" }, "Use this key"),
+      async (form) => localStorage.setItem(KEY, form.get("key").trim()),
+    );
+    return answer !== null;
+  })().finally(() => (asking = null));
+  return asking;
+}

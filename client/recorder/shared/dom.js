@@ -1,0 +1,72 @@
+// Elements without markup: every text is set as text, so that no name can ever be read as HTML.
+
+/**
+ * An element. `properties` are attributes, except: functions `on…` listen, `class` may be a list, false or null is left
+ * out, true is an empty attribute. Children are elements, strings, numbers, or lists of them; null and false are skipped.
+ */
+export function h(tag, properties = {}, ...children) {
+  const element = document.createElement(tag);
+  for (const [name, value] of Object.entries(properties)) {
+    if (value === null || value === undefined || value === false) continue;
+    if (typeof value === "function") element.addEventListener(name.slice(2).toLowerCase(), value);
+    else if (name === "class") element.className = [value].flat().filter(Boolean).join(" ");
+    else if (name === "value") element.value = value;
+    else element.setAttribute(name, value === true ? "" : value);
+  }
+  element.append(...nodes(children));
+  return element;
+}
+
+/** Put children in place of what an element holds. */
+export function fill(element, ...children) {
+  element.replaceChildren(...nodes(children));
+  return element;
+}
+
+function nodes(children) {
+  return children
+    .flat(Infinity)
+    .filter((child) => child !== null && child !== undefined && child !== false)
+    .map((child) => (child instanceof Node ? child : String(child)));
+}
+
+/**
+ * A dialog around `content`, opened; the promise gives what its form was submitted with (the value of the button), or
+ * null when it was closed. `check` may refuse by throwing; its message is shown in the dialog.
+ */
+export function ask(title, content, buttons, check = async () => {}) {
+  const problem = h("p", { class: "notice bad", role: "alert", hidden: true });
+  const form = h(
+    "form",
+    { class: "stack", method: "dialog" },
+    h("h2", {}, title),
+    content,
+    problem,
+    h("div", { class: "row" }, buttons, h("button", { type: "button", onclick: () => dialog.close() }, "Cancel")),
+  );
+  const dialog = h("dialog", { "aria-label": title }, form);
+  return new Promise((resolve) => {
+    let answer = null;
+    form.addEventListener("submit", async (event) => {
+      event.preventDefault();
+      const chosen = event.submitter;
+      if (chosen) chosen.disabled = true;
+      try {
+        await check(new FormData(form));
+        answer = chosen?.value || "ok";
+        dialog.close();
+      } catch (error) {
+        problem.textContent = String(error.message ?? error);
+        problem.hidden = false;
+      } finally {
+        if (chosen) chosen.disabled = false;
+      }
+    });
+    dialog.addEventListener("close", () => {
+      dialog.remove();
+      resolve(answer);
+    });
+    document.body.append(dialog);
+    dialog.showModal();
+  });
+}

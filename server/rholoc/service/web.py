@@ -1,0 +1,50 @@
+"""The web page: the console at ``/``, the recorder at ``/record``, and what they are made of under ``/web``."""
+
+from __future__ import annotations
+
+import mimetypes
+import os
+from collections.abc import Awaitable, Callable
+from pathlib import Path
+
+from fastapi import FastAPI, Request, Response
+from starlette.staticfiles import StaticFiles
+
+PREFIX = "/web"
+_PAGES = {"/": "index.html", "/record": "record/index.html"}
+_TYPES = {".js": "text/javascript", ".webmanifest": "application/manifest+json", ".svg": "image/svg+xml"}
+_SERVICE_WORKER = "service-worker.js"
+
+
+def web_folder() -> Path:
+    """Where the page's files are: in an installed package beside this module, in a checkout under ``client``."""
+    installed = Path(__file__).parent / "web_files"
+    return installed if installed.is_dir() else Path(__file__).parents[3] / "client" / "recorder"
+
+
+class _PageFiles(StaticFiles):
+    """Files that a browser keeps and asks about before each use: a new version is seen at once, and costs a 304."""
+
+    def file_response(self, full_path: str | os.PathLike[str], *args: object, **options: object) -> Response:
+        response = super().file_response(full_path, *args, **options)  # type: ignore[arg-type]
+        response.headers["Cache-Control"] = "no-cache"
+        if Path(full_path).name == _SERVICE_WORKER:
+            response.headers["Service-Worker-Allowed"] = "/"
+        return response
+
+
+def install(app: FastAPI) -> None:
+    """Serve the page's files with the app."""
+    for suffix, kind in _TYPES.items():
+        mimetypes.add_type(kind, suffix)  # what the operating system says of them differs
+    files = _PageFiles(directory=web_folder())
+    app.mount(PREFIX, files)
+    for path, name in _PAGES.items():
+        app.add_api_route(path, _page(files, name), methods=["GET", "HEAD"], include_in_schema=False)
+
+
+def _page(files: StaticFiles, name: str) -> Callable[[Request], Awaitable[Response]]:
+    async def page(request: Request) -> Response:
+        return await files.get_response(name, request.scope)
+
+    return page
