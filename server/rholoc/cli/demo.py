@@ -6,8 +6,11 @@ import shutil
 import signal
 import time
 import webbrowser
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ProcessPoolExecutor
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
+from multiprocessing import get_context
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -98,12 +101,16 @@ def demo(
     start_s = time.perf_counter()
     files = _Files(out)
     files.clear()
-    first, second = (_simulate(files, number, seconds, seed) for number in (1, 2))
-    with running_server(files.maps, files.data, files.log) as server:
+    with fraction_progress("simulating walk 1") as progress:
+        first = _simulate(files, 1, seconds, seed, progress)
+    with (
+        _in_background(_simulate, files, 2, seconds, seed) as second,
+        running_server(files.maps, files.data, files.log) as server,
+    ):
         try:
             with Client(server.url, timeout_s=60.0) as client:
                 build_s = _map(client, first)
-                table, frame_ms = _localize(client, second, every)
+                table, frame_ms = _localize(client, second.result(), every)
         except RholocClientError as error:
             raise RholocError(str(error), f"The server's log is {files.log}.") from error
         figures = _figures(files, table, every, frame_ms, build_s, start_s)
@@ -112,13 +119,21 @@ def demo(
             _stay(server)
 
 
-def _simulate(files: _Files, number: int, seconds: float, seed: int) -> Path:
+@contextmanager
+def _in_background(work: Callable[..., Path], *arguments: object) -> Iterator[Future[Path]]:
+    """Do some work in a process of its own: mapping leaves most of a second core idle."""
+    with ProcessPoolExecutor(1, get_context("spawn")) as pool:
+        yield pool.submit(work, *arguments)
+
+
+def _simulate(
+    files: _Files, number: int, seconds: float, seed: int, progress: Callable[[float], None] = lambda _: None
+) -> Path:
     """Write the recording of a walk; returns its folder, which does not hold the truth."""
     from rholoc.simulation import simulate_recording
 
     folder = files.recordings / f"walk-{number}"
-    with fraction_progress(f"simulating walk {number}") as progress:
-        recording = simulate_recording(folder, walk=number, seconds=seconds, seed=seed, progress=progress)
+    recording = simulate_recording(folder, walk=number, seconds=seconds, seed=seed, progress=progress)
     recording.truth.rename(files.truth / f"{folder.name}.csv")
     print_notice(f"simulated walk {number}: {len(recording.times)} frames, IMU, waypoints")
     return folder
