@@ -21,6 +21,7 @@
         ├── InvalidMap              a map file that is corrupt, truncated or foreign
         ├── NotFound
         │   ├── UnknownMap
+        │   ├── UnknownCamera
         │   ├── UnknownRecording
         │   ├── UnknownJob
         │   └── UnknownRoute        an older service, or a wrong base URL
@@ -156,6 +157,12 @@ class UnknownMap(NotFound):
     """No map has this name."""
 
     code = "unknown_map"
+
+
+class UnknownCamera(NotFound):
+    """No camera has this name."""
+
+    code = "unknown_camera"
 
 
 class UnknownRecording(NotFound):

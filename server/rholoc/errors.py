@@ -14,6 +14,7 @@
     ├── InvalidMap              a map file that is corrupt, truncated or foreign
     ├── NotFound
     │   ├── UnknownMap
+    │   ├── UnknownCamera
     │   ├── UnknownRecording
     │   └── UnknownJob
     ├── Conflict                the request contradicts the present state
@@ -106,6 +107,12 @@ class UnknownMap(NotFound):
     """No map has this name."""
 
     code = "unknown_map"
+
+
+class UnknownCamera(NotFound):
+    """No camera has this name."""
+
+    code = "unknown_camera"
 
 
 class UnknownRecording(NotFound):

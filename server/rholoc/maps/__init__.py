@@ -1,5 +1,6 @@
 """The map, its file formats, the library of maps on disk."""
 
+from rholoc.maps.cameras import CameraLibrary, CameraProfile
 from rholoc.maps.coefficient_reading import read_coefficient_table
 from rholoc.maps.coefficient_table import write_coefficient_table
 from rholoc.maps.coverage import Coverage, coverage_of
@@ -14,6 +15,8 @@ from rholoc.maps.trajectory_table import TrajectoryTable, read_trajectory_csv, t
 from rholoc.maps.validation import validate_map
 
 __all__ = [
+    "CameraLibrary",
+    "CameraProfile",
     "Coverage",
     "DensityKind",
     "Map",

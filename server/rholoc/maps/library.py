@@ -17,19 +17,33 @@ _NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9._-]{0,63}")
 _NAMES_SHOWN = 5
 
 
-def check_map_name(name: str) -> str:
-    """The name, if it is one: 1–64 letters, digits, ``.``, ``_``, ``-``; the first no dot and no hyphen.
+def is_name(name: str) -> bool:
+    """Whether a map or a camera may have this name: 1–64 letters, digits, ``.``, ``_``, ``-``; no dot or hyphen first."""
+    return _NAME.fullmatch(name) is not None
+
+
+def check_name(name: str, what: str) -> str:
+    """The name, if it may name a ``what``.
 
     Raises:
-        InvalidName: it is not.
+        InvalidName: it may not.
     """
-    if not _NAME.fullmatch(name):
+    if not is_name(name):
         shown = name if len(name) <= 64 else name[:61] + "…"
         raise InvalidName(
-            f"{shown!r} is not a map name.",
+            f"{shown!r} is not a {what} name.",
             "Use 1 to 64 letters, digits, '.', '_' and '-', the first a letter, a digit or '_'.",
         )
     return name
+
+
+def check_map_name(name: str) -> str:
+    """The name, if it may name a map.
+
+    Raises:
+        InvalidName: it may not.
+    """
+    return check_name(name, "map")
 
 
 @dataclass(frozen=True)
@@ -63,7 +77,7 @@ class MapLibrary:
     def names(self) -> list[str]:
         """The names of all maps, sorted; none where the folder does not exist."""
         files = self.folder.glob(f"*{SUFFIX}")
-        return sorted(file.name.removesuffix(SUFFIX) for file in files if _NAME.fullmatch(file.stem) and file.is_file())
+        return sorted(file.name.removesuffix(SUFFIX) for file in files if is_name(file.stem) and file.is_file())
 
     def path(self, name: str) -> Path:
         """Where the map of that name is kept, whether there is one or not.

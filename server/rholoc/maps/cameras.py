@@ -1,0 +1,117 @@
+"""Named cameras: intrinsics that requests and commands refer to by name, kept beside the maps."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+from rholoc.errors import InvalidCamera, InvalidInput, UnknownCamera
+from rholoc.geometry import Camera
+from rholoc.maps.files import replace_file
+from rholoc.maps.library import check_name, is_name
+
+FOLDER = "cameras"
+_SUFFIX = ".json"
+_NAMES_SHOWN = 5
+
+
+@dataclass(frozen=True)
+class CameraProfile:
+    """A camera's intrinsics and what is known of how good they are.
+
+    ``calibration`` is JSON: where a board calibrated it ``rms_px``, ``views``, ``sigmas_px`` and more; else empty.
+    """
+
+    camera: Camera
+    calibration: dict[str, Any] = field(default_factory=dict)
+
+
+class CameraLibrary:
+    """Camera profiles as ``cameras/NAME.json`` in the folder of maps; safe to share between threads and processes.
+
+    The files are also a recording's ``camera.json``: it reads the same members.
+    """
+
+    def __init__(self, maps_dir: Path) -> None:
+        self.folder = maps_dir / FOLDER
+
+    def names(self) -> list[str]:
+        """The names of all cameras, sorted; none where the folder does not exist."""
+        files = self.folder.glob(f"*{_SUFFIX}")
+        return sorted(file.stem for file in files if is_name(file.stem) and file.is_file())
+
+    def path(self, name: str) -> Path:
+        """Where the camera of that name is kept, whether there is one or not.
+
+        Raises:
+            InvalidName: it is not a name.
+        """
+        return self.folder / (check_name(name, "camera") + _SUFFIX)
+
+    def get(self, name: str) -> CameraProfile:
+        """The camera of that name.
+
+        Raises:
+            InvalidName: it is not a name.
+            UnknownCamera: there is no such camera.
+            InvalidCamera: its file is broken.
+        """
+        try:
+            text = self.path(name).read_text(encoding="utf-8")
+        except FileNotFoundError as error:
+            raise self._unknown(name) from error
+        except (OSError, UnicodeDecodeError) as error:
+            raise InvalidCamera(f"The camera {name} cannot be read.", "Calibrate or add it again.") from error
+        return _from_json(name, text)
+
+    def put(self, name: str, profile: CameraProfile) -> None:
+        """Store a camera under a name, replacing the one that was there.
+
+        Raises:
+            InvalidName, StorageFull, InvalidInput: nothing was replaced.
+        """
+        path = self.path(name)
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise InvalidInput(f"{self.folder} cannot be made: {error.strerror}.", "Check the map folder.") from error
+        values = {**asdict(profile.camera), "calibration": profile.calibration}
+        replace_file(path, (json.dumps(values, indent=2, allow_nan=False) + "\n").encode())
+
+    def delete(self, name: str) -> None:
+        """Delete a camera.
+
+        Raises:
+            InvalidName: it is not a name.
+            UnknownCamera: there is no such camera.
+        """
+        try:
+            self.path(name).unlink()
+        except FileNotFoundError as error:
+            raise self._unknown(name) from error
+
+    def named_in(self, text: str | None) -> Camera | str | None:
+        """The camera whose name ``text`` is; intrinsics as users write them (``fx,fy,cx,cy`` …) stay what they are.
+
+        Raises:
+            InvalidName, UnknownCamera, InvalidCamera: as :meth:`get` does.
+        """
+        return text if text is None or "," in text else self.get(text).camera
+
+    def _unknown(self, name: str) -> UnknownCamera:
+        names = self.names()
+        known = ", ".join(names[:_NAMES_SHOWN]) + (", …" if len(names) > _NAMES_SHOWN else "")
+        hint = f"There are: {known}." if names else "There are none yet: rholoc camera add, or rholoc camera calibrate."
+        return UnknownCamera(f"There is no camera {name}.", hint)
+
+
+def _from_json(name: str, text: str) -> CameraProfile:
+    try:
+        values = json.loads(text)
+        calibration = dict(values.pop("calibration", {}))
+        intrinsics = {member: values[member] for member in ("width", "height", "fx", "fy", "cx", "cy")}
+        return CameraProfile(Camera(**intrinsics, distortion=tuple(values.get("distortion", ()))), calibration)
+    except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
+        raise InvalidCamera(f"The file of the camera {name} is broken.", "Calibrate or add it again.") from error
