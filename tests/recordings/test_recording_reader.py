@@ -243,7 +243,7 @@ def own(make_video, tmp_path: Path) -> Path:
     make_video(folder / "video.mp4")
     write_frames_csv(folder / "frames.csv", np.arange(12), 50 + np.arange(12) / 20)
     times = 49.9 + np.arange(160) / 200
-    write_imu_csv(folder / "imu.csv", Imu(times, np.tile([0, 0, 9.81], (160, 1)), np.zeros((160, 3)), True, None))
+    write_imu_csv(folder / "imu.csv", Imu(times, np.zeros((160, 3)), np.zeros((160, 3)), False, None))
     waypoints = [Waypoint(f"W{i}", 50 + 0.2 * i, (i, i * i, 1.5)) for i in range(3)]
     write_waypoints_csv(folder / "waypoints.csv", waypoints)
     write_camera_json(folder / "camera.json", CameraFile(CAMERA, R_camera_imu=np.eye(3), gravity_included=False))

@@ -12,14 +12,18 @@ import numpy as np
 from rholoc.errors import InvalidInput, InvalidRecording
 from rholoc.geometry import FloatArray
 
+MAX_TABLE_BYTES = 2**29
+
 
 def read_text(path: Path, error: type[InvalidInput] = InvalidRecording) -> str:
     """The text of a UTF-8 file, a byte order mark left out.
 
     Raises:
-        error: the file is missing, unreadable or not text.
+        error: the file is missing, unreadable, not text, or over 512 MiB.
     """
     try:
+        if path.stat().st_size > MAX_TABLE_BYTES:
+            raise error(f"{path.name} is larger than {MAX_TABLE_BYTES // 2**20} MiB.", "Record for a shorter time.")
         text = path.read_text(encoding="utf-8-sig")
     except FileNotFoundError as cause:
         raise error(f"{path.name} does not exist.", f"Looked for it at {path}.") from cause

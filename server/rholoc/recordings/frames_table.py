@@ -16,11 +16,22 @@ _MAX_EXACT = 2**53  # above it a float64 is not exact
 
 
 def read_frames_csv(path: Path) -> tuple[IntArray, FloatArray]:
+    """As :func:`read_frame_numbers`, with times that increase.
+
+    Raises:
+        InvalidRecording: as there, or times do not increase.
+    """
+    numbers, times = read_frame_numbers(path)
+    require_increasing(times, path)
+    return numbers, times
+
+
+def read_frame_numbers(path: Path) -> tuple[IntArray, FloatArray]:
     """Read frame numbers (N,) int64 and times (N,) in seconds, under the header ``frame,timestamp``.
 
     Raises:
         InvalidRecording: a column is missing, there are no rows, a value is not finite, a frame number is not whole,
-            or numbers or times do not increase.
+            or numbers do not increase.
     """
     table = read_numbers(path, FRAME_COLUMNS)
     if np.any((table["frame"] != np.floor(table["frame"])) | (np.abs(table["frame"]) > _MAX_EXACT)):
@@ -28,7 +39,6 @@ def read_frames_csv(path: Path) -> tuple[IntArray, FloatArray]:
     numbers = table["frame"].astype(np.int64)
     if np.any(np.diff(numbers) <= 0):
         raise InvalidRecording(f"{path.name}: frame numbers do not increase from row to row.")
-    require_increasing(table["timestamp"], path)
     return numbers, table["timestamp"]
 
 

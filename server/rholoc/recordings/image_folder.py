@@ -20,6 +20,7 @@ DEFAULT_FPS = 30.0  # assumed where neither a table of times nor camera.json say
 _SUBFOLDERS = (".", "frames", "images")
 _LAST_DIGITS = re.compile(r"(\d+)\D*$")
 _MAX_FRAME_NUMBER = 2**63 - 1
+_MOST_DIGITS = 25  # leading zeros and all; Python refuses to read numbers of thousands
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,7 +76,21 @@ def read_image_folder(
     ordered = tuple(path for _, path in numbered)
     numbers = np.array([number for number, _ in numbered], dtype=np.int64)
     times = numbers / (fps or DEFAULT_FPS) if times_csv is None else _times_of(numbers, times_csv)
-    return ImageFolderFrames(ordered, numbers, times, _common_size(ordered))
+    return image_frames(ordered, numbers, times)
+
+
+def image_frames(paths: Sequence[Path], numbers: IntArray, times: FloatArray) -> ImageFolderFrames:
+    """Image files (N) with known numbers and times (N,) → frames.
+
+    Raises:
+        InvalidRecording: there are none, one is missing or has no image header, or sizes differ.
+    """
+    if not paths:
+        raise InvalidRecording("The recording lists no images.")
+    missing = next((path for path in paths if not path.is_file()), None)
+    if missing is not None:
+        raise InvalidRecording(f"The image {missing.name} is listed, but not there.", "Pack the images with the lists.")
+    return ImageFolderFrames(tuple(paths), numbers, times, _common_size(paths))
 
 
 def _images_in(folder: Path) -> tuple[Path, ...]:
@@ -88,10 +103,16 @@ def _images_in(folder: Path) -> tuple[Path, ...]:
     )
 
 
-def _number(path: Path) -> int:
+def number_in_name(path: Path) -> int | None:
+    """The last digits of a file's name as a number; None where there are none, or far too many."""
     match = _LAST_DIGITS.search(path.stem)
-    number = int(match[1]) if match else -1
-    if not 0 <= number <= _MAX_FRAME_NUMBER:
+    number = int(match[1]) if match and len(match[1]) <= _MOST_DIGITS else -1
+    return number if 0 <= number <= _MAX_FRAME_NUMBER else None
+
+
+def _number(path: Path) -> int:
+    number = number_in_name(path)
+    if number is None:
         raise InvalidRecording(
             f"The name of {path.name} has no frame number.", "Name the images frame-000000.jpg, frame-000001.jpg, …"
         )

@@ -57,13 +57,25 @@ def read_pose_table(path: Path) -> PoseTable:
     if not rows:
         raise InvalidTrajectory(f"{path.name} has no poses.", _COLUMNS_HINT)
     table = np.array(rows)
-    norms = np.linalg.norm(table[:, 4:], axis=1)
-    if np.any(np.abs(norms - 1) > _NORM_TOLERANCE):
-        key = table[np.argmax(np.abs(norms - 1)), 0]
-        raise InvalidTrajectory(f"{path.name}: the quaternion at {key:g} is not of unit length.", _COLUMNS_HINT)
+    poses = poses_from_rows(table[:, 1:], path.name)
     if len(np.unique(table[:, 0])) < len(table):
         raise InvalidTrajectory(f"{path.name}: a frame or time occurs twice.")
-    return PoseTable(table[:, 0], pose_matrix(Rotation.from_quat(table[:, 4:]).as_matrix(), table[:, 1:4]))
+    return PoseTable(table[:, 0], poses)
+
+
+def poses_from_rows(rows: FloatArray, source: str) -> FloatArray:
+    """Rows (N, 7) of tx ty tz qx qy qz qw → poses (N, 4, 4); ``source`` is the table's name.
+
+    Raises:
+        InvalidTrajectory: a quaternion is not of unit length.
+    """
+    lengths = np.linalg.norm(rows[:, 3:], axis=1)
+    wrong = np.flatnonzero(~(np.abs(lengths - 1) <= _NORM_TOLERANCE))
+    if len(wrong):
+        raise InvalidTrajectory(
+            f"{source}: the quaternion of pose {wrong[0] + 1} is not of unit length.", _COLUMNS_HINT
+        )
+    return pose_matrix(Rotation.from_quat(rows[:, 3:]).as_matrix(), rows[:, :3])
 
 
 def match_poses(table: PoseTable, frames: FrameSource) -> GivenPoses:

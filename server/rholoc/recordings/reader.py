@@ -12,7 +12,7 @@ from pathlib import Path
 from rholoc.errors import InvalidRecording
 from rholoc.geometry import Camera
 from rholoc.recordings.archive import DEFAULT_MAX_BYTES, unpack
-from rholoc.recordings.folder import read_folder
+from rholoc.recordings.readers import read_folder
 from rholoc.recordings.recording import Recording
 from rholoc.recordings.selection import parse_frame_slice, select_frames
 from rholoc.recordings.video import VIDEO_SUFFIXES, read_video

@@ -4,10 +4,59 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from enum import StrEnum
 from pathlib import Path
 from typing import Protocol
 
 from rholoc.geometry import BoolArray, ByteArray, Camera, FloatArray, IntArray
+
+
+class RecordingFormat(StrEnum):
+    """How a recording is laid out; maps/README.md describes each."""
+
+    VIDEO = "video"  # a video file and nothing else
+    RHOLOC = "rholoc"  # our own folder, and any folder of images
+    ANDROID_CSV = "android-csv"  # timestamp_ns tables beside a video
+    OPENCAMERA_SENSORS = "opencamera-sensors"
+    MARS_LOGGER = "mars-logger"
+    SENSOR_LOGGER = "sensor-logger"
+    SPECTACULAR = "spectacular-ai"  # data.jsonl
+    STRAY_SCANNER = "stray-scanner"
+    IOS_LOGGER = "ios-logger"  # Frames.txt, MotARH.txt, ARposes.txt
+    ADVIO = "advio"
+    EUROC = "euroc"  # ASL's layout
+    TUM_RGBD = "tum-rgbd"
+    SEVEN_SCENES = "7-scenes"
+    COLMAP = "colmap"  # text model
+    NERFSTUDIO = "nerfstudio"  # transforms.json
+
+
+class WarningKind(StrEnum):
+    """What was found amiss in a recording that can be used all the same."""
+
+    TIME_UNIT = "time_unit"  # times are in another unit than the format says
+    ACCELERATION_UNIT = "acceleration_unit"  # in g where m/s² is meant, or the other way round
+    GRAVITY = "gravity"  # removed where it is said to be included, or the other way round
+    SIGN = "sign"  # the acceleration has Apple's sign where it should not
+    GYROSCOPE_UNIT = "gyroscope_unit"  # degrees where radians are meant
+    LOW_IMU_RATE = "low_imu_rate"
+    IMU_GAP = "imu_gap"
+    FRAME_GAP = "frame_gap"
+    REPEATED_TIMES = "repeated_times"  # rows or frames whose time does not advance, left out
+    FRAME_COUNT = "frame_count"  # the video and its table of times differ
+    NO_OVERLAP = "no_overlap"  # the IMU does not cover the frames
+    SCALE_UNKNOWN = "scale_unknown"  # the poses' unit of length is not stated
+    CAMERA_UNSUPPORTED = "camera_unsupported"  # intrinsics of a model that is not pinhole
+    NOT_USED = "not_used"  # something in the recording that is left aside
+    NO_IMAGES = "no_images"  # times of frames without the frames
+
+
+@dataclass(frozen=True)
+class RecordingWarning:
+    """One thing amiss: what kind, and one line that says what it is and what suffers."""
+
+    kind: WarningKind
+    text: str
 
 
 class FrameSource(Protocol):
@@ -72,17 +121,30 @@ class GivenPoses:
     Attributes:
         known: (N,) bool, whether the frame in this row has a pose.
         T_map_camera: (N, 4, 4), NaN where unknown.
+        metric: whether their unit of length is the metre, or unknown.
     """
 
     known: BoolArray
     T_map_camera: FloatArray
+    metric: bool = True
 
 
 @dataclass(frozen=True, eq=False)
 class Recording:
     """A walk through a place.
 
-    ``camera`` is None where the intrinsics are unknown; the trajectory's structure from motion then estimates them.
+    Attributes:
+        name: what it is called.
+        path: where it was read from.
+        frames: the video's frames or the images.
+        camera: None where the intrinsics are unknown; the trajectory's structure from motion then estimates them.
+        imu: None where there is none.
+        waypoints: measured points of the walk.
+        poses: None where none came with it.
+        format: the layout that it was read as.
+        frame_intrinsics: (N, 4) fx, fy, cx, cy of each frame in pixels, NaN where not logged; None where none were.
+        readout_s: how long a rolling shutter takes from the first row to the last, or None where not logged.
+        warnings: what is amiss in it.
     """
 
     name: str
@@ -92,3 +154,7 @@ class Recording:
     imu: Imu | None = None
     waypoints: tuple[Waypoint, ...] = ()
     poses: GivenPoses | None = None
+    format: RecordingFormat = RecordingFormat.RHOLOC
+    frame_intrinsics: FloatArray | None = None
+    readout_s: float | None = None
+    warnings: tuple[RecordingWarning, ...] = ()

@@ -9,7 +9,7 @@ import numpy as np
 
 from rholoc.errors import InvalidRecording
 from rholoc.geometry import ByteArray, FloatArray, IntArray
-from rholoc.recordings.recording import FrameSource, GivenPoses, Recording
+from rholoc.recordings.recording import FrameSource, Recording
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,8 +86,13 @@ def select_frames(recording: Recording, chosen: slice) -> Recording:
         poses=(
             None
             if recording.poses is None
-            else GivenPoses(recording.poses.known[rows], recording.poses.T_map_camera[rows])
+            else replace(
+                recording.poses,
+                known=recording.poses.known[rows],
+                T_map_camera=recording.poses.T_map_camera[rows],
+            )
         ),
+        frame_intrinsics=None if recording.frame_intrinsics is None else recording.frame_intrinsics[rows],
     )
 
 

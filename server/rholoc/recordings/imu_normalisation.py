@@ -1,0 +1,305 @@
+"""An IMU's table as a phone logged it → seconds, m/s², rad/s, one row a time. Pure functions, used by all readers.
+
+Formats document their units, and apps, versions and settings depart from them. What the numbers themselves show is
+believed before the documentation, and each departure is told as a warning:
+
+- the unit of time by the interval between samples, since no IMU samples slower than 2.5 or faster than 2500 times a
+  second;
+- g or m/s², and gravity included or removed, by the length of the acceleration, which is steady only with gravity;
+- degrees or radians by speeds that no hand reaches, else by which of them turns gravity as the accelerometer feels it;
+- Apple's sign, which gravity alone cannot show, by poses that come with the recording.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from rholoc.errors import InvalidRecording
+from rholoc.geometry import FloatArray, IntArray
+from rholoc.recordings.recording import Imu, RecordingWarning, WarningKind
+
+STANDARD_GRAVITY = 9.80665  # m/s²
+MIN_RATE_HZ = 25.0  # the paper's floor
+
+_TIME_UNITS = {"s": 1.0, "ms": 1e-3, "µs": 1e-6, "ns": 1e-9}
+_LONGEST_IMU_INTERVAL_S = 0.4
+_LONGEST_FRAME_INTERVAL_S = 2.0
+_MAX_DROPPED = 0.05  # share of rows whose time does not advance
+_GAP_INTERVALS = 5.0  # a gap is this many usual intervals …
+_GAP_S = 0.1  # … and at least this long
+_FEWEST_TO_MEASURE = 20
+_STEADY = 0.65  # 10th percentile to median of the acceleration's length: with gravity above it, without below
+_GRAVITY_RANGE = (0.85, 1.15)  # of the median length, in g
+_FASTEST_TURN = 12.0  # rad/s that a walking hand does not exceed in one row of twenty
+_TURN_WINDOW_S = 0.4
+_TOLD_TURN = 0.05  # rad that gravity must turn between two windows to tell anything …
+_FEWEST_TURNS = 5  # … this often
+_DISTINCTLY = 2.0  # times better, for one unit of angle to be told from the other
+
+
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """One sensor as it was logged: times (M,) in any unit, and values (M, 3) in any unit."""
+
+    times: FloatArray
+    values: FloatArray
+
+
+@dataclass(frozen=True)
+class ImuConvention:
+    """What a format says of its numbers.
+
+    Attributes:
+        time_unit: one of s, ms, µs, ns.
+        in_g: the acceleration is in multiples of standard gravity, not m/s².
+        includes_gravity: it includes gravity's reaction.
+        apple_sign: it is negative: at rest it reads −1 g upwards, as CoreMotion does.
+        in_degrees: the gyroscope is in degrees a second.
+    """
+
+    time_unit: str = "s"
+    in_g: bool = False
+    includes_gravity: bool = True
+    apple_sign: bool = False
+    in_degrees: bool = False
+
+
+def normalise_imu(
+    accelerometer: Samples,
+    gyroscope: Samples,
+    says: ImuConvention,
+    R_camera_imu: FloatArray | None = None,
+) -> tuple[Imu, tuple[RecordingWarning, ...]]:
+    """Bring both sensors to one table at the gyroscope's times, in seconds, m/s² and rad/s.
+
+    Args:
+        accelerometer, gyroscope: as logged; their times may differ, and be in disorder.
+        says: the format's own convention, believed where the numbers do not contradict it.
+        R_camera_imu: (3, 3), or None where unknown.
+
+    Raises:
+        InvalidRecording: times go back for good, make no sense in any unit, or the two sensors hardly overlap.
+    """
+    warnings: list[RecordingWarning] = []
+    felt = _advancing(_in_seconds(accelerometer, says.time_unit, "accelerometer", warnings), "accelerometer", warnings)
+    turned = _advancing(_in_seconds(gyroscope, says.time_unit, "gyroscope", warnings), "gyroscope", warnings)
+    for samples, sensor in ((felt, "accelerometer"), (turned, "gyroscope")):
+        warnings += rate_warnings(samples.times, sensor)
+    measured = measure_acceleration(felt.values, says)
+    warnings += _convention_warnings(says, measured)
+    factor = (STANDARD_GRAVITY if measured.in_g else 1.0) * (-1 if measured.apple_sign else 1)
+    felt = replace(felt, values=felt.values * factor)
+    if measure_degrees(felt, turned, measured):
+        if not says.in_degrees:
+            warnings.append(RecordingWarning(WarningKind.GYROSCOPE_UNIT, "The gyroscope is in degrees a second."))
+        turned = replace(turned, values=np.radians(turned.values))
+    elif says.in_degrees:
+        warnings.append(RecordingWarning(WarningKind.GYROSCOPE_UNIT, "The gyroscope is in radians a second."))
+    times, acceleration, rate = _merged(felt, turned)
+    return Imu(times, acceleration, rate, measured.includes_gravity, R_camera_imu), tuple(warnings)
+
+
+def time_unit(times: FloatArray, longest_s: float = _LONGEST_IMU_INTERVAL_S) -> str | None:
+    """The unit of times (M,), s, ms, µs or ns, in which their median interval is at most ``longest_s`` and above a
+    thousandth of it; None where it is none of them, or where fewer than two times differ."""
+    steps = np.abs(np.diff(times))
+    steps = steps[steps > 0]
+    if len(steps) == 0:
+        return None
+    median = float(np.median(steps))
+    for unit, seconds in _TIME_UNITS.items():
+        if longest_s / 1000 < median * seconds <= longest_s:
+            return unit
+    return None
+
+
+def frame_times_s(times: FloatArray, says: str) -> tuple[FloatArray, tuple[RecordingWarning, ...]]:
+    """Times (N,) of frames in seconds, by their interval, as an IMU's are; ``says`` is the format's own unit."""
+    unit = time_unit(times, _LONGEST_FRAME_INTERVAL_S) or says
+    warnings = () if unit == says else (_unit_warning("frames", unit, says),)
+    return times * _TIME_UNITS[unit], warnings
+
+
+def advancing_rows(times: FloatArray, what: str) -> tuple[IntArray, tuple[RecordingWarning, ...]]:
+    """The rows of times (M,) that come after all before them, and a warning of those that do not.
+
+    Raises:
+        InvalidRecording: more than one row in twenty does not.
+    """
+    latest = np.maximum.accumulate(times)
+    advances = np.concatenate([[True], times[1:] > latest[:-1]])
+    dropped = len(times) - int(advances.sum())
+    if dropped == 0:
+        return np.arange(len(times)), ()
+    first = int(np.argmin(advances))
+    if dropped > _MAX_DROPPED * len(times):
+        raise InvalidRecording(
+            f"The times of the {what} do not increase: {dropped} of {len(times)} do not come after those before them, "
+            f"the first {times[first]:.6f} s after {latest[first - 1]:.6f} s.",
+            "Record again, or repair the table of times.",
+        )
+    repeated = int(np.sum(times[1:] == latest[:-1]))
+    text = f"{dropped} rows of the {what} left out: {repeated} repeat a time, {dropped - repeated} go back."
+    return np.flatnonzero(advances), (RecordingWarning(WarningKind.REPEATED_TIMES, text),)
+
+
+def rate_warnings(times: FloatArray, sensor: str) -> tuple[RecordingWarning, ...]:
+    """Whether a sensor with times (M,) in seconds is too slow for the paper's method, or has gaps."""
+    warnings = []
+    steps = np.diff(times)
+    if len(steps) and (rate_hz := 1 / float(np.median(steps))) < MIN_RATE_HZ:
+        text = (
+            f"The {sensor} has {rate_hz:.1f} Hz; below {MIN_RATE_HZ:.0f} Hz the integrated path, the scale and the "
+            "time offset suffer."
+        )
+        warnings.append(RecordingWarning(WarningKind.LOW_IMU_RATE, text))
+    gaps = gap_rows(times)
+    if len(gaps):
+        longest = float(steps[gaps].max())
+        text = f"The {sensor} has {len(gaps)} gaps, the longest {longest:.2f} s; the path through them is a guess."
+        warnings.append(RecordingWarning(WarningKind.IMU_GAP, text))
+    return tuple(warnings)
+
+
+def gap_rows(times: FloatArray) -> IntArray:
+    """Rows of times (M,) in seconds after which far more than the usual interval passes."""
+    steps = np.diff(times)
+    if len(steps) == 0:
+        return np.zeros(0, dtype=np.int64)
+    return np.flatnonzero(steps > max(_GAP_INTERVALS * float(np.median(steps)), _GAP_S))
+
+
+def measure_acceleration(values: FloatArray, says: ImuConvention) -> ImuConvention:
+    """What the accelerations (M, 3) themselves show of unit and gravity; the rest as the format says."""
+    if len(values) < _FEWEST_TO_MEASURE:
+        return says
+    lengths = np.linalg.norm(values, axis=1)
+    low, median = np.percentile(lengths, [10, 50])
+    if low <= _STEADY * median:
+        return replace(says, includes_gravity=False)
+    for in_g, one_g in ((True, 1.0), (False, STANDARD_GRAVITY)):
+        if _GRAVITY_RANGE[0] < median / one_g < _GRAVITY_RANGE[1]:
+            return replace(says, in_g=in_g, includes_gravity=True)
+    return says
+
+
+def measure_degrees(felt: Samples, turned: Samples, says: ImuConvention) -> bool:
+    """Whether the gyroscope's values are degrees: too fast for a hand, or gravity turns as they say only as degrees."""
+    if len(turned.values) < _FEWEST_TO_MEASURE:
+        return says.in_degrees
+    if np.percentile(np.linalg.norm(turned.values, axis=1), 95) > _FASTEST_TURN:
+        return True
+    if not says.includes_gravity:
+        return says.in_degrees
+    down, turns = _gravity_turns(felt, turned)
+    told = np.linalg.norm(down[1:] - down[:-1], axis=1) > _TOLD_TURN
+    if told.sum() < _FEWEST_TURNS:
+        return says.in_degrees
+    as_radians, as_degrees = (
+        float(np.median(np.linalg.norm(Rotation.from_rotvec(-turn).apply(down[:-1][told]) - down[1:][told], axis=1)))
+        for turn in (turns[told], np.radians(turns[told]))
+    )
+    if max(as_radians, as_degrees) < _DISTINCTLY * min(as_radians, as_degrees):
+        return says.in_degrees
+    return as_degrees < as_radians
+
+
+def force_points_up(imu: Imu, times: FloatArray, R_map_camera: FloatArray) -> bool | None:
+    """Whether gravity's reaction points up, as it should, given rotations (N, 3, 3) of the camera at ``times`` (N,).
+
+    With Apple's sign it points down. None where the mounting is unknown, gravity removed, or nothing overlaps.
+    """
+    inside = (times >= imu.times[0]) & (times <= imu.times[-1])
+    if imu.R_camera_imu is None or not imu.includes_gravity or not inside.any():
+        return None
+    felt = np.column_stack([np.interp(times[inside], imu.times, imu.acceleration[:, i]) for i in range(3)])
+    in_map = np.einsum("nij,jk,nk->ni", R_map_camera[inside], imu.R_camera_imu, felt)
+    return bool(in_map[:, 2].mean() > 0)
+
+
+def with_sign_by_poses(
+    imu: Imu, times: FloatArray, R_map_camera: FloatArray
+) -> tuple[Imu, tuple[RecordingWarning, ...]]:
+    """The IMU with its acceleration turned round where upright poses show it to have Apple's sign."""
+    if force_points_up(imu, times, R_map_camera) is not False:
+        return imu, ()
+    text = "The acceleration points down at rest, against its format; it was turned round."
+    return replace(imu, acceleration=-imu.acceleration), (RecordingWarning(WarningKind.SIGN, text),)
+
+
+def interpolated(samples: Samples, times: FloatArray) -> FloatArray:
+    """Values (N, 3) at ``times`` (N,), linear between the samples."""
+    return np.column_stack([np.interp(times, samples.times, samples.values[:, axis]) for axis in range(3)])
+
+
+def _in_seconds(samples: Samples, says: str, sensor: str, warnings: list[RecordingWarning]) -> Samples:
+    unit = time_unit(samples.times)
+    if unit is None and len(samples.times) >= _FEWEST_TO_MEASURE:
+        raise InvalidRecording(
+            f"The times of the {sensor} make no sense in s, ms, µs or ns.",
+            "They must advance by the time between two samples.",
+        )
+    unit = unit or says
+    if unit != says:
+        warnings.append(_unit_warning(sensor, unit, says))
+    return replace(samples, times=samples.times * _TIME_UNITS[unit])
+
+
+def _unit_warning(what: str, unit: str, says: str) -> RecordingWarning:
+    return RecordingWarning(WarningKind.TIME_UNIT, f"The times of the {what} are in {unit}, not in {says}.")
+
+
+def _advancing(samples: Samples, sensor: str, warnings: list[RecordingWarning]) -> Samples:
+    rows, found = advancing_rows(samples.times, sensor)
+    warnings += found
+    return Samples(samples.times[rows], samples.values[rows])
+
+
+def _convention_warnings(says: ImuConvention, measured: ImuConvention) -> list[RecordingWarning]:
+    warnings = []
+    if measured.in_g != says.in_g:
+        unit = "g" if measured.in_g else "m/s²"
+        warnings.append(RecordingWarning(WarningKind.ACCELERATION_UNIT, f"The acceleration is in {unit}."))
+    if measured.includes_gravity != says.includes_gravity:
+        text = (
+            "The acceleration includes gravity."
+            if measured.includes_gravity
+            else "The acceleration is without gravity: the IMU cannot tell which way is up."
+        )
+        warnings.append(RecordingWarning(WarningKind.GRAVITY, text))
+    return warnings
+
+
+def _gravity_turns(felt: Samples, turned: Samples) -> tuple[FloatArray, FloatArray]:
+    """Gravity's direction (K + 1, 3) in short windows, and how the gyroscope says it turned (K, 3) between them."""
+    first, last = max(felt.times[0], turned.times[0]), min(felt.times[-1], turned.times[-1])
+    edges = np.arange(first, last, _TURN_WINDOW_S)
+    if len(edges) < 3:
+        return np.zeros((1, 3)), np.zeros((0, 3))
+    down = np.diff(interpolated(_integral(felt), edges), axis=0)
+    down = down / np.maximum(np.linalg.norm(down, axis=1, keepdims=True), 1e-9)
+    middles = edges[:-1] + _TURN_WINDOW_S / 2
+    return down, np.diff(interpolated(_integral(turned), middles), axis=0)
+
+
+def _integral(samples: Samples) -> Samples:
+    steps = samples.values[1:] * np.diff(samples.times)[:, None]
+    return Samples(samples.times, np.concatenate([np.zeros((1, 3)), np.cumsum(steps, axis=0)]))
+
+
+def _merged(felt: Samples, turned: Samples) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Times (M,), accelerations and rates (M, 3) at the gyroscope's times within the accelerometer's."""
+    if np.array_equal(felt.times, turned.times):
+        return turned.times, felt.values, turned.values
+    inside = (turned.times >= felt.times[0]) & (turned.times <= felt.times[-1])
+    if inside.sum() < 2:
+        raise InvalidRecording(
+            "Accelerometer and gyroscope have no common time: "
+            f"{felt.times[0]:.3f}–{felt.times[-1]:.3f} s and {turned.times[0]:.3f}–{turned.times[-1]:.3f} s.",
+            "Both must be on one clock.",
+        )
+    times = turned.times[inside]
+    return times, interpolated(felt, times), turned.values[inside]

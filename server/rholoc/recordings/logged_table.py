@@ -1,0 +1,144 @@
+"""Tables as recorder apps write them: with a header or none, comments, units in the names, commas or blanks."""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from rholoc.errors import InvalidRecording
+from rholoc.geometry import FloatArray
+from rholoc.recordings.csv_table import parse_number, read_text, require_columns
+
+_UNIT = re.compile(r"\[[^\]]*\]|\([^)]*\)")  # of a column's name
+_HEAD_BYTES = 4096
+
+
+@dataclass(frozen=True, eq=False)
+class LoggedTable:
+    """A table's rows as text.
+
+    Attributes:
+        path: its file.
+        header: the columns' names, lower case, without units; empty where there is none.
+        rows: one list of fields a row, all of one length.
+        first_line: the number of the first row's line.
+    """
+
+    path: Path
+    header: tuple[str, ...]
+    rows: list[list[str]]
+    first_line: int
+
+    def named(self, *names: str) -> FloatArray:
+        """The named columns, (N, len(names)).
+
+        Raises:
+            InvalidRecording: a column is missing, or a value is not a finite number.
+        """
+        require_columns(self.path, self.header, names, InvalidRecording)
+        return self.numbered(*(self.header.index(name) for name in names))
+
+    def numbered(self, *columns: int) -> FloatArray:
+        """The columns by their places, (N, len(columns)), for tables whose format has no header.
+
+        Raises:
+            InvalidRecording: there are fewer columns, or a value is not a finite number.
+        """
+        if max(columns) >= len(self.rows[0]):
+            raise InvalidRecording(f"{self.path.name} has {len(self.rows[0])} columns; {max(columns) + 1} are meant.")
+        names = [self.header[column] if self.header else f"column {column + 1}" for column in columns]
+        values = [
+            [
+                parse_number(row[column], self.path, line, name, InvalidRecording)
+                for column, name in zip(columns, names, strict=True)
+            ]
+            for line, row in enumerate(self.rows, start=self.first_line)
+        ]
+        return np.array(values, dtype=np.float64)
+
+    def text(self, name: str) -> list[str]:
+        """The named column as text.
+
+        Raises:
+            InvalidRecording: there is no such column.
+        """
+        require_columns(self.path, self.header, (name,), InvalidRecording)
+        return [row[self.header.index(name)] for row in self.rows]
+
+
+def read_logged_table(path: Path) -> LoggedTable:
+    """Read a table whose rows begin with a number; the last line before them is the header.
+
+    Raises:
+        InvalidRecording: the file cannot be read, has no rows, or rows of different lengths.
+    """
+    lines = read_text(path).splitlines()
+    first = next((number for number, line in enumerate(lines) if _begins_with_number(line)), None)
+    if first is None:
+        raise InvalidRecording(f"{path.name} has no rows.", "Record again, or leave the file out.")
+    blanks = "," not in lines[first]
+    rows: list[list[str]] = []
+    for number, line in enumerate(lines[first:], start=first + 1):
+        if not line.strip() or line.startswith("#"):
+            continue
+        fields = _fields(line, blanks)
+        if rows and len(fields) != len(rows[0]):
+            raise InvalidRecording(f"{path.name}, line {number}: {len(fields)} values, not {len(rows[0])} as before.")
+        rows.append(fields)
+    return LoggedTable(path, _header(lines[:first], blanks), rows, first + 1)
+
+
+def header_of(path: Path) -> tuple[str, ...]:
+    """The names in a table's header, as :class:`LoggedTable` has them; empty for no file, no text or no header."""
+    try:
+        with path.open("rb") as file:
+            lines = file.read(_HEAD_BYTES).decode("utf-8-sig").splitlines()
+    except (OSError, UnicodeDecodeError):
+        return ()
+    before: list[str] = []
+    for line in lines:
+        if _begins_with_number(line):
+            return _header(before, blanks="," not in line)
+        before.append(line)
+    return _header(before, blanks=False)
+
+
+def has_columns(path: Path, names: Sequence[str]) -> bool:
+    """Whether a table's header has all of the names."""
+    return set(names) <= set(header_of(path))
+
+
+def is_bare_table(path: Path, columns: int) -> bool:
+    """Whether a file is a table of numbers with so many columns, judged by its first line that is not a comment."""
+    try:
+        with path.open("rb") as file:
+            lines = file.read(_HEAD_BYTES).decode("utf-8-sig").splitlines()
+    except (OSError, UnicodeDecodeError):
+        return False
+    first = next((line for line in lines if _begins_with_number(line)), "")
+    return len(_fields(first, "," not in first)) == columns if first else False
+
+
+def _begins_with_number(line: str) -> bool:
+    text = line.replace(",", " ").split()
+    try:
+        float(text[0] if text else "")
+    except ValueError:
+        return False
+    return True
+
+
+def _fields(line: str, blanks: bool) -> list[str]:
+    return line.split() if blanks else [field.strip() for field in next(csv.reader([line]))]
+
+
+def _header(lines: list[str], blanks: bool) -> tuple[str, ...]:
+    named = [line.lstrip("#").strip() for line in lines if line.lstrip("#").strip()]
+    if not named:
+        return ()
+    return tuple(_UNIT.sub("", name).strip().lower() for name in _fields(named[-1], blanks))

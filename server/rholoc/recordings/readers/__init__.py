@@ -1,0 +1,92 @@
+"""One reader per format, chosen by what is in the folder: files, the names in their headers, numbers of columns.
+
+A new format is one new file with ``recognises`` and ``read``, and one line here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from rholoc.errors import InvalidRecording
+from rholoc.recordings.readers import (
+    advio,
+    android_csv,
+    colmap,
+    euroc,
+    ios_logger,
+    mars_logger,
+    nerfstudio,
+    opencamera_sensors,
+    own,
+    sensor_logger,
+    seven_scenes,
+    spectacular,
+    stray_scanner,
+    tum_rgbd,
+)
+from rholoc.recordings.readers._frames import fitted_camera
+from rholoc.recordings.recording import Recording, RecordingFormat
+from rholoc.recordings.waypoints import read_waypoints_csv
+
+
+@dataclass(frozen=True)
+class Reader:
+    """How a format is told from the others, and read."""
+
+    format: RecordingFormat
+    recognises: Callable[[Path], bool]
+    read: Callable[[Path], Recording]
+
+
+READERS = tuple(
+    Reader(kind, module.recognises, module.read)
+    for kind, module in (
+        (RecordingFormat.ANDROID_CSV, android_csv),
+        (RecordingFormat.OPENCAMERA_SENSORS, opencamera_sensors),
+        (RecordingFormat.MARS_LOGGER, mars_logger),
+        (RecordingFormat.SENSOR_LOGGER, sensor_logger),
+        (RecordingFormat.SPECTACULAR, spectacular),
+        (RecordingFormat.STRAY_SCANNER, stray_scanner),
+        (RecordingFormat.IOS_LOGGER, ios_logger),
+        (RecordingFormat.ADVIO, advio),
+        (RecordingFormat.EUROC, euroc),
+        (RecordingFormat.TUM_RGBD, tum_rgbd),
+        (RecordingFormat.SEVEN_SCENES, seven_scenes),
+        (RecordingFormat.COLMAP, colmap),
+        (RecordingFormat.NERFSTUDIO, nerfstudio),
+    )
+)
+
+
+def read_folder(folder: Path) -> Recording:
+    """Read a folder in the format that it is in; rholoc's own where no other is recognised.
+
+    ``waypoints.csv`` and ``camera.json`` may be added to any of them.
+
+    Raises:
+        InvalidRecording: no frames, files of several formats, or a file that cannot be read or contradicts another.
+        InvalidCamera: the intrinsics are broken, or of another image shape than the frames.
+        InvalidWaypoints: ``waypoints.csv`` is broken.
+        InvalidTrajectory: the poses are broken.
+    """
+    found = [reader for reader in READERS if reader.recognises(folder)]
+    if len(found) > 1:
+        formats = " and ".join(reader.format.value for reader in found)
+        raise InvalidRecording(f"The folder {folder.name} holds files of {formats}.", "Leave those of one.")
+    return _with_additions(found[0].read(folder), folder) if found else own.read(folder)
+
+
+def _with_additions(recording: Recording, folder: Path) -> Recording:
+    """The recording with the intrinsics, mounting and waypoints that its operator put beside it."""
+    description = own.read_description(folder)
+    if description.camera is not None:
+        camera = fitted_camera(description.camera, recording.frames.size, "camera.json")
+        recording = replace(recording, camera=camera)
+    if description.R_camera_imu is not None and recording.imu is not None:
+        recording = replace(recording, imu=replace(recording.imu, R_camera_imu=description.R_camera_imu))
+    waypoints_csv = folder / "waypoints.csv"
+    if waypoints_csv.is_file():
+        recording = replace(recording, waypoints=read_waypoints_csv(waypoints_csv, recording.frames))
+    return recording

@@ -1,0 +1,151 @@
+"""What readers share: videos with tables of times, images by lists, files by name, a folder's own description."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from rholoc.errors import InvalidCamera, InvalidRecording
+from rholoc.geometry import Camera, FloatArray, IntArray
+from rholoc.recordings.image_folder import DEFAULT_FPS, image_frames, number_in_name
+from rholoc.recordings.imu_normalisation import advancing_rows
+from rholoc.recordings.recording import FrameSource, RecordingWarning, WarningKind
+from rholoc.recordings.selection import SelectedFrames
+from rholoc.recordings.video import VIDEO_SUFFIXES, VideoFrames, read_video
+
+MAX_FRAME_COUNT_DIFFERENCE = 2  # frames that a recorder may lose at the end of the video or of its table
+_ASPECT_TOLERANCE = 0.01
+
+
+@dataclass(frozen=True, eq=False)
+class TimedFrames:
+    """Frames with a table's times.
+
+    Attributes:
+        frames: those whose time advances.
+        rows: (N,) of the table, one a frame.
+        warnings: what did not fit.
+    """
+
+    frames: FrameSource
+    rows: IntArray
+    warnings: tuple[RecordingWarning, ...]
+
+
+def timed_video(video: Path, times: FloatArray, table: str) -> TimedFrames:
+    """A video with times (N,) in seconds, row by row, from a table of that name; what either has more of at its end is
+    dropped.
+
+    Raises:
+        InvalidRecording: the video cannot be read, the numbers of frames differ by more than 2, or times go back.
+    """
+    frames = read_video(video)
+    count = min(len(times), len(frames.times))
+    warnings: list[RecordingWarning] = []
+    if len(times) != len(frames.times):
+        told = f"{table} has {len(times)} frames, but {video.name} has {len(frames.times)}"
+        if max(len(times), len(frames.times)) - count > MAX_FRAME_COUNT_DIFFERENCE:
+            hint = f"Both must have the same number, give or take {MAX_FRAME_COUNT_DIFFERENCE} at the end."
+            raise InvalidRecording(f"{told}.", hint)
+        warnings.append(RecordingWarning(WarningKind.FRAME_COUNT, f"{told}; the rest is left out."))
+    rows, found = advancing_rows(times[:count], "frames")
+    return TimedFrames(_chosen(replace(frames, times=times[:count]), rows), rows, (*warnings, *found))
+
+
+def timed_images(paths: Sequence[Path], times: FloatArray) -> TimedFrames:
+    """Images in the order of a list, with times (N,) in seconds; numbered from 0.
+
+    Raises:
+        InvalidRecording: an image is missing or broken, sizes differ, or times go back.
+    """
+    rows, warnings = advancing_rows(times, "frames")
+    return TimedFrames(image_frames([paths[row] for row in rows], rows, times[rows]), rows, warnings)
+
+
+def untimed_images(paths: Sequence[Path]) -> TimedFrames:
+    """Images without times: numbered by their names, or in their names' order where that fails, at 30 a second.
+
+    ``rows`` are places in ``paths``.
+
+    Raises:
+        InvalidRecording: an image is missing or broken, or sizes differ.
+    """
+    named = [number_in_name(Path(path.name.split(".")[0])) for path in paths]  # not of frame-000001.color.png
+    numbers = np.array([number for number in named if number is not None], dtype=np.int64)
+    if len(np.unique(numbers)) == len(paths):
+        order = np.argsort(numbers).tolist()
+        numbers = numbers[order]
+    else:
+        order = sorted(range(len(paths)), key=lambda place: paths[place].name)
+        numbers = np.arange(len(paths))
+    frames = image_frames([paths[place] for place in order], numbers, numbers / DEFAULT_FPS)
+    return TimedFrames(frames, np.array(order, dtype=np.int64), ())
+
+
+def find_video(folder: Path, *names: str) -> Path | None:
+    """The video with one of the names (without suffix, in this order), or the only video there is.
+
+    Raises:
+        InvalidRecording: there are several, and none has such a name.
+    """
+    videos = [
+        path
+        for path in sorted(folder.iterdir())
+        if path.suffix.lower() in VIDEO_SUFFIXES and not path.name.startswith(".") and path.is_file()
+    ]
+    for name in names:
+        named = [path for path in videos if path.stem.lower() == name]
+        if named:
+            videos = named
+            break
+    if len(videos) > 1:
+        listed = ", ".join(path.name for path in videos)
+        hint = f"Name the one {names[0] if names else 'video'}.mp4."
+        raise InvalidRecording(f"The folder {folder.name} holds several videos: {listed}.", hint)
+    return next(iter(videos), None)
+
+
+def require_video(folder: Path, *names: str) -> Path:
+    """As :func:`find_video`.
+
+    Raises:
+        InvalidRecording: there is none, or there are several.
+    """
+    video = find_video(folder, *names)
+    if video is None:
+        raise InvalidRecording(f"The folder {folder.name} holds no video.", "Pack the video with the tables.")
+    return video
+
+
+def listed_file(folder: Path, name: str) -> Path:
+    """The file that a list in the folder names, by a path relative to it.
+
+    Raises:
+        InvalidRecording: the name leads out of the folder.
+    """
+    path = folder / name
+    if "\0" in name or not path.resolve().is_relative_to(folder.resolve()):
+        raise InvalidRecording(f"The list of images names '{name[:80]}', outside the recording's folder.")
+    return path
+
+
+def fitted_camera(camera: Camera, size: tuple[int, int], source: str) -> Camera:
+    """The camera for frames of ``size``; ``source``, its file, may be of another resolution of the same shape.
+
+    Raises:
+        InvalidCamera: it is of another shape.
+    """
+    width, height = size
+    if abs(width * camera.height / (height * camera.width) - 1) > _ASPECT_TOLERANCE:
+        raise InvalidCamera(
+            f"{source} is for {camera.width}×{camera.height} pixels, but the frames are {width}×{height}.",
+            "Give the intrinsics of the frames as they are shown, after rotation.",
+        )
+    return camera if (camera.width, camera.height) == size else camera.resized(width, height)
+
+
+def _chosen(frames: VideoFrames, rows: IntArray) -> FrameSource:
+    return frames if len(rows) == len(frames.times) else SelectedFrames(frames, rows)

@@ -1,0 +1,59 @@
+"""A video beside tables of nanoseconds, as several Android recorders write them.
+
+::
+
+    video.mp4            or the images that frames.csv names
+    frames.csv           timestamp_ns,filename      row i is frame i
+    accelerometer.csv    timestamp_ns,ax,ay,az      m/s², gravity included
+    gyroscope.csv        timestamp_ns,gx,gy,gz      rad/s
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from rholoc.recordings.imu_normalisation import ImuConvention, Samples, frame_times_s, normalise_imu
+from rholoc.recordings.logged_table import has_columns, read_logged_table
+from rholoc.recordings.readers._frames import find_video, listed_file, timed_images, timed_video
+from rholoc.recordings.recording import Recording, RecordingFormat
+
+_ACCELEROMETER = ("timestamp_ns", "ax", "ay", "az")
+_GYROSCOPE = ("timestamp_ns", "gx", "gy", "gz")
+_FRAMES = ("timestamp_ns", "filename")
+
+
+def recognises(folder: Path) -> bool:
+    """Whether the tables have this format's columns."""
+    return (
+        has_columns(folder / "frames.csv", _FRAMES)
+        and has_columns(folder / "accelerometer.csv", _ACCELEROMETER)
+        and has_columns(folder / "gyroscope.csv", _GYROSCOPE)
+    )
+
+
+def read(folder: Path) -> Recording:
+    """Read the folder.
+
+    Raises:
+        InvalidRecording: a table or the video is broken, or they contradict each other.
+    """
+    table = read_logged_table(folder / "frames.csv")
+    times, unit_warnings = frame_times_s(table.named("timestamp_ns")[:, 0], "ns")
+    video = find_video(folder, "video")
+    if video is not None:
+        timed = timed_video(video, times, "frames.csv")
+    else:
+        timed = timed_images([listed_file(folder, name) for name in table.text("filename")], times)
+    felt = read_logged_table(folder / "accelerometer.csv").named(*_ACCELEROMETER)
+    turned = read_logged_table(folder / "gyroscope.csv").named(*_GYROSCOPE)
+    imu, imu_warnings = normalise_imu(
+        Samples(felt[:, 0], felt[:, 1:]), Samples(turned[:, 0], turned[:, 1:]), ImuConvention(time_unit="ns")
+    )
+    return Recording(
+        name=folder.resolve().name,
+        path=folder,
+        frames=timed.frames,
+        imu=imu,
+        format=RecordingFormat.ANDROID_CSV,
+        warnings=(*unit_warnings, *timed.warnings, *imu_warnings),
+    )

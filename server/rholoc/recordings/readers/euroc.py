@@ -1,0 +1,143 @@
+"""EuRoC, the layout of ASL's datasets: one folder a sensor, nanoseconds.
+
+::
+
+    mav0/cam0/data.csv      #timestamp [ns],filename        images in cam0/data/
+    mav0/cam0/sensor.yaml   intrinsics, distortion_coefficients, T_BS
+    mav0/imu0/data.csv      #timestamp [ns],w_RS_S_x [rad s^-1],…,a_RS_S_x [m s^-2],…    gravity included
+    mav0/imu0/sensor.yaml   T_BS
+    mav0/state_groundtruth_estimate0/data.csv    #timestamp, p_RS_R_x [m],…,q_RS_w [],…    of the body
+
+``groundtruth_cam0.txt`` instead holds time [ns], x, y, z, qx, qy, qz, qw of cam0 itself. Other cameras are left aside.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from rholoc.errors import InvalidCamera
+from rholoc.geometry import Camera, FloatArray
+from rholoc.recordings.csv_table import read_text
+from rholoc.recordings.imu_normalisation import ImuConvention, Samples, frame_times_s, normalise_imu
+from rholoc.recordings.logged_table import has_columns, read_logged_table
+from rholoc.recordings.pose_table import PoseTable, match_poses, poses_from_rows
+from rholoc.recordings.readers._frames import fitted_camera, listed_file, timed_images
+from rholoc.recordings.recording import (
+    FrameSource,
+    GivenPoses,
+    Imu,
+    Recording,
+    RecordingFormat,
+    RecordingWarning,
+    WarningKind,
+)
+
+_GYROSCOPE = tuple(f"w_rs_s_{axis}" for axis in "xyz")
+_ACCELEROMETER = tuple(f"a_rs_s_{axis}" for axis in "xyz")
+_BODY_POSE = ("p_rs_r_x", "p_rs_r_y", "p_rs_r_z", "q_rs_x", "q_rs_y", "q_rs_z", "q_rs_w")
+_NS = 1e-9
+
+
+def recognises(folder: Path) -> bool:
+    """Whether there is a cam0 with a list of images."""
+    return has_columns(_root(folder) / "cam0" / "data.csv", ("timestamp", "filename"))
+
+
+def read(folder: Path) -> Recording:
+    """Read cam0, imu0 and the ground truth.
+
+    Raises:
+        InvalidRecording: a table or an image is missing or broken.
+        InvalidCamera: ``sensor.yaml`` is broken.
+        InvalidTrajectory: the ground truth is broken.
+    """
+    root = _root(folder)
+    table = read_logged_table(root / "cam0" / "data.csv")
+    times, unit_warnings = frame_times_s(table.named("timestamp")[:, 0], "ns")
+    images = root / "cam0" / "data"
+    timed = timed_images([listed_file(images, name) for name in table.text("filename")], times)
+    sensor = _sensor(root / "cam0" / "sensor.yaml")
+    camera, camera_warnings = _camera(sensor, timed.frames.size)
+    T_body_camera = _body(sensor)
+    imu, imu_warnings = _imu(root / "imu0", T_body_camera)
+    return Recording(
+        name=folder.resolve().name,
+        path=folder,
+        frames=timed.frames,
+        camera=camera,
+        imu=imu,
+        poses=_poses(root, T_body_camera, timed.frames),
+        format=RecordingFormat.EUROC,
+        warnings=(*unit_warnings, *timed.warnings, *camera_warnings, *imu_warnings),
+    )
+
+
+def _root(folder: Path) -> Path:
+    return folder / "mav0" if (folder / "mav0").is_dir() else folder
+
+
+def _sensor(path: Path) -> dict[str, Any]:
+    if not path.is_file():
+        return {}
+    text = read_text(path, InvalidCamera)
+    try:
+        values = yaml.safe_load("\n".join(line for line in text.splitlines() if not line.startswith("%YAML")))
+    except (yaml.YAMLError, RecursionError, ValueError) as error:
+        raise InvalidCamera(f"{path.parent.name}/{path.name} is not YAML.") from error
+    return values if isinstance(values, dict) else {}
+
+
+def _camera(sensor: dict[str, Any], size: tuple[int, int]) -> tuple[Camera | None, tuple[RecordingWarning, ...]]:
+    if "intrinsics" not in sensor:
+        return None, ()
+    distortion = sensor.get("distortion_model", "radial-tangential")
+    if distortion not in ("radial-tangential", "radtan", "none"):
+        text = f"The camera's distortion is {distortion}, which is not supported: its intrinsics are left aside."
+        return None, (RecordingWarning(WarningKind.CAMERA_UNSUPPORTED, text),)
+    try:
+        fx, fy, cx, cy = (float(value) for value in sensor["intrinsics"])
+        coefficients = tuple(float(value) for value in sensor.get("distortion_coefficients") or ())
+        width, height = (int(value) for value in sensor.get("resolution") or size)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise InvalidCamera("cam0/sensor.yaml: a part of the intrinsics is not a number.") from error
+    return fitted_camera(Camera(width, height, fx, fy, cx, cy, coefficients), size, "cam0/sensor.yaml"), ()
+
+
+def _body(sensor: dict[str, Any]) -> FloatArray | None:
+    """T_body_sensor (4, 4), or None where it is not told."""
+    try:
+        T = np.array(sensor["T_BS"]["data"], dtype=np.float64).reshape(4, 4)
+    except (KeyError, TypeError, ValueError):
+        return None
+    return T if np.allclose(T[:3, :3] @ T[:3, :3].T, np.eye(3), atol=1e-3) else None
+
+
+def _imu(folder: Path, T_body_camera: FloatArray | None) -> tuple[Imu | None, tuple[RecordingWarning, ...]]:
+    if not (folder / "data.csv").is_file():
+        return None, ()
+    table = read_logged_table(folder / "data.csv")
+    times = table.named("timestamp")[:, 0]
+    T_body_imu = _body(_sensor(folder / "sensor.yaml"))
+    R_body_imu = np.eye(3) if T_body_imu is None else T_body_imu[:3, :3]
+    return normalise_imu(
+        Samples(times, table.named(*_ACCELEROMETER)),
+        Samples(times, table.named(*_GYROSCOPE)),
+        ImuConvention(time_unit="ns"),
+        None if T_body_camera is None else T_body_camera[:3, :3].T @ R_body_imu,
+    )
+
+
+def _poses(root: Path, T_body_camera: FloatArray | None, frames: FrameSource) -> GivenPoses | None:
+    of_body, of_camera = root / "state_groundtruth_estimate0" / "data.csv", root / "groundtruth_cam0.txt"
+    if of_body.is_file() and T_body_camera is not None:
+        table = read_logged_table(of_body)
+        poses = poses_from_rows(table.named(*_BODY_POSE), "state_groundtruth_estimate0") @ T_body_camera
+        return match_poses(PoseTable(table.named("timestamp")[:, 0] * _NS, poses), frames)
+    if of_camera.is_file():
+        rows = read_logged_table(of_camera).numbered(*range(8))
+        return match_poses(PoseTable(rows[:, 0] * _NS, poses_from_rows(rows[:, 1:], of_camera.name)), frames)
+    return None

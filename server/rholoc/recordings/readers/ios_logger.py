@@ -1,0 +1,113 @@
+"""ios_logger (iOS): tables without headers, seconds since 1970.
+
+::
+
+    Frames.m4v    the video, as ARKit has images: on their side
+    Frames.txt    time, frame[, fx, fy, cx, cy]                        row i is frame i
+    ARposes.txt   time, x, y, z, qw, qx, qy, qz                        ARKit's: y up, looking along −z
+    MotARH.txt    time, rotation rate, gravity, user acceleration, …   rad/s, g, g, Apple's sign
+    Gyro.txt      time, x, y, z                                        rad/s
+    Accel.txt     time, x, y, z                                        g, gravity included, Apple's sign
+
+MotARH.txt is preferred: Apple's fusion has the gyroscope's bias out of it, and one clock for both sensors.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from rholoc.geometry import FloatArray
+from rholoc.recordings.imu_normalisation import (
+    ImuConvention,
+    Samples,
+    advancing_rows,
+    frame_times_s,
+    normalise_imu,
+    with_sign_by_poses,
+)
+from rholoc.recordings.logged_table import is_bare_table, read_logged_table
+from rholoc.recordings.missing_images import MissingImages
+from rholoc.recordings.pose_table import PoseTable, match_poses, poses_from_rows
+from rholoc.recordings.readers._apple import R_LANDSCAPE_CAMERA_IMU, opencv_camera, z_up
+from rholoc.recordings.readers._frames import TimedFrames, find_video, timed_video
+from rholoc.recordings.recording import (
+    GivenPoses,
+    Imu,
+    Recording,
+    RecordingFormat,
+    RecordingWarning,
+    WarningKind,
+)
+
+
+def recognises(folder: Path) -> bool:
+    """Whether the tables of frames and IMU are there with their numbers of columns."""
+    frames = folder / "Frames.txt"
+    imu = is_bare_table(folder / "MotARH.txt", 11) or (
+        is_bare_table(folder / "Accel.txt", 4) and is_bare_table(folder / "Gyro.txt", 4)
+    )
+    return imu and (is_bare_table(frames, 2) or is_bare_table(frames, 6))
+
+
+def read(folder: Path) -> Recording:
+    """Read the folder; without its video the recording has times of frames, and no images.
+
+    Raises:
+        InvalidRecording: a table or the video is broken, or they contradict each other.
+        InvalidTrajectory: the poses are broken.
+    """
+    table = read_logged_table(folder / "Frames.txt")
+    times, unit_warnings = frame_times_s(table.numbered(0)[:, 0], "s")
+    timed = _frames(folder, times)
+    intrinsics = table.numbered(2, 3, 4, 5)[timed.rows] if len(table.rows[0]) == 6 else None
+    poses = _poses(folder / "ARposes.txt", timed)
+    imu, imu_warnings = _imu(folder)
+    if poses is not None:
+        known = poses.T_map_camera[poses.known]
+        imu, sign_warnings = with_sign_by_poses(imu, timed.frames.times[poses.known], known[:, :3, :3])
+        imu_warnings += sign_warnings
+    return Recording(
+        name=folder.resolve().name,
+        path=folder,
+        frames=timed.frames,
+        imu=imu,
+        poses=poses,
+        format=RecordingFormat.IOS_LOGGER,
+        frame_intrinsics=intrinsics,
+        warnings=(*unit_warnings, *timed.warnings, *imu_warnings),
+    )
+
+
+def _frames(folder: Path, times: FloatArray) -> TimedFrames:
+    video = find_video(folder, "frames")
+    if video is not None:
+        return timed_video(video, times, "Frames.txt")
+    rows, found = advancing_rows(times, "frames")
+    warning = RecordingWarning(WarningKind.NO_IMAGES, "There is no video: no map can be built from this.")
+    return TimedFrames(MissingImages(times[rows], rows), rows, (warning, *found))
+
+
+def _poses(path: Path, timed: TimedFrames) -> GivenPoses | None:
+    if not path.is_file():
+        return None
+    rows = read_logged_table(path).numbered(0, 1, 2, 3, 5, 6, 7, 4)
+    T_map_camera = z_up(opencv_camera(poses_from_rows(rows[:, 1:], path.name)))
+    return match_poses(PoseTable(rows[:, 0], T_map_camera), timed.frames)
+
+
+def _imu(folder: Path) -> tuple[Imu, tuple[RecordingWarning, ...]]:
+    fused = folder / "MotARH.txt"
+    says = ImuConvention(in_g=True, apple_sign=True)
+    if fused.is_file():
+        rows = read_logged_table(fused).numbered(*range(10))
+        felt = Samples(rows[:, 0], rows[:, 4:7] + rows[:, 7:10])
+        turned = Samples(rows[:, 0], rows[:, 1:4])
+    else:
+        accelerometer, gyroscope = (
+            read_logged_table(folder / name).numbered(0, 1, 2, 3) for name in ("Accel.txt", "Gyro.txt")
+        )
+        felt = Samples(accelerometer[:, 0], np.ascontiguousarray(accelerometer[:, 1:]))
+        turned = Samples(gyroscope[:, 0], np.ascontiguousarray(gyroscope[:, 1:]))
+    return normalise_imu(felt, turned, says, R_LANDSCAPE_CAMERA_IMU)

@@ -1,0 +1,97 @@
+"""MARS logger (Android and iOS): one table of the IMU, one of the frames with focal length and exposure.
+
+::
+
+    movie.mp4              or .mov
+    gyro_accel.csv         Timestamp[nanosec],gx[rad/s],gy[rad/s],gz[rad/s],ax[m/s^2],ay[m/s^2],az[m/s^2]
+    movie_metadata.csv     Timestamp[nanosec],fx[px],fy[px],Frame No.,…,Frame readout time[nanosec],…
+    frame_timestamps.txt   nanoseconds, row i is frame i      Android; the metadata may have more rows than frames
+
+On iOS times are ``Timestamp[sec]``, and the frames' table also has ``cx[px], cy[px]``. Gravity is included; the app
+turns Apple's sign round itself.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from rholoc.errors import InvalidRecording
+from rholoc.geometry import FloatArray
+from rholoc.recordings.imu_normalisation import ImuConvention, Samples, frame_times_s, normalise_imu
+from rholoc.recordings.logged_table import LoggedTable, has_columns, read_logged_table
+from rholoc.recordings.readers._frames import require_video, timed_video
+from rholoc.recordings.recording import Recording, RecordingFormat
+
+_IMU = ("timestamp", "gx", "gy", "gz", "ax", "ay", "az")
+_FRAMES = ("timestamp", "fx", "fy")
+_READOUT = "frame readout time"  # nanoseconds
+
+
+def recognises(folder: Path) -> bool:
+    """Whether there is a table of the IMU and one of the frames with these columns."""
+    return _with_columns(folder, _IMU) is not None and _with_columns(folder, _FRAMES) is not None
+
+
+def read(folder: Path) -> Recording:
+    """Read the folder.
+
+    Raises:
+        InvalidRecording: a table or the video is missing or broken, or they contradict each other.
+    """
+    imu_csv, frames_csv = _with_columns(folder, _IMU), _with_columns(folder, _FRAMES)
+    assert imu_csv is not None
+    assert frames_csv is not None
+    rows = read_logged_table(imu_csv).named(*_IMU)
+    imu, imu_warnings = normalise_imu(
+        Samples(rows[:, 0], rows[:, 4:7]), Samples(rows[:, 0], rows[:, 1:4]), ImuConvention(time_unit=_unit(imu_csv))
+    )
+    metadata = read_logged_table(frames_csv)
+    logged, unit_warnings = frame_times_s(metadata.named("timestamp")[:, 0], _unit(frames_csv))
+    times, source = logged, frames_csv.name
+    exact = folder / "frame_timestamps.txt"
+    if exact.is_file():
+        times, source = frame_times_s(read_logged_table(exact).numbered(0)[:, 0], "ns")[0], exact.name
+    timed = timed_video(require_video(folder, "movie"), times, source)
+    nearest = np.abs(logged[:, None] - timed.frames.times[None, :]).argmin(axis=0)
+    return Recording(
+        name=folder.resolve().name,
+        path=folder,
+        frames=timed.frames,
+        imu=imu,
+        format=RecordingFormat.MARS_LOGGER,
+        frame_intrinsics=_intrinsics(metadata)[nearest],
+        readout_s=_readout_s(metadata),
+        warnings=(*unit_warnings, *timed.warnings, *imu_warnings),
+    )
+
+
+def _with_columns(folder: Path, names: tuple[str, ...]) -> Path | None:
+    return next((path for path in sorted(folder.glob("*.csv")) if has_columns(path, names)), None)
+
+
+def _unit(path: Path) -> str:
+    """The unit that the header's first name states."""
+    with path.open(encoding="utf-8-sig", errors="replace") as file:
+        for line in file:
+            if "timestamp[" in line.lower():
+                return "s" if "timestamp[sec]" in line.lower() else "ns"
+    raise InvalidRecording(f"{path.name} does not say the unit of its times.")
+
+
+def _intrinsics(metadata: LoggedTable) -> FloatArray:
+    """fx, fy, cx, cy (N, 4); NaN where the app does not log them."""
+    values = np.full((len(metadata.rows), 4), np.nan)
+    for place, name in enumerate(("fx", "fy", "cx", "cy")):
+        if name in metadata.header:
+            values[:, place] = metadata.named(name)[:, 0]
+    values[~(values[:, 0] > 0)] = np.nan
+    return values
+
+
+def _readout_s(metadata: LoggedTable) -> float | None:
+    if _READOUT not in metadata.header:
+        return None
+    readout_s = float(np.median(metadata.named(_READOUT))) * 1e-9
+    return readout_s if readout_s > 0 else None

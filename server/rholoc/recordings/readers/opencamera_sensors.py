@@ -1,0 +1,69 @@
+"""OpenCamera Sensors (Android): tables without headers, all in nanoseconds of one clock.
+
+::
+
+    NAME.mp4                   here, or beside the folder of the tables
+    NAME_accel.csv             x, y, z, time      m/s², gravity included
+    NAME_gyro.csv              x, y, z, time      rad/s
+    NAME_timestamps.csv        time               row i is frame i; older: NAME_imu_timestamps.csv
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from rholoc.errors import InvalidRecording
+from rholoc.recordings.imu_normalisation import ImuConvention, Samples, frame_times_s, normalise_imu
+from rholoc.recordings.logged_table import is_bare_table, read_logged_table
+from rholoc.recordings.readers._frames import find_video, require_video, timed_video
+from rholoc.recordings.recording import Recording, RecordingFormat
+
+_GYROSCOPE, _ACCELEROMETER, _TIMES = "_gyro.csv", "_accel.csv", "_timestamps.csv"
+
+
+def recognises(folder: Path) -> bool:
+    """Whether there is a pair of such tables with four columns each."""
+    gyroscope = _find(folder, _GYROSCOPE)
+    if gyroscope is None:
+        return False
+    accelerometer = _sibling(gyroscope, _ACCELEROMETER)
+    return is_bare_table(gyroscope, 4) and is_bare_table(accelerometer, 4)
+
+
+def read(folder: Path) -> Recording:
+    """Read the folder.
+
+    Raises:
+        InvalidRecording: a table or the video is missing or broken, or they contradict each other.
+    """
+    gyroscope = _find(folder, _GYROSCOPE)
+    assert gyroscope is not None
+    times_csv = _find(gyroscope.parent, _TIMES)
+    if times_csv is None:
+        raise InvalidRecording(f"There is no table of the frames' times, *{_TIMES}.", "Pack all that the app wrote.")
+    times, unit_warnings = frame_times_s(read_logged_table(times_csv).numbered(0)[:, 0], "ns")
+    name = gyroscope.name.removesuffix(_GYROSCOPE).lower()
+    video = find_video(gyroscope.parent, name) or require_video(folder, name)
+    timed = timed_video(video, times, times_csv.name)
+    felt = read_logged_table(_sibling(gyroscope, _ACCELEROMETER)).numbered(0, 1, 2, 3)
+    turned = read_logged_table(gyroscope).numbered(0, 1, 2, 3)
+    imu, imu_warnings = normalise_imu(
+        Samples(felt[:, 3], felt[:, :3]), Samples(turned[:, 3], turned[:, :3]), ImuConvention(time_unit="ns")
+    )
+    return Recording(
+        name=folder.resolve().name,
+        path=folder,
+        frames=timed.frames,
+        imu=imu,
+        format=RecordingFormat.OPENCAMERA_SENSORS,
+        warnings=(*unit_warnings, *timed.warnings, *imu_warnings),
+    )
+
+
+def _find(folder: Path, ending: str) -> Path | None:
+    """The first file with such an ending in the folder, or in one of its folders."""
+    return next(iter([*sorted(folder.glob(f"*{ending}")), *sorted(folder.glob(f"*/*{ending}"))]), None)
+
+
+def _sibling(gyroscope: Path, ending: str) -> Path:
+    return gyroscope.with_name(gyroscope.name.removesuffix(_GYROSCOPE) + ending)

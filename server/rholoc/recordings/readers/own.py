@@ -1,0 +1,106 @@
+"""rholoc's own folder: frames, as a video or as images, and what was measured beside them.
+
+::
+
+    video.mp4 | .mov | .webm | …     or images, here or in frames/ or images/
+    frames.csv | times.csv           frame,timestamp                        optional
+    imu.csv                          timestamp,ax,ay,az,gx,gy,gz (Table 3)  optional
+    waypoints.csv                    name,time|frame,x,y,z                  optional
+    camera.json                      intrinsics, fps, R_camera_imu          optional
+    poses.txt | poses.csv            frame|time tx ty tz qx qy qz qw        optional
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from rholoc.errors import InvalidRecording
+from rholoc.recordings.camera_file import CameraFile, read_camera_json
+from rholoc.recordings.csv_table import read_numbers
+from rholoc.recordings.frames_table import read_frame_numbers
+from rholoc.recordings.image_folder import find_images, read_image_folder
+from rholoc.recordings.imu_normalisation import ImuConvention, Samples, frame_times_s, normalise_imu
+from rholoc.recordings.imu_table import IMU_COLUMNS
+from rholoc.recordings.pose_table import match_poses, read_pose_table
+from rholoc.recordings.readers._frames import find_video, fitted_camera, timed_video
+from rholoc.recordings.recording import FrameSource, Imu, Recording, RecordingFormat, RecordingWarning
+from rholoc.recordings.video import read_video
+from rholoc.recordings.waypoints import read_waypoints_csv
+
+
+def read(folder: Path) -> Recording:
+    """Read a folder with a video or images, and the tables beside them.
+
+    Raises:
+        InvalidRecording: no frames, or a file that cannot be read or contradicts another.
+        InvalidCamera: ``camera.json`` is broken, or is of another image shape than the frames.
+        InvalidWaypoints: ``waypoints.csv`` is broken.
+        InvalidTrajectory: the table of poses is broken.
+    """
+    description = read_description(folder)
+    frames, warnings = _read_frames(folder, description)
+    imu, imu_warnings = _read_imu(folder, description)
+    waypoints_csv = folder / "waypoints.csv"
+    poses = _first_file(folder, "poses.txt", "poses.csv")
+    camera = description.camera
+    return Recording(
+        name=folder.resolve().name,
+        path=folder,
+        frames=frames,
+        camera=None if camera is None else fitted_camera(camera, frames.size, "camera.json"),
+        imu=imu,
+        waypoints=read_waypoints_csv(waypoints_csv, frames) if waypoints_csv.is_file() else (),
+        poses=None if poses is None else match_poses(read_pose_table(poses), frames),
+        format=RecordingFormat.RHOLOC,
+        warnings=(*warnings, *imu_warnings),
+    )
+
+
+def read_description(folder: Path) -> CameraFile:
+    """What ``camera.json`` says, or nothing where there is none.
+
+    Raises:
+        InvalidCamera: it is broken.
+    """
+    camera_json = folder / "camera.json"
+    return read_camera_json(camera_json) if camera_json.is_file() else CameraFile()
+
+
+def _read_imu(folder: Path, description: CameraFile) -> tuple[Imu | None, tuple[RecordingWarning, ...]]:
+    path = folder / "imu.csv"
+    if not path.is_file():
+        return None, ()
+    table = read_numbers(path, IMU_COLUMNS)
+    columns = np.column_stack([table[name] for name in IMU_COLUMNS])
+    times = columns[:, 0]
+    says = ImuConvention(includes_gravity=description.gravity_included)
+    return normalise_imu(
+        Samples(times, columns[:, 1:4]), Samples(times, columns[:, 4:7]), says, description.R_camera_imu
+    )
+
+
+def _read_frames(folder: Path, description: CameraFile) -> tuple[FrameSource, tuple[RecordingWarning, ...]]:
+    times_csv = _first_file(folder, "frames.csv", "times.csv")
+    video = find_video(folder, "video")
+    if video is not None and times_csv is not None:
+        times, unit_warnings = frame_times_s(read_frame_numbers(times_csv)[1], "s")
+        timed = timed_video(video, times, times_csv.name)
+        return timed.frames, (*unit_warnings, *timed.warnings)
+    if video is not None:
+        return read_video(video), ()
+    images = find_images(folder)
+    if images:
+        return read_image_folder(images, times_csv, description.fps), ()
+    empty = not any(folder.iterdir())
+    raise InvalidRecording(
+        f"The folder {folder.name} is empty."
+        if empty
+        else f"The folder {folder.name} holds neither a video nor images.",
+        "It needs video.mp4, or images whose names end in a number, here or in frames/.",
+    )
+
+
+def _first_file(folder: Path, *names: str) -> Path | None:
+    return next((folder / name for name in names if (folder / name).is_file()), None)

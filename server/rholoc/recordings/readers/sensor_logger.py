@@ -1,0 +1,105 @@
+"""Sensor Logger (Android and iOS): a table a sensor, columns ``time,seconds_elapsed,z,y,x``, nanoseconds since 1970.
+
+::
+
+    Camera/MILLISECONDS.mp4    or an image a frame, named by milliseconds since 1970
+    Gyroscope.csv              rad/s
+    TotalAcceleration.csv      m/s², gravity included; Android alone
+    Accelerometer.csv          m/s², without gravity
+    Gravity.csv                m/s²
+    Metadata.csv               platform, standardisation
+
+On iOS the sign is Apple's unless the app was told to standardise.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from rholoc.errors import InvalidRecording
+from rholoc.geometry import FloatArray
+from rholoc.recordings.image import IMAGE_SUFFIXES
+from rholoc.recordings.image_folder import number_in_name
+from rholoc.recordings.imu_normalisation import ImuConvention, Samples, interpolated, normalise_imu
+from rholoc.recordings.logged_table import has_columns, read_logged_table
+from rholoc.recordings.readers._frames import TimedFrames, find_video, timed_images, timed_video
+from rholoc.recordings.recording import Recording, RecordingFormat
+from rholoc.recordings.video import read_video
+
+_COLUMNS = ("time", "x", "y", "z")
+
+
+def recognises(folder: Path) -> bool:
+    """Whether there is a gyroscope's table with this app's columns."""
+    return has_columns(folder / "Gyroscope.csv", ("time", "seconds_elapsed", "x", "y", "z"))
+
+
+def read(folder: Path) -> Recording:
+    """Read the folder.
+
+    Raises:
+        InvalidRecording: there are no frames or no accelerations, or a file is broken.
+    """
+    timed = _frames(folder / "Camera")
+    turned = _samples(folder / "Gyroscope.csv")
+    felt, includes_gravity = _acceleration(folder)
+    says = ImuConvention(time_unit="ns", includes_gravity=includes_gravity, apple_sign=_apple_sign(folder))
+    imu, imu_warnings = normalise_imu(felt, turned, says)
+    return Recording(
+        name=folder.resolve().name,
+        path=folder,
+        frames=timed.frames,
+        imu=imu,
+        format=RecordingFormat.SENSOR_LOGGER,
+        warnings=(*timed.warnings, *imu_warnings),
+    )
+
+
+def _frames(camera: Path) -> TimedFrames:
+    hint = "Switch the camera on in the app, and pack the folder Camera with the tables."
+    if not camera.is_dir():
+        raise InvalidRecording("The recording has no folder Camera.", hint)
+    video = find_video(camera)
+    if video is not None:
+        return timed_video(video, _milliseconds(video) / 1000 + read_video(video).times, video.name)
+    images = sorted(path for path in camera.iterdir() if path.suffix.lower() in IMAGE_SUFFIXES)
+    if not images:
+        raise InvalidRecording("The folder Camera holds neither a video nor images.", hint)
+    return timed_images(images, np.array([_milliseconds(path) / 1000 for path in images]))
+
+
+def _milliseconds(path: Path) -> int:
+    number = number_in_name(path)
+    if number is None:
+        raise InvalidRecording(f"The name of {path.name} is not a time.", "Leave files as the app names them.")
+    return number
+
+
+def _acceleration(folder: Path) -> tuple[Samples, bool]:
+    """The accelerations, and whether gravity is in them: measured, or added from its own table."""
+    total, linear, gravity = (folder / name for name in ("TotalAcceleration.csv", "Accelerometer.csv", "Gravity.csv"))
+    if total.is_file():
+        return _samples(total), True
+    if not linear.is_file():
+        raise InvalidRecording("The recording has neither TotalAcceleration.csv nor Accelerometer.csv.")
+    samples = _samples(linear)
+    if not gravity.is_file():
+        return samples, False
+    return replace(samples, values=samples.values + interpolated(_samples(gravity), samples.times)), True
+
+
+def _samples(path: Path) -> Samples:
+    rows: FloatArray = read_logged_table(path).named(*_COLUMNS)
+    return Samples(rows[:, 0], rows[:, 1:])
+
+
+def _apple_sign(folder: Path) -> bool:
+    path = folder / "Metadata.csv"
+    if not has_columns(path, ("platform",)):
+        return False
+    metadata = read_logged_table(path)
+    standardised = "standardisation" in metadata.header and metadata.text("standardisation")[0].lower() == "true"
+    return metadata.text("platform")[0].lower() == "ios" and not standardised

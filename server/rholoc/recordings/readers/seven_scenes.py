@@ -1,0 +1,73 @@
+"""7-Scenes, a dataset of a Kinect at 30 frames a second.
+
+::
+
+    frame-000000.color.png    or .jpg
+    frame-000000.pose.txt     T_world_camera, 4 × 4, metres; not finite where tracking was lost
+    frame-000000.depth.png    left aside
+
+Intrinsics are not in the folder; which way is up is not known.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from rholoc.errors import InvalidTrajectory
+from rholoc.geometry import FloatArray
+from rholoc.recordings.csv_table import read_text
+from rholoc.recordings.readers._frames import untimed_images
+from rholoc.recordings.recording import GivenPoses, Recording, RecordingFormat
+
+_COLOUR = (".color.png", ".color.jpg")
+
+
+def recognises(folder: Path) -> bool:
+    """Whether there are colour images with poses beside them, by their names."""
+    return any(_pose_file(image).is_file() for image in _images(folder)[:1])
+
+
+def read(folder: Path) -> Recording:
+    """Read the folder.
+
+    Raises:
+        InvalidRecording: an image is broken.
+        InvalidTrajectory: a pose is not a 4×4 matrix.
+    """
+    images = _images(folder)
+    timed = untimed_images(images)
+    T = np.array([_read_pose(_pose_file(images[row])) for row in timed.rows])
+    known = np.isfinite(T).all(axis=(1, 2))
+    T[~known] = np.nan
+    return Recording(
+        name=folder.resolve().name,
+        path=folder,
+        frames=timed.frames,
+        poses=GivenPoses(known, T) if known.any() else None,
+        format=RecordingFormat.SEVEN_SCENES,
+        warnings=timed.warnings,
+    )
+
+
+def _images(folder: Path) -> list[Path]:
+    return sorted(path for path in folder.iterdir() if path.name.endswith(_COLOUR) and not path.name.startswith("."))
+
+
+def _pose_file(image: Path) -> Path:
+    return image.with_suffix("").with_suffix(".pose.txt")
+
+
+def _read_pose(path: Path) -> FloatArray:
+    """T_world_camera (4, 4), NaN where there is none."""
+    if not path.is_file():
+        return np.full((4, 4), np.nan)
+    try:
+        values = np.array([float(word) for word in read_text(path, InvalidTrajectory).split()])
+        T = values.reshape(4, 4)
+    except ValueError as error:
+        raise InvalidTrajectory(f"{path.name} is not a 4×4 matrix.") from error
+    if np.isfinite(T).all() and not np.allclose(T[:3, :3] @ T[:3, :3].T, np.eye(3), atol=1e-2):
+        raise InvalidTrajectory(f"{path.name} holds no rotation.")
+    return T

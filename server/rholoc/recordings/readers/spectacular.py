@@ -1,0 +1,165 @@
+"""Spectacular AI's recordings: a video, and all else as JSON lines.
+
+::
+
+    data.mp4           or .mkv, .mov, .avi
+    data.jsonl         {"sensor": {"type": "gyroscope", "values": [x, y, z]}, "time": s}     rad/s; accelerometer m/s²
+                       {"frames": [{"cameraInd": 0, "cameraParameters": {…}}], "number": 0, "time": s}
+    calibration.json   {"cameras": [{"focalLengthX": …, "model": "pinhole", "imuToCamera": 4×4}]}
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rholoc.errors import InvalidCamera, InvalidRecording
+from rholoc.geometry import Camera, FloatArray
+from rholoc.recordings.csv_table import read_text
+from rholoc.recordings.imu_normalisation import ImuConvention, Samples, normalise_imu
+from rholoc.recordings.readers._frames import fitted_camera, require_video, timed_video
+from rholoc.recordings.recording import Imu, Recording, RecordingFormat, RecordingWarning, WarningKind
+
+_INTRINSICS = ("focalLengthX", "focalLengthY", "principalPointX", "principalPointY")
+_ROTATION_TOLERANCE = 1e-2
+
+
+@dataclass(eq=False)
+class _Log:
+    """What the lines hold: rows of time and three values a sensor; time and parameters a frame."""
+
+    sensors: dict[str, list[list[float]]] = field(default_factory=lambda: {"accelerometer": [], "gyroscope": []})
+    frames: list[tuple[float, dict[str, Any]]] = field(default_factory=list)
+    warnings: list[RecordingWarning] = field(default_factory=list)
+
+
+def recognises(folder: Path) -> bool:
+    """Whether there is a file of JSON lines by this name."""
+    return (folder / "data.jsonl").is_file()
+
+
+def read(folder: Path) -> Recording:
+    """Read the folder.
+
+    Raises:
+        InvalidRecording: a line is not what it should be, or lines and video contradict each other.
+        InvalidCamera: the calibration is broken.
+    """
+    log = _read_lines(folder / "data.jsonl")
+    if not log.frames:
+        raise InvalidRecording("data.jsonl has no frames.", "It needs a line with 'frames' for each frame.")
+    timed = timed_video(require_video(folder, "data"), np.array([time for time, _ in log.frames]), "data.jsonl")
+    calibration = _calibration(folder / "calibration.json")
+    shown = [log.frames[row][1] for row in timed.rows]
+    per_frame = np.array([_intrinsics(frame.get("cameraParameters")) for frame in shown])
+    described = calibration or {**(shown[0].get("cameraParameters") or {}), "imuToCamera": shown[0].get("imuToCamera")}
+    camera, camera_warnings = _camera(described, timed.frames.size)
+    imu, imu_warnings = _imu(log, _rotation(described.get("imuToCamera")))
+    return Recording(
+        name=folder.resolve().name,
+        path=folder,
+        frames=timed.frames,
+        camera=camera,
+        imu=imu,
+        format=RecordingFormat.SPECTACULAR,
+        frame_intrinsics=per_frame if np.isfinite(per_frame).any() else None,
+        warnings=(*log.warnings, *timed.warnings, *camera_warnings, *imu_warnings),
+    )
+
+
+def _read_lines(path: Path) -> _Log:
+    log = _Log()
+    lines = [line for line in read_text(path).splitlines() if line.strip()]
+    for number, line in enumerate(lines, start=1):
+        try:
+            value = json.loads(line)
+        except (ValueError, RecursionError) as error:
+            if number == len(lines) and number > 1:  # the app was stopped while it wrote
+                log.warnings.append(RecordingWarning(WarningKind.NOT_USED, "The last line of data.jsonl is cut off."))
+                break
+            raise InvalidRecording(f"{path.name}, line {number} is not JSON.", "Record again.") from error
+        try:
+            _take(log, value)
+        except (TypeError, ValueError, KeyError, AttributeError, IndexError, OverflowError) as error:
+            raise InvalidRecording(f"{path.name}, line {number} is not of the known form.") from error
+    return log
+
+
+def _take(log: _Log, value: dict[str, Any]) -> None:
+    if "sensor" in value and value["sensor"]["type"] in log.sensors:
+        x, y, z = value["sensor"]["values"]
+        row = [float(value["time"]), float(x), float(y), float(z)]
+        if not np.isfinite(row).all():
+            raise ValueError("not finite")
+        log.sensors[value["sensor"]["type"]].append(row)
+    elif "frames" in value:
+        first = next((frame for frame in value["frames"] if frame.get("cameraInd", 0) == 0), None)
+        if first is not None:
+            time = float(first.get("time", value.get("time")))
+            if not np.isfinite(time):
+                raise ValueError("not finite")
+            log.frames.append((time, first))
+
+
+def _imu(log: _Log, R_camera_imu: FloatArray | None) -> tuple[Imu | None, tuple[RecordingWarning, ...]]:
+    felt, turned = (np.array(log.sensors[name]).reshape(-1, 4) for name in ("accelerometer", "gyroscope"))
+    if len(felt) == 0 or len(turned) == 0:
+        return None, ()
+    # Lines of several sensors are written as they arrive; those of one may be out of order.
+    felt, turned = (rows[np.argsort(rows[:, 0], kind="stable")] for rows in (felt, turned))
+    samples = Samples(felt[:, 0], felt[:, 1:]), Samples(turned[:, 0], turned[:, 1:])
+    return normalise_imu(*samples, ImuConvention(), R_camera_imu)
+
+
+def _calibration(path: Path) -> dict[str, Any] | None:
+    if not path.is_file():
+        return None
+    try:
+        camera = json.loads(read_text(path, InvalidCamera))["cameras"][0]
+    except (ValueError, TypeError, KeyError, IndexError, RecursionError) as error:
+        raise InvalidCamera(
+            f"{path.name} describes no camera.", "It needs {'cameras': [{'focalLengthX': …}]}."
+        ) from error
+    if not isinstance(camera, dict):
+        raise InvalidCamera(f"{path.name} describes no camera.")
+    return camera
+
+
+def _intrinsics(values: Any) -> list[float]:
+    """fx, fy, cx, cy; NaN where there are none."""
+    try:
+        return [float(values[name]) for name in _INTRINSICS]
+    except (TypeError, KeyError, ValueError):
+        return [np.nan] * 4
+
+
+def _camera(values: dict[str, Any], size: tuple[int, int]) -> tuple[Camera | None, tuple[RecordingWarning, ...]]:
+    fx, fy, cx, cy = _intrinsics(values)
+    if not np.isfinite(fx):
+        return None, ()
+    try:
+        model = str(values.get("model") or values.get("distortionModel") or "pinhole").lower()
+        coefficients = [float(value) for value in values.get("distortionCoefficients") or []]
+        width, height = int(values.get("imageWidth") or size[0]), int(values.get("imageHeight") or size[1])
+    except (TypeError, ValueError, OverflowError) as error:
+        raise InvalidCamera("The calibration holds a value that is not a number.") from error
+    if model == "pinhole" and len(coefficients) == 3:
+        k1, k2, k3 = coefficients
+        coefficients = [k1, k2, 0.0, 0.0, k3]
+    elif model not in ("pinhole", "brown-conrady"):
+        text = f"The camera's model is {model}, which is not supported: its intrinsics are left aside."
+        return None, (RecordingWarning(WarningKind.CAMERA_UNSUPPORTED, text),)
+    camera = Camera(width, height, fx, fy, cx, cy, tuple(coefficients))
+    return fitted_camera(camera, size, "calibration.json"), ()
+
+
+def _rotation(rows: Any) -> FloatArray | None:
+    try:
+        R = np.array(rows, dtype=np.float64)[:3, :3]
+    except (TypeError, ValueError, IndexError):
+        return None
+    return R if R.shape == (3, 3) and np.allclose(R @ R.T, np.eye(3), atol=_ROTATION_TOLERANCE) else None

@@ -1,0 +1,86 @@
+"""Stray Scanner (iOS, LiDAR): a video with ARKit's poses, usable as given.
+
+::
+
+    rgb.mp4             as ARKit has images: on their side
+    odometry.csv        timestamp, frame, x, y, z, qx, qy, qz, qw[, fx, fy, cx, cy]    row i is frame i
+    camera_matrix.csv   3 × 3, no header
+    imu.csv             timestamp, a_x, a_y, a_z, alpha_x, alpha_y, alpha_z            CoreMotion's axes
+
+Poses are in metres with y up, of a camera with OpenCV's axes. The app's own description has the acceleration in m/s²,
+its code writes it in g with Apple's sign, so unit and sign are measured. Depth is left aside.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from rholoc.errors import InvalidCamera
+from rholoc.geometry import Camera, FloatArray, IntArray
+from rholoc.recordings.imu_normalisation import ImuConvention, Samples, normalise_imu, with_sign_by_poses
+from rholoc.recordings.logged_table import LoggedTable, has_columns, read_logged_table
+from rholoc.recordings.pose_table import poses_from_rows
+from rholoc.recordings.readers._apple import R_LANDSCAPE_CAMERA_IMU, z_up
+from rholoc.recordings.readers._frames import fitted_camera, require_video, timed_video
+from rholoc.recordings.recording import GivenPoses, Imu, Recording, RecordingFormat, RecordingWarning
+
+_POSES = ("x", "y", "z", "qx", "qy", "qz", "qw")
+_IMU = ("timestamp", "a_x", "a_y", "a_z", "alpha_x", "alpha_y", "alpha_z")
+_INTRINSICS = ("fx", "fy", "cx", "cy")
+
+
+def recognises(folder: Path) -> bool:
+    """Whether the odometry's table has this app's columns."""
+    return has_columns(folder / "odometry.csv", ("timestamp", "frame", *_POSES))
+
+
+def read(folder: Path) -> Recording:
+    """Read the folder.
+
+    Raises:
+        InvalidRecording: a table or the video is broken, or they contradict each other.
+        InvalidTrajectory: the poses are broken.
+        InvalidCamera: the camera matrix is broken.
+    """
+    odometry = read_logged_table(folder / "odometry.csv")
+    timed = timed_video(require_video(folder, "rgb"), odometry.named("timestamp")[:, 0], "odometry.csv")
+    T_map_camera = z_up(poses_from_rows(odometry.named(*_POSES)[timed.rows], "odometry.csv"))
+    imu, imu_warnings = _imu(folder / "imu.csv", timed.frames.times, T_map_camera[:, :3, :3])
+    per_frame = _logged_intrinsics(odometry, timed.rows)
+    return Recording(
+        name=folder.resolve().name,
+        path=folder,
+        frames=timed.frames,
+        camera=_camera(folder / "camera_matrix.csv", timed.frames.size),
+        imu=imu,
+        poses=GivenPoses(np.ones(len(T_map_camera), dtype=np.bool_), T_map_camera),
+        format=RecordingFormat.STRAY_SCANNER,
+        frame_intrinsics=per_frame,
+        warnings=(*timed.warnings, *imu_warnings),
+    )
+
+
+def _imu(path: Path, times: FloatArray, R_map_camera: FloatArray) -> tuple[Imu | None, tuple[RecordingWarning, ...]]:
+    if not path.is_file():
+        return None, ()
+    rows = read_logged_table(path).named(*_IMU)
+    says = ImuConvention(in_g=True, apple_sign=True)
+    felt, turned = Samples(rows[:, 0], rows[:, 1:4]), Samples(rows[:, 0], rows[:, 4:7])
+    imu, warnings = normalise_imu(felt, turned, says, R_LANDSCAPE_CAMERA_IMU)
+    imu, sign_warnings = with_sign_by_poses(imu, times, R_map_camera)
+    return imu, (*warnings, *sign_warnings)
+
+
+def _camera(path: Path, size: tuple[int, int]) -> Camera | None:
+    if not path.is_file():
+        return None
+    K = read_logged_table(path).numbered(0, 1, 2)
+    if K.shape != (3, 3):
+        raise InvalidCamera(f"{path.name} is not a 3×3 matrix.")
+    return fitted_camera(Camera(*size, K[0, 0], K[1, 1], K[0, 2], K[1, 2]), size, path.name)
+
+
+def _logged_intrinsics(odometry: LoggedTable, rows: IntArray) -> FloatArray | None:
+    return odometry.named(*_INTRINSICS)[rows] if set(_INTRINSICS) <= set(odometry.header) else None
