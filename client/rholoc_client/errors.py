@@ -25,6 +25,9 @@
         │   ├── UnknownRecording
         │   ├── UnknownJob
         │   └── UnknownRoute        an older service, or a wrong base URL
+        ├── Unauthorized            no API key was sent, or one that is not good any more
+        ├── Forbidden               the API key's scope does not allow this
+        ├── CrossSite               a page of another site asked
         ├── MethodNotAllowed
         ├── Conflict                the request contradicts the present state
         ├── MappingFailed           no trustworthy map came of a recording
@@ -181,6 +184,24 @@ class UnknownRoute(NotFound):
     """The service has no such route: an older service, or a wrong base URL."""
 
     code = "unknown_route"
+
+
+class Unauthorized(ServiceError):
+    """The service asks for an API key, and none was sent, or one that is not known, was revoked or has expired."""
+
+    code = "unauthorized"
+
+
+class Forbidden(ServiceError):
+    """The API key's scope does not allow this."""
+
+    code = "forbidden"
+
+
+class CrossSite(ServiceError):
+    """The request looks as if a page of another site had sent it."""
+
+    code = "cross_site"
 
 
 class MethodNotAllowed(ServiceError):

@@ -37,15 +37,19 @@ def serve(
     no_worker: Annotated[bool, typer.Option("--no-worker", help="Leave mapping jobs to rholoc worker.")] = False,
 ) -> None:
     """Serve maps over HTTP, and work on mapping jobs beside."""
-    settings = _settings(host=host, port=port, maps_dir=maps, data_dir=data, worker=False if no_worker else None)
+    settings = service_settings(host=host, port=port, maps_dir=maps, data_dir=data, worker=False if no_worker else None)
     import uvicorn
 
     from rholoc.service import create_app
+    from rholoc.service.guard import keys_needed
+    from rholoc.service.keys import KeyStore
 
     with _listening_socket(settings.host, settings.port) as listener:
         server = uvicorn.Server(uvicorn.Config(create_app(settings), log_level="warning", backlog=_BACKLOG))
         port = listener.getsockname()[1]
         print_notice(f"Serving the maps of {settings.maps_dir} at http://{settings.host}:{port} (the API: /docs).")
+        if keys_needed(settings.keys, settings.host) and not KeyStore(settings.data_dir).keys():
+            print_notice("It asks for API keys, and there is none yet: rholoc key create NAME --scope admin")
         server.run(sockets=[listener])
     if not server.started:
         raise InvalidInput("The server did not start.", "The lines above say why.")
@@ -55,12 +59,12 @@ def worker(maps: Maps = None, data: Data = None) -> None:
     """Work on mapping jobs, apart from the server. Any number of workers share the queue."""
     from rholoc.jobs import run_worker
 
-    settings = _settings(maps_dir=maps, data_dir=data)
+    settings = service_settings(maps_dir=maps, data_dir=data)
     print_notice(f"Working on the jobs of {settings.data_dir}; maps go to {settings.maps_dir}.")
     run_worker(settings.data_dir, settings.maps_dir)
 
 
-def _settings(**options: object) -> Settings:
+def service_settings(**options: object) -> Settings:
     """The settings: options that were given, else the environment's, else the defaults."""
     from pydantic import ValidationError
 

@@ -27,6 +27,8 @@ from rholoc.service.errors import (
     invalid_request,
     status_of,
 )
+from rholoc.service.guard import Guard, SecurityHeaders
+from rholoc.service.keys import KeyStore
 from rholoc.service.localizers import Localizers
 from rholoc.service.logs import configure_logs
 from rholoc.service.middleware import RequestBoundary
@@ -68,7 +70,10 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     web.install(app)
     for kind in (RholocError, ValidationError, RequestValidationError, HTTPException, OSError):
         app.add_exception_handler(kind, _answer_error)
+    app.add_middleware(Tus)
+    app.add_middleware(Guard, keys=KeyStore(settings.data_dir), policy=settings.keys, host=settings.host)
     app.add_middleware(RequestBoundary)
+    app.add_middleware(SecurityHeaders)
     install(app)
     return app
 

@@ -45,6 +45,24 @@ class UnsupportedMediaType(HttpError):
     code = "unsupported_media_type"
 
 
+class Unauthorized(HttpError):
+    """The request has no API key, or one that is not known, was revoked or has expired."""
+
+    code = "unauthorized"
+
+
+class Forbidden(HttpError):
+    """The API key's scope does not allow this."""
+
+    code = "forbidden"
+
+
+class CrossSite(HttpError):
+    """A page of another site sent the request."""
+
+    code = "cross_site"
+
+
 class Internal(HttpError):
     """The service met an error of its own; its log has it under the request id."""
 
@@ -63,6 +81,9 @@ STATUS: Mapping[type[RholocError], int] = {
     errors.Busy: 503,
     errors.DeadlineExceeded: 504,
     InvalidRequest: 422,
+    Unauthorized: 401,
+    Forbidden: 403,
+    CrossSite: 403,
     UnknownRoute: 404,
     MethodNotAllowed: 405,
     UnsupportedMediaType: 415,
@@ -112,5 +133,7 @@ def error_body(error: RholocError, request_id: str) -> dict[str, str]:
 
 
 def error_headers(error: RholocError) -> dict[str, str]:
-    """``Retry-After`` in whole seconds where trying again may help."""
-    return {"Retry-After": str(max(1, round(error.retry_after_s)))} if isinstance(error, Busy) else {}
+    """``Retry-After`` in whole seconds where trying again may help; what to prove oneself with."""
+    if isinstance(error, Busy):
+        return {"Retry-After": str(max(1, round(error.retry_after_s)))}
+    return {"WWW-Authenticate": "Bearer"} if isinstance(error, Unauthorized) else {}

@@ -1,0 +1,154 @@
+"""Who is let in: API keys, requests of other sites, and the headers that keep a browser safe."""
+
+from __future__ import annotations
+
+import ipaddress
+from enum import StrEnum
+from urllib.parse import urlsplit
+
+from starlette.datastructures import Headers, MutableHeaders
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from rholoc.service.errors import CrossSite, Forbidden, Unauthorized
+from rholoc.service.keys import KeyStore
+from rholoc.service.keys import Scope as KeyScope
+
+_OPEN_PATHS = frozenset({"/", "/record", "/healthz", "/readyz", "/docs", "/openapi.json"})
+_OPEN_PREFIX = "/web/"
+_READING = ("GET", "HEAD", "OPTIONS")
+_KEY_HINT = "Make one on the server with rholoc key create, and send it as Authorization: Bearer KEY."
+
+SECURITY_HEADERS = {
+    "Content-Security-Policy": (
+        "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob: data:; media-src 'self' blob:; "
+        "connect-src 'self'; worker-src 'self'; manifest-src 'self'; base-uri 'none'; form-action 'none'; "
+        "frame-ancestors 'none'"
+    ),
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Permissions-Policy": "camera=(self), accelerometer=(self), gyroscope=(self), microphone=(), geolocation=()",
+    "Referrer-Policy": "no-referrer",
+    "X-Content-Type-Options": "nosniff",
+    "X-Frame-Options": "DENY",
+}
+
+
+class KeyPolicy(StrEnum):
+    """When a request needs an API key."""
+
+    AUTO = "auto"  # unless the server listens on this machine alone
+    ALWAYS = "always"
+    NEVER = "never"  # something in front of the server asks who is there
+
+
+class SecurityHeaders:
+    """ASGI middleware: what every answer tells a browser."""
+
+    def __init__(self, app: ASGIApp) -> None:
+        self._app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Answer one request."""
+
+        async def send_with_headers(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                headers = MutableHeaders(scope=message)
+                for name, value in SECURITY_HEADERS.items():
+                    headers.setdefault(name, value)
+            await send(message)
+
+        await self._app(scope, receive, send_with_headers)
+
+
+class Guard:
+    """ASGI middleware that lets in or raises.
+
+    Args:
+        app: what is guarded.
+        keys: the keys there are.
+        policy: when a request needs one.
+        host: the address that the server listens on.
+    """
+
+    def __init__(self, app: ASGIApp, keys: KeyStore, policy: KeyPolicy, host: str) -> None:
+        self._app = app
+        self._keys = keys
+        self._keys_needed = keys_needed(policy, host)
+        self._local_only = policy is KeyPolicy.AUTO and not self._keys_needed
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Answer one request.
+
+        Raises:
+            CrossSite: another site sent it.
+            Unauthorized, Forbidden: it needs a key, or one that allows more.
+        """
+        if scope["type"] == "http":
+            headers = Headers(scope=scope)
+            check_same_site(scope["method"], headers, self._local_only)
+            wanted = needed_scope(scope["method"], scope["path"])
+            if self._keys_needed and wanted is not None:
+                self._check_key(headers.get("authorization", ""), wanted)
+        await self._app(scope, receive, send)
+
+    def _check_key(self, authorization: str, wanted: KeyScope) -> None:
+        kind, _, secret = authorization.partition(" ")
+        if kind.lower() != "bearer" or not secret.strip():
+            raise Unauthorized("This server asks for an API key.", _KEY_HINT)
+        key = self._keys.find(secret.strip())
+        if key is None:
+            raise Unauthorized("This API key is not known, or was revoked.", _KEY_HINT)
+        if key.expired:
+            raise Unauthorized("This API key has expired.", _KEY_HINT)
+        if not key.scope.allows(wanted):
+            raise Forbidden(
+                f"This API key may not do that: its scope is {key.scope}, and {wanted} is needed.",
+                "Use a key of that scope.",
+            )
+
+
+def keys_needed(policy: KeyPolicy, host: str) -> bool:
+    """Whether a server that listens on ``host`` asks for keys."""
+    return policy is KeyPolicy.ALWAYS or (policy is KeyPolicy.AUTO and not _is_loopback(host))
+
+
+def needed_scope(method: str, path: str) -> KeyScope | None:
+    """The scope that a request needs, or None for what is open to all: the page itself and the health checks."""
+    if path in _OPEN_PATHS or path.startswith(_OPEN_PREFIX):
+        return None
+    if method in _READING:
+        return KeyScope.READ
+    if path.endswith("/localize"):
+        return KeyScope.LOCALIZE
+    if method == "DELETE" and path.startswith("/v1/maps/"):
+        return KeyScope.ADMIN
+    return KeyScope.MAP
+
+
+def check_same_site(method: str, headers: Headers, local_only: bool) -> None:
+    """Refuse what a page of another site has a browser send. Programs send none of these headers.
+
+    A link from elsewhere to a page is let in. A server for this machine alone answers to no other name, or a foreign
+    site could take it on by pointing its own name here (DNS rebinding).
+
+    Raises:
+        CrossSite: another site sent it.
+    """
+    host, origin, site = headers.get("host", ""), headers.get("origin"), headers.get("sec-fetch-site")
+    if local_only and not _is_loopback(urlsplit(f"//{host}").hostname or ""):
+        raise CrossSite(f"This server does not answer to the name {host[:64]}.", "Ask it as localhost.")
+    if site is not None:
+        followed = method in _READING and headers.get("sec-fetch-mode") == "navigate"
+        foreign = site not in ("same-origin", "none") and not followed
+    else:
+        foreign = origin is not None and urlsplit(origin).netloc != host
+    if foreign:
+        raise CrossSite("Another site may not use this server from a browser.", "Open the server's own page.")
+
+
+def _is_loopback(host: str) -> bool:
+    if host == "localhost" or host.endswith(".localhost"):
+        return True
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False

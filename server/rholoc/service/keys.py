@@ -1,0 +1,124 @@
+"""API keys: who may do what. A key is shown once, when it is made; only its hash is kept."""
+
+from __future__ import annotations
+
+import hashlib
+import hmac
+import json
+import re
+import secrets
+import time
+from dataclasses import asdict, dataclass
+from enum import StrEnum
+from pathlib import Path
+
+from rholoc.errors import Conflict, InvalidName, NotFound
+from rholoc.maps.files import replace_file
+
+_FOLDER = "keys"
+_PREFIX = "rho_"
+_BYTES = 32
+_HASH = re.compile(r"[0-9a-f]{64}")
+_MAX_NAME_LENGTH = 64
+
+
+class Scope(StrEnum):
+    """What a key allows; each scope includes the ones before it."""
+
+    READ = "read"  # look at maps, jobs, cameras
+    LOCALIZE = "localize"  # ask for poses
+    MAP = "map"  # upload, build, update, merge, rename
+    ADMIN = "admin"  # delete maps
+
+    def allows(self, wanted: Scope) -> bool:
+        """Whether a key of this scope may do what ``wanted`` is needed for."""
+        order = list(Scope)
+        return order.index(self) >= order.index(wanted)
+
+
+@dataclass(frozen=True)
+class ApiKey:
+    """What is known of a key; not the key itself.
+
+    Attributes:
+        name: whose it is; unique.
+        scope: what it allows.
+        created: seconds since the epoch.
+        expires: seconds since the epoch, or None.
+    """
+
+    name: str
+    scope: Scope
+    created: float
+    expires: float | None = None
+
+    @property
+    def expired(self) -> bool:
+        """Whether its time is over."""
+        return self.expires is not None and time.time() >= self.expires
+
+
+class KeyStore:
+    """The keys in a data folder: a file each, named by the key's SHA-256.
+
+    A key is 32 random bytes, which cannot be found by guessing, hence no slow hash. What was made or revoked holds from
+    the next request on, in every process that shares the folder.
+    """
+
+    def __init__(self, data_dir: Path) -> None:
+        self._folder = Path(data_dir) / _FOLDER
+
+    def create(self, name: str, scope: Scope, lifetime_s: float | None = None) -> str:
+        """Make a key and return it; it cannot be seen again.
+
+        Raises:
+            InvalidName: the name is empty, too long or not printable.
+            Conflict: there is a key of that name.
+            StorageFull: the disk is full.
+        """
+        if not 0 < len(name) <= _MAX_NAME_LENGTH or not name.isprintable():
+            raise InvalidName(f"{name[:_MAX_NAME_LENGTH]!r} is not a name for a key.", "Use 1 to 64 characters.")
+        if any(key.name == name for key in self.keys()):
+            raise Conflict(f"There is a key called {name}.", "Revoke it first, or choose another name.")
+        secret = _PREFIX + secrets.token_urlsafe(_BYTES)
+        now = time.time()
+        key = ApiKey(name, scope, now, None if lifetime_s is None else now + lifetime_s)
+        self._folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        replace_file(self._folder / _hash(secret), json.dumps(asdict(key)).encode(), called="the key")
+        return secret
+
+    def keys(self) -> list[ApiKey]:
+        """All keys, expired ones too, the oldest first."""
+        return sorted((_read(path) for path in self._files()), key=lambda key: key.created)
+
+    def revoke(self, name: str) -> None:
+        """Forget the key of that name.
+
+        Raises:
+            NotFound: there is none.
+        """
+        found = [path for path in self._files() if _read(path).name == name]
+        if not found:
+            raise NotFound(f"There is no key called {name}.", "rholoc key list shows the keys.")
+        for path in found:
+            path.unlink(missing_ok=True)
+
+    def find(self, secret: str) -> ApiKey | None:
+        """The key, expired or not, or None. The comparison takes the same time wherever two hashes differ."""
+        given = _hash(secret)
+        matching = [path for path in self._files() if hmac.compare_digest(path.name, given)]
+        return _read(matching[0]) if matching else None
+
+    def _files(self) -> list[Path]:
+        if not self._folder.is_dir():
+            return []
+        return [path for path in self._folder.iterdir() if _HASH.fullmatch(path.name)]
+
+
+def _hash(secret: str) -> str:
+    return hashlib.sha256(secret.encode()).hexdigest()
+
+
+def _read(path: Path) -> ApiKey:
+    stored = json.loads(path.read_bytes())
+    return ApiKey(stored["name"], Scope(stored["scope"]), stored["created"], stored["expires"])

@@ -1,0 +1,166 @@
+"""Who is let in: keys and their scopes, requests of other sites, the headers of every answer."""
+
+from __future__ import annotations
+
+import time
+
+import httpx
+import pytest
+
+from rholoc.errors import Conflict, InvalidName, NotFound
+from rholoc.service.guard import KeyPolicy, keys_needed, needed_scope
+from rholoc.service.keys import KeyStore, Scope
+from rholoc_client import Client, Forbidden, Unauthorized
+
+
+@pytest.fixture(scope="module")
+def locked(serve, picture_world):
+    running = serve(keys=KeyPolicy.ALWAYS)
+    (running.settings.maps_dir / "room.rho").write_bytes(picture_world.rho())
+    return running
+
+
+@pytest.fixture(scope="module")
+def keys(locked):
+    return KeyStore(locked.settings.data_dir)
+
+
+def bearer(secret):
+    return {"Authorization": f"Bearer {secret}"}
+
+
+def test_a_key_is_found_by_its_secret_alone_and_only_its_hash_is_kept(tmp_path):
+    store = KeyStore(tmp_path)
+    secret = store.create("robot", Scope.LOCALIZE)
+    found = store.find(secret)
+    assert (found.name, found.scope, found.expires, found.expired) == ("robot", Scope.LOCALIZE, None, False)
+    assert store.find(secret[:-1]) is None
+    assert store.keys() == [found]
+    written = [path for path in tmp_path.rglob("*") if path.is_file()]
+    assert all(secret not in path.name and secret.encode() not in path.read_bytes() for path in written)
+
+
+def test_names_of_keys_are_unique_and_printable(tmp_path):
+    store = KeyStore(tmp_path)
+    store.create("<b>robot</b>", Scope.READ)
+    with pytest.raises(Conflict):
+        store.create("<b>robot</b>", Scope.ADMIN)
+    for name in ("", "a\nb", "x" * 65):
+        with pytest.raises(InvalidName):
+            store.create(name, Scope.READ)
+    with pytest.raises(NotFound):
+        store.revoke("robot")
+
+
+def test_keys_are_asked_for_where_others_can_reach_the_server():
+    assert not any(keys_needed(KeyPolicy.AUTO, host) for host in ("127.0.0.1", "::1", "localhost"))
+    assert all(keys_needed(KeyPolicy.AUTO, host) for host in ("0.0.0.0", "::", "192.168.1.4", "rho.example"))
+    assert keys_needed(KeyPolicy.ALWAYS, "127.0.0.1")
+    assert not keys_needed(KeyPolicy.NEVER, "0.0.0.0")
+
+
+@pytest.mark.parametrize(
+    ("method", "path", "scope"),
+    [
+        ("GET", "/", None),
+        ("GET", "/web/shared/api.js", None),
+        ("GET", "/healthz", None),
+        ("GET", "/metrics", Scope.READ),
+        ("GET", "/v1/maps", Scope.READ),
+        ("POST", "/v1/localize", Scope.LOCALIZE),
+        ("POST", "/v1/maps/room/localize", Scope.LOCALIZE),
+        ("PUT", "/v1/maps/room", Scope.MAP),
+        ("PATCH", "/v1/recordings/1", Scope.MAP),
+        ("DELETE", "/v1/jobs/1", Scope.MAP),
+        ("DELETE", "/v1/maps/room", Scope.ADMIN),
+    ],
+)
+def test_what_a_request_needs(method, path, scope):
+    assert needed_scope(method, path) is scope
+
+
+def test_without_a_good_key_nothing_is_told(locked, keys):
+    expired = keys.create("expired", Scope.ADMIN, lifetime_s=0)
+    for headers in ({}, bearer("rho_guess"), bearer(expired), {"Authorization": "Basic eDp5"}):
+        answer = httpx.get(f"{locked.url}/v1/maps", headers=headers)
+        assert answer.status_code == 401
+        assert answer.json()["code"] == "unauthorized"
+        assert answer.headers["WWW-Authenticate"] == "Bearer"
+        assert "room" not in answer.text
+    assert httpx.get(f"{locked.url}/healthz").is_success
+    assert httpx.get(f"{locked.url}/").is_success
+
+
+def test_a_key_does_what_its_scope_says_until_it_is_revoked(locked, keys, picture_world):
+    secret = keys.create("robot", Scope.LOCALIZE)
+    with Client(locked.url, api_key=secret) as client:
+        assert [one.name for one in client.maps()] == ["room"]
+        assert client.localize("room", picture_world.png(), dof=6).localized
+        with pytest.raises(Forbidden):
+            client.delete_map("room")
+        keys.revoke("robot")
+        with pytest.raises(Unauthorized):
+            client.maps()
+
+
+def test_an_admin_may_delete(locked, keys, picture_world):
+    with Client(locked.url, api_key=keys.create("boss", Scope.ADMIN)) as client:
+        client.upload_map("gone", picture_world.rho())
+        client.delete_map("gone")
+        assert [one.name for one in client.maps()] == ["room"]
+
+
+@pytest.mark.parametrize(
+    "headers",
+    [
+        {"Sec-Fetch-Site": "cross-site", "Sec-Fetch-Mode": "no-cors"},
+        {"Sec-Fetch-Site": "same-site", "Sec-Fetch-Mode": "cors"},
+        {"Origin": "https://elsewhere.example"},
+        {"Origin": "null"},
+        {"Host": "elsewhere.example"},
+    ],
+)
+def test_other_sites_are_refused(service, headers):
+    answer = httpx.post(f"{service.url}/v1/maps/room/forget", json={"source": "walk"}, headers=headers)
+    assert (answer.status_code, answer.json()["code"]) == (403, "cross_site")
+
+
+def test_the_own_page_programs_and_links_are_not(service):
+    own = {"Sec-Fetch-Site": "same-origin", "Sec-Fetch-Mode": "cors", "Origin": service.url}
+    link = {"Sec-Fetch-Site": "cross-site", "Sec-Fetch-Mode": "navigate"}
+    for headers in (own, {"Origin": service.url}, link, {}):
+        assert httpx.get(f"{service.url}/", headers=headers).is_success
+    posted = httpx.post(f"{service.url}/v1/maps", headers={**link, "Sec-Fetch-Dest": "document"})
+    assert posted.json()["code"] == "cross_site"
+
+
+def test_a_server_for_others_answers_to_any_name(locked, keys):
+    headers = {"Host": "maps.example", **bearer(keys.create("reader", Scope.READ))}
+    assert httpx.get(f"{locked.url}/v1/maps", headers=headers).is_success
+
+
+@pytest.mark.parametrize("path", ["/", "/v1/maps", "/web/shared/api.js", "/nothing"])
+def test_every_answer_tells_the_browser_to_be_careful(service, path):
+    headers = httpx.get(service.url + path).headers
+    policy = dict(part.strip().split(" ", 1) for part in headers["Content-Security-Policy"].split(";"))
+    assert policy["default-src"] == "'none'"
+    assert policy["script-src"] == "'self'"
+    assert policy["frame-ancestors"] == "'none'"
+    assert headers["X-Content-Type-Options"] == "nosniff"
+
+
+def test_the_pages_files_are_kept_and_asked_about(service):
+    first = httpx.get(f"{service.url}/web/shared/api.js")
+    assert first.headers["Cache-Control"] == "no-cache"
+    again = httpx.get(f"{service.url}/web/shared/api.js", headers={"If-None-Match": first.headers["ETag"]})
+    assert (again.status_code, again.content) == (304, b"")
+    for path in ("/web/nothing.js", "/web/../app.py", "/web/%2e%2e/%2e%2e/pyproject.toml"):
+        assert httpx.get(service.url + path).json()["code"] == "unknown_route"
+
+
+def test_a_lookup_among_many_keys_is_quick(tmp_path):
+    store = KeyStore(tmp_path)
+    secrets = [store.create(f"robot-{i}", Scope.LOCALIZE) for i in range(50)]
+    start = time.perf_counter()
+    assert all(store.find(secret) for secret in secrets)
+    assert time.perf_counter() - start < 1
