@@ -70,7 +70,6 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     web.install(app)
     for kind in (RholocError, ValidationError, RequestValidationError, HTTPException, OSError):
         app.add_exception_handler(kind, _answer_error)
-    app.add_middleware(Tus)
     app.add_middleware(Guard, keys=KeyStore(settings.data_dir), policy=settings.keys, host=settings.host)
     app.add_middleware(RequestBoundary)
     app.add_middleware(SecurityHeaders)
