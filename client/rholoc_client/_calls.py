@@ -156,9 +156,16 @@ def upload_map(name: str, content: bytes) -> Call[MapSummary]:
     return Call("PUT", _map_path(name), _map, headers={"Content-Type": "application/octet-stream"}, content=content)
 
 
-def download_map(name: str, format: str) -> Call[bytes]:
+def map_report_picture(name: str) -> Call[bytes]:
+    """A map's own quality report, as PNG."""
+    return Call("GET", f"{_map_path(name)}/report.png", lambda response: response.content)
+
+
+def download_map(name: str, format: str, degree: int | None, features: Sequence[int] | None) -> Call[bytes]:
     """A map's file."""
-    return Call("GET", f"{_map_path(name)}/download", lambda response: response.content, params={"format": format})
+    chosen = None if features is None else ",".join(map(str, features))
+    params = _without_none({"format": format, "degree": degree, "features": chosen})
+    return Call("GET", f"{_map_path(name)}/download", lambda response: response.content, params=params)
 
 
 def rename_map(name: str, new_name: str) -> Call[MapSummary]:

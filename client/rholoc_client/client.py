@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any, TypeVar
@@ -115,17 +115,31 @@ class Client:
         """What the map found out about itself while it was built."""
         return self._send(_calls.map_report(name))
 
+    def map_report_picture(self, name: str) -> bytes:
+        """The map's report as PNG: where it works and where not, how wrong it was, what its landmarks are worth."""
+        return self._send(_calls.map_report_picture(name))
+
     def map_preview(self, name: str) -> bytes:
         """The map from above, as PNG."""
         return self._send(_calls.map_preview(name))
 
     def upload_map(self, name: str, source: Path | bytes) -> MapSummary:
-        """Put a ``.rho`` file under a name, replacing the map that was there."""
+        """Put a ``.rho`` file, or a map as CSV, under a name, replacing the map that was there."""
         return self._send(_calls.upload_map(name, _content(source)))
 
-    def download_map(self, name: str, format: str = "rho") -> bytes:
-        """The map's file: ``rho``, or its landmarks as ``ply`` or ``vtp``."""
-        return self._send(_calls.download_map(name, format))
+    def download_map(
+        self, name: str, format: str = "rho", *, degree: int | None = None, features: Sequence[int] | None = None
+    ) -> bytes:
+        """The map's file, or the map for other programs.
+
+        Args:
+            name: the map.
+            format: ``rho``; ``csv``, which can be uploaded again; ``observations``, ``trajectory``: tables; ``ply``,
+                ``vtp``: landmarks and views; ``surfaces``: where densities peak; ``png``: a picture.
+            degree: of ``csv``: tensor densities fitted with it; None: the map's own densities.
+            features: of ``surfaces``: whose; None: of those seen most often.
+        """
+        return self._send(_calls.download_map(name, format, degree, features))
 
     def rename_map(self, name: str, new_name: str) -> MapSummary:
         """Give a map another name, which must be free."""
@@ -321,9 +335,11 @@ class AsyncClient:
         """As :meth:`Client.upload_map`."""
         return await self._send(_calls.upload_map(name, _content(source)))
 
-    async def download_map(self, name: str, format: str = "rho") -> bytes:
+    async def download_map(
+        self, name: str, format: str = "rho", *, degree: int | None = None, features: Sequence[int] | None = None
+    ) -> bytes:
         """As :meth:`Client.download_map`."""
-        return await self._send(_calls.download_map(name, format))
+        return await self._send(_calls.download_map(name, format, degree, features))
 
     async def rename_map(self, name: str, new_name: str) -> MapSummary:
         """As :meth:`Client.rename_map`."""
@@ -331,6 +347,10 @@ class AsyncClient:
 
     async def update_map(
         self, name: str, recording: str, *, poses: str | None = None, camera: Camera | None = None
+    async def map_report_picture(self, name: str) -> bytes:
+        """As :meth:`Client.map_report_picture`."""
+        return await self._send(_calls.map_report_picture(name))
+
     ) -> Job:
         """Have a map learn a stored recording, by its id; the job that does so.
 

@@ -106,7 +106,12 @@ def test_maps(client, picture_world):
     client.delete_map("other")
     assert client.map_report("room") == picture_world.map_.info.report
     assert client.map_preview("room").startswith(b"\x89PNG")
+    assert client.map_report_picture("room").startswith(b"\x89PNG")
     assert client.download_map("room", "ply").startswith(b"ply\n")
+    assert client.download_map("room", "surfaces", features=[0, 2]).count(b"<Piece") == 2
+    table = client.download_map("room", "csv")
+    assert client.upload_map("copy", table).landmarks == room.landmarks
+    client.delete_map("copy")
     assert set(client.readiness().values()) == {"ok"}
 
 

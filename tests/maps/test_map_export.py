@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from rholoc.maps import Map, landmark_sigmas, map_to_ply, map_to_vtp, preview_png
+from rholoc.maps import Map, landmark_sigmas, map_to_ply, map_to_vtp
+from rholoc.maps.preview import preview_png
 
 
 def numbers(element: ElementTree.Element | None) -> np.ndarray:

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from rholoc.maps import Map, report_png
+from rholoc.maps import Map
+from rholoc.maps.report_picture import report_png
 
 HELD_OUT = {"errors_m": [0.01, 0.02, None, 0.3], "confidences": [0.9, 0.8, 0.1, 0.4]}
 

@@ -6,7 +6,7 @@ import cv2
 import httpx
 import numpy as np
 
-from rholoc.maps import load_map, map_to_ply, map_to_vtp
+from rholoc.maps import load_map
 
 
 def test_maps_are_listed(service, picture_world):
@@ -50,11 +50,3 @@ def test_the_preview_is_a_picture(service):
     picture = cv2.imdecode(np.frombuffer(answer.content, np.uint8), cv2.IMREAD_COLOR)
     assert min(picture.shape[:2]) > 500
     assert picture.std() > 5
-
-
-def test_point_files_are_served(service, picture_world):
-    url = service.url + "/v1/maps/room/download"
-    assert httpx.get(url, params={"format": "ply"}).content == map_to_ply(picture_world.map_)
-    vtp = httpx.get(url, params={"format": "vtp"})
-    assert vtp.content == map_to_vtp(picture_world.map_)
-    assert 'filename="room.vtp"' in vtp.headers["Content-Disposition"]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping
-from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -16,6 +15,8 @@ from rholoc.errors import InvalidInput
 
 if TYPE_CHECKING:
     from rholoc.maps import Map
+
+_MOST_SHOWN = 12  # of a list; --json has all
 
 app = typer.Typer(no_args_is_help=True, help="Build maps, let them learn and forget, look into them, export them.")
 
@@ -146,39 +147,76 @@ def forget(
     _save(forget_recording(load_map(map_file), recording), out or map_file, as_json)
 
 
-class ExportFormat(StrEnum):
-    """What a map can be exported to."""
-
-    PLY = "ply"  # landmarks and views, for MeshLab, CloudCompare, ParaView
-    VTP = "vtp"  # the same for ParaView, with the view path as a line
-    PNG = "png"  # a picture from above
-
-
 @app.command()
 def export(
     map_file: options.MapFile,
-    to: Annotated[ExportFormat, typer.Option(help="PLY and VTP: points for ParaView; PNG: a picture from above.")],
+    to: Annotated[
+        str,
+        typer.Option(
+            metavar="rho|csv|observations|trajectory|ply|vtp|surfaces|png",
+            help="CSV, observations, trajectory: Tables 5, 4 and 6; PLY, VTP: points, and surfaces: where densities "
+            "peak, for ParaView; PNG: a picture from above.",
+        ),
+    ],
     out: Annotated[
         Path | None, typer.Option("--out", "-o", metavar="FILE", help="Where to; default: the map's name.")
     ] = None,
+    features: Annotated[
+        str | None,
+        typer.Option(metavar="N,A:B,…", help="Whose surfaces; default: the 500 seen most often."),
+    ] = None,
+    degree: Annotated[
+        int | None, typer.Option(metavar="1|2|3", help="CSV of tensor densities fitted with this degree.")
+    ] = None,
 ) -> None:
     """Write a map for other programs, or as a picture."""
-    from rholoc.maps import load_map, map_to_ply, map_to_vtp, preview_png
+    from rholoc.mapping import ExportFormat, export_map, parse_features
+    from rholoc.maps import load_map
     from rholoc.maps.files import replace_file
 
-    target = out or map_file.with_suffix(f".{to.value}")
+    form = options.choice(ExportFormat, to, "--to")
+    chosen = None if features is None else parse_features(features)
+    target = out or map_file.with_name(map_file.stem + form.ending)
     if target.resolve() == map_file.resolve():
         raise InvalidInput(f"{target} is the map itself.", "Export to another file.")
     map_ = load_map(map_file)
-    match to:
-        case ExportFormat.PLY:
-            content = map_to_ply(map_)
-        case ExportFormat.VTP:
-            content = map_to_vtp(map_)
-        case ExportFormat.PNG:
-            content = preview_png(map_, title=map_file.stem)
-    replace_file(target, content)
-    print_notice(f"{target}: {len(content)} bytes.")
+    replace_file(target, export_map(map_, form, title=map_file.stem, degree=degree, features=chosen))
+    print_notice(f"{target}: {target.stat().st_size} bytes.")
+
+
+@app.command("import")
+def import_(
+    table: Annotated[Path, typer.Argument(metavar="TABLE", help="A map as CSV (Table 5), as --to csv writes it.")],
+    out: Annotated[Path, typer.Option("--out", "-o", metavar="MAP.rho", help="Where to.")],
+    as_json: options.Json = False,
+) -> None:
+    """Read a map from CSV. It localizes as the map that was written."""
+    from rholoc.maps import read_coefficient_table
+
+    _save(read_coefficient_table(table), out, as_json)
+
+
+@app.command()
+def report(
+    map_file: options.MapFile,
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", metavar="PNG", help="Where to; default: the map's name.")
+    ] = None,
+    as_json: options.Json = False,
+) -> None:
+    """Draw a map's report: where it works and where not, how wrong it was, what its landmarks are worth."""
+    from rholoc.maps import load_map
+    from rholoc.maps.files import replace_file
+    from rholoc.maps.report_picture import report_png
+
+    map_ = load_map(map_file)
+    target = out or map_file.with_name(f"{map_file.stem}-report.png")
+    replace_file(target, report_png(map_, map_file.stem))
+    figures = _map_figures(map_, map_file)["report"]
+    if as_json:
+        print_json(figures)
+    else:
+        print_figures(str(target), {name: _shown(value) for name, value in _flat(figures)})
 
 
 def _save(map_: Map, target: Path, as_json: bool) -> None:
@@ -230,6 +268,8 @@ def _shown(value: Any) -> str:
             return "yes" if value else "no"
         case float():
             return f"{value:.4g}"
+        case list() if len(value) > _MOST_SHOWN:
+            return f"{len(value)} values"
         case list():
             return ", ".join(_shown(item) for item in value)
         case _:

@@ -1,6 +1,7 @@
 """Recording → map: the pipeline, the report, and learning that goes on."""
 
 from rholoc.mapping.build import DEFAULT_FEATURES, BuildOptions, build_map
+from rholoc.mapping.export import ExportFormat, export_map, parse_features
 from rholoc.mapping.forgetting import forget_recording
 from rholoc.mapping.learning import UpdateOptions, update_map
 from rholoc.mapping.memory import check_memory
@@ -10,11 +11,14 @@ from rholoc.mapping.observation_table import observation_table
 __all__ = [
     "DEFAULT_FEATURES",
     "BuildOptions",
+    "ExportFormat",
     "UpdateOptions",
     "build_map",
     "check_memory",
+    "export_map",
     "forget_recording",
     "merge_maps",
     "observation_table",
+    "parse_features",
     "update_map",
 ]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import math
 import uuid
 from collections.abc import Iterator
@@ -30,6 +31,7 @@ from rholoc.maps.validation import validate_map
 _HINT = "Export the map again, or take another copy."
 _AGREE = 1e-6  # relative, of a ray density's coefficients with those that follow from its landmark
 _ZERO = 1e-6  # of the greatest coefficient
+_SNIFFED = 4096
 
 
 @dataclass(eq=False)
@@ -59,8 +61,17 @@ class _Header:
         return self.columns.index("feature")
 
 
-def read_coefficient_table(path: Path) -> Map:
+def is_coefficient_table(path: Path) -> bool:
+    """Whether a file begins as text in columns, as Table 5 does, and not with a binary length, as ``.rho`` does."""
+    with path.open("rb") as file:
+        first_line = file.read(_SNIFFED).removeprefix(codecs.BOM_UTF8).partition(b"\n")[0]
+    return first_line.isascii() and b"," in first_line and b"\0" not in first_line
+
+
+def read_coefficient_table(path: Path, called: str = "") -> Map:
     """Read a map that :func:`rholoc.maps.write_coefficient_table` wrote. It localizes as the map that was written.
+
+    Errors, and the map's source, speak of the file as ``called``, else by its name.
 
     Raises:
         UnknownMap: there is no such file.
@@ -69,35 +80,36 @@ def read_coefficient_table(path: Path) -> Map:
     """
     if not path.is_file():
         raise UnknownMap(f"There is no map {path}.", "Check the path.")
+    name = called or path.name
     features: dict[int, _Feature] = {}
     shared: list[str] | None = None
     try:
         with path.open(encoding="utf-8-sig") as file:
-            header = _header(path, file.readline().rstrip("\r\n").split(","))
+            header = _header(name, file.readline().rstrip("\r\n").split(","))
             count = 0
-            for count, values in _rows(path, file, header):
+            for count, values in _rows(name, file, header):
                 of_map = values[-6:-2]
                 if shared is not None and of_map != shared:
-                    raise _invalid(path, count, "speaks of another map than the rows before")
+                    raise _invalid(name, count, "speaks of another map than the rows before")
                 shared = of_map
-                _add(path, count, header, values, features)
+                _add(name, count, header, values, features)
     except UnicodeDecodeError as error:
-        raise InvalidMap(f"{path.name} is not a text file.", _HINT) from error
+        raise InvalidMap(f"{name} is not a text file.", _HINT) from error
     except OSError as error:
-        raise InvalidMap(f"{path.name} cannot be read: {error.strerror}.") from error
+        raise InvalidMap(f"{name} cannot be read: {error.strerror}.") from error
     if shared is None:
-        raise InvalidMap(f"{path.name} has no rows.", _HINT)
-    return _assemble(path, header, shared, features)
+        raise InvalidMap(f"{name} has no rows.", _HINT)
+    return _assemble(name, header, shared, features)
 
 
-def _header(path: Path, columns: list[str]) -> _Header:
+def _header(name: str, columns: list[str]) -> _Header:
     """The form that the names of the columns tell; they must be exactly those of that form."""
     coefficients = [name for name in columns if name.startswith("a_")]
     last = coefficients[-1].removeprefix("a_").split("_") if coefficients else []
     kinds = {len(VARIABLES): DensityKind.TENSOR, len(RAY_VARIABLES): DensityKind.RAY}
     if not last or len(last) not in kinds or not all(power.isdecimal() and len(power) == 1 for power in last):
         raise InvalidMap(
-            f"{path.name} is not a map: its columns do not end in coefficients a_P_…_P of {len(VARIABLES)} or "
+            f"{name} is not a map: its columns do not end in coefficients a_P_…_P of {len(VARIABLES)} or "
             f"{len(RAY_VARIABLES)} variables.",
             "Give a CSV file in Table 5's form.",
         )
@@ -105,20 +117,20 @@ def _header(path: Path, columns: list[str]) -> _Header:
     allowed = DEGREES if kind is DensityKind.TENSOR else (RAY_DEGREE,)
     if degree not in allowed:
         raise InvalidMap(
-            f"{path.name} has coefficients of degree {degree}; '{kind}' densities have {_either(allowed)}.", _HINT
+            f"{name} has coefficients of degree {degree}; '{kind}' densities have {_either(allowed)}.", _HINT
         )
     wanted = table_columns(kind, degree)
     missing, extra = _without(wanted, columns), _without(columns, wanted)
     if missing or extra or len(columns) != len(wanted):
         complaints = [f"lacks {_some(missing)}"] * bool(missing) + [f"has also {_some(extra)}"] * bool(extra)
         complaint = " and ".join(complaints) or "has a column twice"
-        raise InvalidMap(f"{path.name} {complaint}; of degree {degree} it has {len(wanted)} columns.", _HINT)
+        raise InvalidMap(f"{name} {complaint}; of degree {degree} it has {len(wanted)} columns.", _HINT)
     if columns != wanted:
-        raise InvalidMap(f"The columns of {path.name} are not in their order.", _HINT)
+        raise InvalidMap(f"The columns of {name} are not in their order.", _HINT)
     return _Header(kind, degree, columns)
 
 
-def _rows(path: Path, lines: Iterator[str], header: _Header) -> Iterator[tuple[int, list[str]]]:
+def _rows(name: str, lines: Iterator[str], header: _Header) -> Iterator[tuple[int, list[str]]]:
     """The values of each row, counted from 1; they must be as many as the table says it has."""
     total, count = "", 0
     for line in lines:
@@ -127,84 +139,84 @@ def _rows(path: Path, lines: Iterator[str], header: _Header) -> Iterator[tuple[i
         count += 1
         values = line.rstrip("\r\n").split(",")
         if len(values) != len(header.columns):
-            raise _invalid(path, count, f"has {len(values)} values under {len(header.columns)} columns")
+            raise _invalid(name, count, f"has {len(values)} values under {len(header.columns)} columns")
         number, _, of = values[-1].partition("/")
         if number != str(count) or (total and of != total):
-            raise _invalid(path, count, f"says that it is row {values[-1]}; rows are missing or were moved")
+            raise _invalid(name, count, f"says that it is row {values[-1]}; rows are missing or were moved")
         total = of
         yield count, values
     if count and total != str(count):
-        raise InvalidMap(f"{path.name} is cut off: it has {count} rows of {total}.", _HINT)
+        raise InvalidMap(f"{name} is cut off: it has {count} rows of {total}.", _HINT)
 
 
-def _add(path: Path, row: int, header: _Header, values: list[str], features: dict[int, _Feature]) -> None:
+def _add(name: str, row: int, header: _Header, values: list[str], features: dict[int, _Feature]) -> None:
     first = header.first_after
     domain_end = first + 1 + len(DOMAIN_COLUMNS[header.kind])
     domain_texts, place_texts = tuple(values[first + 1 : domain_end]), tuple(values[domain_end:-6])
-    channel, descriptor = _descriptor(path, row, values[0])
+    channel, descriptor = _descriptor(name, row, values[0])
     number = values[first]
     if not number.isdecimal():
-        raise _invalid(path, row, f"has the feature '{number}', which is not a number")
+        raise _invalid(name, row, f"has the feature '{number}', which is not a number")
     texts = (str(channel), *place_texts, values[-2])
     feature = features.get(int(number))
     if feature is None:
-        place = _floats(path, row, header.columns[domain_end:-6], place_texts)
+        place = _floats(name, row, header.columns[domain_end:-6], place_texts)
         feature = _Feature(channel, place[:3], place[3:], texts)
         features[int(number)] = feature
     elif feature.texts != texts:
-        raise _invalid(path, row, f"contradicts an earlier row of feature {number}")
+        raise _invalid(name, row, f"contradicts an earlier row of feature {number}")
     if (descriptor, domain_texts) in feature.rows:
-        raise _invalid(path, row, "repeats a descriptor with the same density")
+        raise _invalid(name, row, "repeats a descriptor with the same density")
     feature.rows.add((descriptor, domain_texts))
     if descriptor not in feature.descriptors:
         feature.descriptors.append(descriptor)
-    coefficients = _coefficients(path, row, header, values[1:first], feature, domain_texts)
+    coefficients = _coefficients(name, row, header, values[1:first], feature, domain_texts)
     known = feature.densities.get(domain_texts)
     if known is None:
-        domain = _floats(path, row, header.columns[first + 1 : domain_end], domain_texts)
+        domain = _floats(name, row, header.columns[first + 1 : domain_end], domain_texts)
         feature.densities[domain_texts] = (domain, coefficients)
     elif not np.array_equal(known[1], coefficients):
-        raise _invalid(path, row, f"has other coefficients than an earlier row of feature {number} at that place")
+        raise _invalid(name, row, f"has other coefficients than an earlier row of feature {number} at that place")
 
 
-def _descriptor(path: Path, row: int, text: str) -> tuple[int, bytes]:
+def _descriptor(name: str, row: int, text: str) -> tuple[int, bytes]:
     try:
         data = bytes.fromhex(text)
     except ValueError:
         data = b""
     if len(data) < 2:
-        raise _invalid(path, row, f"has the descriptor '{text[:20]}', which is not hex with a channel before it")
+        raise _invalid(name, row, f"has the descriptor '{text[:20]}', which is not hex with a channel before it")
     return data[0], data[1:]
 
 
 def _coefficients(
-    path: Path, row: int, header: _Header, texts: list[str], feature: _Feature, domain_texts: tuple[str, ...]
+    name: str, row: int, header: _Header, texts: list[str], feature: _Feature, domain_texts: tuple[str, ...]
 ) -> FloatArray:
     """The coefficients that are kept of a row; the others must be what they have to be."""
-    every = _floats(path, row, header.columns[1 : header.first_after], texts)
+    every = _floats(name, row, header.columns[1 : header.first_after], texts)
     if header.kind is DensityKind.TENSOR:
         kept = coefficient_columns(header.degree)
         rest = np.delete(every, kept)
         if np.abs(rest).max(initial=0) > _ZERO * np.abs(every).max():
-            raise _invalid(path, row, "has powers beyond a square in (u, v) or in (x, y, z), which no fit gives")
+            raise _invalid(name, row, "has powers beyond a square in (u, v) or in (x, y, z), which no fit gives")
         return every[kept].astype(np.float32)
     tolerance = np.array([float(text) for text in domain_texts])
     if tolerance[0] <= 0:
-        raise _invalid(path, row, "has a tolerance that is not positive")
+        raise _invalid(name, row, "has a tolerance that is not positive")
     exact = ray_coefficients(feature.landmark[None], tolerance)[0]
     if np.abs(every - exact).max() > _AGREE * np.abs(exact).max():
-        raise _invalid(path, row, "has coefficients that contradict its landmark and tolerance")
+        raise _invalid(name, row, "has coefficients that contradict its landmark and tolerance")
     return every
 
 
-def _floats(path: Path, row: int, columns: list[str], texts: list[str] | tuple[str, ...]) -> FloatArray:
+def _floats(name: str, row: int, columns: list[str], texts: list[str] | tuple[str, ...]) -> FloatArray:
     try:
         values = np.array(texts, dtype=np.float64)
     except ValueError:
         values = np.array([_float_or_nan(text) for text in texts])
     bad = np.flatnonzero(~(np.abs(values) < np.finfo(np.float32).max))
     if len(bad):
-        raise _invalid(path, row, f"has '{texts[int(bad[0])][:20]}' in {columns[int(bad[0])]}, not a finite number")
+        raise _invalid(name, row, f"has '{texts[int(bad[0])][:20]}' in {columns[int(bad[0])]}, not a finite number")
     return values
 
 
@@ -215,13 +227,13 @@ def _float_or_nan(text: str) -> float:
         return math.nan
 
 
-def _assemble(path: Path, header: _Header, shared: list[str], features: dict[int, _Feature]) -> Map:
+def _assemble(name: str, header: _Header, shared: list[str], features: dict[int, _Feature]) -> Map:
     ordered = [features[number] for number in sorted(features)]
-    info = _info(path, header.kind, shared)
+    info = _info(name, header.kind, shared)
     length = get_extractor(info.features).descriptor_bytes
     if any(len(descriptor) != length for feature in ordered for descriptor in feature.descriptors):
-        raise InvalidMap(f"{path.name} has descriptors that are not {info.features}'s, of {length} bytes.", _HINT)
-    times, poses, offsets, seen = _views(path, [feature.texts[-1] for feature in ordered])
+        raise InvalidMap(f"{name} has descriptors that are not {info.features}'s, of {length} bytes.", _HINT)
+    times, poses, offsets, seen = _views(name, [feature.texts[-1] for feature in ordered])
     map_ = Map(
         info=info,
         channels=np.array([feature.channel for feature in ordered], dtype=np.uint8),
@@ -237,24 +249,24 @@ def _assemble(path: Path, header: _Header, shared: list[str], features: dict[int
     validate_map(map_)
     if header.kind is DensityKind.RAY:
         return map_
-    return _with_densities(path, map_, header.degree, ordered)
+    return _with_densities(name, map_, header.degree, ordered)
 
 
-def _with_densities(path: Path, map_: Map, degree: int, ordered: list[_Feature]) -> Map:
+def _with_densities(name: str, map_: Map, degree: int, ordered: list[_Feature]) -> Map:
     owners = np.repeat(np.arange(len(ordered)), [len(feature.densities) for feature in ordered])
     densities = [density for feature in ordered for density in feature.densities.values()]
     domain = np.array([density[0] for density in densities])
     sizes = [len(powers) for powers in kept_powers(degree)]
     coefficients = np.array([density[1] for density in densities]).reshape(-1, *sizes)
     if np.any(domain[:, 3] <= 0):
-        raise InvalidMap(f"{path.name} has a radius that is not positive.", _HINT)
+        raise InvalidMap(f"{name} has a radius that is not positive.", _HINT)
     landmarks = map_.landmarks[owners].astype(np.float64)
     if not np.all(np.linalg.norm(landmarks - domain[:, :3], axis=1) > 0):
-        raise InvalidMap(f"{path.name} has a place that is its landmark.", _HINT)
+        raise InvalidMap(f"{name} has a place that is its landmark.", _HINT)
     return with_tensors(map_, TensorDensities(degree, coefficients, landmarks, domain[:, :3], domain[:, 3]), owners)
 
 
-def _info(path: Path, kind: DensityKind, shared: list[str]) -> MapInfo:
+def _info(name: str, kind: DensityKind, shared: list[str]) -> MapInfo:
     extractor, metric, upright, camera = shared
     try:
         get_extractor(extractor)
@@ -262,11 +274,11 @@ def _info(path: Path, kind: DensityKind, shared: list[str]) -> MapInfo:
         fx, fy, cx, cy, *distortion = map(float, rest)
         intrinsics = Camera(int(width), int(height), fx, fy, cx, cy, tuple(distortion))
     except InvalidInput as error:
-        raise InvalidMap(f"{path.name}: {error.message}", error.hint) from error
+        raise InvalidMap(f"{name}: {error.message}", error.hint) from error
     except ValueError as error:
-        raise InvalidMap(f"{path.name} has the camera '{camera[:40]}', which is not one.", _HINT) from error
+        raise InvalidMap(f"{name} has the camera '{camera[:40]}', which is not one.", _HINT) from error
     if {metric, upright} - {"0", "1"}:
-        raise InvalidMap(f"{path.name} says neither 0 nor 1 in metric or upright.", _HINT)
+        raise InvalidMap(f"{name} says neither 0 nor 1 in metric or upright.", _HINT)
     return MapInfo(
         id=uuid.uuid4().hex,
         version=1,
@@ -276,11 +288,11 @@ def _info(path: Path, kind: DensityKind, shared: list[str]) -> MapInfo:
         upright=upright == "1",
         created=datetime.now(UTC).isoformat(timespec="seconds"),
         camera=intrinsics,
-        sources=({"name": path.name},),
+        sources=({"name": name},),
     )
 
 
-def _views(path: Path, seen_from: list[str]) -> tuple[FloatArray, FloatArray, IntArray, IntArray]:
+def _views(name: str, seen_from: list[str]) -> tuple[FloatArray, FloatArray, IntArray, IntArray]:
     """Times (K,), poses (K, 7), offsets (K + 1,) and features (V,) of the views that the features were seen in."""
     known: dict[str, int] = {}
     saw: dict[int, list[int]] = {}
@@ -288,16 +300,16 @@ def _views(path: Path, seen_from: list[str]) -> tuple[FloatArray, FloatArray, In
         for view in filter(None, text.split(";")):
             number, _, _ = view.partition(" ")
             if not number.isdecimal():
-                raise InvalidMap(f"{path.name} has the view '{view[:30]}', which is not one.", _HINT)
+                raise InvalidMap(f"{name} has the view '{view[:30]}', which is not one.", _HINT)
             known.setdefault(view, int(number))
             saw.setdefault(int(number), []).append(feature)
     if len(known) != len(saw):
-        raise InvalidMap(f"{path.name} gives a view two poses.", _HINT)
+        raise InvalidMap(f"{name} gives a view two poses.", _HINT)
     values = []
     for view, _ in sorted(known.items(), key=lambda item: item[1]):
         numbers = np.array([_float_or_nan(number) for number in view.split(" ")[1:]])
         if len(numbers) != VIEW_NUMBERS or not np.isfinite(numbers).all():
-            raise InvalidMap(f"{path.name} has the view '{view[:30]}', which is not one.", _HINT)
+            raise InvalidMap(f"{name} has the view '{view[:30]}', which is not one.", _HINT)
         values.append(numbers)
     table = np.array(values).reshape(-1, VIEW_NUMBERS)
     lists = [saw[number] for number in sorted(saw)]
@@ -319,5 +331,5 @@ def _either(values: tuple[int, ...]) -> str:
     return " or ".join(map(str, values))
 
 
-def _invalid(path: Path, row: int, complaint: str) -> InvalidMap:
-    return InvalidMap(f"{path.name}, row {row} {complaint}.", _HINT)
+def _invalid(name: str, row: int, complaint: str) -> InvalidMap:
+    return InvalidMap(f"{name}, row {row} {complaint}.", _HINT)

@@ -15,10 +15,11 @@ from rholoc.maps.rho_file import SUFFIX, load_map, map_to_bytes
 
 _NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9._-]{0,63}")
 _NAMES_SHOWN = 5
+_ALL = "all"
 
 
 def is_name(name: str) -> bool:
-    """Whether a map or a camera may have this name: 1–64 letters, digits, ``.``, ``_``, ``-``; no dot or hyphen first."""
+    """Whether a map or a camera may be called so: 1–64 letters, digits, ``.``, ``_``, ``-``; no dot, hyphen first."""
     return _NAME.fullmatch(name) is not None
 
 
@@ -38,11 +39,13 @@ def check_name(name: str, what: str) -> str:
 
 
 def check_map_name(name: str) -> str:
-    """The name, if it may name a map.
+    """The name, if it may name a map: it is not ``all``, which means all maps where several may be named.
 
     Raises:
         InvalidName: it may not.
     """
+    if name == _ALL:
+        raise InvalidName(f"A map cannot be named {name}: that means all maps.", "Choose another name.")
     return check_name(name, "map")
 
 
@@ -76,8 +79,8 @@ class MapLibrary:
 
     def names(self) -> list[str]:
         """The names of all maps, sorted; none where the folder does not exist."""
-        files = self.folder.glob(f"*{SUFFIX}")
-        return sorted(file.name.removesuffix(SUFFIX) for file in files if is_name(file.stem) and file.is_file())
+        files = [file for file in self.folder.glob(f"*{SUFFIX}") if file.is_file()]
+        return sorted(file.stem for file in files if is_name(file.stem) and file.stem != _ALL)
 
     def path(self, name: str) -> Path:
         """Where the map of that name is kept, whether there is one or not.

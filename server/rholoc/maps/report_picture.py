@@ -1,4 +1,7 @@
-"""A map's report as a picture: where it will work and where not, how wrong it was, what its landmarks are worth."""
+"""A map's report as a picture: where it will work and where not, how wrong it was, what its landmarks are worth.
+
+Not imported with the package, for matplotlib's sake.
+"""
 
 from __future__ import annotations
 

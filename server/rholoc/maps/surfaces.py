@@ -18,7 +18,7 @@ from rholoc.maps.map import Map
 
 SIGMAS = 3.0
 _POINTS = 162  # of a surface
-_MAX_SURFACES = 5000
+MAX_SURFACES = 5000
 _PATH = -1  # the feature that the path's cell names
 
 
@@ -55,8 +55,8 @@ def _checked(map_: Map, features: Sequence[int]) -> IntArray:
     chosen = np.unique(np.asarray(features, dtype=np.int64))
     if len(chosen) == 0:
         raise InvalidInput("No feature is chosen.", "Name some by their numbers.")
-    if len(chosen) > _MAX_SURFACES:
-        raise InvalidInput(f"{len(chosen)} surfaces are too many.", f"Choose {_MAX_SURFACES} features at most.")
+    if len(chosen) > MAX_SURFACES:
+        raise InvalidInput(f"{len(chosen)} surfaces are too many.", f"Choose {MAX_SURFACES} features at most.")
     unknown = chosen[(chosen < 0) | (chosen >= len(map_))]
     if len(unknown):
         raise InvalidInput(f"The map has no feature {unknown[0]}.", f"Its features are 0 to {len(map_) - 1}.")

@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 from rholoc.errors import InvalidTrajectory
 from rholoc.geometry import FloatArray, IntArray, pose_matrix, rotation_from_heading
 from rholoc.maps.files import replace_file
+from rholoc.maps.map import Map
 
 PAPER_COLUMNS = ("timestamp", "x", "y", "z", "hx", "hy", "hz")
 FURTHER_COLUMNS = ("frame", "roll", "qx", "qy", "qz", "qw", "confidence", "inliers")
@@ -68,6 +69,19 @@ class TrajectoryTable:
             return np.zeros((0, 4))
         quaternions = Rotation.from_matrix(self.T_map_camera[:, :3, :3]).as_quat()
         return np.asarray(np.where(quaternions[:, 3:] < 0, -quaternions, quaternions))
+
+
+def view_trajectory(map_: Map) -> TrajectoryTable:
+    """The views of a map as a trajectory, in their order; frames and confidences unknown, ``inliers`` what each saw."""
+    poses, views = map_.view_poses.astype(np.float64), len(map_.view_poses)
+    rotations = Rotation.from_quat(poses[:, 3:]).as_matrix() if views else np.zeros((0, 3, 3))
+    return TrajectoryTable(
+        times=map_.view_times,
+        frames=np.full(views, -1),
+        T_map_camera=pose_matrix(rotations, poses[:, :3]),
+        confidences=np.full(views, np.nan),
+        inliers=np.diff(map_.view_offsets).astype(np.int64),
+    )
 
 
 def write_trajectory_csv(path: Path, table: TrajectoryTable) -> None:

@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 import uuid
-from collections.abc import Callable, Mapping
-from enum import StrEnum
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated
 
 import numpy as np
 from fastapi import APIRouter, Query, Request, Response
-from fastapi.responses import FileResponse
+from fastapi.responses import FileResponse, StreamingResponse
 from starlette.concurrency import run_in_threadpool
 
 from rholoc.errors import (
     Busy,
     Conflict,
+    InvalidCamera,
     InvalidInput,
     InvalidMap,
     InvalidName,
@@ -23,14 +23,17 @@ from rholoc.errors import (
     RholocError,
     StorageFull,
     TooLarge,
+    UnknownCamera,
     UnknownMap,
     UnknownRecording,
 )
 from rholoc.features import get_extractor
 from rholoc.geometry import Camera
 from rholoc.jobs import JobKind, JobOptions
-from rholoc.mapping import check_memory, forget_recording, merge_maps
-from rholoc.maps import Map, MapLibrary, check_map_name, load_map, map_to_ply, map_to_vtp, preview_png
+from rholoc.mapping import ExportFormat, check_memory, export_map, forget_recording, merge_maps, parse_features
+from rholoc.maps import Map, MapLibrary, check_map_name, is_coefficient_table, load_map, read_coefficient_table
+from rholoc.maps.preview import preview_png
+from rholoc.maps.report_picture import report_png
 from rholoc.service.bodies import save_body
 from rholoc.service.errors import InvalidRequest
 from rholoc.service.openapi import BINARY, failures, request_body
@@ -54,17 +57,6 @@ router = APIRouter(prefix="/v1/maps", tags=["maps"])
 _FAILURES = (UnknownMap, InvalidName, InvalidMap)
 
 
-class MapFormat(StrEnum):
-    """What a map can be downloaded as."""
-
-    RHO = "rho"  # the native map
-    PLY = "ply"  # its landmarks, for MeshLab and CloudCompare
-    VTP = "vtp"  # its landmarks, for ParaView
-
-
-_CONVERTERS: dict[MapFormat, Callable[[Map], bytes]] = {MapFormat.PLY: map_to_ply, MapFormat.VTP: map_to_vtp}
-
-
 @router.get("", summary="All maps")
 async def list_maps(service: Service) -> MapList:
     """The maps by name; files that are not maps are named apart."""
@@ -84,15 +76,15 @@ async def get_map(map_name: str, service: Service) -> MapDetail:
         **failures(InvalidName, InvalidMap, TooLarge, StorageFull),
         201: {"model": MapDetail, "description": "The map is new."},
     },
-    openapi_extra=request_body({"application/octet-stream": {"schema": BINARY}}),
+    openapi_extra=request_body({"application/octet-stream": {"schema": BINARY}, "text/csv": {"schema": BINARY}}),
 )
 async def put_map(map_name: str, request: Request, service: Service, response: Response) -> MapDetail:
-    """The body is a `.rho` file. It is checked before it replaces the map of that name; requests that are being
-    answered end on the old map, the next ones get the new."""
+    """The body is a `.rho` file or a map as CSV (Table 5). It is checked before it replaces the map of that name;
+    requests that are being answered end on the old map, the next ones get the new."""
     check_map_name(map_name)
     folder = service.settings.data_dir / "uploads"
     folder.mkdir(exist_ok=True)
-    arrived = folder / f"{uuid.uuid4().hex}.rho"
+    arrived = folder / uuid.uuid4().hex
     new = map_name not in service.library.names()
     try:
         await save_body(request, arrived, service.settings.max_upload_bytes)
@@ -129,24 +121,33 @@ async def delete_map(map_name: str, service: Service) -> None:
             "description": "The file.",
             "content": {"application/octet-stream": {"schema": BINARY}},
         },
-        **failures(*_FAILURES, InvalidRequest),
+        **failures(*_FAILURES, InvalidInput, InvalidRequest, Busy),
     },
 )
 async def download_map(
     map_name: str,
     service: Service,
     format: Annotated[
-        MapFormat, Query(description="the native map, or its landmarks as points", examples=["rho"])
-    ] = MapFormat.RHO,
+        ExportFormat, Query(description="the native map, or a form for other programs", examples=["rho"])
+    ] = ExportFormat.RHO,
+    degree: Annotated[
+        int | None, Query(description="of csv: tensor densities are fitted with it; default: the map's own densities")
+    ] = None,
+    features: Annotated[
+        str | None,
+        Query(description="of surfaces: whose, as `3,17,40:60`; default: the 500 seen most often", examples=["0:100"]),
+    ] = None,
 ) -> Response:
-    """`rho`: the map itself; `ply`, `vtp`: its landmarks with their standard deviations in metres."""
+    """`rho`: the map itself; `csv`: Table 5, which can be uploaded again; `observations`: Table 4; `trajectory`: its
+    views as Table 6; `ply`, `vtp`: landmarks and views; `surfaces`: where densities peak, as VTP; `png`: a picture."""
     service.library.stat(map_name)
-    attachment = {"Content-Disposition": f'attachment; filename="{map_name}.{format.value}"'}
-    if format is MapFormat.RHO:
-        return FileResponse(service.library.path(map_name), headers=attachment, media_type="application/octet-stream")
+    headers = {"Content-Disposition": f'attachment; filename="{map_name}{format.ending}"'}
+    if format is ExportFormat.RHO and degree is None and features is None:
+        return FileResponse(service.library.path(map_name), headers=headers, media_type=format.media_type)
+    chosen = None if features is None else parse_features(features)
     map_ = await run_in_threadpool(service.library.get, map_name)
-    content = await run_in_threadpool(_CONVERTERS[format], map_)
-    return Response(content, headers=attachment, media_type="application/octet-stream")
+    pieces = await service.compute.run(lambda: export_map(map_, format, title=map_name, degree=degree, features=chosen))
+    return StreamingResponse(pieces, headers=headers, media_type=format.media_type)
 
 
 @router.get("/{map_name}/report", summary="A map's own quality report", responses=failures(*_FAILURES))
@@ -156,16 +157,34 @@ async def get_report(map_name: str, service: Service) -> MapReport:
     return MapReport(map=map_name, map_id=info.id, map_version=info.version, report=info.report)
 
 
+@router.get(
+    "/{map_name}/report.png",
+    summary="A map's own quality report as a picture",
+    response_class=Response,
+    responses={
+        200: {"description": "A picture.", "content": {"image/png": {"schema": BINARY}}},
+        **failures(*_FAILURES, Busy),
+    },
+)
+async def get_report_picture(map_name: str, service: Service) -> Response:
+    """Coverage by position and heading, errors of frames held out, what the landmarks are worth."""
+    map_ = await run_in_threadpool(service.library.get, map_name)
+    return Response(await service.compute.run(lambda: report_png(map_, map_name)), media_type="image/png")
+
+
 @router.post(
     "/{map_name}/update",
     status_code=202,
     summary="Learn a recording into a map",
-    responses=failures(*_FAILURES, UnknownRecording, InvalidInput, InvalidRequest, StorageFull),
+    responses=failures(
+        *_FAILURES, UnknownRecording, UnknownCamera, InvalidCamera, InvalidInput, InvalidRequest, StorageFull
+    ),
 )
 async def update_map(map_name: str, wanted: UpdateIn, service: Service, response: Response) -> JobOut:
     """A job localizes the recording in the map and learns it; `Location` names the job. The next version of the map
     takes the place of the present one when the job is done; a recording of another place changes nothing."""
     await run_in_threadpool(_check_learns, service.library, map_name)
+    await run_in_threadpool(service.cameras.named_in, wanted.camera)
     options = JobOptions(kind=JobKind.UPDATE, poses=wanted.poses, camera=wanted.camera)
     job = await run_in_threadpool(service.jobs.submit, wanted.recording, map_name, options)
     response.headers["Location"] = f"/v1/jobs/{job.id}"
@@ -281,7 +300,8 @@ def _camera(camera: Camera) -> CameraIn:
 
 def _publish(library: MapLibrary, name: str, arrived: Path) -> None:
     """Put a file into the library, if this service can localize in it."""
-    map_ = load_map(arrived)
+    table = is_coefficient_table(arrived)
+    map_ = read_coefficient_table(arrived, f"{name}.csv") if table else load_map(arrived)
     hint = "Build the map with one of this version's extractors."
     try:
         extractor = get_extractor(map_.info.features)
@@ -289,4 +309,7 @@ def _publish(library: MapLibrary, name: str, arrived: Path) -> None:
         raise InvalidMap(error.message, hint) from error
     if map_.descriptors.shape[1] != extractor.descriptor_bytes or not np.isin(map_.channels, extractor.channels).all():
         raise InvalidMap(f"The map's descriptors are not '{extractor.name}' features.", hint)
-    library.put_file(name, arrived)
+    if table:
+        library.put(name, map_)
+    else:
+        library.put_file(name, arrived)

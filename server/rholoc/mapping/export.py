@@ -1,0 +1,152 @@
+"""A map for other programs, in every format that it can be exported to."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator, Sequence
+from enum import StrEnum
+from itertools import chain
+
+import numpy as np
+
+from rholoc.density.tensor import DEGREES
+from rholoc.errors import InvalidInput
+from rholoc.mapping.forms import ray_form
+from rholoc.mapping.observation_table import observation_table
+from rholoc.mapping.tensor_fit import fit_map_tensors
+from rholoc.maps import (
+    Map,
+    coefficient_table,
+    map_surfaces_vtp,
+    map_to_bytes,
+    map_to_ply,
+    map_to_vtp,
+    observations_csv,
+    trajectory_csv,
+    view_trajectory,
+)
+from rholoc.maps.surfaces import MAX_SURFACES
+
+_SURFACES = 500  # where none are chosen
+_PIECE_BYTES = 2**18
+_FEATURES = re.compile(r"([0-9]{1,9})(?::([0-9]{1,9}))?")
+
+
+class ExportFormat(StrEnum):
+    """What a map can be exported to."""
+
+    RHO = "rho"  # the native map
+    CSV = "csv"  # Table 5: its densities' coefficients; reads back to the same map
+    OBSERVATIONS = "observations"  # Table 4: what was seen from where
+    TRAJECTORY = "trajectory"  # Table 6: its views
+    PLY = "ply"  # landmarks and views, for MeshLab, CloudCompare, ParaView
+    VTP = "vtp"  # the same for ParaView, with the view path as a line
+    SURFACES = "surfaces"  # where chosen densities peak, for ParaView
+    PNG = "png"  # a picture from above
+
+    @property
+    def ending(self) -> str:
+        """The end of a file's name: ``.csv``, ``-observations.csv``."""
+        match self:
+            case ExportFormat.OBSERVATIONS | ExportFormat.TRAJECTORY:
+                return f"-{self.value}.csv"
+            case ExportFormat.SURFACES:
+                return f"-{self.value}.vtp"
+            case _:
+                return f".{self.value}"
+
+    @property
+    def media_type(self) -> str:
+        """What HTTP calls it."""
+        kinds = {".csv": "text/csv", ".png": "image/png", ".vtp": "application/xml"}
+        return kinds.get(self.ending[-4:], "application/octet-stream")
+
+
+def export_map(
+    map_: Map,
+    to: ExportFormat,
+    *,
+    title: str = "",
+    degree: int | None = None,
+    features: Sequence[int] | None = None,
+) -> Iterator[bytes]:
+    """A map's file in another format, piece by piece.
+
+    Args:
+        map_: the map.
+        to: the format.
+        title: above the picture.
+        degree: of CSV: P of the ``tensor`` densities, equation (3), that are fitted to be written; None: the map's own.
+        features: of surfaces: whose; None: of the 500 that were seen most often.
+
+    Raises:
+        InvalidInput: an option is of another format, out of range, or the map does not remember its observations.
+        InvalidMap: the map contradicts itself.
+    """
+    if degree is not None and to is not ExportFormat.CSV:
+        raise InvalidInput(f"A degree is not for {to}.", "Only csv has one.")
+    if features is not None and to is not ExportFormat.SURFACES:
+        raise InvalidInput(f"Features cannot be chosen for {to}.", "Choose them for surfaces.")
+    match to:
+        case ExportFormat.RHO:
+            return iter([map_to_bytes(map_)])
+        case ExportFormat.CSV:
+            return _pieces(coefficient_table(map_ if degree is None else _refitted(map_, degree)))
+        case ExportFormat.OBSERVATIONS:
+            return _pieces(observations_csv(observation_table(map_)))
+        case ExportFormat.TRAJECTORY:
+            return iter([trajectory_csv(view_trajectory(map_)).encode()])
+        case ExportFormat.PLY:
+            return iter([map_to_ply(map_)])
+        case ExportFormat.VTP:
+            return iter([map_to_vtp(map_)])
+        case ExportFormat.SURFACES:
+            return iter([map_surfaces_vtp(map_, _most_seen(map_) if features is None else features)])
+        case ExportFormat.PNG:
+            from rholoc.maps.preview import preview_png
+
+            return iter([preview_png(map_, title)])
+
+
+def parse_features(text: str) -> list[int]:
+    """``3,17,40:60``: features by number, and ranges of them as Python's slices are written.
+
+    Raises:
+        InvalidInput: the text is something else.
+    """
+    chosen: list[int] = []
+    for part in text.split(","):
+        match = _FEATURES.fullmatch(part.strip())
+        if match is None:
+            raise InvalidInput(f"'{text[:60]}' is not a choice of features.", "Give numbers and ranges: 3,17,40:60.")
+        first = int(match[1])
+        stop = first + 1 if match[2] is None else int(match[2])
+        chosen += range(first, min(stop, first + MAX_SURFACES + 1))  # more are too many, however many
+    return chosen
+
+
+def _refitted(map_: Map, degree: int) -> Map:
+    if degree not in DEGREES:
+        raise InvalidInput(f"A density of degree {degree} cannot be fitted.", "Use 1, 2 or 3.")
+    return fit_map_tensors(ray_form(map_), degree)
+
+
+def _most_seen(map_: Map) -> list[int]:
+    views = np.bincount(map_.view_features, minlength=len(map_))
+    chosen: list[int] = np.argsort(-views, kind="stable")[:_SURFACES].tolist()
+    return chosen
+
+
+def _pieces(lines: Iterator[str]) -> Iterator[bytes]:
+    """Lines in pieces of some length. The first is made at once, so that errors come before anything is written."""
+    return _joined(chain([next(lines)], lines))
+
+
+def _joined(lines: Iterable[str]) -> Iterator[bytes]:
+    piece = bytearray()
+    for line in lines:
+        piece += line.encode("ascii")
+        if len(piece) >= _PIECE_BYTES:
+            yield bytes(piece)
+            piece.clear()
+    yield bytes(piece)

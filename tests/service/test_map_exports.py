@@ -1,0 +1,149 @@
+"""Maps over HTTP in other formats, and back from CSV."""
+
+from __future__ import annotations
+
+from xml.etree import ElementTree
+
+import cv2
+import httpx
+import numpy as np
+import pytest
+
+from rholoc.maps import map_to_ply, map_to_vtp, read_trajectory_csv
+
+
+@pytest.fixture(scope="module")
+def hall(serve, point_room):
+    """A service with the map ``hall``, which remembers its observations; the map's URL, and the map."""
+    from rholoc.maps import save_map
+
+    running, map_ = serve(), point_room.map_of(point_room.walk(60)[:8], "walk")
+    save_map(map_, running.settings.maps_dir / "hall.rho")
+    return running.url + "/v1/maps/hall", map_
+
+
+@pytest.mark.parametrize(
+    ("form", "name", "kind"),
+    [
+        ("rho", "hall.rho", "application/octet-stream"),
+        ("csv", "hall.csv", "text/csv"),
+        ("observations", "hall-observations.csv", "text/csv"),
+        ("trajectory", "hall-trajectory.csv", "text/csv"),
+        ("ply", "hall.ply", "application/octet-stream"),
+        ("vtp", "hall.vtp", "application/xml"),
+        ("surfaces", "hall-surfaces.vtp", "application/xml"),
+        ("png", "hall.png", "image/png"),
+    ],
+)
+def test_every_format_is_served(hall, form, name, kind):
+    answer = httpx.get(f"{hall[0]}/download", params={"format": form}, timeout=30)
+    assert answer.status_code == 200
+    assert answer.headers["Content-Type"].split(";")[0] == kind
+    assert f'filename="{name}"' in answer.headers["Content-Disposition"]
+
+
+def test_the_files_hold_the_map(hall, tmp_path):
+    url, map_ = hall
+    files = {
+        form: httpx.get(f"{url}/download", params={"format": form}, timeout=30).content
+        for form in ("ply", "vtp", "observations", "trajectory")
+    }
+    assert files["ply"] == map_to_ply(map_)
+    assert files["vtp"] == map_to_vtp(map_)
+    assert files["observations"].count(b"\n") == 1 + len(map_.view_features)
+    (tmp_path / "trajectory.csv").write_bytes(files["trajectory"])
+    positions = read_trajectory_csv(tmp_path / "trajectory.csv").positions
+    np.testing.assert_allclose(positions, map_.view_poses[:, :3], atol=1e-5)
+    surfaces = httpx.get(f"{url}/download", params={"format": "surfaces", "features": "3,5:7"}).content
+    triangles, _ = ElementTree.fromstring(surfaces).iter("Piece")
+    features = (triangles.findtext("CellData/DataArray[@Name='feature']") or "").split()
+    assert set(features) == {"3", "5", "6"}
+
+
+def test_reports_are_pictures_too(hall):
+    answer = httpx.get(f"{hall[0]}/report.png", timeout=30)
+    assert answer.headers["Content-Type"] == "image/png"
+    picture = cv2.imdecode(np.frombuffer(answer.content, np.uint8), cv2.IMREAD_COLOR)
+    assert picture.std() > 5
+
+
+@pytest.mark.parametrize("params", [{}, {"degree": 1}])
+def test_a_table_can_be_uploaded_again(hall, params):
+    url, map_ = hall
+    table = httpx.get(f"{url}/download", params={"format": "csv", **params}, timeout=60).content
+    again = httpx.put(url.replace("hall", "again"), content=table, timeout=60)
+    assert again.status_code in (200, 201)
+    assert again.json()["landmarks"] == len(map_)
+    assert again.json()["density"] == ("tensor" if params else "ray")
+    assert again.json()["sources"] == [{"name": "again.csv"}]
+
+
+def _lose_column(cells):
+    for row in cells:
+        del row[5]
+
+
+def _gain_column(cells):
+    for row in cells:
+        row.append("1")
+
+
+def _change_degree(cells):
+    cells[0] = [name.replace("2_2_2_2_2_2", "5_5_5_5_5_5") for name in cells[0]]
+
+
+def _put_nan(cells):
+    cells[2][1] = "nan"
+
+
+def _repeat_descriptor(cells):
+    cells[2] = [*cells[1][:-1], cells[2][-1]]
+
+
+@pytest.mark.parametrize("damage", [_lose_column, _gain_column, _change_degree, _put_nan, _repeat_descriptor])
+def test_bad_tables_replace_nothing(hall, damage):
+    url, map_ = hall
+    cells = [line.split(b",") for line in httpx.get(f"{url}/download?format=csv").content.splitlines()]
+    texts = [[cell.decode() for cell in row] for row in cells]
+    damage(texts)
+    answer = httpx.put(url, content="\n".join(",".join(row) for row in texts).encode())
+    assert (answer.status_code, answer.json()["code"]) == (422, "invalid_map")
+    assert "hall.csv" in answer.json()["message"]
+    assert httpx.get(url).json()["id"] == map_.info.id
+
+
+@pytest.mark.parametrize(
+    ("params", "code"),
+    [
+        ({"format": "ply", "degree": 2}, "invalid_input"),
+        ({"degree": 2}, "invalid_input"),
+        ({"format": "csv", "degree": 9}, "invalid_input"),
+        ({"format": "csv", "degree": "two"}, "invalid_request"),
+        ({"format": "surfaces", "features": "all"}, "invalid_input"),
+        ({"format": "surfaces", "features": "0:999999999"}, "invalid_input"),
+    ],
+)
+def test_exports_without_sense_are_refused(hall, params, code):
+    answer = httpx.get(f"{hall[0]}/download", params=params)
+    assert (answer.status_code, answer.json()["code"]) == (422, code)
+
+
+def test_a_map_without_memory_has_no_observations(service):
+    answer = httpx.get(f"{service.url}/v1/maps/room/download?format=observations")
+    assert (answer.status_code, answer.json()["code"]) == (422, "invalid_input")
+
+
+def test_no_map_is_named_all(service, picture_world):
+    url = service.url + "/v1/maps"
+    for answer in (
+        httpx.put(f"{url}/all", content=picture_world.rho()),
+        httpx.patch(f"{url}/room", json={"name": "all"}),
+        httpx.get(f"{url}/all"),
+    ):
+        assert (answer.status_code, answer.json()["code"]) == (422, "invalid_name")
+    (service.settings.maps_dir / "all.rho").write_bytes(picture_world.rho())
+    assert [one["name"] for one in httpx.get(url).json()["maps"]] == ["loose", "room"]
+    png = {"Content-Type": "image/png"}
+    answer = httpx.post(f"{service.url}/v1/localize?maps=all&dof=6", content=picture_world.png(), headers=png)
+    assert answer.json()["localized"]
+    (service.settings.maps_dir / "all.rho").unlink()
