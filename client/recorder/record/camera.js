@@ -1,0 +1,70 @@
+// The camera: opened, watched frame by frame, measured for light.
+
+import { brightness } from "./coaching.js";
+import { Problem } from "./problem.js";
+
+const WANTED = {
+  audio: false,
+  video: { facingMode: { ideal: "environment" }, width: { ideal: 1280 }, height: { ideal: 720 }, frameRate: { ideal: 30 } },
+};
+const REFUSALS = {
+  NotAllowedError: ["camera-refused", "The camera was refused.", "Allow it for this page in the browser's settings, then try again."],
+  NotFoundError: ["no-camera", "There is no camera.", "Open this page on a phone."],
+  NotReadableError: ["camera-busy", "Another program has the camera.", "Close it and try again."],
+};
+// The first that the browser can write; hardware encodes H.264, and WebM survives being cut off.
+const TYPES = ["video/webm;codecs=h264", "video/mp4;codecs=avc1.42E01E", "video/webm;codecs=vp8", "video/webm", "video/mp4"];
+const METER = { width: 32, height: 24 };
+
+/** The stream of the camera on the back. @throws {Problem} */
+export async function openCamera() {
+  try {
+    return await navigator.mediaDevices.getUserMedia(WANTED);
+  } catch (error) {
+    throw new Problem(...(REFUSALS[error.name] ?? ["camera-failed", "The camera does not start.", error.message]));
+  }
+}
+
+/** The format that MediaRecorder writes here. */
+export function videoType() {
+  return TYPES.find((type) => MediaRecorder.isTypeSupported(type)) ?? "";
+}
+
+/** The file name of a video of a MIME type. */
+export function videoName(type) {
+  const suffix = type.startsWith("video/mp4") ? "mp4" : type.startsWith("video/x-matroska") ? "mkv" : "webm";
+  return `video.${suffix}`;
+}
+
+/** Whether a stream comes from the camera on the back, as far as the browser says. */
+export function facesAway(stream) {
+  return stream.getVideoTracks()[0].getSettings().facingMode === "environment";
+}
+
+/**
+ * Hear when each frame that a video element shows was taken, in seconds on the clock of performance.now().
+ * Returns a function that ends it. A browser without requestVideoFrameCallback says nothing.
+ */
+export function watchFrames(video, hear) {
+  if (!video.requestVideoFrameCallback) return () => {};
+  let handle = 0;
+  const next = () => {
+    handle = video.requestVideoFrameCallback((now, { captureTime }) => {
+      hear((captureTime ?? now) / 1000);
+      next();
+    });
+  };
+  next();
+  return () => video.cancelVideoFrameCallback(handle);
+}
+
+/** A function that measures how bright a video element's picture is, 0 to 1; null before it has one. */
+export function lightMeter(video) {
+  const canvas = Object.assign(document.createElement("canvas"), METER);
+  const context = canvas.getContext("2d", { willReadFrequently: true });
+  return () => {
+    if (!video.videoWidth) return null;
+    context.drawImage(video, 0, 0, METER.width, METER.height);
+    return brightness(context.getImageData(0, 0, METER.width, METER.height).data);
+  };
+}

@@ -1,0 +1,66 @@
+// Keeps the recorder on the phone: fresh from the server while that answers, else as it was last time.
+
+const CACHE = "rholoc-recorder";
+const WEB = new URL("../", self.location);
+const PAGE = new URL("../record", WEB);
+const FILES = [
+  "record/camera.js",
+  "record/clock.js",
+  "record/coaching.js",
+  "record/container.js",
+  "record/draft.js",
+  "record/icon-192.png",
+  "record/job.js",
+  "record/main.js",
+  "record/manifest.webmanifest",
+  "record/motion.js",
+  "record/problem.js",
+  "record/record.css",
+  "record/recording.js",
+  "record/sensors.js",
+  "record/store.js",
+  "record/tables.js",
+  "record/take.js",
+  "record/upload.js",
+  "record/views/home.js",
+  "record/views/light_curve.js",
+  "record/views/live.js",
+  "record/views/map_name.js",
+  "record/views/review.js",
+  "record/views/send.js",
+  "record/views/waypoint_table.js",
+  "record/views/words.js",
+  "record/waypoints.js",
+  "record/zip.js",
+  "shared/api.js",
+  "shared/dom.js",
+  "shared/icon.svg",
+  "shared/style.css",
+];
+
+self.addEventListener("install", (event) => {
+  self.skipWaiting();
+  event.waitUntil(caches.open(CACHE).then((cache) => cache.addAll([PAGE, ...FILES.map((file) => new URL(file, WEB))])));
+});
+
+self.addEventListener("activate", (event) => event.waitUntil(self.clients.claim()));
+
+self.addEventListener("fetch", (event) => {
+  const { request } = event;
+  const where = new URL(request.url);
+  const ours = where.pathname === PAGE.pathname || where.href.startsWith(WEB.href);
+  if (request.method === "GET" && ours) event.respondWith(freshOrKept(request));
+});
+
+async function freshOrKept(request) {
+  const cache = await caches.open(CACHE);
+  try {
+    const response = await fetch(request);
+    if (response.ok) await cache.put(request, response.clone());
+    return response;
+  } catch (error) {
+    const kept = await cache.match(request, { ignoreSearch: true });
+    if (kept) return kept;
+    throw error;
+  }
+}

@@ -1,0 +1,101 @@
+// A recording being made: video, inertial rows and frame times, handed to the store second by second.
+
+import { watchFrames, videoType } from "./camera.js";
+import { State } from "./store.js";
+
+const PART_MS = 1000;
+const BITS_PER_SECOND = 8_000_000;
+
+/** Why a recording ended. */
+export const Ending = Object.freeze({
+  STOPPED: "stopped",
+  HIDDEN: "hidden", // the page was left
+  TURNED: "turned", // the picture changed its shape
+  FULL: "full", // no room
+  CAMERA: "camera", // the camera went away
+});
+
+/** What is told of an ending that nobody asked for. */
+export const ENDINGS = {
+  [Ending.HIDDEN]: "Recording ended when you left this page: a phone shuts the camera off then. What came before is kept.",
+  [Ending.TURNED]: "Recording ended when the phone was turned: a recording has one shape. What came before is kept.",
+  [Ending.FULL]: "Recording ended because this phone has no room left. What came before is kept.",
+  [Ending.CAMERA]: "Recording ended because the camera went away. What came before is kept.",
+};
+
+/** From `start` until its promise `ended`, which gives the recording's description. */
+export class Take {
+  #part = { imu: [], frames: [] };
+  #index = 0;
+  #writing = Promise.resolve();
+  #ending = Ending.STOPPED;
+  #cleanUp = [];
+
+  constructor(store, recording, { stream, video, sensors }) {
+    Object.assign(this, { store, recording, stream, video, sensors });
+    this.recorder = new MediaRecorder(stream, { mimeType: videoType(), videoBitsPerSecond: BITS_PER_SECOND });
+  }
+
+  /** Seconds on the clock. */
+  static now() {
+    return performance.now() / 1000;
+  }
+
+  /** Seconds since the start. */
+  get elapsed() {
+    return Take.now() - this.recording.started;
+  }
+
+  start() {
+    const listen = (target, type, hear) => {
+      target.addEventListener(type, hear);
+      this.#cleanUp.push(() => target.removeEventListener(type, hear));
+    };
+    this.ended = new Promise((resolve) => listen(this.recorder, "stop", () => resolve(this.#finish())));
+    listen(this.recorder, "dataavailable", ({ data }) => this.#keep(data));
+    listen(this.recorder, "error", () => this.stop(Ending.CAMERA));
+    listen(this.stream.getVideoTracks()[0], "ended", () => this.stop(Ending.CAMERA));
+    listen(document, "visibilitychange", () => document.hidden && this.stop(Ending.HIDDEN));
+    listen(this.video, "resize", () => this.stop(Ending.TURNED));
+    listen(screen.orientation ?? window, screen.orientation ? "change" : "orientationchange", () => this.stop(Ending.TURNED));
+    listen(this.sensors, "row", ({ detail }) => this.#part.imu.push(detail));
+    this.#cleanUp.push(watchFrames(this.video, (time) => this.#part.frames.push(time)));
+    const started = Take.now();
+    this.recorder.start(PART_MS);
+    this.recording = { ...this.recording, state: State.RECORDING, started, duration: 0, bytes: 0 };
+  }
+
+  /** End the recording. What was recorded is kept, whatever the reason. */
+  stop(ending = Ending.STOPPED) {
+    if (this.recorder.state === "inactive") return;
+    this.#ending = ending;
+    this.recorder.stop();
+  }
+
+  #keep(video) {
+    const part = { index: this.#index++, video, ...this.#part };
+    this.#part = { imu: [], frames: [] };
+    const { elapsed } = this;
+    this.#writing = this.#writing.then(() => this.#write(part, elapsed));
+  }
+
+  /** Keep a part, unless an earlier one could not be kept: a video has no gaps. */
+  async #write(part, duration) {
+    if (this.#ending === Ending.FULL) return;
+    const bytes = this.recording.bytes + part.video.size;
+    const recording = { ...this.recording, type: this.recorder.mimeType, duration, bytes };
+    try {
+      await this.store.add(recording, part);
+      this.recording = recording;
+    } catch {
+      this.stop(Ending.FULL);
+      this.#ending = Ending.FULL;
+    }
+  }
+
+  async #finish() {
+    for (const undo of this.#cleanUp) undo();
+    await this.#writing;
+    return { ...this.recording, state: State.STOPPED, ending: this.#ending };
+  }
+}

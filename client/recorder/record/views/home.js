@@ -1,0 +1,84 @@
+// What there is on this phone, and the way to a new recording.
+
+import { ask, fill, h } from "../../shared/dom.js";
+import { draft, keepDraft } from "../draft.js";
+import { missing } from "../problem.js";
+import { State } from "../store.js";
+import { mapNameField } from "./map_name.js";
+import { waypointTable } from "./waypoint_table.js";
+import { duration, moment, size } from "./words.js";
+
+const LITTLE_ROOM_BYTES = 300e6;
+
+/** The first page. */
+export async function homeView({ content, store }) {
+  const recordings = await store.recordings();
+  const { map, waypoints } = draft();
+  const lack = missing();
+  const form = h(
+    "form",
+    {
+      class: "card stack",
+      onsubmit: (event) => {
+        event.preventDefault();
+        location.hash = "#/live";
+      },
+    },
+    h("h2", {}, "New recording"),
+    mapNameField(map, (name) => keepDraft({ map: name })),
+    h("details", {}, h("summary", {}, "Measured points"), waypointTable(waypoints, (changed) => keepDraft({ waypoints: changed }))),
+    h("button", { class: "primary", disabled: lack !== null }, "Open the camera"),
+    h("p", { class: "small muted" }, "Walk slowly, keep texture in view, and come back to where you began."),
+  );
+  fill(
+    content,
+    h(
+      "div",
+      { class: "stack narrow" },
+      h("h1", {}, "Record a walk"),
+      lack && h("div", { class: "notice bad", role: "alert" }, h("strong", {}, lack.title), " ", lack.advice),
+      await roomNotice(),
+      form,
+      recordings.length > 0 && h("h2", {}, "On this phone"),
+      recordings.length > 0 && h("ul", { class: "cards recordings" }, recordings.map((recording) => card(recording, store))),
+    ),
+  );
+}
+
+async function roomNotice() {
+  const { quota, usage } = (await navigator.storage?.estimate?.()) ?? {};
+  if (!quota || quota - usage > LITTLE_ROOM_BYTES) return null;
+  return h("p", { class: "notice warn" }, `This phone has little room left: ${size(quota - usage)}. A minute takes about 60 MB.`);
+}
+
+function card(recording, store) {
+  const { id, state, map, job } = recording;
+  const [badge, kind, action, address] = {
+    [State.RECORDING]: ["broken off", "warn", "Look at it", `#/review/${id}`],
+    [State.STOPPED]: ["not sent", "warn", "Look at it", `#/review/${id}`],
+    [State.SEALED]: ["not sent yet", "warn", "Go on sending", `#/send/${id}`],
+    [State.UPLOADED]: ["sent", "good", "See its job", `#/send/${id}`],
+  }[state];
+  const item = h(
+    "li",
+    { class: "card stack" },
+    h("div", { class: "row spread" }, h("strong", {}, map), h("span", { class: ["badge", kind] }, badge)),
+    h("p", { class: "muted small" }, `${moment(recording.created)} · ${duration(recording.duration)} · ${size(recording.bytes)}`),
+    h(
+      "div",
+      { class: "row" },
+      h("a", { class: "button", href: address }, action),
+      h("button", { class: "danger", onclick: () => remove(recording, store, item) }, job ? "Remove from the list" : "Delete"),
+    ),
+  );
+  return item;
+}
+
+async function remove(recording, store, item) {
+  const lost = recording.state !== State.UPLOADED;
+  const sure =
+    !lost || (await ask("Delete this recording?", h("p", {}, "It is only on this phone."), h("button", { class: "danger primary" }, "Delete")));
+  if (!sure) return;
+  await store.remove(recording.id);
+  item.remove();
+}

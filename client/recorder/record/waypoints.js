@@ -1,0 +1,78 @@
+// Measured points of the walk: `{name, time, position}`. `time` is null until the point is marked; `position` holds three
+// numbers or nulls, in metres.
+
+export const FEWEST = 3; // that fix a map's frame
+const LEAST_SPREAD = 0.02; // of the points across the line through them, to their extent along it
+
+/** The points of a walk as the paper has it: W1, W2, W3 and E, the end. */
+export function planned() {
+  return ["W1", "W2", "W3", "E"].map(empty);
+}
+
+/** A point that is not marked or measured yet. */
+export function empty(name) {
+  return { name, time: null, position: [null, null, null] };
+}
+
+/** A name that none of the waypoints has: W4, W5, … */
+export function freeName(waypoints) {
+  const names = new Set(waypoints.map((waypoint) => waypoint.name));
+  let number = 1;
+  while (names.has(`W${number}`)) number++;
+  return `W${number}`;
+}
+
+/** The row of the point that is marked next; their number where a new one is to be added. */
+export function nextRow(waypoints) {
+  const row = waypoints.findIndex((waypoint) => waypoint.time === null);
+  return row < 0 ? waypoints.length : row;
+}
+
+/** The waypoints after the next is marked at `time`. */
+export function marked(waypoints, time) {
+  const row = nextRow(waypoints);
+  const waypoint = waypoints[row] ?? empty(freeName(waypoints));
+  return waypoints.toSpliced(row, 1, { ...waypoint, time });
+}
+
+/** A coordinate as typed, "1.25" or "1,25" → a number; null for anything else. */
+export function coordinate(text) {
+  const value = text.trim().replace(",", ".");
+  return /^[-+]?(\d+\.?\d*|\.\d+)$/.test(value) ? Number(value) : null;
+}
+
+/** Those that are marked and measured, in the order of their times. */
+export function complete(waypoints) {
+  return waypoints
+    .filter(({ name, time, position }) => name && time !== null && position.every(Number.isFinite))
+    .sort((a, b) => a.time - b.time);
+}
+
+/** What keeps the waypoints from fixing the map's frame, as a sentence; null when nothing does. */
+export function problem(waypoints) {
+  const named = waypoints.map(({ name }) => name);
+  const twice = named.find((name, i) => named.indexOf(name) !== i);
+  if (twice) return `Two waypoints are called ${twice}.`;
+  const usable = complete(waypoints);
+  if (usable.length === 0) return "No waypoint is both marked and measured. The map gets a frame of its own.";
+  if (usable.length < FEWEST)
+    return `${usable.length} of at least ${FEWEST} waypoints are marked and measured. Without more the map gets a frame of its own.`;
+  if (onOneLine(usable.map(({ position }) => position)))
+    return "The waypoints lie on one line, which leaves the rotation about it open. Measure one more off that line, or clear their coordinates.";
+  return null;
+}
+
+/** Whether points count as collinear: all are too near to the line through the two that are farthest apart. */
+export function onOneLine(points) {
+  const pairs = points.flatMap((a, i) => points.slice(i + 1).map((b) => [a, b, distance(a, b)]));
+  const [from, to, length] = pairs.reduce((longest, pair) => (pair[2] > longest[2] ? pair : longest));
+  return points.every((point) => twiceArea(from, to, point) <= LEAST_SPREAD * length ** 2);
+}
+
+const distance = (a, b) => Math.hypot(...a.map((value, i) => value - b[i]));
+
+/** Of the triangle of three points: the longest side times the distance from it. */
+function twiceArea(a, b, c) {
+  const [u, v] = [b, c].map((point) => point.map((value, i) => value - a[i]));
+  return Math.hypot(u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]);
+}
