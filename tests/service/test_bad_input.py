@@ -16,6 +16,7 @@ import httpx
 import numpy as np
 import pytest
 
+VIDEO = b"\0\0\0\x18ftypmp42" + b"\0" * 5000
 PNG, JPEG, JSON = "image/png", "image/jpeg", "application/json"
 N = 12
 
@@ -270,7 +271,7 @@ def raw_request(service, method: bytes, path: bytes) -> tuple[int, dict[str, str
     """A request whose path no client library tidies up."""
     with socket.create_connection(service.address, timeout=10) as connection:
         connection.sendall(
-            method + b" " + path + b" HTTP/1.1\r\nHost: x\r\nContent-Length: 0\r\nConnection: close\r\n\r\n"
+            method + b" " + path + b" HTTP/1.1\r\nHost: localhost\r\nContent-Length: 0\r\nConnection: close\r\n\r\n"
         )
         answer = b"".join(iter(lambda: connection.recv(65536), b""))
     head, _, body = answer.partition(b"\r\n\r\n")
@@ -331,16 +332,16 @@ def test_a_download_format_that_is_none(service):
 
 
 def test_an_upload_of_a_map_that_breaks_off(service, picture_world):
-    head = b"PUT /v1/maps/room HTTP/1.1\r\nHost: x\r\nContent-Length: 999999\r\n\r\n"
+    head = b"PUT /v1/maps/room HTTP/1.1\r\nHost: localhost\r\nContent-Length: 999999\r\n\r\n"
     break_off(service, head + picture_world.rho(version=9)[:5000])
 
 
 def test_an_upload_of_a_recording_that_breaks_off(service):
     head = (
-        b"POST /v1/recordings HTTP/1.1\r\nHost: x\r\nContent-Length: 999999\r\n"
+        b"POST /v1/recordings HTTP/1.1\r\nHost: localhost\r\nContent-Length: 999999\r\n"
         b"Content-Type: multipart/form-data; boundary=xyz\r\n\r\n"
     )
-    part = b'--xyz\r\nContent-Disposition: form-data; name="file"; filename="walk.mp4"\r\n\r\n' + b"\0" * 5000
+    part = b'--xyz\r\nContent-Disposition: form-data; name="file"; filename="walk.mp4"\r\n\r\n' + VIDEO
     break_off(service, head + part)
 
 
@@ -371,7 +372,7 @@ def no_space(*_args, **_kwargs):
 def test_a_disk_that_is_full_when_it_comes_to_publishing(service, picture_world, monkeypatch):
     monkeypatch.setattr("os.fsync", no_space)
     refused(httpx.put(service.url + "/v1/maps/room", content=picture_world.rho(version=9)), 507, "storage_full")
-    files = {"file": ("walk.mp4", b"\0" * 100)}
+    files = {"file": ("walk.mp4", VIDEO)}
     refused(httpx.post(service.url + "/v1/recordings", files=files, data={"map": "new"}), 507, "storage_full")
     monkeypatch.undo()
 
@@ -387,7 +388,7 @@ def test_a_disk_that_fills_up_during_an_upload(service, picture_world, monkeypat
     monkeypatch.setattr(Path, "open", open_on_a_full_disk)
     content = picture_world.rho(version=9) * 2
     refused(httpx.put(service.url + "/v1/maps/room", content=content), 507, "storage_full")
-    files = {"file": ("walk.mp4", content)}
+    files = {"file": ("walk.mp4", VIDEO)}
     refused(httpx.post(service.url + "/v1/recordings", files=files, data={"map": "new"}), 507, "storage_full")
     monkeypatch.undo()
 
@@ -418,7 +419,7 @@ def test_recordings_that_are_no_form(service):
 def test_a_recording_beyond_the_limit(serve, picture_world):
     running = serve(max_upload_bytes=1000)
     url = running.url + "/v1/recordings"
-    over = {"file": ("walk.mp4", b"\0" * 2000)}
+    over = {"file": ("walk.mp4", VIDEO)}
     refused(httpx.post(url, files=over, data={"map": "m"}), 413, "too_large")
     refused(httpx.put(running.url + "/v1/maps/room", content=picture_world.rho()), 413, "too_large")
     assert hidden_uploads(running) == 0
