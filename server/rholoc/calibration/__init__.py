@@ -1,0 +1,6 @@
+"""Pictures of a flat board with known corners → a camera's intrinsics, and how sure they are."""
+
+from rholoc.calibration.boards import Board, BoardKind
+from rholoc.calibration.calibrate import Calibration, calibrate
+
+__all__ = ["Board", "BoardKind", "Calibration", "calibrate"]

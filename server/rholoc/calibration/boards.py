@@ -1,0 +1,183 @@
+"""Calibration boards: where their corners are, on the board and in a picture."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from enum import StrEnum
+from functools import cached_property
+from typing import Any
+
+import cv2
+import numpy as np
+
+from rholoc.errors import InvalidInput
+from rholoc.geometry import ByteArray, FloatArray, IntArray
+
+_SIDES = range(3, 51)  # squares or corners along a side that boards have
+_LONGER_SIDE_PX = 1280  # larger pictures are searched at this size; corners are then refined at the full one
+_FEWEST_CORNERS = 12
+_FEWEST_SHARE = 0.25  # of the board's corners
+_MARKER_SHARE = 0.75  # a marker's side over its square's; what it really is hardly matters, corners are refined
+_DICTIONARIES = (
+    cv2.aruco.DICT_4X4_1000,
+    cv2.aruco.DICT_5X5_1000,
+    cv2.aruco.DICT_6X6_1000,
+    cv2.aruco.DICT_7X7_1000,
+    cv2.aruco.DICT_ARUCO_ORIGINAL,
+)
+
+
+class BoardKind(StrEnum):
+    """What is printed on a board."""
+
+    CHECKERBOARD = "checkerboard"  # squares alone: it must be wholly in view
+    CHARUCO = "charuco"  # with ArUco markers in the white squares: a part of it in view will do
+
+
+# How far around a corner its edges are looked at, in squares: as far as there is nothing else.
+_WINDOW = {BoardKind.CHECKERBOARD: 0.25, BoardKind.CHARUCO: 0.1}
+
+
+@dataclass(frozen=True)
+class Board:
+    """A flat board. Its corners lie at z = 0, (x, y) in metres, row by row.
+
+    Attributes:
+        kind: what is printed on it.
+        columns, rows: of inner corners.
+        square_m: the side of a square, in metres.
+    """
+
+    kind: BoardKind
+    columns: int
+    rows: int
+    square_m: float
+
+    @classmethod
+    def parse(cls, size: str, square_mm: float, kind: BoardKind) -> Board:
+        """From ``COLUMNSxROWS`` as boards are sold: inner corners of a checkerboard, squares of a ChArUco board.
+
+        Raises:
+            InvalidInput: it is not that, or the square has no size.
+        """
+        match = re.fullmatch(r"(\d{1,3})[x×](\d{1,3})", size.strip().lower())
+        if match is None or not all(int(side) in _SIDES for side in match.groups()):
+            raise InvalidInput(
+                f"'{size}' is not the size of a board.",
+                "Give COLUMNSxROWS, as 9x6: inner corners of a checkerboard, squares of a ChArUco board.",
+            )
+        if not 0.1 <= square_mm <= 10_000:
+            raise InvalidInput(f"A square of {square_mm:g} mm is not possible.", "Measure a square's side in mm.")
+        columns, rows = (int(side) - (kind is BoardKind.CHARUCO) for side in match.groups())
+        return cls(kind, columns, rows, square_mm / 1000)
+
+    @property
+    def corners(self) -> FloatArray:
+        """(columns · rows, 3) metres."""
+        rows, columns = np.divmod(np.arange(self.columns * self.rows), self.columns)
+        return np.column_stack([columns, rows, np.zeros(len(rows))]) * self.square_m
+
+    @property
+    def outline(self) -> FloatArray:
+        """(4, 2) metres: the outermost corners, in turn around the board."""
+        x, y = (self.columns - 1) * self.square_m, (self.rows - 1) * self.square_m
+        return np.array([[0, 0], [x, 0], [x, y], [0, y]], dtype=np.float64)
+
+    def __str__(self) -> str:
+        squares = self.kind is BoardKind.CHARUCO
+        return f"{self.columns + squares}x{self.rows + squares} {self.kind.value}"
+
+
+@dataclass(frozen=True, eq=False)
+class Sighting:
+    """The board as one frame shows it.
+
+    Attributes:
+        row: the frame's row in its source.
+        corners: (C,) which of the board's corners are seen.
+        pixels: (C, 2) where.
+        blur_px: how wide edges are that should be steps.
+    """
+
+    row: int
+    corners: IntArray
+    pixels: FloatArray
+    blur_px: float
+
+
+class BoardFinder:
+    """Finds a board in pictures. Of a ChArUco board the first picture that shows it tells the kind of markers."""
+
+    def __init__(self, board: Board) -> None:
+        self.board = board
+
+    def find(self, row: int, image: ByteArray) -> Sighting | None:
+        """The board in an image (H, W, 3) BGR or (H, W), or None."""
+        gray = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) if image.ndim == 3 else image, dtype=np.uint8)
+        shrink = min(1.0, _LONGER_SIDE_PX / max(gray.shape))
+        small = gray if shrink == 1 else cv2.resize(gray, None, fx=shrink, fy=shrink, interpolation=cv2.INTER_AREA)
+        found = self._checkerboard(small) if self.board.kind is BoardKind.CHECKERBOARD else self._charuco(small)
+        if found is None:
+            return None
+        corners, pixels = found
+        spacing_px = self._spacing_px(corners, pixels) / shrink
+        pixels = _refined(gray, (pixels + 0.5) / shrink - 0.5, _WINDOW[self.board.kind] * spacing_px)
+        return Sighting(row, corners, pixels, _blur_px(gray, pixels, spacing_px))
+
+    def _checkerboard(self, gray: Any) -> tuple[IntArray, FloatArray] | None:
+        size = (self.board.columns, self.board.rows)
+        found, pixels = cv2.findChessboardCornersSB(gray, size, flags=cv2.CALIB_CB_NORMALIZE_IMAGE)
+        if not found:
+            return None
+        return np.arange(size[0] * size[1]), np.asarray(pixels, np.float64).reshape(-1, 2)
+
+    def _charuco(self, gray: Any) -> tuple[IntArray, FloatArray] | None:
+        fewest = max(_FEWEST_CORNERS, _FEWEST_SHARE * self.board.columns * self.board.rows)
+        for detector in self._detectors:
+            pixels, corners, _, _ = detector.detectBoard(gray)
+            if corners is not None and len(corners) >= fewest:
+                self._detectors = [detector]
+                return np.asarray(corners).ravel(), np.asarray(pixels, np.float64).reshape(-1, 2)
+        return None
+
+    @cached_property
+    def _detectors(self) -> list[Any]:
+        """Detectors for each dictionary of markers, and for both ways of starting the pattern."""
+        size, square = (self.board.columns + 1, self.board.rows + 1), self.board.square_m
+        detectors = []
+        for number in _DICTIONARIES:
+            for is_legacy in (False, True):
+                markers = cv2.aruco.getPredefinedDictionary(number)
+                board = cv2.aruco.CharucoBoard(size, square, _MARKER_SHARE * square, markers)
+                board.setLegacyPattern(is_legacy)
+                detectors.append(cv2.aruco.CharucoDetector(board))
+        return detectors
+
+    def _spacing_px(self, corners: IntArray, pixels: FloatArray) -> float:
+        """The shortest distance of neighbouring corners."""
+        grid = np.full((self.board.rows, self.board.columns, 2), np.nan)
+        grid[np.divmod(corners, self.board.columns)] = pixels
+        steps = [np.linalg.norm(np.diff(grid, axis=axis), axis=2) for axis in (0, 1)]
+        return float(min(np.nanmin(step, initial=np.inf) for step in steps))
+
+
+def _refined(gray: ByteArray, pixels: FloatArray, window_px: float) -> FloatArray:
+    """Corners to a fraction of a pixel: where the gradients around each are at right angles to the way to it."""
+    half = int(np.clip(window_px, 2, 12))
+    criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 60, 1e-4)
+    start = np.ascontiguousarray(pixels[:, None], dtype=np.float32)
+    refined = cv2.cornerSubPix(gray, start, (half, half), (-1, -1), criteria)
+    return np.asarray(refined, dtype=np.float64).reshape(-1, 2)
+
+
+def _blur_px(gray: ByteArray, pixels: FloatArray, spacing_px: float) -> float:
+    """The width of edges between black and white: contrast over the steepest gradient, the median of all corners."""
+    half = max(2, int(0.3 * spacing_px))
+    steepness = np.hypot(cv2.Sobel(gray, cv2.CV_32F, 1, 0, scale=0.125), cv2.Sobel(gray, cv2.CV_32F, 0, 1, scale=0.125))
+    widths = []
+    for u, v in np.round(pixels).astype(int):
+        patch = np.s_[max(v - half, 0) : v + half + 1, max(u - half, 0) : u + half + 1]
+        low, high = np.percentile(gray[patch], (10, 90))
+        widths.append((high - low) / max(float(np.percentile(steepness[patch], 95)), 1e-3))
+    return float(np.median(widths))

@@ -1,0 +1,189 @@
+"""Views of a board → the camera (Zhang, 2000, with OpenCV), its uncertainty, and whether that suffices."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+
+from rholoc.calibration.boards import Board, BoardKind, Sighting
+from rholoc.calibration.views import BoardViews, find_views
+from rholoc.errors import InvalidCamera, InvalidRecording
+from rholoc.geometry import BoolArray, Camera, FloatArray
+from rholoc.recordings import FrameSource
+
+_FEWEST_VIEWS = 8
+_MAX_RMS_PX = 2.0  # at a width of 1000 px: beyond, the board is another one, bent, or smeared
+_MAX_FOCAL_SIGMA = 0.01  # relative
+_LEAST_TILT_DEG = 6.0
+_OUTLIER = 3.0  # times the median error of all views
+_SIGNIFICANT = 3.0  # standard deviations from zero that the sixth-order term must be to be kept
+_PARAMETERS = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
+_CELLS = (6, 8)  # rows and columns that the image is cut into, for coverage
+
+_MOVE = "Film it from near and far, tilted by 30° and more, in every part of the picture."
+
+
+@dataclass(frozen=True, eq=False)
+class CalibrationView:
+    """One view that was used.
+
+    Attributes:
+        sighting: the corners.
+        residuals_px: (C, 2) seen − projected.
+        T_camera_board: (4, 4).
+    """
+
+    sighting: Sighting
+    residuals_px: FloatArray
+    T_camera_board: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Calibration:
+    """A calibrated camera.
+
+    Attributes:
+        camera: the intrinsics.
+        sigmas: standard deviations of fx, fy, cx, cy in pixels and of each distortion coefficient.
+        rms_px: of the distances between corners seen and projected.
+        board: what it was made with.
+        found: what was found in the recording.
+        views: the views that were used.
+    """
+
+    camera: Camera
+    sigmas: dict[str, float]
+    rms_px: float
+    board: Board
+    found: BoardViews
+    views: tuple[CalibrationView, ...]
+
+    @property
+    def coverage(self) -> float:
+        """The share of the image's 8 × 6 cells that hold a corner."""
+        return float(self.covered.mean())
+
+    @property
+    def tilt_deg(self) -> float:
+        """How far the board was turned out of the image plane, the root mean square of the views."""
+        away = np.array([view.T_camera_board[2, 2] for view in self.views])
+        return float(np.degrees(np.sqrt(np.mean(np.arccos(np.clip(np.abs(away), 0, 1)) ** 2))))
+
+    @property
+    def covered(self) -> BoolArray:
+        """(6, 8) whether a cell of the image holds a corner."""
+        pixels = np.concatenate([view.sighting.pixels for view in self.views])
+        size = np.array([self.camera.height, self.camera.width])
+        cells = np.floor((pixels[:, ::-1] + 0.5) / size * _CELLS).astype(int)
+        covered = np.zeros(_CELLS, dtype=np.bool_)
+        covered[tuple(np.clip(cells, 0, np.array(_CELLS) - 1).T)] = True
+        return covered
+
+    @property
+    def figures(self) -> dict[str, Any]:
+        """What is kept beside the camera: JSON."""
+        depths = [view.T_camera_board[2, 3] for view in self.views]
+        return {
+            "board": str(self.board),
+            "square_mm": 1000 * self.board.square_m,
+            "rms_px": round(self.rms_px, 4),
+            "sigmas": {name: float(f"{sigma:.3g}") for name, sigma in self.sigmas.items()},
+            "frames_searched": self.found.searched,
+            "frames_with_board": self.found.found,
+            "views": len(self.views),
+            "coverage": round(self.coverage, 3),
+            "tilt_deg": round(self.tilt_deg, 1),
+            "distances_m": [round(float(min(depths)), 3), round(float(max(depths)), 3)],
+        }
+
+
+def calibrate(frames: FrameSource, board: Board, advance: Callable[[], None] = lambda: None) -> Calibration:
+    """The camera that filmed a board.
+
+    Args:
+        frames: a video or pictures of one camera, its focus and zoom unchanged.
+        board: the board; the size of its squares scales distances, not intrinsics.
+        advance: called after each frame that was looked at.
+
+    Raises:
+        InvalidRecording: the board is not seen, or not in enough different views to tell the intrinsics.
+    """
+    found = find_views(frames, board, advance)
+    if not found.found:
+        counts = "squares" if board.kind is BoardKind.CHARUCO else "inner corners"
+        raise InvalidRecording(
+            f"None of {found.searched} frames shows the {board}.",
+            f"Count its {counts}, keep it sharp" + (", and wholly in view." if counts != "squares" else "."),
+        )
+    if len(found.chosen) < _FEWEST_VIEWS:
+        raise InvalidRecording(
+            f"{found.found} frames show the board, but only {len(found.chosen)} sharp views of it differ; "
+            f"{_FEWEST_VIEWS} are the least.",
+            _MOVE,
+        )
+    try:
+        calibration = _without_outliers(found, board, frames.size)
+    except InvalidCamera as error:
+        raise InvalidRecording("The views leave the focal length open: they are too similar.", _MOVE) from error
+    _check(calibration)
+    return calibration
+
+
+def _check(calibration: Calibration) -> None:
+    limit_px = _MAX_RMS_PX * max(calibration.camera.width, calibration.camera.height) / 1000
+    if calibration.rms_px > limit_px:
+        raise InvalidRecording(
+            f"The corners are missed by {calibration.rms_px:.1f} px; {limit_px:.1f} px is the most.",
+            "Is the board flat, and of that size? Were focus and zoom unchanged?",
+        )
+    tilt_deg = calibration.tilt_deg
+    if tilt_deg < _LEAST_TILT_DEG:  # the solver may then stop anywhere, and be sure of it
+        raise InvalidRecording(f"The views are too similar: the board is tilted by {tilt_deg:.1f}° only.", _MOVE)
+    sigma = calibration.sigmas["fx"] / calibration.camera.fx
+    if sigma > _MAX_FOCAL_SIGMA:
+        raise InvalidRecording(f"The views leave the focal length open by ±{sigma:.1%}: they are too similar.", _MOVE)
+
+
+def _without_outliers(found: BoardViews, board: Board, size: tuple[int, int]) -> Calibration:
+    first = _solve(found, found.chosen, board, size)
+    errors = np.array([np.sqrt(np.mean(view.residuals_px**2)) for view in first.views])
+    kept = [
+        sighting for sighting, error in zip(found.chosen, errors, strict=True) if error <= _OUTLIER * np.median(errors)
+    ]
+    return first if len(kept) == len(errors) else _solve(found, kept, board, size)
+
+
+def _solve(found: BoardViews, sightings: Sequence[Sighting], board: Board, size: tuple[int, int]) -> Calibration:
+    """With radial terms of the second, fourth and, where it is significant, sixth order, and tangential ones."""
+    solved = _calibrate_camera(sightings, board, size, 0)
+    if abs(solved[2].ravel()[4]) < _SIGNIFICANT * solved[5].ravel()[8]:
+        solved = _calibrate_camera(sightings, board, size, cv2.CALIB_FIX_K3)
+    _, K, distortion, turns, shifts, deviations, _, _ = solved
+    coefficients = distortion.ravel()[:5]
+    count = 5 if coefficients[4] != 0 else 4
+    fx, fy, cx, cy = (float(value) for value in (K[0, 0], K[1, 1], K[0, 2], K[1, 2]))
+    camera = Camera(*size, fx, fy, cx, cy, tuple(coefficients[:count].tolist()))
+    views = []
+    for sighting, turn, shift in zip(sightings, turns, shifts, strict=True):
+        T = np.eye(4)
+        T[:3, :3], T[:3, 3] = cv2.Rodrigues(turn)[0], shift.ravel()
+        points = board.corners[sighting.corners] @ T[:3, :3].T + T[:3, 3]
+        views.append(CalibrationView(sighting, sighting.pixels - camera.project(points), T))
+    residuals = np.concatenate([view.residuals_px for view in views])
+    sigmas = dict(zip(_PARAMETERS[: 4 + count], deviations.ravel().tolist(), strict=False))
+    return Calibration(camera, sigmas, float(np.sqrt((residuals**2).sum(axis=1).mean())), board, found, tuple(views))
+
+
+def _calibrate_camera(sightings: Sequence[Sighting], board: Board, size: tuple[int, int], flags: int) -> Any:
+    return cv2.calibrateCameraExtended(
+        [board.corners[sighting.corners].astype(np.float32) for sighting in sightings],
+        [sighting.pixels.astype(np.float32) for sighting in sightings],
+        size,
+        np.eye(3),
+        np.zeros(5),
+        flags=flags,
+    )

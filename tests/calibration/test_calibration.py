@@ -1,0 +1,135 @@
+"""A board's pictures give back the camera that they were rendered with, or one line on why not."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from rholoc.calibration import Board, BoardKind, Calibration, calibrate
+from rholoc.calibration.boards import BoardFinder
+from rholoc.calibration.picture import calibration_png
+from rholoc.errors import InvalidInput, InvalidRecording
+from rholoc.geometry import ByteArray, Camera
+
+_CHECKERBOARD = Board.parse("9x6", 25, BoardKind.CHECKERBOARD)
+_CHARUCO = Board.parse("10x7", 25, BoardKind.CHARUCO)
+_BLANK = np.full((480, 640, 3), 120, np.uint8)
+
+
+@pytest.fixture(scope="module")
+def pictures(phone: Camera, studio) -> list[ByteArray]:
+    rng = np.random.default_rng(0)
+    room = studio(phone, _CHECKERBOARD)
+    return [room.photograph(T, rng) for T in room.walk(12, rng)]
+
+
+@pytest.fixture(scope="module")
+def calibration(pictures: list[ByteArray], as_frames) -> Calibration:
+    """From sharp views, blurred ones of the same, and blank frames."""
+    blurred = [cv2.GaussianBlur(picture, (0, 0), 4) for picture in pictures[:4]]
+    return calibrate(as_frames([*pictures, *blurred, _BLANK, _BLANK]), _CHECKERBOARD)
+
+
+def off_by_sigmas(found: Calibration, truth: Camera) -> dict[str, float]:
+    """How far each of the intrinsics is off, in its standard deviations."""
+    names = ("fx", "fy", "cx", "cy")
+    return {name: (getattr(found.camera, name) - getattr(truth, name)) / found.sigmas[name] for name in names}
+
+
+def test_a_checkerboard_gives_the_camera_back(calibration: Calibration, phone: Camera) -> None:
+    assert calibration.camera.fx == pytest.approx(phone.fx, abs=0.5)
+    assert calibration.camera.fy == pytest.approx(phone.fy, abs=0.5)
+    assert (calibration.camera.cx, calibration.camera.cy) == pytest.approx((phone.cx, phone.cy), abs=0.6)
+    assert calibration.camera.distortion == pytest.approx(phone.distortion, abs=0.01)
+    assert calibration.rms_px < 0.1
+
+
+def test_the_uncertainties_are_honest(calibration: Calibration, phone: Camera) -> None:
+    assert max(map(abs, off_by_sigmas(calibration, phone).values())) < 4
+    assert calibration.sigmas["fx"] < 0.5
+
+
+def test_blurred_and_blank_frames_are_left_out(calibration: Calibration) -> None:
+    used = {view.sighting.row for view in calibration.views}
+    assert used <= set(range(12))
+    assert len(used) >= 10
+    assert calibration.found.searched == 18
+    assert 12 <= calibration.found.found <= 16
+
+
+def test_distances_come_from_the_size_of_a_square(
+    calibration: Calibration, pictures: list[ByteArray], as_frames
+) -> None:
+    double = calibrate(as_frames(pictures), replace(_CHECKERBOARD, square_m=0.05))
+    assert double.camera.fx == pytest.approx(calibration.camera.fx, rel=1e-3)
+    ratio = np.array(double.figures["distances_m"]) / calibration.figures["distances_m"]
+    np.testing.assert_allclose(ratio, 2, rtol=0.02)
+
+
+def test_the_picture_shows_what_was_covered(calibration: Calibration) -> None:
+    image = cv2.imdecode(np.frombuffer(calibration_png(calibration), np.uint8), cv2.IMREAD_COLOR)
+    assert image.shape[1] > 1000
+    assert 0.5 < calibration.coverage <= 1
+
+
+def test_a_charuco_board_partly_in_view_gives_the_camera_back(phone: Camera, studio, as_frames) -> None:
+    rng = np.random.default_rng(1)
+    room = studio(phone, _CHARUCO)
+    cut = [room.photograph(T, rng) for T in room.walk(8, rng)]
+    for picture in cut:
+        picture[:, : 640 // 4] = 90
+    found = calibrate(as_frames(cut), _CHARUCO)
+    assert min(len(view.sighting.corners) for view in found.views) < _CHARUCO.columns * _CHARUCO.rows
+    assert max(map(abs, off_by_sigmas(found, phone).values())) < 4
+    assert found.camera.fx == pytest.approx(phone.fx, abs=2)
+
+
+def test_a_large_picture_is_searched_small_and_measured_large(studio) -> None:
+    camera = Camera(1600, 1200, 1325.0, 1320.0, 780.0, 615.0)
+    rng = np.random.default_rng(2)
+    room = studio(camera, _CHECKERBOARD)
+    (T,) = room.walk(1, rng)
+    found = BoardFinder(_CHECKERBOARD).find(0, room.photograph(T, rng))
+    assert found is not None
+    seen = camera.project(_CHECKERBOARD.corners @ T[:3, :3].T + T[:3, 3])
+    error_px = min(np.abs(found.pixels - seen).max(), np.abs(found.pixels[::-1] - seen).max())
+    assert error_px < 0.2
+
+
+def test_frames_without_the_board_are_refused(as_frames) -> None:
+    with pytest.raises(InvalidRecording, match=r"None of 3 frames shows the 9x6 checkerboard\. Count its inner"):
+        calibrate(as_frames([_BLANK] * 3), _CHECKERBOARD)
+
+
+def test_too_few_different_views_are_refused(pictures: list[ByteArray], as_frames) -> None:
+    with pytest.raises(InvalidRecording, match=r"6 frames show the board, but only 2 sharp views.*tilted"):
+        calibrate(as_frames([pictures[0]] * 3 + [pictures[1]] * 3), _CHECKERBOARD)
+
+
+@pytest.mark.parametrize("tilt_deg", [0.0, 3.0])
+def test_views_that_leave_the_focal_length_open_are_refused(tilt_deg: float, phone: Camera, studio, as_frames) -> None:
+    rng = np.random.default_rng(3)
+    room = studio(phone, _CHECKERBOARD)
+    flat = [room.photograph(T, rng) for T in room.walk(8, rng, tilt_deg)]
+    with pytest.raises(InvalidRecording, match=r"too similar.*Film it"):
+        calibrate(as_frames(flat), _CHECKERBOARD)
+
+
+@pytest.mark.parametrize("size", ["", "9", "9x", "0x6", "2x6", "9x6x2", "999x999", "-9x6", "a x b"])
+def test_what_is_no_board_is_refused(size: str) -> None:
+    with pytest.raises(InvalidInput, match="not the size of a board"):
+        Board.parse(size, 25, BoardKind.CHECKERBOARD)
+
+
+def test_squares_without_a_size_are_refused() -> None:
+    for square_mm in (0, -25, float("nan")):
+        with pytest.raises(InvalidInput, match="square"):
+            Board.parse("9x6", square_mm, BoardKind.CHECKERBOARD)
+
+
+def test_boards_are_named_as_they_are_sold() -> None:
+    assert (str(_CHECKERBOARD), str(_CHARUCO)) == ("9x6 checkerboard", "10x7 charuco")
+    assert len(_CHARUCO.corners) == len(_CHECKERBOARD.corners) == 54
