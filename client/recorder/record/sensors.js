@@ -5,6 +5,18 @@ import { Problem } from "./problem.js";
 
 const MEMORY_S = 1;
 
+let permission = null;
+
+/**
+ * Ask for the sensors where the browser wants that; it wants it in answer to a tap. The answer holds until one asks anew.
+ * Resolves to whether they may be listened to.
+ */
+export function askForSensors() {
+  const ask = window.DeviceMotionEvent?.requestPermission;
+  permission = ask ? ask.call(DeviceMotionEvent).then((answer) => answer === "granted", () => false) : Promise.resolve(true);
+  return permission;
+}
+
 /** Accelerometer and gyroscope, for as long as the page listens. */
 export class Sensors extends EventTarget {
   rows = []; // of the last second
@@ -12,17 +24,14 @@ export class Sensors extends EventTarget {
   sign = 1;
   #up = null;
 
-  /** Ask for the sensors, where the browser wants a tap for it, and listen. @throws {Problem} when they are refused. */
+  /** Listen. @throws {Problem} when the sensors were refused. */
   async start() {
-    if (!window.DeviceMotionEvent) {
-      this.missing = ["accelerometer", "gyroscope"];
-      return;
-    }
-    if (DeviceMotionEvent.requestPermission) {
-      const answer = await DeviceMotionEvent.requestPermission().catch(() => "denied");
-      if (answer !== "granted")
-        throw new Problem("sensors-refused", "The motion sensors were refused.", "Reload the page and allow motion and orientation.");
-    }
+    if (!(await (permission ?? askForSensors())))
+      throw new Problem(
+        "sensors-refused",
+        "The motion sensors were refused.",
+        "With them the map knows its size and what is up. Allow motion and orientation for this page, or record video alone.",
+      );
     addEventListener("deviceorientation", this);
     addEventListener("devicemotion", this);
   }

@@ -28,7 +28,7 @@ const FILES = [
   "record/views/map_name.js",
   "record/views/review.js",
   "record/views/send.js",
-  "record/views/waypoint_table.js",
+  "record/views/waypoint_list.js",
   "record/views/words.js",
   "record/waypoints.js",
   "record/zip.js",

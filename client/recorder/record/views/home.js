@@ -3,9 +3,10 @@
 import { ask, fill, h } from "../../shared/dom.js";
 import { draft, keepDraft } from "../draft.js";
 import { missing } from "../problem.js";
+import { askForSensors } from "../sensors.js";
 import { State } from "../store.js";
 import { mapNameField } from "./map_name.js";
-import { waypointTable } from "./waypoint_table.js";
+import { waypointList } from "./waypoint_list.js";
 import { duration, moment, size } from "./words.js";
 
 const LITTLE_ROOM_BYTES = 300e6;
@@ -21,12 +22,13 @@ export async function homeView({ content, store }) {
       class: "card stack",
       onsubmit: (event) => {
         event.preventDefault();
+        askForSensors(); // now, in answer to the tap
         location.hash = "#/live";
       },
     },
     h("h2", {}, "New recording"),
     mapNameField(map, (name) => keepDraft({ map: name })),
-    h("details", {}, h("summary", {}, "Measured points"), waypointTable(waypoints, (changed) => keepDraft({ waypoints: changed }))),
+    h("details", {}, h("summary", {}, "Measured points"), waypointList(waypoints, (changed) => keepDraft({ waypoints: changed }))),
     h("button", { class: "primary", disabled: lack !== null }, "Open the camera"),
     h("p", { class: "small muted" }, "Walk slowly, keep texture in view, and come back to where you began."),
   );

@@ -5,11 +5,11 @@ import { facesAway, lightMeter, openCamera } from "../camera.js";
 import { advice, LEAST_RATE_HZ, rollDegrees, turnRate } from "../coaching.js";
 import { draft, keepDraft } from "../draft.js";
 import { Problem } from "../problem.js";
-import { Sensors } from "../sensors.js";
+import { askForSensors, Sensors } from "../sensors.js";
 import { Take } from "../take.js";
 import { complete, freeName, marked, nextRow } from "../waypoints.js";
 import { lightCurve } from "./light_curve.js";
-import { waypointTable } from "./waypoint_table.js";
+import { waypointList } from "./waypoint_list.js";
 import { duration, percent, size } from "./words.js";
 
 const MEASURE_MS = 250;
@@ -18,17 +18,42 @@ const SMOOTHING = 0.5; // of brightness, from one measurement to the next
 
 /** Preview, then recording. */
 export async function liveView({ content, store }) {
-  const live = new Live(store);
-  fill(content, live.element);
-  document.body.classList.add("live");
-  try {
-    await live.open();
-  } catch (error) {
-    live.close();
-    if (error instanceof Problem) live.refuse(content, error);
-    else throw error;
-  }
+  let live;
+  const open = async (withSensors) => {
+    live = new Live(store);
+    fill(content, live.element);
+    document.body.classList.add("live");
+    try {
+      await live.open(withSensors);
+    } catch (error) {
+      live.close();
+      if (!(error instanceof Problem)) throw error;
+      fill(content, refusal(error, open));
+    }
+  };
+  await open(true);
   return () => live.close();
+}
+
+function refusal(problem, open) {
+  const again = () => {
+    askForSensors(); // now, in answer to the tap
+    return open(true);
+  };
+  const sensors = problem.code === "sensors-refused";
+  return h(
+    "div",
+    { class: "stack narrow" },
+    h("h1", {}, problem.title),
+    h("p", { class: "notice bad", role: "alert" }, problem.advice),
+    h(
+      "div",
+      { class: "row" },
+      h("button", { class: "primary", onclick: again }, "Try again"),
+      sensors && h("button", { onclick: () => open(false) }, "Record video alone"),
+      h("a", { class: "button", href: "#/" }, "Back"),
+    ),
+  );
 }
 
 class Live {
@@ -63,8 +88,8 @@ class Live {
     this.showWaypoint();
   }
 
-  async open() {
-    await this.sensors.start();
+  async open(withSensors) {
+    if (withSensors) await this.sensors.start();
     this.stream = await openCamera();
     this.video.srcObject = this.stream;
     await this.video.play();
@@ -81,19 +106,6 @@ class Live {
     this.stream?.getTracks().forEach((track) => track.stop());
     this.wakeLock?.release();
     document.body.classList.remove("live");
-  }
-
-  refuse(content, problem) {
-    fill(
-      content,
-      h(
-        "div",
-        { class: "stack narrow" },
-        h("h1", {}, problem.title),
-        h("p", { class: "notice bad", role: "alert" }, problem.advice),
-        h("div", { class: "row" }, h("button", { class: "primary", onclick: () => location.reload() }, "Try again"), h("a", { class: "button", href: "#/" }, "Back")),
-      ),
-    );
   }
 
   toggle() {
@@ -153,8 +165,8 @@ class Live {
   }
 
   editPoints() {
-    const table = waypointTable(this.#marks, (waypoints) => (this.#marks = waypoints), this.#take?.recording.started);
-    const dialog = h("dialog", { class: "wide", "aria-label": "Points" }, h("div", { class: "stack" }, h("h2", {}, "Measured points"), table, h("button", { class: "primary", onclick: () => dialog.close() }, "Done")));
+    const list = waypointList(this.#marks, (waypoints) => (this.#marks = waypoints), this.#take?.recording.started);
+    const dialog = h("dialog", { class: "wide", "aria-label": "Points" }, h("div", { class: "stack" }, h("h2", {}, "Measured points"), list, h("button", { class: "primary", onclick: () => dialog.close() }, "Done")));
     dialog.addEventListener("close", () => {
       dialog.remove();
       this.remember();

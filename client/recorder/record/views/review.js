@@ -8,7 +8,7 @@ import { State } from "../store.js";
 import { ENDINGS } from "../take.js";
 import { problem } from "../waypoints.js";
 import { mapNameField } from "./map_name.js";
-import { waypointTable } from "./waypoint_table.js";
+import { waypointList } from "./waypoint_list.js";
 import { duration, moment, percent, size } from "./words.js";
 
 /** Video, figures, doubts, points; then it is sent, kept or deleted. */
@@ -58,7 +58,7 @@ export async function reviewView({ content, store, id }) {
       doubts,
       h("video", { class: "review", src: address, controls: true, playsinline: true, preload: "metadata", "aria-label": "The recording" }),
       facts(recording, imuHz),
-      h("details", { open: recording.waypoints.some((waypoint) => waypoint.time !== null) }, h("summary", {}, "Measured points"), waypointTable(recording.waypoints, (waypoints) => keep({ waypoints }), recording.started)),
+      h("details", { open: recording.waypoints.some((waypoint) => waypoint.time !== null) }, h("summary", {}, "Measured points"), waypointList(recording.waypoints, (waypoints) => keep({ waypoints }), recording.started)),
       mapNameField(recording.map, (map) => keep({ map })),
       h(
         "label",
