@@ -12,6 +12,7 @@ from rholoc_client.client import AsyncClient, Client
 from rholoc_client.errors import (
     Busy,
     Cancelled,
+    ChecksumMismatch,
     Conflict,
     ConnectionFailed,
     CrossSite,
@@ -44,15 +45,18 @@ from rholoc_client.errors import (
     UnknownRecording,
     UnknownRoute,
     UnsupportedMediaType,
+    UnsupportedVersion,
     WaitTimedOut,
 )
-from rholoc_client.models import Camera, Features, Job, Localization, MapSummary, Pose, Prior
+from rholoc_client.models import Camera, CameraProfile, Features, Job, Localization, MapSummary, Pose, Prior
 
 __all__ = [
     "AsyncClient",
     "Busy",
     "Camera",
+    "CameraProfile",
     "Cancelled",
+    "ChecksumMismatch",
     "Client",
     "Conflict",
     "ConnectionFailed",
@@ -92,5 +96,6 @@ __all__ = [
     "UnknownRecording",
     "UnknownRoute",
     "UnsupportedMediaType",
+    "UnsupportedVersion",
     "WaitTimedOut",
 ]

@@ -36,6 +36,8 @@
         ├── StorageFull             the service's disk is full
         ├── Busy                    the service's queue is full, retries included
         ├── DeadlineExceeded        the deadline passed
+        ├── UnsupportedVersion      the service speaks another version of the upload protocol
+        ├── ChecksumMismatch        the bytes of an upload were changed on the way
         └── Internal                an error of the service's own
 """
 
@@ -250,6 +252,18 @@ class DeadlineExceeded(ServiceError):
     """The deadline passed before an answer was found."""
 
     code = "deadline_exceeded"
+
+
+class UnsupportedVersion(ServiceError):
+    """The service speaks another version of the upload protocol: an older or newer service."""
+
+    code = "unsupported_version"
+
+
+class ChecksumMismatch(ServiceError):
+    """The bytes of an upload were changed on the way, again and again."""
+
+    code = "checksum_mismatch"
 
 
 class Internal(ServiceError):

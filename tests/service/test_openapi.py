@@ -8,7 +8,7 @@ from schemathesis.checks import CHECKS
 
 from rholoc.service import Settings, create_app
 
-METHODS = ("get", "put", "post", "patch", "delete")
+METHODS = ("get", "put", "post", "patch", "delete", "head", "options")
 
 
 def operations(document):

@@ -6,7 +6,7 @@ import httpx
 
 from rholoc.jobs import RecordingStore
 
-VIDEO = b"\0" * 3_000_000
+VIDEO = b"\0\0\0\x18ftypmp42" + b"\0" * 3_000_000
 
 
 def upload(service, files, **fields):
@@ -28,7 +28,7 @@ def test_an_upload_becomes_a_recording_and_a_job(service):
 
 
 def test_the_files_of_a_folder_keep_their_places(service):
-    files = [("file", ("frames/0001.jpg", b"1")), ("file", ("frames/0002.jpg", b"2")), ("file", ("imu.csv", b"3"))]
+    files = [("file", ("frames/0001.jpg", b"\xff\xd8\xff1")), ("file", ("frames/0002.jpg", b"\xff\xd8\xff2")), ("file", ("imu.csv", b"3"))]
     recording = upload(service, files).json()["recording"]
     entry = RecordingStore(service.settings.data_dir).get(recording)
     assert entry.files == ("frames/0001.jpg", "frames/0002.jpg", "imu.csv")
@@ -42,7 +42,7 @@ def test_waypoints_lie_beside_the_video(service):
 
 
 def test_names_of_files_are_not_trusted(service):
-    recording = upload(service, {"file": ("../../../etc/evil.mp4", b"x")}).json()["recording"]
+    recording = upload(service, {"file": ("../../../etc/evil.mp4", VIDEO[:100])}).json()["recording"]
     stored = RecordingStore(service.settings.data_dir).path(recording).resolve()
     assert service.settings.data_dir.resolve() in stored.parents
 

@@ -5,6 +5,7 @@ from rholoc.jobs.job import Job, JobKind, JobOptions, JobState
 from rholoc.jobs.pipeline import MappingPipeline, MappingTask, Pipeline
 from rholoc.jobs.queue import JobQueue
 from rholoc.jobs.recording_store import PendingRecording, RecordingEntry, RecordingStore
+from rholoc.jobs.upload_store import Upload, UploadStore
 from rholoc.jobs.worker import Timing, Worker, run_worker
 
 __all__ = [
@@ -21,6 +22,8 @@ __all__ = [
     "RecordingEntry",
     "RecordingStore",
     "Timing",
+    "Upload",
+    "UploadStore",
     "Worker",
     "run_worker",
 ]

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import Any
 
 from rholoc.mapping import DEFAULT_FEATURES
 from rholoc.maps import DensityKind
@@ -27,7 +29,8 @@ class JobOptions:
         density: the form of the densities.
         features: the extractor's name.
         poses: where frame poses come from; None leaves it to :class:`rholoc.mapping.BuildOptions` or ``UpdateOptions``.
-        camera: intrinsics as users write them (``fx,fy,cx,cy`` and so on), or None to take the recording's own.
+        camera: intrinsics as users write them (``fx,fy,cx,cy`` and so on), a stored camera's name, or None to take the
+            recording's own.
     """
 
     density: DensityKind = DensityKind.RAY
@@ -35,6 +38,17 @@ class JobOptions:
     poses: PoseMethod | None = None
     camera: str | None = None
     kind: JobKind = JobKind.BUILD
+
+    @classmethod
+    def from_json(cls, stored: Mapping[str, Any]) -> JobOptions:
+        """Options as ``dataclasses.asdict`` made them, after a round trip through JSON."""
+        return cls(
+            density=DensityKind(stored["density"]),
+            features=stored["features"],
+            poses=PoseMethod(stored["poses"]) if stored["poses"] else None,
+            camera=stored["camera"],
+            kind=JobKind(stored.get("kind", JobKind.BUILD)),  # jobs of before there were updates
+        )
 
 
 class JobState(StrEnum):

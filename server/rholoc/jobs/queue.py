@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import uuid
+from contextlib import suppress
 from pathlib import Path
 
 import sqlalchemy as sa
 from dbos import DBOSClient, EnqueueOptions
+from sqlalchemy.exc import IntegrityError
 
+from rholoc.errors import Conflict
 from rholoc.jobs.database import open_database, telling_full_database
 from rholoc.jobs.job import Job, JobOptions
 from rholoc.jobs.recording_store import RecordingStore
-from rholoc.jobs.table import JobTable, JobWork
+from rholoc.jobs.table import JobTable, JobWork, WorkerTable
 from rholoc.maps import check_map_name
 
 APPLICATION = "rholoc"
@@ -37,8 +40,17 @@ class JobQueue:
         self._client = open_client(self._engine)
         self._jobs = JobTable(self._engine)
 
-    def submit(self, recording_id: str, map_name: str, options: JobOptions | None = None) -> Job:
+    def submit(
+        self, recording_id: str, map_name: str, options: JobOptions | None = None, job_id: str | None = None
+    ) -> Job:
         """Queue the building of a map.
+
+        Args:
+            recording_id: what to build it from.
+            map_name: under which name to publish it.
+            options: how to build it.
+            job_id: 32 hex digits, or None to make them. Submitting again under the same id changes nothing, so that
+                whoever does not know whether it was done can do it again.
 
         Raises:
             UnknownRecording: there is no such recording.
@@ -47,10 +59,10 @@ class JobQueue:
         """
         check_map_name(map_name)
         self._recordings.get(recording_id)
-        job_id = uuid.uuid4().hex
+        job_id = job_id or uuid.uuid4().hex
         workflow = _workflow_id(job_id)
         work = JobWork(recording_id, map_name, options or JobOptions())
-        with telling_full_database(), self._engine.begin() as connection:
+        with telling_full_database(), suppress(IntegrityError), self._engine.begin() as connection:
             self._jobs.insert(connection, job_id, work, workflow)
             self._enqueue(connection, job_id, workflow)
         return self._jobs.get(job_id)
@@ -94,6 +106,22 @@ class JobQueue:
             self._jobs.requeue(connection, job_id, workflow)
             self._enqueue(connection, job_id, workflow)
         return self._jobs.get(job_id)
+
+    def delete_recording(self, recording_id: str) -> None:
+        """Delete a stored recording that no job needs.
+
+        Raises:
+            UnknownRecording: there is none with this id.
+            Conflict: a job waits for it, or works on it.
+        """
+        self._recordings.get(recording_id)
+        if self._jobs.needs(recording_id):
+            raise Conflict("A job needs the recording.", "Cancel the job, or wait until it has ended.")
+        self._recordings.delete(recording_id)
+
+    def has_worker(self) -> bool:
+        """Whether a worker lives, here or elsewhere: it has lately said so."""
+        return WorkerTable(self._engine).any_alive()
 
     def close(self) -> None:
         """Close the connections."""

@@ -9,6 +9,7 @@ import shutil
 import time
 import uuid
 from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path, PurePosixPath
 from typing import BinaryIO
@@ -96,6 +97,17 @@ class PendingRecording:
             self._file(safe).write(chunk)
         self._sizes[safe] = self._sizes.get(safe, 0) + len(chunk)
 
+    def path(self, name: str) -> Path:
+        """Where a file that was written lies until the commit, whole.
+
+        Raises:
+            StorageFull: the disk is full.
+        """
+        if self._open is not None:
+            with telling_full_disk():
+                self._open[1].flush()
+        return self._folder / sanitized(name)
+
     def commit(self) -> RecordingEntry:
         """Make the recording durable and visible, all at once.
 
@@ -114,11 +126,7 @@ class PendingRecording:
         try:
             with telling_full_disk():
                 self._close_file()
-                self._write_entry(entry)
-                for folder in {self._folder / Path(name).parent for name in entry.files}:
-                    sync_folder(folder)
-                self._folder.rename(self._root / self.id)
-                sync_folder(self._root)
+                _publish(self._folder, self._root, entry)
         except BaseException:
             self.abort()
             raise
@@ -156,20 +164,14 @@ class PendingRecording:
             file.close()
             self._open = None
 
-    def _write_entry(self, entry: RecordingEntry) -> None:
-        with (self._folder / _ENTRY_FILE).open("w", encoding="utf-8") as file:
-            json.dump(asdict(entry), file)
-            file.flush()
-            os.fsync(file.fileno())
-
 
 class RecordingStore:
     """The recordings under ``data_dir/recordings``."""
 
     def __init__(self, data_dir: Path) -> None:
-        self._root = Path(data_dir) / "recordings"
+        self.root = Path(data_dir) / "recordings"
         with telling_full_disk():
-            self._root.mkdir(parents=True, exist_ok=True)
+            self.root.mkdir(parents=True, exist_ok=True)
         self._drop_abandoned()
 
     def begin(self, max_bytes: int | None = None) -> PendingRecording:
@@ -178,7 +180,7 @@ class RecordingStore:
         Raises:
             StorageFull: the disk is full.
         """
-        return PendingRecording(self._root, max_bytes)
+        return PendingRecording(self.root, max_bytes)
 
     def create(self, files: Iterable[tuple[str, Iterable[bytes]]], max_bytes: int | None = None) -> RecordingEntry:
         """Store files, each a name and its chunks. If anything goes wrong, nothing is left behind.
@@ -192,6 +194,28 @@ class RecordingStore:
                     pending.write(name, chunk)
             return pending.commit()
 
+    @contextmanager
+    def new_folder(self) -> Iterator[Path]:
+        """A hidden folder beside the recordings, which is removed in the end unless it was renamed."""
+        folder = self.root / f"{_PENDING_PREFIX}{uuid.uuid4().hex}"
+        folder.mkdir(parents=True)
+        try:
+            yield folder
+        finally:
+            shutil.rmtree(folder, ignore_errors=True)
+
+    def adopt(self, folder: Path, recording_id: str, file_name: str) -> RecordingEntry:
+        """Make a folder beside the recordings, with one whole file in it, a recording; all at once.
+
+        Raises:
+            StorageFull: the disk is full; the folder stays where it is.
+        """
+        with telling_full_disk(), (folder / file_name).open("rb") as file:
+            os.fsync(file.fileno())
+            entry = RecordingEntry(recording_id, (file_name,), os.fstat(file.fileno()).st_size, time.time())
+            _publish(folder, self.root, entry)
+        return entry
+
     def get(self, recording_id: str) -> RecordingEntry:
         """The recording's entry.
 
@@ -201,7 +225,7 @@ class RecordingStore:
         try:
             text = (self._folder(recording_id) / _ENTRY_FILE).read_text(encoding="utf-8")
         except (FileNotFoundError, NotADirectoryError) as error:
-            raise _unknown(recording_id) from error
+            raise unknown_recording(recording_id) from error
         fields = json.loads(text)
         return RecordingEntry(**{**fields, "files": tuple(fields["files"])})
 
@@ -227,30 +251,47 @@ class RecordingStore:
             UnknownRecording: there is none with this id.
         """
         folder = self._folder(recording_id)
-        doomed = self._root / f"{_PENDING_PREFIX}{uuid.uuid4().hex}"
+        doomed = self.root / f"{_PENDING_PREFIX}{uuid.uuid4().hex}"
         try:
             folder.rename(doomed)
         except FileNotFoundError as error:
-            raise _unknown(recording_id) from error
+            raise unknown_recording(recording_id) from error
         shutil.rmtree(doomed, ignore_errors=True)
 
     def _folder(self, recording_id: str) -> Path:
-        if not _ID.fullmatch(recording_id):
-            raise _unknown(recording_id)
-        return self._root / recording_id
+        if not is_recording_id(recording_id):
+            raise unknown_recording(recording_id)
+        return self.root / recording_id
 
     def _complete_folders(self) -> Iterator[Path]:
-        return (path for path in self._root.iterdir() if _ID.fullmatch(path.name))
+        return (path for path in self.root.iterdir() if is_recording_id(path.name))
 
     def _drop_abandoned(self) -> None:
         """Remove uploads whose process died; a living upload is younger than a day."""
-        for folder in self._root.glob(f"{_PENDING_PREFIX}*"):
+        for folder in self.root.glob(f"{_PENDING_PREFIX}*"):
             try:
                 abandoned = time.time() - folder.stat().st_mtime > _PENDING_EXPIRES_S
             except FileNotFoundError:
                 continue
             if abandoned:
                 shutil.rmtree(folder, ignore_errors=True)
+
+
+def is_recording_id(text: str) -> bool:
+    """Whether the text could be a recording's id."""
+    return _ID.fullmatch(text) is not None
+
+
+def _publish(folder: Path, root: Path, entry: RecordingEntry) -> None:
+    """Write the entry, make everything durable, and give the folder the name under which recordings are found."""
+    with (folder / _ENTRY_FILE).open("w", encoding="utf-8") as file:
+        json.dump(asdict(entry), file)
+        file.flush()
+        os.fsync(file.fileno())
+    for inner in {folder / Path(name).parent for name in entry.files}:
+        sync_folder(inner)
+    folder.rename(root / entry.id)
+    sync_folder(root)
 
 
 def sanitized(name: str) -> str:
@@ -268,7 +309,7 @@ def sanitized(name: str) -> str:
     return str(PurePosixPath(*kept))
 
 
-def _unknown(recording_id: str) -> UnknownRecording:
+def unknown_recording(recording_id: str) -> UnknownRecording:
     return UnknownRecording(
         f"There is no recording {recording_id[:_MAX_NAME_LENGTH]!r}.", "Upload it, or list the recordings."
     )

@@ -10,12 +10,11 @@ import sqlalchemy as sa
 
 from rholoc.errors import Conflict, UnknownJob
 from rholoc.jobs.database import jobs_table, workers_table
-from rholoc.jobs.job import Job, JobKind, JobOptions, JobState
-from rholoc.maps import DensityKind
+from rholoc.jobs.job import Job, JobOptions, JobState
 from rholoc.progress import Stage
-from rholoc.trajectory import PoseMethod
 
 LOG_LINES = 50
+DEAD_AFTER_S = 15.0  # since the last heartbeat
 _ID_LENGTH = 32
 
 # What part of a job's time a stage takes, roughly.
@@ -79,6 +78,15 @@ class JobTable:
             rows = connection.execute(sa.select(jobs_table).order_by(jobs_table.c.created.desc())).mappings().all()
         return [_job(row) for row in rows]
 
+    def needs(self, recording_id: str) -> bool:
+        """Whether a job that is queued or running reads the recording."""
+        with self._engine.connect() as connection:
+            found = sa.select(jobs_table.c.id).where(
+                jobs_table.c.recording == recording_id,
+                jobs_table.c.state.in_([JobState.QUEUED, JobState.RUNNING]),
+            )
+            return connection.execute(found).first() is not None
+
     # What users do
 
     def insert(self, connection: sa.Connection, job_id: str, work: JobWork, workflow: str) -> None:
@@ -137,7 +145,7 @@ class JobTable:
             if not taken.rowcount:
                 return None
             row = connection.execute(sa.select(jobs_table).where(jobs_table.c.id == job_id)).mappings().one()
-        work = JobWork(row["recording"], row["map_name"], _options(row["options"]))
+        work = JobWork(row["recording"], row["map_name"], JobOptions.from_json(row["options"]))
         return Lease(job_id, workflow, row["attempts"]), work
 
     def holds(self, lease: Lease) -> bool:
@@ -235,6 +243,12 @@ class WorkerTable:
         with self._engine.begin() as connection:
             connection.execute(workers_table.delete().where(workers_table.c.id == worker))
 
+    def any_alive(self) -> bool:
+        """Whether some worker's heartbeat is younger than :data:`DEAD_AFTER_S`."""
+        lately = sa.select(workers_table.c.id).where(workers_table.c.heartbeat > time.time() - DEAD_AFTER_S)
+        with self._engine.connect() as connection:
+            return connection.execute(lately).first() is not None
+
     def living(self, dead_after_s: float) -> set[str]:
         """The workers whose heartbeat is younger than ``dead_after_s``; the others are forgotten."""
         oldest = time.time() - dead_after_s
@@ -277,16 +291,6 @@ def _held(lease: Lease) -> tuple[sa.ColumnElement[bool], ...]:
 def _appended(log: list[str], line: str) -> list[str]:
     now = time.strftime("%H:%M:%S", time.gmtime())
     return [*log, f"{now} {line}"][-LOG_LINES:]
-
-
-def _options(stored: dict[str, Any]) -> JobOptions:
-    return JobOptions(
-        density=DensityKind(stored["density"]),
-        features=stored["features"],
-        poses=PoseMethod(stored["poses"]) if stored["poses"] else None,
-        camera=stored["camera"],
-        kind=JobKind(stored.get("kind", JobKind.BUILD)),  # jobs of before there were updates
-    )
 
 
 def _job(row: sa.RowMapping) -> Job:

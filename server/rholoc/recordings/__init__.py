@@ -1,26 +1,58 @@
 """What a phone hands in: one reader per format, video, IMU, waypoints."""
 
+from rholoc.recordings.archive import check_archive
 from rholoc.recordings.camera_file import CameraFile, read_camera_json, write_camera_json
+from rholoc.recordings.coaching import Advice, AdviceKind, WalkFigures, advise
+from rholoc.recordings.contents import START_BYTES, ZIP_SUFFIX, check_file_name, check_file_start
+from rholoc.recordings.description import describe_recording
 from rholoc.recordings.frames_table import read_frames_csv, write_frames_csv
 from rholoc.recordings.image import decode_image, read_image
 from rholoc.recordings.imu_table import read_imu_csv, write_imu_csv
 from rholoc.recordings.pose_table import PoseTable, read_pose_table
 from rholoc.recordings.reader import read_recording
-from rholoc.recordings.recording import FrameSource, GivenPoses, Imu, Recording, Waypoint
+from rholoc.recordings.recording import (
+    FrameSource,
+    GivenPoses,
+    Imu,
+    Recording,
+    RecordingFormat,
+    RecordingWarning,
+    WarningKind,
+    Waypoint,
+)
 from rholoc.recordings.selection import parse_frame_slice
+from rholoc.recordings.stillness import pauses
+from rholoc.recordings.walk_figures import Look, look_at, measure_walk
 from rholoc.recordings.waypoints import check_waypoints_fix_frame, read_waypoints_csv, write_waypoints_csv
 
 __all__ = [
+    "START_BYTES",
+    "ZIP_SUFFIX",
+    "Advice",
+    "AdviceKind",
     "CameraFile",
     "FrameSource",
     "GivenPoses",
     "Imu",
+    "Look",
     "PoseTable",
     "Recording",
+    "RecordingFormat",
+    "RecordingWarning",
+    "WalkFigures",
+    "WarningKind",
     "Waypoint",
+    "advise",
+    "check_archive",
+    "check_file_name",
+    "check_file_start",
     "check_waypoints_fix_frame",
     "decode_image",
+    "describe_recording",
+    "look_at",
+    "measure_walk",
     "parse_frame_slice",
+    "pauses",
     "read_camera_json",
     "read_frames_csv",
     "read_image",

@@ -7,6 +7,8 @@ import shutil
 import stat
 import zipfile
 import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path, PurePosixPath
 
 from rholoc.errors import InvalidRecording, StorageFull, TooLarge
@@ -32,12 +34,26 @@ def unpack(archive: Path, folder: Path, max_bytes: int = DEFAULT_MAX_BYTES) -> P
 
     What had been unpacked before an error stays in ``folder``: the caller, who made it, removes it.
     """
+    with _opened(archive) as packed:
+        for entry in _checked_entries(packed, archive, max_bytes):
+            _unpack_entry(packed, entry, folder)
+    return _recording_folder(folder)
+
+
+def check_archive(archive: Path, max_bytes: int = DEFAULT_MAX_BYTES) -> None:
+    """Refuse what :func:`unpack` would refuse by the ZIP file's table of contents alone; nothing is unpacked.
+
+    Raises: as :func:`unpack` does.
+    """
+    with _opened(archive) as packed:
+        _checked_entries(packed, archive, max_bytes)
+
+
+@contextmanager
+def _opened(archive: Path) -> Iterator[zipfile.ZipFile]:
     try:
         with zipfile.ZipFile(archive) as packed:
-            entries = [entry for entry in packed.infolist() if not _ignored(entry)]
-            _check(entries, archive, max_bytes)
-            for entry in entries:
-                _unpack_entry(packed, entry, folder)
+            yield packed
     except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError, UnicodeError) as error:
         raise InvalidRecording(
             f"{archive.name} is not a whole ZIP file: {error}.", "Pack it or send it again."
@@ -46,7 +62,12 @@ def unpack(archive: Path, folder: Path, max_bytes: int = DEFAULT_MAX_BYTES) -> P
         if error.errno in (errno.ENOSPC, errno.EDQUOT):
             raise StorageFull(f"No room left to unpack {archive.name}.", "Free some space and try again.") from error
         raise InvalidRecording(f"{archive.name} cannot be unpacked: {error.strerror}.") from error
-    return _recording_folder(folder)
+
+
+def _checked_entries(packed: zipfile.ZipFile, archive: Path, max_bytes: int) -> list[zipfile.ZipInfo]:
+    entries = [entry for entry in packed.infolist() if not _ignored(entry)]
+    _check(entries, archive, max_bytes)
+    return entries
 
 
 def _ignored(entry: zipfile.ZipInfo) -> bool:

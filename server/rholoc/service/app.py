@@ -13,8 +13,8 @@ from starlette.exceptions import HTTPException
 
 from rholoc import __version__
 from rholoc.errors import RholocError
-from rholoc.jobs import EmbeddedWorker, JobQueue, RecordingStore
-from rholoc.maps import MapLibrary
+from rholoc.jobs import EmbeddedWorker, JobQueue, RecordingStore, UploadStore
+from rholoc.maps import CameraLibrary, MapLibrary
 from rholoc.service import web
 from rholoc.service.compute import ComputePool
 from rholoc.service.errors import (
@@ -36,6 +36,7 @@ from rholoc.service.openapi import install
 from rholoc.service.routes import ROUTERS
 from rholoc.service.settings import Settings
 from rholoc.service.state import State
+from rholoc.service.tus import Tus
 
 _DESCRIPTION = """\
 One walk with a phone makes a **map**; then any camera in that room posts a frame and gets back where it is and where it
@@ -71,6 +72,7 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     for kind in (RholocError, ValidationError, RequestValidationError, HTTPException, OSError):
         app.add_exception_handler(kind, _answer_error)
     app.add_middleware(Guard, keys=KeyStore(settings.data_dir), policy=settings.keys, host=settings.host)
+    app.add_middleware(Tus)
     app.add_middleware(RequestBoundary)
     app.add_middleware(SecurityHeaders)
     install(app)
@@ -81,15 +83,22 @@ def _start(settings: Settings) -> State:
     for folder in (settings.maps_dir, settings.data_dir):
         folder.mkdir(parents=True, exist_ok=True)
     library = MapLibrary(settings.maps_dir)
+    recordings, jobs = RecordingStore(settings.data_dir), JobQueue(settings.data_dir, settings.jobs_database)
     return State(
         settings=settings,
         library=library,
+        cameras=CameraLibrary(settings.maps_dir),
         localizers=Localizers(library, settings.min_confidence),
         compute=ComputePool(settings.concurrency, settings.queue_length),
-        recordings=RecordingStore(settings.data_dir),
-        jobs=JobQueue(settings.data_dir),
-        worker=EmbeddedWorker(settings.data_dir, settings.maps_dir) if settings.worker else None,
+        recordings=recordings,
+        uploads=UploadStore(recordings, jobs, settings.upload_expires_s),
+        jobs=jobs,
+        worker=_worker(settings) if settings.worker else None,
     )
+
+
+def _worker(settings: Settings) -> EmbeddedWorker:
+    return EmbeddedWorker(settings.data_dir, settings.maps_dir, settings.jobs_database)
 
 
 async def _answer_error(request: Request, error: Exception) -> JSONResponse:

@@ -63,6 +63,18 @@ class CrossSite(HttpError):
     code = "cross_site"
 
 
+class UnsupportedVersion(HttpError):
+    """The client speaks a version of the upload protocol that the server does not."""
+
+    code = "unsupported_version"
+
+
+class ChecksumMismatch(HttpError):
+    """The bytes that came are not those that were sent; none of them is kept."""
+
+    code = "checksum_mismatch"
+
+
 class Internal(HttpError):
     """The service met an error of its own; its log has it under the request id."""
 
@@ -87,9 +99,12 @@ STATUS: Mapping[type[RholocError], int] = {
     UnknownRoute: 404,
     MethodNotAllowed: 405,
     UnsupportedMediaType: 415,
+    UnsupportedVersion: 412,
+    ChecksumMismatch: 460,
     Internal: 500,
 }
 
+TUS_VERSION = "1.0.0"  # the protocol of resumable uploads
 _DISK_FULL = (errno.ENOSPC, errno.EDQUOT)
 
 
@@ -133,7 +148,9 @@ def error_body(error: RholocError, request_id: str) -> dict[str, str]:
 
 
 def error_headers(error: RholocError) -> dict[str, str]:
-    """``Retry-After`` in whole seconds where trying again may help; what to prove oneself with."""
+    """``Retry-After`` in whole seconds where trying again may help; what to prove oneself with; which tus is spoken."""
     if isinstance(error, Busy):
         return {"Retry-After": str(max(1, round(error.retry_after_s)))}
+    if isinstance(error, UnsupportedVersion):
+        return {"Tus-Version": TUS_VERSION, "Tus-Resumable": TUS_VERSION}
     return {"WWW-Authenticate": "Bearer"} if isinstance(error, Unauthorized) else {}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from pydantic import Field
+from pydantic import Field, SecretStr
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
 from rholoc.service.guard import KeyPolicy
@@ -19,6 +19,10 @@ class Settings(BaseSettings):
     maps_dir: Path = Field(default=Path("maps"), description="The folder of the maps that are served.")
     data_dir: Path = Field(
         default=Path(".rholoc"), description="The folder of recordings, jobs and unfinished uploads."
+    )
+    database_url: SecretStr = Field(
+        default=SecretStr(""),
+        description="The database of jobs, postgresql://user:password@host/name; empty: an SQLite file in data_dir.",
     )
     host: str = Field(default="127.0.0.1", description="The address that the server listens on.")
     port: int = Field(
@@ -41,8 +45,20 @@ class Settings(BaseSettings):
     default_deadline_ms: float = Field(default=5000, gt=0, description="The deadline of requests that name none.")
     max_image_pixels: int = Field(default=50_000_000, ge=1, description="The most pixels an image may claim to have.")
     max_features: int = Field(default=20_000, ge=1, description="The most features a descriptor set may hold.")
-    max_request_bytes: int = Field(default=32 * 2**20, ge=1, description="The largest body of a localization request.")
+    max_request_bytes: int = Field(
+        default=32 * 2**20,
+        ge=1,
+        description="The largest body of a localization request, and of a piece of an upload with a checksum.",
+    )
     max_upload_bytes: int = Field(default=4 * 2**30, ge=1, description="The largest upload of a map or a recording.")
+    upload_expires_s: float = Field(
+        default=24 * 3600, gt=0, description="How long an unfinished upload is kept without a further byte."
+    )
     max_upload_files: int = Field(
         default=20_000, ge=1, description="The most files one upload of a recording may hold."
     )
+
+    @property
+    def jobs_database(self) -> str | None:
+        """The URL of the jobs' database, None for the SQLite file."""
+        return self.database_url.get_secret_value() or None

@@ -7,8 +7,8 @@ from typing import Annotated
 
 from fastapi import Depends, Request
 
-from rholoc.jobs import EmbeddedWorker, JobQueue, RecordingStore
-from rholoc.maps import MapLibrary
+from rholoc.jobs import EmbeddedWorker, JobQueue, RecordingStore, UploadStore
+from rholoc.maps import CameraLibrary, MapLibrary
 from rholoc.service.compute import ComputePool
 from rholoc.service.localizers import Localizers
 from rholoc.service.settings import Settings
@@ -20,9 +20,11 @@ class State:
 
     settings: Settings
     library: MapLibrary
+    cameras: CameraLibrary
     localizers: Localizers
     compute: ComputePool
     recordings: RecordingStore
+    uploads: UploadStore
     jobs: JobQueue
     worker: EmbeddedWorker | None
 

@@ -1,7 +1,7 @@
 """The routes: one module per resource."""
 
-from rholoc.service.routes import health, jobs, localize, maps, recordings
+from rholoc.service.routes import cameras, health, jobs, localize, maps, recordings, uploads
 
-ROUTERS = (localize.router, maps.router, recordings.router, jobs.router, health.router)
+ROUTERS = (localize.router, maps.router, cameras.router, recordings.router, uploads.router, jobs.router, health.router)
 
 __all__ = ["ROUTERS"]

@@ -1,0 +1,231 @@
+"""Uploads that survive lost connections: a file that grows piece by piece, and becomes a recording when it is whole."""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import os
+import shutil
+import time
+import uuid
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import asdict, dataclass
+from io import RawIOBase
+from pathlib import Path
+
+from rholoc.errors import Conflict, InvalidRecording, RholocError, TooLarge, UnknownJob
+from rholoc.jobs.disk import storage_full, telling_full_disk
+from rholoc.jobs.job import Job, JobOptions
+from rholoc.jobs.queue import JobQueue
+from rholoc.jobs.recording_store import RecordingStore, is_recording_id, sanitized, unknown_recording
+from rholoc.recordings import START_BYTES, ZIP_SUFFIX, check_archive, check_file_name, check_file_start
+
+_PREFIX = ".upload-"
+_PLAN_FILE = ".upload.json"  # no uploaded file can be called so: their names start with no dot
+
+
+@dataclass(frozen=True)
+class Upload:
+    """Where an upload stands.
+
+    Attributes:
+        id: the id of the recording and of the job that it becomes, 32 hex digits.
+        length: the bytes of the whole file.
+        offset: how many of them are stored.
+        expires: seconds since the epoch, when an upload without further bytes is removed; None once it is whole.
+        job: the mapping job, once the upload is whole.
+    """
+
+    id: str
+    length: int
+    offset: int
+    expires: float | None = None
+    job: Job | None = None
+
+
+@dataclass(frozen=True)
+class _Plan:
+    """What is to become of an upload."""
+
+    file_name: str
+    length: int
+    map_name: str
+    options: JobOptions
+
+
+class UploadStore:
+    """Unfinished uploads, each a hidden folder beside the recordings.
+
+    The length of the file is the offset, so no crash leaves the two at odds. Any number of processes may share the
+    folder.
+    """
+
+    def __init__(self, recordings: RecordingStore, jobs: JobQueue, expires_after_s: float) -> None:
+        """Open the store.
+
+        Args:
+            recordings: where whole uploads go.
+            jobs: where their jobs are queued.
+            expires_after_s: how long an upload is kept without a further byte.
+        """
+        self._recordings = recordings
+        self._jobs = jobs
+        self._expires_after_s = expires_after_s
+
+    def create(self, file_name: str, length: int, map_name: str, options: JobOptions) -> Upload:
+        """Begin an upload of ``length`` bytes.
+
+        Raises:
+            InvalidRecording: the name is no recording's, or there is nothing to upload.
+            StorageFull: the disk is full, or has no room for so much.
+        """
+        safe = sanitized(file_name).rsplit("/", 1)[-1]
+        check_file_name(safe)
+        if length < 1:
+            raise InvalidRecording(f"{safe} is empty.", "Record again.")
+        upload_id = uuid.uuid4().hex
+        with telling_full_disk(), self._recordings.new_folder() as folder:
+            if shutil.disk_usage(folder).free < length:
+                raise storage_full()
+            (folder / safe).touch()
+            plan = json.dumps(asdict(_Plan(safe, length, map_name, options)))
+            (folder / _PLAN_FILE).write_text(plan, encoding="utf-8")
+            folder.rename(self._folder(upload_id))
+        return self.get(upload_id)
+
+    def get(self, upload_id: str) -> Upload:
+        """Where the upload stands. One that is whole but has no job yet, because the server died, gets it now.
+
+        Raises:
+            UnknownRecording: there is none with this id, or it expired.
+            InvalidRecording, TooLarge: it is whole, and its content is no recording's. It is removed.
+            StorageFull: the disk is full.
+        """
+        try:
+            with self._locked(upload_id) as plan:
+                status = (self._folder(upload_id) / plan.file_name).stat()
+                expires = status.st_mtime + self._expires_after_s
+                if status.st_size < plan.length:
+                    if expires < time.time():
+                        self._remove(upload_id)
+                        raise unknown_recording(upload_id)
+                    return Upload(upload_id, plan.length, status.st_size, expires)
+                self._check_whole(upload_id, plan)
+                self._recordings.adopt(self._folder(upload_id), upload_id, plan.file_name)
+        except FileNotFoundError:
+            pass  # it is whole already, or it never was
+        return self._whole(upload_id)
+
+    def append(self, upload_id: str, offset: int, data: bytes) -> Upload:
+        """Store the bytes from ``offset`` on; the last ones make the upload a recording and queue its job.
+
+        Raises:
+            UnknownRecording: there is no upload with this id, or it expired.
+            Conflict: ``offset`` is not where the upload stands.
+            TooLarge: more bytes than were declared.
+            InvalidRecording, TooLarge: the content is no recording's. The upload is removed.
+            StorageFull: the disk is full. What was stored before is kept.
+        """
+        standing = self.get(upload_id)
+        if offset + len(data) > standing.length:
+            raise TooLarge(f"More than the declared {standing.length} bytes.", "Begin an upload of the whole size.")
+        try:
+            with self._locked(upload_id) as plan:
+                path = self._folder(upload_id) / plan.file_name
+                _check_offset(path.stat().st_size, offset)
+                with telling_full_disk(), path.open("ab", buffering=0) as file:
+                    _write(file, data)
+                if offset < START_BYTES <= offset + len(data):
+                    self._check_start(upload_id, path)
+        except FileNotFoundError:  # another request brought the last bytes
+            _check_offset(standing.length, offset)
+        return self.get(upload_id)
+
+    def delete(self, upload_id: str) -> None:
+        """Forget an unfinished upload.
+
+        Raises:
+            UnknownRecording: there is none with this id.
+        """
+        try:
+            with self._locked(upload_id):
+                self._remove(upload_id)
+        except FileNotFoundError as error:
+            raise unknown_recording(upload_id) from error
+
+    def sweep(self) -> None:
+        """Remove the uploads that expired; those that are whole but have no job get it."""
+        for plan_file in list(self._recordings.root.glob(f"*/{_PLAN_FILE}")):
+            with suppress(RholocError):
+                self.get(plan_file.parent.name.removeprefix(_PREFIX))
+
+    def _whole(self, upload_id: str) -> Upload:
+        """The upload that has become a recording, its job queued if that had not been done."""
+        entry = self._recordings.get(upload_id)
+        plan_file = self._recordings.root / upload_id / _PLAN_FILE
+        with suppress(FileNotFoundError):
+            plan = _read_plan(plan_file)
+            self._jobs.submit(upload_id, plan.map_name, plan.options, job_id=upload_id)
+            plan_file.unlink()
+        try:
+            job = self._jobs.get(upload_id)
+        except UnknownJob:  # it was uploaded in another way
+            job = None
+        return Upload(upload_id, entry.size_bytes, entry.size_bytes, job=job)
+
+    def _check_start(self, upload_id: str, path: Path) -> None:
+        with path.open("rb") as file:
+            start = file.read(START_BYTES)
+        try:
+            check_file_start(path.name, start)
+        except RholocError:
+            self._remove(upload_id)
+            raise
+
+    def _check_whole(self, upload_id: str, plan: _Plan) -> None:
+        path = self._folder(upload_id) / plan.file_name
+        self._check_start(upload_id, path)
+        if path.suffix.lower() == ZIP_SUFFIX:
+            try:
+                check_archive(path)
+            except RholocError:
+                self._remove(upload_id)
+                raise
+
+    def _remove(self, upload_id: str) -> None:
+        shutil.rmtree(self._folder(upload_id), ignore_errors=True)
+
+    def _folder(self, upload_id: str) -> Path:
+        if not is_recording_id(upload_id):
+            raise unknown_recording(upload_id)
+        return self._recordings.root / f"{_PREFIX}{upload_id}"
+
+    @contextmanager
+    def _locked(self, upload_id: str) -> Iterator[_Plan]:
+        """The plan of an unfinished upload that nobody else changes meanwhile. Raises FileNotFoundError."""
+        folder = self._folder(upload_id)
+        descriptor = os.open(folder, os.O_RDONLY)
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX)
+            yield _read_plan(folder / _PLAN_FILE)
+        finally:
+            os.close(descriptor)
+
+
+def _read_plan(path: Path) -> _Plan:
+    fields = json.loads(path.read_text(encoding="utf-8"))
+    return _Plan(**{**fields, "options": JobOptions.from_json(fields["options"])})
+
+
+def _check_offset(stands_at: int, offset: int) -> None:
+    if stands_at != offset:
+        raise Conflict(
+            f"The upload stands at byte {stands_at}, not at {offset}.", "Ask with HEAD, and go on from there."
+        )
+
+
+def _write(file: RawIOBase, data: bytes) -> None:
+    left = memoryview(data)
+    while left:
+        left = left[file.write(left) :]

@@ -1,0 +1,46 @@
+"""What an uploaded file's content says of it before anything is decoded: videos, pictures and ZIP files, or others."""
+
+from __future__ import annotations
+
+from pathlib import PurePath
+
+from rholoc.errors import InvalidRecording
+from rholoc.recordings.video import VIDEO_SUFFIXES
+
+START_BYTES = 12
+ZIP_SUFFIX = ".zip"
+
+# The first box of a QuickTime or MPEG-4 file, at byte 4; browsers and phones write "ftyp".
+_MPEG4_BOXES = frozenset({b"ftyp", b"moov", b"mdat", b"wide", b"free", b"skip", b"pnot", b"styp", b"moof"})
+_STARTS = {".zip": (b"PK\x03\x04",), ".jpg": (b"\xff\xd8\xff",), ".jpeg": (b"\xff\xd8\xff",), ".png": (b"\x89PNG",)}
+
+
+def check_file_name(name: str) -> None:
+    """Refuse the name of a lone file that no reader of recordings takes.
+
+    Raises:
+        InvalidRecording: it is neither a video's nor a ZIP file's.
+    """
+    if PurePath(name).suffix.lower() not in VIDEO_SUFFIXES | {ZIP_SUFFIX}:
+        kinds = ", ".join(sorted(VIDEO_SUFFIXES))
+        raise InvalidRecording(f"{name} is no recording.", f"Send a video ({kinds}) or a ZIP file.")
+
+
+def check_file_start(name: str, start: bytes) -> None:
+    """Refuse a file whose first bytes are not of the kind that its name says; names of other kinds pass.
+
+    Args:
+        name: the file's name.
+        start: its first ``START_BYTES``, or all of them where it has fewer.
+
+    Raises:
+        InvalidRecording: it is something else, or empty.
+    """
+    suffix = PurePath(name).suffix.lower()
+    if suffix in VIDEO_SUFFIXES:
+        right = start[4:8] in _MPEG4_BOXES or start[:4] == b"\x1aE\xdf\xa3" or start[:4] + start[8:12] == b"RIFFAVI "
+    else:
+        right = start.startswith(_STARTS.get(suffix, (b"",)))
+    if not right:
+        what = f"not a {suffix.removeprefix('.').upper()} file inside" if start else "empty"
+        raise InvalidRecording(f"{name} is {what}.", "Send the file that the recorder wrote, whole.")

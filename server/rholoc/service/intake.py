@@ -1,0 +1,74 @@
+"""What is to become of an upload, as the sender says, and whether that can be."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import BaseModel, ConfigDict, Field
+from starlette.concurrency import run_in_threadpool
+
+from rholoc.errors import (
+    InvalidInput,
+    InvalidMap,
+    InvalidName,
+    InvalidRecording,
+    RholocError,
+    StorageFull,
+    TooLarge,
+    UnknownCamera,
+    UnknownMap,
+)
+from rholoc.features import extractor_names, get_extractor
+from rholoc.jobs import JobKind, JobOptions
+from rholoc.mapping import check_memory
+from rholoc.maps import DensityKind, check_map_name
+from rholoc.service.errors import InvalidRequest
+from rholoc.service.state import State
+from rholoc.trajectory import PoseMethod
+
+UPLOAD_FAILURES: tuple[type[RholocError], ...] = (
+    InvalidRequest,
+    InvalidName,
+    InvalidInput,
+    InvalidRecording,
+    UnknownMap,
+    UnknownCamera,
+    InvalidMap,
+    TooLarge,
+    StorageFull,
+)
+
+
+class RecordingFields(BaseModel):
+    """The text fields beside the files of an uploaded recording."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    map: Annotated[str, Field(description="the name of the map to publish")]
+    kind: JobKind = Field(default=JobOptions.kind, description="build a new map, or update the one of that name")
+    features: str = Field(default=JobOptions.features, description="the extractor: " + ", ".join(extractor_names()))
+    density: DensityKind = Field(default=JobOptions.density, description="the form of the densities")
+    poses: PoseMethod | None = Field(
+        default=None,
+        description="where frame poses come from; default: visual-inertial; of an update: the recording's own, else "
+        "each frame is localized",
+    )
+    camera: str | None = Field(
+        default=None,
+        description="fx,fy,cx,cy[,k1,k2,p1,p2[,k3]] in pixels, or a stored camera's name; default: the recording's own",
+    )
+
+
+async def checked_options(fields: RecordingFields, service: State) -> JobOptions:
+    """How to map a recording.
+
+    Raises:
+        InvalidName, InvalidInput, UnknownCamera: there can be no such map, are no such features, is no such camera.
+        UnknownMap, InvalidMap: an update's map is not there, or does not learn.
+    """
+    check_map_name(fields.map)
+    get_extractor(fields.features)
+    await run_in_threadpool(service.cameras.named_in, fields.camera)
+    if fields.kind is JobKind.UPDATE:
+        check_memory(await run_in_threadpool(service.library.get, fields.map), f"The map {fields.map}")
+    return JobOptions(fields.density, fields.features, fields.poses, fields.camera, fields.kind)

@@ -1,0 +1,143 @@
+"""Resumable uploads of recordings: tus 1.0, beside the plain upload at the same path."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator
+from typing import Annotated
+
+from fastapi import APIRouter, Header, Request, Response
+from starlette.concurrency import run_in_threadpool
+from starlette.requests import ClientDisconnect
+
+from rholoc.errors import Conflict, InvalidRecording, StorageFull, TooLarge, UnknownRecording
+from rholoc.service import tus
+from rholoc.service.bodies import limited_stream, media_type, read_body
+from rholoc.service.errors import ChecksumMismatch, InvalidRequest, UnsupportedMediaType, UnsupportedVersion
+from rholoc.service.intake import RecordingFields, checked_options
+from rholoc.service.openapi import BINARY, failures, request_body
+from rholoc.service.state import Service, State
+
+router = APIRouter(prefix="/v1/recordings", tags=["recordings"])
+
+_PIECE_BYTES = 2**20  # written at once
+_FILE_NAME = "filename"
+
+
+@router.options("", status_code=204, summary="What resumable uploads can do here")
+@router.options("/{recording}", status_code=204, include_in_schema=False)
+async def upload_abilities(service: Service) -> Response:
+    """tus 1.0: version, extensions, checksums, and the largest upload, in headers."""
+    return Response(status_code=204, headers=tus.abilities(service.settings.max_upload_bytes))
+
+
+async def begin_upload(request: Request, service: State) -> Response:
+    """The creation of a resumable upload.
+
+    Raises: as :func:`rholoc.service.intake.checked_options` and :meth:`rholoc.jobs.UploadStore.create` do.
+    """
+    length = tus.number("Upload-Length", request.headers.get("upload-length"))
+    limit = service.settings.max_upload_bytes
+    if length > limit:
+        raise TooLarge(f"{length} bytes are more than the {limit} that are allowed.", "Record a shorter walk.")
+    metadata = tus.read_metadata(request.headers.get("upload-metadata", ""))
+    known = {name: value for name, value in metadata.items() if name in RecordingFields.model_fields}
+    fields = RecordingFields.model_validate(known)
+    if _FILE_NAME not in metadata:
+        raise InvalidRequest("Upload-Metadata has no filename.", "Send filename and map, each with base64.")
+    options = await checked_options(fields, service)
+    upload = await run_in_threadpool(service.uploads.create, metadata[_FILE_NAME], length, fields.map, options)
+    headers = {"Location": f"{router.prefix}/{upload.id}", **tus.standing(upload)}
+    return Response(status_code=201, headers=headers)
+
+
+@router.head("/{recording}", summary="Where an upload stands", responses=failures(UnknownRecording, UnsupportedVersion))
+async def upload_standing(recording: str, service: Service) -> Response:
+    """In headers: `Upload-Offset`, `Upload-Length`, `Upload-Expires`; once it is whole, its mapping job's id in
+    `Rholoc-Job`."""
+    upload = await run_in_threadpool(service.uploads.get, recording)
+    return Response(headers=tus.standing(upload))
+
+
+@router.patch(
+    "/{recording}",
+    status_code=204,
+    summary="Go on with an upload",
+    responses=failures(
+        InvalidRequest,
+        InvalidRecording,
+        UnknownRecording,
+        Conflict,
+        TooLarge,
+        StorageFull,
+        UnsupportedMediaType,
+        UnsupportedVersion,
+        ChecksumMismatch,
+    ),
+    openapi_extra=request_body({tus.PATCH_TYPE: {"schema": BINARY}}),
+)
+async def continue_upload(
+    recording: str,
+    request: Request,
+    service: Service,
+    upload_offset: Annotated[str | None, Header(description="where the body's first byte belongs")] = None,
+    upload_checksum: Annotated[
+        str | None, Header(description="algorithm and base64; the body is kept if right")
+    ] = None,
+) -> Response:
+    """The next bytes. What came before the connection broke is kept, and `HEAD` tells how much that is; of a body with
+    `Upload-Checksum` all is kept, or nothing. The last byte makes it a recording, and starts its job."""
+    if media_type(request) != tus.PATCH_TYPE:
+        raise UnsupportedMediaType("The bytes of an upload come as " + tus.PATCH_TYPE + ".", "Use a tus client.")
+    offset = tus.number("Upload-Offset", upload_offset)
+    append = service.uploads.append
+    upload = await run_in_threadpool(append, recording, offset, b"")  # refuses what it must before the bytes come
+    left = upload.length - offset
+    if upload_checksum is None:
+        pieces = _pieces(request, left)
+    else:
+        pieces = _checked(request, min(left, service.settings.max_request_bytes), upload_checksum)
+    async for piece in pieces:
+        upload = await run_in_threadpool(append, recording, offset, piece)
+        offset += len(piece)
+    return Response(status_code=204, headers=tus.standing(upload))
+
+
+@router.delete(
+    "/{recording}",
+    status_code=204,
+    summary="Delete a recording, or give up its upload",
+    responses=failures(UnknownRecording, Conflict, UnsupportedVersion),
+)
+async def delete_recording(recording: str, service: Service) -> Response:
+    """For good, unless a job is waiting for it or working on it. Maps made from it stay."""
+    await run_in_threadpool(_delete, service, recording)
+    return Response(status_code=204)
+
+
+def _delete(service: State, recording: str) -> None:
+    try:
+        service.uploads.delete(recording)
+    except UnknownRecording:
+        service.jobs.delete_recording(recording)
+
+
+async def _pieces(request: Request, max_bytes: int) -> AsyncIterator[bytes]:
+    """The body in pieces worth writing; also the last one of a body that breaks off."""
+    piece = bytearray()
+    try:
+        async for chunk in limited_stream(request, max_bytes):
+            piece += chunk
+            if len(piece) >= _PIECE_BYTES:
+                yield bytes(piece)
+                piece.clear()
+    except ClientDisconnect:
+        yield bytes(piece)
+        raise
+    yield bytes(piece)
+
+
+async def _checked(request: Request, max_bytes: int, checksum: str) -> AsyncIterator[bytes]:
+    """The whole body, if it is what was sent."""
+    body = await read_body(request, max_bytes)
+    tus.check_checksum(checksum, body)
+    yield body
