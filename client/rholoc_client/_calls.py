@@ -15,6 +15,7 @@ from rholoc_client._images import ImageLike, encoded
 from rholoc_client.errors import BY_CODE, ConnectionFailed, InvalidAnswer, ServiceError
 from rholoc_client.models import (
     Camera,
+    CameraProfile,
     Features,
     Job,
     Localization,
@@ -23,6 +24,7 @@ from rholoc_client.models import (
     parse_job,
     parse_localization,
     parse_map,
+    parse_profile,
 )
 
 T = TypeVar("T")
@@ -114,7 +116,7 @@ def localize_features(maps: Maps, features: Features, options: Mapping[str, Any]
 
 
 def localize_options(
-    camera: Camera | None,
+    camera: Camera | str | None,
     prior: Prior | None,
     dof: int | None,
     gravity: tuple[float, float, float] | None,
@@ -122,7 +124,7 @@ def localize_options(
 ) -> dict[str, Any]:
     """The options of a localization as the service takes them; what is None is left out."""
     given = {
-        "camera": None if camera is None else _without_none(asdict(camera)),
+        "camera": {"name": camera} if isinstance(camera, str) else _camera(camera),
         "prior": None if prior is None else asdict(prior),
         "dof": dof,
         "gravity": gravity,
@@ -195,6 +197,28 @@ def forget_recording(name: str, source: str) -> Call[MapSummary]:
     return _post(f"{_map_path(name)}/forget", {"source": source}, _map)
 
 
+def list_cameras() -> Call[list[CameraProfile]]:
+    """All stored cameras."""
+    return Call("GET", "/v1/cameras", lambda response: [parse_profile(one) for one in response.json()["cameras"]])
+
+
+def get_camera(name: str) -> Call[CameraProfile]:
+    """One stored camera."""
+    return Call("GET", _camera_path(name), _profile)
+
+
+def put_camera(name: str, camera: Camera, calibration: Mapping[str, Any] | None) -> Call[CameraProfile]:
+    """Store a camera under a name."""
+    body = {**_without_none(asdict(camera)), "calibration": dict(calibration or {})}
+    headers = {"Content-Type": "application/json"}
+    return Call("PUT", _camera_path(name), _profile, headers=headers, content=json.dumps(body).encode())
+
+
+def delete_camera(name: str) -> Call[None]:
+    """Delete a stored camera."""
+    return Call("DELETE", _camera_path(name), lambda response: None, idempotent=False)
+
+
 def delete_map(name: str) -> Call[None]:
     """Delete a map."""
     return Call("DELETE", _map_path(name), lambda response: None, idempotent=False)
@@ -250,6 +274,10 @@ def _map(response: httpx.Response) -> MapSummary:
     return parse_map(response.json())
 
 
+def _profile(response: httpx.Response) -> CameraProfile:
+    return parse_profile(response.json())
+
+
 def _job(response: httpx.Response) -> Job:
     return parse_job(response.json())
 
@@ -266,6 +294,10 @@ def _map_path(name: str) -> str:
     return f"/v1/maps/{_segment(name)}"
 
 
+def _camera_path(name: str) -> str:
+    return f"/v1/cameras/{_segment(name)}"
+
+
 def _job_path(job_id: str) -> str:
     return f"/v1/jobs/{_segment(job_id)}"
 
@@ -273,6 +305,10 @@ def _job_path(job_id: str) -> str:
 def _segment(text: str) -> str:
     """A path segment; dots alone would be taken for a way up, so they are escaped too."""
     return quote(text, safe="") if text.strip(".") else "%2E" * len(text)
+
+
+def _camera(camera: Camera | None) -> dict[str, Any] | None:
+    return None if camera is None else _without_none(asdict(camera))
 
 
 def _without_none(values: Mapping[str, Any]) -> dict[str, Any]:

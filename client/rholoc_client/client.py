@@ -17,7 +17,7 @@ from rholoc_client._images import ImageLike
 from rholoc_client._retry import Attempts, Backoff
 from rholoc_client._uploads import UploadProgress, opened_recording
 from rholoc_client.errors import JobFailed, WaitTimedOut
-from rholoc_client.models import Camera, Features, Job, Localization, MapSummary, Prior, Vector3
+from rholoc_client.models import Camera, CameraProfile, Features, Job, Localization, MapSummary, Prior, Vector3
 
 T = TypeVar("T")
 JobProgress = Callable[[Job], None]
@@ -68,7 +68,7 @@ class Client:
         maps: Maps,
         image: ImageLike,
         *,
-        camera: Camera | None = None,
+        camera: Camera | str | None = None,
         prior: Prior | None = None,
         dof: int | None = None,
         gravity: Vector3 | None = None,
@@ -79,7 +79,7 @@ class Client:
         Args:
             maps: a map's name; several names or None for all, of which the surest answers.
             image: a JPEG or PNG as bytes or as a path, or an array (H, W, 3) BGR or (H, W) grey of uint8.
-            camera: the picture's intrinsics; without them the map's own serve where they fit.
+            camera: the picture's intrinsics, or a stored camera's name; without, the map's own serve where they fit.
             prior: where the pose is expected.
             dof: 5 (the camera does not roll, the service's default) or 6.
             gravity: the direction of gravity (down) in the camera frame.
@@ -93,7 +93,7 @@ class Client:
         maps: Maps,
         features: Features,
         *,
-        camera: Camera | None = None,
+        camera: Camera | str | None = None,
         prior: Prior | None = None,
         dof: int | None = None,
         gravity: Vector3 | None = None,
@@ -145,14 +145,16 @@ class Client:
         """Give a map another name, which must be free."""
         return self._send(_calls.rename_map(name, new_name))
 
-    def update_map(self, name: str, recording: str, *, poses: str | None = None, camera: Camera | None = None) -> Job:
+    def update_map(
+        self, name: str, recording: str, *, poses: str | None = None, camera: Camera | str | None = None
+    ) -> Job:
         """Have a map learn a stored recording, by its id; the job that does so.
 
         Args:
             name: the map.
             recording: the recording's id: :attr:`Job.recording` of the job that its upload started.
             poses: where frame poses come from; None: the recording's own, else each frame is localized.
-            camera: the intrinsics, instead of the recording's own.
+            camera: the intrinsics, or the name of a stored camera, instead of the recording's own.
         """
         fields = {"recording": recording, "poses": poses, "camera": _camera_text(camera)}
         return self._send(_calls.update_map(name, fields))
@@ -164,6 +166,22 @@ class Client:
     def forget_recording(self, name: str, source: str) -> MapSummary:
         """Take out of a map what it learned from a recording, named by its id or name in the map's sources."""
         return self._send(_calls.forget_recording(name, source))
+
+    def cameras(self) -> list[CameraProfile]:
+        """All cameras that the service keeps under a name."""
+        return self._send(_calls.list_cameras())
+
+    def camera(self, name: str) -> CameraProfile:
+        """One of them."""
+        return self._send(_calls.get_camera(name))
+
+    def put_camera(self, name: str, camera: Camera, calibration: Mapping[str, Any] | None = None) -> CameraProfile:
+        """Store a camera, ``width`` and ``height`` included, under a name; requests may name it then."""
+        return self._send(_calls.put_camera(name, camera, calibration))
+
+    def delete_camera(self, name: str) -> None:
+        """Delete a stored camera; maps that were made with it keep it."""
+        self._send(_calls.delete_camera(name))
 
     def delete_map(self, name: str) -> None:
         """Delete a map for good."""
@@ -178,7 +196,7 @@ class Client:
         features: str | None = None,
         density: str | None = None,
         poses: str | None = None,
-        camera: Camera | None = None,
+        camera: Camera | str | None = None,
         waypoints: Path | None = None,
         progress: UploadProgress | None = None,
     ) -> Job:
@@ -189,7 +207,7 @@ class Client:
             map_name: the name of the map to publish.
             kind: "build" a new map, or "update" the one of that name; None: build.
             features, density, poses: how to build it; the service's defaults where None.
-            camera: the intrinsics, instead of the recording's own.
+            camera: the intrinsics, or the name of a stored camera, instead of the recording's own.
             waypoints: a CSV file of measured waypoints beside a video; in a folder or ZIP file it is ``waypoints.csv``.
             progress: hears of bytes sent and bytes in all.
         """
@@ -290,7 +308,7 @@ class AsyncClient:
         maps: Maps,
         image: ImageLike,
         *,
-        camera: Camera | None = None,
+        camera: Camera | str | None = None,
         prior: Prior | None = None,
         dof: int | None = None,
         gravity: Vector3 | None = None,
@@ -305,7 +323,7 @@ class AsyncClient:
         maps: Maps,
         features: Features,
         *,
-        camera: Camera | None = None,
+        camera: Camera | str | None = None,
         prior: Prior | None = None,
         dof: int | None = None,
         gravity: Vector3 | None = None,
@@ -327,6 +345,10 @@ class AsyncClient:
         """As :meth:`Client.map_report`."""
         return await self._send(_calls.map_report(name))
 
+    async def map_report_picture(self, name: str) -> bytes:
+        """As :meth:`Client.map_report_picture`."""
+        return await self._send(_calls.map_report_picture(name))
+
     async def map_preview(self, name: str) -> bytes:
         """As :meth:`Client.map_preview`."""
         return await self._send(_calls.map_preview(name))
@@ -346,11 +368,7 @@ class AsyncClient:
         return await self._send(_calls.rename_map(name, new_name))
 
     async def update_map(
-        self, name: str, recording: str, *, poses: str | None = None, camera: Camera | None = None
-    async def map_report_picture(self, name: str) -> bytes:
-        """As :meth:`Client.map_report_picture`."""
-        return await self._send(_calls.map_report_picture(name))
-
+        self, name: str, recording: str, *, poses: str | None = None, camera: Camera | str | None = None
     ) -> Job:
         """Have a map learn a stored recording, by its id; the job that does so.
 
@@ -358,7 +376,7 @@ class AsyncClient:
             name: the map.
             recording: the recording's id: :attr:`Job.recording` of the job that its upload started.
             poses: where frame poses come from; None: the recording's own, else each frame is localized.
-            camera: the intrinsics, instead of the recording's own.
+            camera: the intrinsics, or the name of a stored camera, instead of the recording's own.
         """
         fields = {"recording": recording, "poses": poses, "camera": _camera_text(camera)}
         return await self._send(_calls.update_map(name, fields))
@@ -370,6 +388,24 @@ class AsyncClient:
     async def forget_recording(self, name: str, source: str) -> MapSummary:
         """Take out of a map what it learned from a recording, named by its id or name in the map's sources."""
         return await self._send(_calls.forget_recording(name, source))
+
+    async def cameras(self) -> list[CameraProfile]:
+        """As :meth:`Client.cameras`."""
+        return await self._send(_calls.list_cameras())
+
+    async def camera(self, name: str) -> CameraProfile:
+        """As :meth:`Client.camera`."""
+        return await self._send(_calls.get_camera(name))
+
+    async def put_camera(
+        self, name: str, camera: Camera, calibration: Mapping[str, Any] | None = None
+    ) -> CameraProfile:
+        """As :meth:`Client.put_camera`."""
+        return await self._send(_calls.put_camera(name, camera, calibration))
+
+    async def delete_camera(self, name: str) -> None:
+        """As :meth:`Client.delete_camera`."""
+        await self._send(_calls.delete_camera(name))
 
     async def delete_map(self, name: str) -> None:
         """As :meth:`Client.delete_map`."""
@@ -384,7 +420,7 @@ class AsyncClient:
         features: str | None = None,
         density: str | None = None,
         poses: str | None = None,
-        camera: Camera | None = None,
+        camera: Camera | str | None = None,
         waypoints: Path | None = None,
         progress: UploadProgress | None = None,
     ) -> Job:
@@ -475,7 +511,7 @@ def _recording_fields(
     features: str | None,
     density: str | None,
     poses: str | None,
-    camera: Camera | None,
+    camera: Camera | str | None,
 ) -> dict[str, str | None]:
     return {
         "map": map_name,
@@ -487,9 +523,9 @@ def _recording_fields(
     }
 
 
-def _camera_text(camera: Camera | None) -> str | None:
-    if camera is None:
-        return None
+def _camera_text(camera: Camera | str | None) -> str | None:
+    if camera is None or isinstance(camera, str):
+        return camera
     values = (camera.fx, camera.fy, camera.cx, camera.cy, *camera.distortion)
     return ",".join(repr(float(value)) for value in values)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 Vector3 = tuple[float, float, float]
@@ -24,6 +24,15 @@ class Camera:
     distortion: tuple[float, ...] = ()
     width: int | None = None
     height: int | None = None
+
+
+@dataclass(frozen=True)
+class CameraProfile:
+    """A camera that the service keeps under a name, and what is known of how good its intrinsics are."""
+
+    name: str
+    camera: Camera
+    calibration: Mapping[str, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -199,9 +208,18 @@ def parse_localization(answer: Mapping[str, Any]) -> Localization:
 
 def parse_map(answer: Mapping[str, Any]) -> MapSummary:
     """The JSON of a map → :class:`MapSummary`."""
-    camera = answer["camera"]
     plain = {name: answer[name] for name in MapSummary.__dataclass_fields__ if name != "camera"}
-    return MapSummary(**plain, camera=Camera(**{**camera, "distortion": tuple(camera["distortion"])}))
+    return MapSummary(**plain, camera=_camera(answer["camera"]))
+
+
+def parse_profile(answer: Mapping[str, Any]) -> CameraProfile:
+    """The JSON of a stored camera → :class:`CameraProfile`."""
+    intrinsics = {name: answer[name] for name in Camera.__dataclass_fields__}
+    return CameraProfile(answer["name"], _camera(intrinsics), dict(answer["calibration"]))
+
+
+def _camera(values: Mapping[str, Any]) -> Camera:
+    return Camera(**{**values, "distortion": tuple(values["distortion"])})
 
 
 def parse_job(answer: Mapping[str, Any]) -> Job:

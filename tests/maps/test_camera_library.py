@@ -73,6 +73,13 @@ def test_intrinsics_and_names_are_told_apart(cameras: CameraLibrary) -> None:
     assert cameras.named_in(None) is None
 
 
+@pytest.mark.parametrize("value", [float("nan"), {1, 2}])
+def test_a_calibration_that_is_not_json_is_refused(cameras: CameraLibrary, value: object) -> None:
+    with pytest.raises(InvalidInput, match="not JSON"):
+        cameras.put("axis", CameraProfile(_CAMERA, {"rms_px": value}))
+    assert cameras.names() == []
+
+
 def test_a_camera_that_cannot_be_stored_replaces_nothing(cameras: CameraLibrary) -> None:
     cameras.folder.parent.mkdir(parents=True)
     cameras.folder.write_text("a file stands where the folder would")

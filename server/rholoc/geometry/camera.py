@@ -13,6 +13,7 @@ from rholoc.geometry.arrays import BoolArray, FloatArray
 
 _MIN_FIELD_OF_VIEW_DEG = 5.0
 _MAX_FIELD_OF_VIEW_DEG = 175.0
+_SHAPE_TOLERANCE = 0.01  # images whose aspect ratios differ by less than this share are of one shape
 
 
 @dataclass(frozen=True)
@@ -92,6 +93,19 @@ class Camera:
             cx=(self.cx + 0.5) * sx - 0.5,
             cy=(self.cy + 0.5) * sy - 0.5,
         )
+
+    def fitted(self, width: int, height: int) -> Camera:
+        """The camera for its images as they are, ``width`` × ``height``: resized where they are of the same shape.
+
+        Raises:
+            InvalidCamera: they are of another shape.
+        """
+        if abs(width * self.height / (height * self.width) - 1) >= _SHAPE_TOLERANCE:
+            raise InvalidCamera(
+                f"The intrinsics are for {self.width}×{self.height} pixels, the image is {width}×{height}.",
+                "Give the intrinsics of the image as it is shown, after rotation.",
+            )
+        return self if (width, height) == (self.width, self.height) else self.resized(width, height)
 
     def undistort(self, pixels: FloatArray) -> FloatArray:
         """Pixels (N, 2) → points (N, 2) on the plane z = 1 of the camera frame."""

@@ -10,7 +10,7 @@ from typing import Protocol
 from rholoc.errors import InvalidMap, UnknownMap
 from rholoc.jobs.job import JobKind, JobOptions
 from rholoc.mapping import BuildOptions, UpdateOptions, build_map, update_map
-from rholoc.maps import Map, MapLibrary, load_map, save_map
+from rholoc.maps import CameraLibrary, Map, MapLibrary, load_map, save_map
 from rholoc.progress import ProgressListener, Stage
 from rholoc.recordings import Recording, read_recording
 
@@ -60,7 +60,8 @@ class MappingPipeline:
         if task.map_file.exists():
             return
         progress(Stage.READ, 0.0, "reading the recording")
-        recording = read_recording(task.recording, camera=task.options.camera, workdir=task.map_file.parent)
+        camera = CameraLibrary(task.maps_dir).named_in(task.options.camera)
+        recording = read_recording(task.recording, camera=camera, workdir=task.map_file.parent)
         built = _updated(task, recording, progress) if _updates(task) else _built(task, recording, progress)
         partial = task.map_file.with_name(f"{os.getpid()}-{task.map_file.name}")
         save_map(built, partial)

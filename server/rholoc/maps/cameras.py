@@ -74,11 +74,14 @@ class CameraLibrary:
         """
         path = self.path(name)
         try:
+            text = json.dumps({**asdict(profile.camera), "calibration": profile.calibration}, indent=2, allow_nan=False)
+        except (TypeError, ValueError, RecursionError) as error:
+            raise InvalidInput("The camera's calibration is not JSON.", "Numbers must be finite.") from error
+        try:
             self.folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise InvalidInput(f"{self.folder} cannot be made: {error.strerror}.", "Check the map folder.") from error
-        values = {**asdict(profile.camera), "calibration": profile.calibration}
-        replace_file(path, (json.dumps(values, indent=2, allow_nan=False) + "\n").encode())
+        replace_file(path, f"{text}\n".encode())
 
     def delete(self, name: str) -> None:
         """Delete a camera.

@@ -26,7 +26,7 @@ _KNOWN = (
 
 def read_recording(
     path: Path,
-    camera: str | None = None,
+    camera: Camera | str | None = None,
     frames: str | None = None,
     waypoints: Path | None = None,
     workdir: Path | None = None,
@@ -36,7 +36,8 @@ def read_recording(
 
     Args:
         path: the file or folder.
-        camera: intrinsics ``fx,fy,cx,cy[,k1,k2,p1,p2[,k3]]`` in pixels of the frames, instead of the recording's own.
+        camera: the frames' camera instead of the recording's own: intrinsics ``fx,fy,cx,cy[,k1,k2,p1,p2[,k3]]`` in
+            pixels of the frames, or a camera, which may be for another size of the same shape.
         frames: a choice of frames by number, ``start:stop[:step]``.
         waypoints: a CSV file of measured waypoints, instead of the recording's own; all within the chosen frames.
         workdir: an existing folder; a ZIP file is unpacked into a new folder in it, which the caller removes. Without
@@ -55,7 +56,9 @@ def read_recording(
     if frames is not None:
         recording = select_frames(recording, parse_frame_slice(frames))
     if camera is not None:
-        recording = replace(recording, camera=Camera.parse(camera, *recording.frames.size))
+        size = recording.frames.size
+        fitted = camera.fitted(*size) if isinstance(camera, Camera) else Camera.parse(camera, *size)
+        recording = replace(recording, camera=fitted)
     if waypoints is not None:
         recording = replace(recording, waypoints=read_waypoints_csv(waypoints, recording.frames))
     return recording

@@ -118,7 +118,7 @@ class _Features:
 def _localize(
     frame: Frame, localizer: Localizer, features: _Features, deadline_s: float, clock: Stopwatch
 ) -> Localization:
-    camera = camera_for(frame.options.camera, features.size, localizer.map.info.camera)
+    camera = camera_for(frame.options.camera, features.size, localizer.map.info.camera, frame.stored)
     prior, gravity = prior_of(frame.options.prior), gravity_of(frame.options.gravity)
     if clock.elapsed_s >= deadline_s:
         return _too_late()

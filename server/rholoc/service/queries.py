@@ -16,21 +16,24 @@ from rholoc.geometry import ByteArray, Camera, FloatArray, Pose
 from rholoc.localization import Prior
 from rholoc.service.schemas import CameraIn, FeaturesIn, LocalizeOptions, PriorIn
 
-_ASPECT_TOLERANCE = 0.01  # an image counts as scaled when its aspect ratio differs by less than this share
 _CAMERA_HINT = "Send fx, fy, cx, cy (and distortion) of the image, in pixels."
 
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """What was sent of one frame: an encoded image or a descriptor set, one of the two, and the options."""
+    """What was sent of one frame: an encoded image or a descriptor set, one of the two, and the options.
+
+    ``stored`` is the camera that the options name, if they name one.
+    """
 
     options: LocalizeOptions
     image: bytes | None = None
     features: FeaturesIn | None = None
+    stored: Camera | None = None
 
 
-def camera_for(given: CameraIn, size: tuple[int, int], map_camera: Camera) -> Camera:
-    """The intrinsics of an image of ``size`` (width, height) px: those given, else the map's own.
+def camera_for(given: CameraIn, size: tuple[int, int], map_camera: Camera, stored: Camera | None = None) -> Camera:
+    """The intrinsics of an image of ``size`` (width, height) px: those stored under a name, or given, or the map's own.
 
     Either are scaled where they are meant for another size of the same aspect ratio.
 
@@ -39,16 +42,21 @@ def camera_for(given: CameraIn, size: tuple[int, int], map_camera: Camera) -> Ca
     """
     if min(size) < 1:
         raise InvalidCamera(f"The camera's image size {size[0]}×{size[1]} is not possible.", _CAMERA_HINT)
+    if stored is not None:
+        if any(value is not None for value in (given.fx, given.fy, given.cx, given.cy)) or given.distortion:
+            raise InvalidCamera("The camera is both named and given.", "Send its name, or its intrinsics.")
+        return stored.fitted(*size)
     if given.fx is None:
         if given.fy is not None or given.distortion:
             raise InvalidCamera("The camera has no fx.", _CAMERA_HINT)
-        if not _same_aspect((map_camera.width, map_camera.height), size):
+        try:
+            return map_camera.fitted(*size)
+        except InvalidCamera as error:
             raise InvalidCamera(
                 f"No intrinsics were sent, and the map's own camera ({map_camera.width}×{map_camera.height}) "
                 f"cannot have taken an image of {size[0]}×{size[1]}.",
                 _CAMERA_HINT,
-            )
-        return map_camera.resized(*size)
+            ) from error
     width, height = given.width or size[0], given.height or size[1]
     camera = Camera(
         width,
@@ -59,15 +67,7 @@ def camera_for(given: CameraIn, size: tuple[int, int], map_camera: Camera) -> Ca
         (height - 1) / 2 if given.cy is None else given.cy,
         tuple(given.distortion),
     )
-    if (width, height) == size:
-        return camera
-    if not _same_aspect((width, height), size):
-        raise InvalidCamera(f"The intrinsics are for {width}×{height}, the image is {size[0]}×{size[1]}.", _CAMERA_HINT)
-    return camera.resized(*size)
-
-
-def _same_aspect(a: tuple[int, int], b: tuple[int, int]) -> bool:
-    return abs(a[0] * b[1] / (a[1] * b[0]) - 1) < _ASPECT_TOLERANCE
+    return camera.fitted(*size)
 
 
 def prior_of(given: PriorIn | None) -> Prior | None:

@@ -21,6 +21,7 @@ _MAP_ID = "4f1c2a9be07d4d0c8f5f6f0f3f1f7a11"
 _JOB_ID = "0b6e0f6f4f0c4d5f9a8b7c6d5e4f3a21"
 _RECORDING_ID = "9c5d1c3f5b8e4a0d8e6f7a8b9c0d1e2f"
 _CAMERA: JsonDict = {"width": 640, "height": 480, "fx": 525.5, "fy": 525.5, "cx": 320.0, "cy": 240.0, "distortion": []}
+_PROFILE: JsonDict = {**_CAMERA, "calibration": {"rms_px": 0.21, "views": 24, "sigmas": {"fx": 0.6, "fy": 0.6}}}
 
 
 class _In(BaseModel):
@@ -72,6 +73,48 @@ class CameraIn(_In):
     )
 
 
+class CameraChoice(CameraIn):
+    """Intrinsics, or the name of a stored camera instead: then ``width`` and ``height`` are the image's."""
+
+    name: str | None = Field(default=None, description="a stored camera, instead of fx, fy, cx, cy and distortion")
+
+
+class CameraProfileIn(_In):
+    """A camera to store: its intrinsics, and how good they are known to be."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, json_schema_extra={"example": _PROFILE})
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    distortion: list[float] = Field(default_factory=list, max_length=8)
+    calibration: dict[str, Any] = Field(
+        default_factory=dict, description="how it was calibrated: rms_px, sigmas, views, …"
+    )
+
+
+class CameraProfileOut(CameraProfileIn):
+    """A stored camera."""
+
+    model_config = ConfigDict(frozen=True, json_schema_extra={"example": {"name": "pixel-7", **_PROFILE}})
+
+    name: str
+
+
+class CameraList(_Out):
+    """All stored cameras, by name; a file that cannot be read is named apart."""
+
+    model_config = ConfigDict(
+        frozen=True, json_schema_extra={"example": {"cameras": [{"name": "pixel-7", **_PROFILE}], "unreadable": {}}}
+    )
+
+    cameras: list[CameraProfileOut]
+    unreadable: dict[str, str] = Field(description="names of camera files that cannot be read, and why")
+
+
 class PriorIn(_In):
     """A pose that the answer is expected near: a position and either a heading or a quaternion."""
 
@@ -95,7 +138,7 @@ class LocalizeOptions(_In):
         extra="forbid", frozen=True, json_schema_extra={"example": {"camera": _CAMERA, "dof": 6, "deadline_ms": 500}}
     )
 
-    camera: CameraIn = Field(default_factory=CameraIn)
+    camera: CameraChoice = Field(default_factory=CameraChoice)
     dof: Dof = Field(default=Dof.UPRIGHT, description="5: the camera does not roll; 6: roll is estimated too")
     prior: PriorIn | None = None
     gravity: Vector3 | None = Field(default=None, description="the direction of gravity (down) in the camera frame")
@@ -287,7 +330,8 @@ class UpdateIn(_In):
         default=None, description="where frame poses come from; default: its own, else each frame is localized"
     )
     camera: str | None = Field(
-        default=None, description="fx,fy,cx,cy[,k1,k2,p1,p2[,k3]] in pixels; default: the recording's own"
+        default=None,
+        description="fx,fy,cx,cy[,k1,k2,p1,p2[,k3]] in pixels, or a stored camera's name; default: the recording's own",
     )
 
 

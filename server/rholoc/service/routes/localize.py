@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Depends, Query, Request
+from starlette.concurrency import run_in_threadpool
 
 from rholoc.errors import (
     Busy,
@@ -16,6 +17,7 @@ from rholoc.errors import (
     InvalidMap,
     InvalidName,
     TooLarge,
+    UnknownCamera,
     UnknownMap,
 )
 from rholoc.service.bodies import media_type, read_body, read_multipart
@@ -29,8 +31,8 @@ from rholoc.service.state import Service, State
 router = APIRouter(prefix="/v1", tags=["localization"])
 
 _FAILURES = failures(
-    UnknownMap, InvalidName, InvalidRequest, InvalidImage, InvalidCamera, InvalidDescriptors, InvalidInput, InvalidMap,
-    TooLarge, UnsupportedMediaType, Busy,
+    UnknownMap, UnknownCamera, InvalidName, InvalidRequest, InvalidImage, InvalidCamera, InvalidDescriptors,
+    InvalidInput, InvalidMap, TooLarge, UnsupportedMediaType, Busy,
 )  # fmt: skip
 _BODY = request_body(
     {
@@ -59,6 +61,9 @@ _BODY = request_body(
 class OptionParameters:
     """The options of a request as query parameters; lists are separated by commas."""
 
+    camera: Annotated[
+        str | None, Query(description="a stored camera, instead of fx … distortion", examples=["pixel-7"])
+    ] = None
     fx: Annotated[float | None, Query(description="focal length, px", examples=[525.5])] = None
     fy: Annotated[float | None, Query(description="px; default: fx", examples=[525.5])] = None
     cx: Annotated[float | None, Query(description="principal point, px", examples=[320.0])] = None
@@ -78,7 +83,12 @@ class OptionParameters:
     def options(self) -> dict[str, Any]:
         """The same as the fields of :class:`LocalizeOptions`; what was not given is left out."""
         camera = _given(
-            fx=self.fx, fy=self.fy, cx=self.cx, cy=self.cy, distortion=_numbers("distortion", self.distortion)
+            name=self.camera,
+            fx=self.fx,
+            fy=self.fy,
+            cx=self.cx,
+            cy=self.cy,
+            distortion=_numbers("distortion", self.distortion),
         )
         prior = _given(
             position=_numbers("prior_position", self.prior_position),
@@ -147,6 +157,9 @@ async def _localize(names: list[str], request: Request, service: State, options:
     frame = await _frame(request, options.options(), service.settings.max_request_bytes)
     for name in names:
         service.library.stat(name)  # an unknown map is refused before it takes a place in the queue
+    if frame.options.camera.name is not None:
+        profile = await run_in_threadpool(service.cameras.get, frame.options.camera.name)
+        frame = replace(frame, stored=profile.camera)
     return await service.compute.run(lambda: localize_frame(frame, names, service.localizers, service.settings, clock))
 
 

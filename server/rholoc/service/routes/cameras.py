@@ -1,0 +1,86 @@
+"""Named cameras: intrinsics that requests refer to by name."""
+
+from __future__ import annotations
+
+from fastapi import APIRouter, Response
+from starlette.concurrency import run_in_threadpool
+
+from rholoc.errors import InvalidCamera, InvalidInput, InvalidName, RholocError, StorageFull, UnknownCamera
+from rholoc.geometry import Camera
+from rholoc.maps import CameraLibrary, CameraProfile
+from rholoc.service.errors import InvalidRequest
+from rholoc.service.openapi import failures
+from rholoc.service.schemas import CameraList, CameraProfileIn, CameraProfileOut
+from rholoc.service.state import Service
+
+router = APIRouter(prefix="/v1/cameras", tags=["cameras"])
+
+
+@router.get("", summary="All cameras")
+async def list_cameras(service: Service) -> CameraList:
+    """The stored cameras by name; files that are not cameras are named apart."""
+    return await run_in_threadpool(_list, service.cameras)
+
+
+@router.get(
+    "/{camera}", summary="One camera", responses=failures(UnknownCamera, InvalidName, InvalidCamera, InvalidRequest)
+)
+async def get_camera(camera: str, service: Service) -> CameraProfileOut:
+    """Its intrinsics, and how good they are known to be."""
+    return await run_in_threadpool(_profile, service.cameras, camera)
+
+
+@router.put(
+    "/{camera}",
+    summary="Store a camera",
+    responses={
+        **failures(InvalidName, InvalidCamera, InvalidInput, InvalidRequest, StorageFull),
+        201: {"model": CameraProfileOut, "description": "The camera is new."},
+    },
+)
+async def put_camera(camera: str, given: CameraProfileIn, service: Service, response: Response) -> CameraProfileOut:
+    """Requests that name it use it from now on; maps keep the camera that they were made with."""
+    new = not service.cameras.path(camera).exists()
+    intrinsics = given.model_dump(exclude={"calibration", "distortion"})
+    profile = CameraProfile(Camera(**intrinsics, distortion=tuple(given.distortion)), given.calibration)
+    await run_in_threadpool(service.cameras.put, camera, profile)
+    response.status_code = 201 if new else 200
+    return _out(camera, profile)
+
+
+@router.delete("/{camera}", status_code=204, summary="Delete a camera", responses=failures(UnknownCamera, InvalidName))
+async def delete_camera(camera: str, service: Service) -> None:
+    """For good; maps that were made with it keep it."""
+    await run_in_threadpool(service.cameras.delete, camera)
+
+
+def _list(cameras: CameraLibrary) -> CameraList:
+    found: list[CameraProfileOut] = []
+    unreadable: dict[str, str] = {}
+    for name in cameras.names():
+        try:
+            found.append(_profile(cameras, name))
+        except UnknownCamera:
+            continue  # deleted meanwhile
+        except RholocError as error:
+            unreadable[name] = error.message
+    return CameraList(cameras=found, unreadable=unreadable)
+
+
+def _profile(cameras: CameraLibrary, name: str) -> CameraProfileOut:
+    return _out(name, cameras.get(name))
+
+
+def _out(name: str, profile: CameraProfile) -> CameraProfileOut:
+    camera = profile.camera
+    return CameraProfileOut(
+        name=name,
+        width=camera.width,
+        height=camera.height,
+        fx=camera.fx,
+        fy=camera.fy,
+        cx=camera.cx,
+        cy=camera.cy,
+        distortion=list(camera.distortion),
+        calibration=profile.calibration,
+    )
