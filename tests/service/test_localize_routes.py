@@ -204,3 +204,21 @@ def test_an_error_of_the_services_own_shows_no_traceback(service, picture_world,
     assert answer.json()["request_id"] == answer.headers["X-Request-ID"]
     assert "secret" not in answer.text
     assert "Traceback" not in answer.text
+
+
+def test_the_agreeing_matches_are_told_on_request(service, picture_world):
+    def ask(**options):
+        return httpx.post(
+            f"{service.url}/v1/maps/room/localize",
+            params={"dof": 6, **options},
+            content=picture_world.png(),
+            headers={"Content-Type": "image/png"},
+        ).json()
+
+    assert ask()["agreeing"] is None
+    answer = ask(with_matches=True)
+    pixels, landmarks = np.array(answer["agreeing"]["pixels"]), np.array(answer["agreeing"]["landmarks"])
+    assert len(pixels) == len(landmarks) >= answer["inliers"] > 0
+    T_camera_map = np.linalg.inv(answer["pose"]["T_map_camera"])
+    projected = picture_world.camera.project(landmarks @ T_camera_map[:3, :3].T + T_camera_map[:3, 3])
+    assert np.median(np.linalg.norm(projected - pixels, axis=1)) < 2

@@ -50,3 +50,16 @@ def test_the_preview_is_a_picture(service):
     picture = cv2.imdecode(np.frombuffer(answer.content, np.uint8), cv2.IMREAD_COLOR)
     assert min(picture.shape[:2]) > 500
     assert picture.std() > 5
+
+
+def test_a_scene_is_what_a_viewer_draws(service, picture_world):
+    content = httpx.get(service.url + "/v1/maps/room/scene").content
+    features, views = np.frombuffer(content, "<u4", 2)
+    numbers = np.frombuffer(content, "<f4", offset=8)
+    landmarks, path = np.split(numbers, [4 * features])
+    map_ = picture_world.map_
+    assert (features, views, path.size) == (len(map_), len(map_.view_times), 7 * views)
+    np.testing.assert_array_equal(landmarks.reshape(-1, 4)[:, :3], map_.landmarks)
+    np.testing.assert_allclose(landmarks.reshape(-1, 4)[:, 3], 0.002)
+    np.testing.assert_allclose(path.reshape(-1, 7)[:, :3], map_.view_poses[:, :3])
+    np.testing.assert_allclose(path.reshape(-1, 7)[0, 3:], [*picture_world.pose.heading, 0], atol=1e-6)

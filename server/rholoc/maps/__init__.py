@@ -8,6 +8,7 @@ from rholoc.maps.export import landmark_sigmas, map_to_ply, map_to_vtp
 from rholoc.maps.library import MapLibrary, MapStat, check_map_name
 from rholoc.maps.map import DensityKind, Map, MapInfo
 from rholoc.maps.rho_file import load_map, map_to_bytes, save_map
+from rholoc.maps.scene import map_to_scene
 from rholoc.maps.surfaces import map_surfaces_vtp
 from rholoc.maps.tables import ObservationTable, observations_csv
 from rholoc.maps.trajectory_table import (
@@ -39,6 +40,7 @@ __all__ = [
     "map_surfaces_vtp",
     "map_to_bytes",
     "map_to_ply",
+    "map_to_scene",
     "map_to_vtp",
     "observations_csv",
     "read_coefficient_table",

@@ -16,7 +16,7 @@ from rholoc.localization import Localization, Localizer, Query, Reason
 from rholoc.recordings import decode_image
 from rholoc.service.localizers import Localizers
 from rholoc.service.queries import Frame, camera_for, feature_set, gravity_of, prior_of
-from rholoc.service.schemas import LocalizationOut, PoseOut
+from rholoc.service.schemas import LocalizationOut, MatchesOut, PoseOut
 from rholoc.service.settings import Settings
 from rholoc.trajectory import Scale
 
@@ -73,7 +73,7 @@ def localize_frame(
     if best is None:
         assert refused is not None
         raise refused
-    return _answer(*best, clock)
+    return _answer(*best, clock, frame.options.with_matches)
 
 
 class _Features:
@@ -137,7 +137,9 @@ def _too_late() -> Localization:
     return Localization(False, Reason.DEADLINE, None, None, 0.0, 0, 0, np.zeros((0, 2)), nothing)
 
 
-def _answer(name: str, localizer: Localizer, found: Localization, clock: Stopwatch) -> LocalizationOut:
+def _answer(
+    name: str, localizer: Localizer, found: Localization, clock: Stopwatch, with_matches: bool
+) -> LocalizationOut:
     info = localizer.map.info
     total_ms = 1000 * clock.elapsed_s
     stages = dict.fromkeys(("queue", "decode", "extract", "match", "seed", "ascend", "verify"), 0.0)
@@ -155,8 +157,14 @@ def _answer(name: str, localizer: Localizer, found: Localization, clock: Stopwat
         map_id=info.id,
         map_version=info.version,
         scale=Scale.METRIC if info.metric else Scale.ARBITRARY,
+        agreeing=_agreeing(localizer, found) if with_matches else None,
         timings_ms={stage: round(value, 3) for stage, value in timings_ms.items()},
     )
+
+
+def _agreeing(localizer: Localizer, found: Localization) -> MatchesOut:
+    landmarks = localizer.map.landmarks[found.inlier_features]
+    return MatchesOut(pixels=found.inlier_pixels.round(1).tolist(), landmarks=landmarks.round(4).tolist())
 
 
 def _pose(pose: Pose) -> PoseOut:

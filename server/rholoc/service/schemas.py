@@ -143,6 +143,7 @@ class LocalizeOptions(_In):
     prior: PriorIn | None = None
     gravity: Vector3 | None = Field(default=None, description="the direction of gravity (down) in the camera frame")
     deadline_ms: float | None = Field(default=None, gt=0, le=600_000, description="how long the answer may take")
+    with_matches: bool = Field(default=False, description="whether the answer tells which matches agree with the pose")
 
 
 class FeaturesIn(_In):
@@ -198,6 +199,13 @@ class PoseOut(_Out):
     T_map_camera: list[list[float]] = Field(description="4×4, takes points of the camera frame to the map frame")
 
 
+class MatchesOut(_Out):
+    """The matches that agree with a pose: one entry of each list per match."""
+
+    pixels: list[list[float]] = Field(description="u and v of the feature in the frame, px")
+    landmarks: list[list[float]] = Field(description="x, y, z of the landmark in the map, m")
+
+
 class LocalizationOut(_Out):
     """The answer for one frame. ``localized`` false is an answer, not an error."""
 
@@ -222,6 +230,7 @@ class LocalizationOut(_Out):
                 "map_id": _MAP_ID,
                 "map_version": 1,
                 "scale": "metric",
+                "agreeing": None,
                 "timings_ms": {
                     "queue": 0.1, "decode": 2.1, "extract": 11.0, "match": 9.5, "seed": 14.2, "ascend": 20.3,
                     "verify": 1.7, "total": 59.4,
@@ -243,6 +252,7 @@ class LocalizationOut(_Out):
     map_id: str
     map_version: int
     scale: Scale = Field(description="'arbitrary': the map's unit of length is not the metre")
+    agreeing: MatchesOut | None = Field(description="the matches behind `inliers`, where `with_matches` asks for them")
     timings_ms: dict[str, float] = Field(
         description="queue, decode, extract, match, seed, ascend, verify, total: milliseconds"
     )
@@ -260,6 +270,7 @@ _SUMMARY: JsonDict = {
     "landmarks": 5120,
     "views": 60,
     "size_bytes": 480_000,
+    "expected_error_m": 0.014,
     "camera": _CAMERA,
 }
 
@@ -280,6 +291,9 @@ class MapSummary(_Out):
     landmarks: int = Field(description="how many features it holds")
     views: int = Field(description="how many keyframes it was seen from")
     size_bytes: int
+    expected_error_m: float | None = Field(
+        description="the median error of the frames that were held out of it, m; null where none were"
+    )
     camera: CameraIn
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import uuid
 from collections.abc import Mapping
 from pathlib import Path
@@ -31,7 +32,16 @@ from rholoc.features import get_extractor
 from rholoc.geometry import Camera
 from rholoc.jobs import JobKind, JobOptions
 from rholoc.mapping import ExportFormat, check_memory, export_map, forget_recording, merge_maps, parse_features
-from rholoc.maps import Map, MapLibrary, check_map_name, is_coefficient_table, load_map, read_coefficient_table
+from rholoc.maps import (
+    Map,
+    MapInfo,
+    MapLibrary,
+    check_map_name,
+    is_coefficient_table,
+    load_map,
+    map_to_scene,
+    read_coefficient_table,
+)
 from rholoc.maps.preview import preview_png
 from rholoc.maps.report_picture import report_png
 from rholoc.service.bodies import save_body
@@ -220,6 +230,22 @@ async def forget_source(map_name: str, wanted: ForgetIn, service: Service) -> Ma
 
 
 @router.get(
+    "/{map_name}/scene",
+    summary="A map for a 3-D view",
+    response_class=Response,
+    responses={
+        200: {"description": "Landmarks and views.", "content": {"application/octet-stream": {"schema": BINARY}}},
+        **failures(*_FAILURES),
+    },
+)
+async def get_scene(map_name: str, service: Service) -> Response:
+    """Little-endian: two uint32, the numbers F of landmarks and K of views; F × 4 float32: x, y, z, standard deviation;
+    K × 7 float32: x, y, z, heading, the number of the recording. Lengths in metres."""
+    map_ = await run_in_threadpool(service.library.get, map_name)
+    return Response(await run_in_threadpool(map_to_scene, map_), media_type="application/octet-stream")
+
+
+@router.get(
     "/{map_name}/preview.png",
     summary="A map from above",
     response_class=Response,
@@ -273,8 +299,16 @@ def _summary(library: MapLibrary, name: str) -> dict[str, object]:
         "landmarks": len(map_),
         "views": len(map_.view_times),
         "size_bytes": library.stat(name).size_bytes,
+        "expected_error_m": _expected_error_m(info),
         "camera": _camera(info.camera),
     }
+
+
+def _expected_error_m(info: MapInfo) -> float | None:
+    """What the report says; it came with the file, and may say anything."""
+    held_out = info.report.get("held_out")
+    median = held_out.get("median_m") if isinstance(held_out, dict) else None
+    return float(median) if info.metric and isinstance(median, int | float) and math.isfinite(median) else None
 
 
 def _detail(library: MapLibrary, name: str) -> MapDetail:
