@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -44,6 +45,14 @@ def print_error(message: str, hint: str = "") -> None:
 def print_notice(text: str) -> None:
     """Print one line on standard error, not wrapped and without markup."""
     notices.print(" ".join(text.split()), markup=False, soft_wrap=True)
+
+
+def print_qr_code(text: str) -> None:
+    """Print a text as a QR code, where standard error is a terminal that a camera can be held to."""
+    if notices.is_terminal:
+        import segno
+
+        segno.make(text, error="l", micro=False).terminal(out=sys.stderr, compact=True)
 
 
 def print_figures(title: str, figures: Mapping[str, str]) -> None:

@@ -8,13 +8,14 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from rholoc.cli.console import print_notice
+from rholoc.cli.console import print_notice, print_qr_code
 from rholoc.errors import Conflict, InvalidInput
 
 if TYPE_CHECKING:
     from rholoc.service import Settings
 
 _BACKLOG = 2048
+_EVERYWHERE = "0.0.0.0"
 
 Maps = Annotated[
     Path | None, typer.Option("--maps", metavar="DIR", help="The folder of maps; default: RHOLOC_MAPS_DIR or maps.")
@@ -35,9 +36,14 @@ def serve(
     maps: Maps = None,
     data: Data = None,
     no_worker: Annotated[bool, typer.Option("--no-worker", help="Leave mapping jobs to rholoc worker.")] = False,
+    tls: Annotated[
+        bool, typer.Option("--tls", help="HTTPS, which phones' cameras need; listens on all addresses unless told.")
+    ] = False,
 ) -> None:
     """Serve maps over HTTP, and work on mapping jobs beside."""
     settings = service_settings(host=host, port=port, maps_dir=maps, data_dir=data, worker=False if no_worker else None)
+    if tls and "host" not in settings.model_fields_set:
+        settings = settings.model_copy(update={"host": _EVERYWHERE})
     import uvicorn
 
     from rholoc.service import create_app
@@ -47,12 +53,32 @@ def serve(
     with _listening_socket(settings.host, settings.port) as listener:
         server = uvicorn.Server(uvicorn.Config(create_app(settings), log_level="warning", backlog=_BACKLOG))
         port = listener.getsockname()[1]
-        print_notice(f"Serving the maps of {settings.maps_dir} at http://{settings.host}:{port} (the API: /docs).")
+        where = f"http://{settings.host}:{port}"
+        if tls:
+            config.ssl_certfile, where = _https(settings, port)
+        server = uvicorn.Server(config)
+        print_notice(f"Serving the maps of {settings.maps_dir} at {where} (the API: /docs).")
         if keys_needed(settings.keys, settings.host) and not KeyStore(settings.data_dir).keys():
             print_notice("It asks for API keys, and there is none yet: rholoc key create NAME --scope admin")
         server.run(sockets=[listener])
     if not server.started:
         raise InvalidInput("The server did not start.", "The lines above say why.")
+
+
+def _https(settings: Settings, port: int) -> tuple[Path, str]:
+    """The server's certificate, and the address at which it is reached; shows the recorder's, as a QR code too."""
+    from rholoc.service.certificates import addresses, server_certificate
+
+    everywhere = settings.host in (_EVERYWHERE, "::")
+    hosts = (*addresses(), "127.0.0.1") if everywhere else (settings.host,)
+    name = socket.gethostname()
+    names = dict.fromkeys((*hosts, "127.0.0.1", "::1", "localhost", name, f"{name.removesuffix('.local')}.local"))
+    certificate = server_certificate(settings.data_dir, tuple(names))
+    where = f"https://{f'[{hosts[0]}]' if ':' in hosts[0] else hosts[0]}:{port}"
+    print_notice(f"Record with a phone at {where}/record")
+    print_qr_code(f"{where}/record")
+    print_notice(f"Phones warn of its certificate until they trust {certificate.authority}")
+    return certificate.path, where
 
 
 def worker(maps: Maps = None, data: Data = None) -> None:
