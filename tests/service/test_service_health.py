@@ -8,7 +8,11 @@ import httpx
 import structlog
 
 from rholoc import __version__
+from rholoc.jobs.database import open_database
+from rholoc.jobs.table import WorkerTable
 from rholoc.service.logs import configure_logs
+
+_NO_WORKER = "no worker is running; jobs wait for one"
 
 
 def test_alive(service):
@@ -21,7 +25,7 @@ def test_ready_says_what_is_not(serve):
     assert answer.status_code == 200
     assert answer.json() == {
         "ready": True,
-        "checks": dict.fromkeys(("maps", "data", "jobs", "worker", "compute"), "ok"),
+        "checks": {**dict.fromkeys(("maps", "data", "jobs", "compute"), "ok"), "worker": _NO_WORKER},
     }
     running.settings.maps_dir.rmdir()
     answer = httpx.get(running.url + "/readyz")
@@ -30,6 +34,15 @@ def test_ready_says_what_is_not(serve):
     assert answer.json()["checks"]["maps"] == "the folder is missing"
     assert httpx.get(running.url + "/healthz").status_code == 200
     running.settings.maps_dir.mkdir()
+
+
+def test_workers_elsewhere_are_told_of(serve):
+    running = serve()
+    workers = WorkerTable(open_database(running.settings.data_dir))
+    workers.beat("elsewhere-1")
+    assert httpx.get(running.url + "/readyz").json()["checks"]["worker"] == "ok"
+    workers.remove("elsewhere-1")
+    assert httpx.get(running.url + "/readyz").json()["checks"]["worker"] == _NO_WORKER
 
 
 def test_no_other_site_may_call_from_a_browser(service):

@@ -12,6 +12,7 @@ from dbos import DBOS
 from sqlalchemy.exc import OperationalError
 from sqlalchemy.schema import CreateTable
 
+from rholoc.errors import InvalidInput
 from rholoc.jobs.disk import storage_full, telling_full_disk
 
 _BUSY_TIMEOUT_MS = 30_000
@@ -58,21 +59,49 @@ def open_database(data_dir: Path, database_url: str | None = None) -> sa.Engine:
 
     Raises:
         StorageFull: the disk is full.
+        InvalidInput: the URL is none, or there is no such database to connect to.
     """
     with telling_full_disk():
         Path(data_dir).mkdir(parents=True, exist_ok=True)
-    url = sa.make_url(database_url or f"sqlite:///{Path(data_dir).resolve() / 'jobs.sqlite'}")
-    if url.get_backend_name() == "postgresql":
-        url = url.set(drivername="postgresql+psycopg")
+    if database_url is None:
+        url = sa.make_url(f"sqlite:///{Path(data_dir).resolve() / 'jobs.sqlite'}")
+    else:
+        url = _postgres_url(database_url)
     engine = sa.create_engine(url, pool_pre_ping=True)
-    if url.get_backend_name() == "sqlite":
+    if database_url is None:
         sa.event.listen(engine, "connect", _prepare_sqlite)
+    else:
+        _check_connection(engine)
     with telling_full_database():
         DBOS.migrate(url.render_as_string(hide_password=False))
         with engine.begin() as connection:
             for table in _metadata.sorted_tables:
                 connection.execute(CreateTable(table, if_not_exists=True))
     return engine
+
+
+def _postgres_url(text: str) -> sa.URL:
+    try:
+        url = sa.make_url(text)
+    except sa.exc.ArgumentError:
+        url = None
+    if url is None or url.get_backend_name() not in ("postgresql", "postgres"):
+        raise InvalidInput(  # without the text: it may hold a password
+            "RHOLOC_DATABASE_URL is not the address of a Postgres database.",
+            "Give postgresql://user:password@host:port/name, or nothing for an SQLite file.",
+        )
+    return url.set(drivername="postgresql+psycopg")
+
+
+def _check_connection(engine: sa.Engine) -> None:
+    try:
+        engine.connect().close()
+    except OperationalError as error:
+        where = f"{engine.url.host or 'this machine'}, database {engine.url.database}"
+        reason = str(error.orig).strip().splitlines()[-1].strip()
+        raise InvalidInput(
+            f"The database of jobs at {where} cannot be reached: {reason}.", "Check RHOLOC_DATABASE_URL."
+        ) from error
 
 
 @contextmanager

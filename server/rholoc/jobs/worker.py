@@ -24,7 +24,7 @@ from rholoc.jobs.disk import is_full, storage_full, telling_full_disk
 from rholoc.jobs.pipeline import MappingPipeline, MappingTask, Pipeline
 from rholoc.jobs.queue import APPLICATION, APPLICATION_VERSION, QUEUE_NAME, WORKFLOW_NAME, open_client
 from rholoc.jobs.recording_store import RecordingStore
-from rholoc.jobs.table import Failure, JobTable, JobWork, Lease, WorkerTable
+from rholoc.jobs.table import DEAD_AFTER_S, Failure, JobTable, JobWork, Lease, WorkerTable
 
 _log = logging.getLogger("rholoc.jobs")
 
@@ -44,7 +44,7 @@ class Timing:
 
     poll_s: float = 0.5
     heartbeat_s: float = 2.0
-    dead_after_s: float = 15.0
+    dead_after_s: float = DEAD_AFTER_S
     cancel_grace_s: float = 1.0
 
 

@@ -24,9 +24,12 @@ async def healthz() -> Health:
 
 @router.get("/readyz", summary="Whether the service can do its work", responses={503: {"model": Readiness}})
 async def readyz(service: Service, response: Response) -> Readiness:
-    """200 when maps can be read, uploads stored, jobs queued and frames localized; else 503 and what is not ready."""
+    """200 when maps can be read, uploads stored, jobs queued and frames localized; else 503 and what is not ready.
+
+    Workers apart from the server are told of, but a server without any is ready: the jobs wait."""
     checks = await run_in_threadpool(_checks, service)
-    ready = all(check == _OK for check in checks.values())
+    needed = checks.keys() - (set() if service.settings.worker else {"worker"})
+    ready = all(checks[name] == _OK for name in needed)
     response.status_code = 200 if ready else 503
     return Readiness(ready=ready, checks=checks)
 
@@ -36,7 +39,7 @@ def _checks(service: State) -> dict[str, str]:
         "maps": _folder(service.settings.maps_dir),
         "data": _folder(service.settings.data_dir),
         "jobs": _jobs(service),
-        "worker": _OK if service.worker is None or service.worker.running else "the worker is starting again",
+        "worker": _worker(service),
         "compute": "the queue is full" if service.compute.full else _OK,
     }
 
@@ -47,9 +50,23 @@ def _folder(folder: Path) -> str:
     return _OK if os.access(folder, os.R_OK | os.W_OK | os.X_OK) else "the folder cannot be read and written"
 
 
+def _worker(service: State) -> str:
+    if service.worker is not None:
+        return _OK if service.worker.running else "the worker is starting again"
+    try:
+        return _OK if service.jobs.has_worker() else "no worker is running; jobs wait for one"
+    except Exception as error:
+        return _unanswered(error)
+
+
 def _jobs(service: State) -> str:
     try:
         service.jobs.list()
-    except Exception as error:  # whatever the database's driver raises means the same here
-        return f"the job queue does not answer ({type(error).__name__})"
+    except Exception as error:
+        return _unanswered(error)
     return _OK
+
+
+def _unanswered(error: Exception) -> str:
+    """Whatever the database's driver raises, it means the same here."""
+    return f"the job queue does not answer ({type(error).__name__})"

@@ -1,0 +1,80 @@
+"""The database of jobs: Postgres by URL, or told in one line why not."""
+
+from __future__ import annotations
+
+import os
+import pwd
+import shutil
+import signal
+import subprocess
+import tempfile
+from pathlib import Path
+
+import pytest
+
+from rholoc.errors import InvalidInput
+from rholoc.jobs import JobQueue
+from rholoc_client import Client, JobFailed
+
+
+def _program(name):
+    """Where a program of Postgres is; Debian keeps most of them off the path."""
+    found = shutil.which(name) or next(map(str, Path("/usr/lib/postgresql").glob(f"*/bin/{name}")), None)
+    return found or pytest.skip("Postgres is not installed")
+
+
+@pytest.fixture(scope="module")
+def postgres_url():
+    """A Postgres of our own, on a socket in a folder of its own. It refuses to run as root."""
+    user = "postgres" if os.geteuid() == 0 else None
+    initdb, postgres = _program("initdb"), _program("postgres")
+    folder = Path(tempfile.mkdtemp(prefix="rholoc-postgres-"))  # pytest's own folders are closed to other users
+    if user is not None:
+        account = pwd.getpwnam(user)
+        os.chown(folder, account.pw_uid, account.pw_gid)
+    cluster = folder / "cluster"
+    options = {"user": user, "cwd": folder, "stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    arguments = ["-U", "postgres", "-A", "trust", "-E", "UTF8", "--no-locale", "-N", "-D", str(cluster)]
+    subprocess.run([initdb, *arguments], check=True, **options)
+    quick = ["-c", "listen_addresses=", "-c", "fsync=off", "-k", str(folder)]
+    server = subprocess.Popen([postgres, "-D", str(cluster), *quick], **options)
+    while (
+        not (folder / ".s.PGSQL.5432").exists()
+        or subprocess.run([_program("pg_isready"), "-q", "-h", str(folder)], check=False).returncode
+    ):
+        assert server.poll() is None, "Postgres did not start"
+    yield f"postgresql://postgres@/postgres?host={folder}"
+    server.send_signal(signal.SIGINT)  # at once, whoever is connected
+    server.wait(30)
+    shutil.rmtree(folder)
+
+
+@pytest.mark.slow
+def test_jobs_are_kept_in_postgres_and_worked_on(postgres_url, serve, tmp_path):
+    running = serve(worker=True, database_url=postgres_url)
+    (tmp_path / "walk.mp4").write_bytes(b"\0\0\0\x18ftypmp42" + b"no frames" * 100)
+    with Client(running.url) as client:
+        job = client.upload_recording(tmp_path / "walk.mp4", "hall")
+        with pytest.raises(JobFailed) as caught:
+            client.wait_for_job(job.id, timeout_s=120, poll_s=0.1)
+        assert caught.value.code == "invalid_recording"
+    assert not (running.settings.data_dir / "jobs.sqlite").exists()
+    queue = JobQueue(tmp_path, postgres_url)
+    assert [one.id for one in queue.list()] == [job.id]
+    assert queue.has_worker()
+    queue.close()
+
+
+def test_a_database_that_is_not_there_is_told_in_one_line(tmp_path):
+    with pytest.raises(InvalidInput) as caught:
+        JobQueue(tmp_path, f"postgresql://jobs:secret@/jobs?host={tmp_path}")
+    assert "cannot be reached" in caught.value.message
+    assert "\n" not in caught.value.message
+    assert "secret" not in str(caught.value)
+
+
+@pytest.mark.parametrize("url", ["jobs:secret", "mysql://jobs:secret@localhost/jobs", "://"])
+def test_what_is_no_address_of_a_database_is_refused(tmp_path, url):
+    with pytest.raises(InvalidInput, match="not the address of a Postgres database") as caught:
+        JobQueue(tmp_path, url)
+    assert "secret" not in str(caught.value)
