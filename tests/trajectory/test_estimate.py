@@ -120,6 +120,7 @@ def test_synthetic_features_give_back_the_poses() -> None:
     turned = np.swapaxes(aligned[:, :3, :3], 1, 2) @ truth[:, :3, :3]
     assert rotation_angles_deg(turned).max() < 0.3
     assert model.reprojection_error_px < 0.6
+    np.testing.assert_allclose(model.parameters, [500, 500, 320, 240])  # what is known stays as it is
 
 
 def test_an_unknown_camera_is_estimated() -> None:

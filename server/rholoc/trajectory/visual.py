@@ -182,6 +182,7 @@ def _colmap_camera(
         return model, [f.pixels.astype(np.float64) + 0.5 for f in features]
     parameters = [camera.fx, camera.fy, camera.cx + 0.5, camera.cy + 0.5]
     model = pycolmap.Camera(model="PINHOLE", width=width, height=height, params=parameters)
+    model.has_prior_focal_length = True  # else COLMAP tries other focal lengths when it places an image
     centre, focal_px = np.array(parameters[2:]), np.array(parameters[:2])
     return model, [camera.undistort(f.pixels) * focal_px + centre for f in features]
 
