@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 from rholoc import __version__
-from rholoc.cli import compare, demo, evaluate, keys, localize, maps, serve, simulate
+from rholoc.cli import cameras, compare, demo, evaluate, keys, localize, maps, recordings, serve, simulate
 from rholoc.cli.console import print_error
 from rholoc.errors import RholocError
 
@@ -31,6 +31,8 @@ app.command()(serve.serve)
 app.command()(serve.worker)
 app.command()(simulate.simulate)
 app.add_typer(maps.app, name="map")
+app.add_typer(cameras.app, name="camera")
+app.add_typer(recordings.app, name="recording")
 app.add_typer(keys.app, name="key")
 app.command()(localize.localize)
 app.command()(evaluate.evaluate)

@@ -12,15 +12,17 @@ from pathlib import Path
 from rholoc.errors import InvalidRecording
 from rholoc.geometry import Camera
 from rholoc.recordings.archive import DEFAULT_MAX_BYTES, unpack
+from rholoc.recordings.checks import whole_warnings
 from rholoc.recordings.readers import read_folder
-from rholoc.recordings.recording import Recording
+from rholoc.recordings.recording import Recording, RecordingFormat
 from rholoc.recordings.selection import parse_frame_slice, select_frames
 from rholoc.recordings.video import VIDEO_SUFFIXES, read_video
 from rholoc.recordings.waypoints import read_waypoints_csv
 
 _KNOWN = (
     "Known are: a video (" + ", ".join(sorted(VIDEO_SUFFIXES)) + "); a folder with images whose names end in a number; "
-    "a folder or .zip with video.mp4 or frames/, and with imu.csv, frames.csv, waypoints.csv, camera.json or not."
+    "a folder or .zip with video.mp4 or frames/, and with imu.csv, frames.csv, waypoints.csv, camera.json or not; and "
+    "those of recorder apps and datasets, which maps/README.md lists."
 )
 
 
@@ -32,7 +34,7 @@ def read_recording(
     workdir: Path | None = None,
     max_unpacked_bytes: int = DEFAULT_MAX_BYTES,
 ) -> Recording:
-    """Read a recording: a video, a folder of images, or rholoc's own folder or ZIP file.
+    """Read a recording: a video, a folder of images, or a folder or ZIP file of any format of ``RecordingFormat``.
 
     Args:
         path: the file or folder.
@@ -53,6 +55,7 @@ def read_recording(
         StorageFull: no room to unpack a ZIP file.
     """
     recording = _read(path, workdir, max_unpacked_bytes)
+    recording = replace(recording, warnings=(*recording.warnings, *whole_warnings(recording)))
     if frames is not None:
         recording = select_frames(recording, parse_frame_slice(frames))
     if camera is not None:
@@ -71,7 +74,7 @@ def _read(path: Path, workdir: Path | None, max_unpacked_bytes: int) -> Recordin
     if path.is_dir():
         return read_folder(path)
     if suffix in VIDEO_SUFFIXES:
-        return Recording(name=path.stem, path=path, frames=read_video(path))
+        return Recording(name=path.stem, path=path, frames=read_video(path), format=RecordingFormat.VIDEO)
     if suffix == ".zip":
         return _read_zip(path, workdir, max_unpacked_bytes)
     raise InvalidRecording(f"{path.name} is not a recording of a known format.", _KNOWN)

@@ -1,0 +1,42 @@
+"""What is amiss in a whole recording, whatever its format."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from rholoc.geometry import FloatArray
+from rholoc.recordings.imu_normalisation import gap_rows
+from rholoc.recordings.recording import Imu, Recording, RecordingWarning, WarningKind
+
+_MARGIN_S = 0.5  # frames before and after the IMU's table that do not matter
+
+
+def whole_warnings(recording: Recording) -> tuple[RecordingWarning, ...]:
+    """Gaps between frames, and frames that the IMU does not cover."""
+    found = list(_frame_gaps(recording.frames.times))
+    if recording.imu is not None:
+        found += _uncovered(recording.frames.times, recording.imu)
+    return tuple(found)
+
+
+def _frame_gaps(times: FloatArray) -> tuple[RecordingWarning, ...]:
+    gaps = gap_rows(times)
+    if len(gaps) == 0:
+        return ()
+    longest_s = float(np.diff(times)[gaps].max())
+    text = f"There are {len(gaps)} gaps between frames, the longest {longest_s:.2f} s; the path may break there."
+    return (RecordingWarning(WarningKind.FRAME_GAP, text),)
+
+
+def _uncovered(times: FloatArray, imu: Imu) -> tuple[RecordingWarning, ...]:
+    covered = (times >= imu.times[0] - _MARGIN_S) & (times <= imu.times[-1] + _MARGIN_S)
+    if covered.all():
+        return ()
+    if covered.any():
+        text = f"The IMU covers {covered.mean():.0%} of the frames; the rest is placed by the images alone."
+    else:
+        text = (
+            f"IMU and frames have no common time: {imu.times[0]:.3f}–{imu.times[-1]:.3f} s and "
+            f"{times[0]:.3f}–{times[-1]:.3f} s; the IMU is of no use."
+        )
+    return (RecordingWarning(WarningKind.NO_OVERLAP, text),)

@@ -1,0 +1,94 @@
+"""All that can be told of a recording without making a map of it, as JSON."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+
+from rholoc.geometry import FloatArray
+from rholoc.recordings.coaching import advise
+from rholoc.recordings.recording import FrameSource, GivenPoses, Imu, Recording
+from rholoc.recordings.stillness import pauses
+from rholoc.recordings.walk_figures import look_through, measure_walk
+
+
+def describe_recording(recording: Recording) -> dict[str, Any]:
+    """Format, frames, camera, IMU, waypoints, poses, what is amiss, what was measured of the walk, and advice.
+
+    A few frames are decoded to measure light and texture.
+
+    Raises:
+        InvalidRecording: a frame cannot be decoded.
+    """
+    times, T_map_camera = _known_poses(recording)
+    figures = measure_walk(recording, look_through(recording.frames), times, T_map_camera)
+    return {
+        "name": recording.name,
+        "format": recording.format.value,
+        "frames": _frames(recording.frames),
+        "camera": None if recording.camera is None else asdict(recording.camera),
+        "frame_intrinsics": _logged(recording.frame_intrinsics),
+        "readout_ms": None if recording.readout_s is None else 1000 * recording.readout_s,
+        "imu": None if recording.imu is None else _imu(recording.imu),
+        "waypoints": [asdict(waypoint) for waypoint in recording.waypoints],
+        "poses": None if recording.poses is None else _poses(recording.poses),
+        "warnings": [asdict(warning) for warning in recording.warnings],
+        "figures": figures.to_json(),
+        "advice": [advice.to_json() for advice in advise(figures)],
+    }
+
+
+def _known_poses(recording: Recording) -> tuple[FloatArray, FloatArray]:
+    if recording.poses is None:
+        return np.zeros(0), np.zeros((0, 4, 4))
+    known = recording.poses.known
+    return recording.frames.times[known], recording.poses.T_map_camera[known]
+
+
+def _frames(frames: FrameSource) -> dict[str, Any]:
+    steps = np.diff(frames.times)
+    width, height = frames.size
+    return {
+        "count": len(frames.times),
+        "numbers": [int(frames.numbers[0]), int(frames.numbers[-1])],
+        "width": width,
+        "height": height,
+        "start_s": float(frames.times[0]),
+        "end_s": float(frames.times[-1]),
+        "rate_hz": 1 / float(np.median(steps)) if len(steps) else None,
+        "longest_interval_s": float(steps.max()) if len(steps) else None,
+    }
+
+
+def _logged(frame_intrinsics: FloatArray | None) -> dict[str, list[float] | None] | None:
+    """The least and the greatest of fx, fy, cx and cy, in pixels."""
+    if frame_intrinsics is None:
+        return None
+    spans: dict[str, list[float] | None] = {}
+    for name, values in zip(("fx", "fy", "cx", "cy"), frame_intrinsics.T, strict=True):
+        known = values[np.isfinite(values)]
+        spans[name] = [float(known.min()), float(known.max())] if len(known) else None
+    return spans
+
+
+def _imu(imu: Imu) -> dict[str, Any]:
+    steps = np.diff(imu.times)
+    return {
+        "rows": len(imu.times),
+        "start_s": float(imu.times[0]),
+        "end_s": float(imu.times[-1]),
+        "rate_hz": 1 / float(np.median(steps)) if len(steps) else None,
+        "longest_interval_s": float(steps.max()) if len(steps) else None,
+        "includes_gravity": imu.includes_gravity,
+        "force_median_m_s2": float(np.median(np.linalg.norm(imu.acceleration, axis=1))),
+        "mounting_known": imu.R_camera_imu is not None,
+        "pauses_s": pauses(imu).tolist(),
+    }
+
+
+def _poses(poses: GivenPoses) -> dict[str, Any]:
+    positions = poses.T_map_camera[poses.known, :3, 3]
+    path = float(np.linalg.norm(np.diff(positions, axis=0), axis=1).sum())
+    return {"known": int(poses.known.sum()), "metric": poses.metric, "path_length": path}

@@ -1,0 +1,120 @@
+"""What a recording shows of how it was walked, measured for :mod:`rholoc.recordings.coaching`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from rholoc.geometry import ByteArray, FloatArray
+from rholoc.recordings.coaching import WalkFigures
+from rholoc.recordings.missing_images import MissingImages
+from rholoc.recordings.recording import FrameSource, Imu, Recording, Waypoint
+from rholoc.recordings.stillness import pauses
+
+_LOOKED_AT = 25  # frames
+_LOOK_WIDTH_PX = 640
+_CORNER_CONTRAST = 20  # grey levels
+_FEW_CORNERS = 100
+_TURN_PERCENTILE = 90.0
+_TURN_INTERVAL_S = 0.1  # poses nearer in time have more noise than turn between them
+_MOST_POSES = 400
+_SAME_WAY_DEG = 60.0
+_PAUSE_TOLERANCE_S = 0.5
+
+
+@dataclass(frozen=True)
+class Look:
+    """What one frame shows: its mean grey level, 0 to 255, and how many corners of a fixed contrast."""
+
+    brightness: float
+    corners: int
+
+
+def look_at(image: ByteArray) -> Look:
+    """Measure an image (H, W, 3) BGR, at most 640 pixels wide."""
+    gray = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
+    height, width = gray.shape
+    if width > _LOOK_WIDTH_PX:
+        size = (_LOOK_WIDTH_PX, round(height * _LOOK_WIDTH_PX / width))
+        gray = cv2.resize(gray, size, interpolation=cv2.INTER_AREA)
+    return Look(float(gray.mean()), len(cv2.FastFeatureDetector.create(_CORNER_CONTRAST).detect(gray)))
+
+
+def look_through(frames: FrameSource) -> list[Look]:
+    """Measure frames spread evenly over a recording; none where there are no images.
+
+    Raises:
+        InvalidRecording: a frame cannot be decoded.
+    """
+    if isinstance(frames, MissingImages):
+        return []
+    rows = np.unique(np.linspace(0, len(frames.times) - 1, _LOOKED_AT).astype(np.int64))
+    return [look_at(image) for image in frames.images(rows.tolist())]
+
+
+def measure_walk(
+    recording: Recording, looks: Sequence[Look], times: FloatArray, T_map_camera: FloatArray
+) -> WalkFigures:
+    """The figures of a walk, from its IMU, from what frames show, and from poses (N, 4, 4) at times (N,), if any."""
+    imu = recording.imu
+    return WalkFigures(
+        turn_deg_s=_turn_of_poses(times, T_map_camera) if imu is None else _turn_of_imu(imu, recording.frames.times),
+        brightness=float(np.median([look.brightness for look in looks])) if looks else None,
+        bare_share=float(np.mean([look.corners < _FEW_CORNERS for look in looks])) if looks else None,
+        pauses=None if imu is None or not recording.waypoints else _rested_at(recording.waypoints, imu),
+        waypoints=len(recording.waypoints),
+        nearest_return=nearest_return(T_map_camera),
+    )
+
+
+def nearest_return(T_map_camera: FloatArray) -> float | None:
+    """How near a walk's second half comes to its first, as a share of the way between the two places.
+
+    Pairs of poses count that have half of the whole way between them and look the same way within 60°; without one, 1.
+    None for fewer than three poses, or where the camera does not move. Free of the unit of length.
+    """
+    T = T_map_camera[:: max(1, len(T_map_camera) // _MOST_POSES)]
+    if len(T) < 3:
+        return None
+    positions = T[:, :3, 3]
+    way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(positions, axis=0), axis=1))])
+    if way[-1] <= 0:
+        return None
+    between = way[None, :] - way[:, None]
+    apart = np.linalg.norm(positions[None, :] - positions[:, None], axis=2)
+    same_way = T[:, :3, 2] @ T[:, :3, 2].T > np.cos(np.radians(_SAME_WAY_DEG))
+    pairs = (between >= way[-1] / 2) & same_way
+    return float((apart[pairs] / between[pairs]).min(initial=1.0))
+
+
+def _turn_of_imu(imu: Imu, times: FloatArray) -> float | None:
+    """While there are frames, at ``times`` (N,)."""
+    rows = (imu.times >= times[0]) & (imu.times <= times[-1])
+    if not rows.any():
+        return None
+    speeds = np.linalg.norm(imu.angular_velocity[rows], axis=1)
+    return float(np.degrees(np.percentile(speeds, _TURN_PERCENTILE)))
+
+
+def _turn_of_poses(times: FloatArray, T_map_camera: FloatArray) -> float | None:
+    """By poses at least a tenth of a second apart."""
+    if len(times) < 2:
+        return None
+    later = np.searchsorted(times, times + _TURN_INTERVAL_S)
+    rows = np.flatnonzero(later < len(times))
+    if len(rows) == 0:
+        return None
+    R = Rotation.from_matrix(T_map_camera[:, :3, :3])
+    turned = (R[rows].inv() * R[later[rows]]).magnitude()
+    return float(np.degrees(np.percentile(turned / (times[later[rows]] - times[rows]), _TURN_PERCENTILE)))
+
+
+def _rested_at(waypoints: Sequence[Waypoint], imu: Imu) -> int:
+    """How many of the waypoints lie in a pause."""
+    begin, end = pauses(imu).T
+    begin, end = begin - _PAUSE_TOLERANCE_S, end + _PAUSE_TOLERANCE_S
+    return sum(bool(np.any((begin <= waypoint.time) & (waypoint.time <= end))) for waypoint in waypoints)
