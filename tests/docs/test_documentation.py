@@ -14,7 +14,7 @@ import typer.main
 from rholoc import __version__
 from rholoc.cli import app
 from rholoc.features import extractor_names
-from rholoc.mapping import BuildOptions
+from rholoc.mapping import BuildOptions, ExportFormat
 from rholoc.maps import DensityKind
 from rholoc.simulation import Light
 from rholoc.trajectory import PoseMethod
@@ -117,6 +117,7 @@ def test_defaults_are_told_as_they_are() -> None:
         (("map", "build"), "density", list(DensityKind)),
         (("map", "build"), "poses", list(PoseMethod)),
         (("map", "build"), "features", extractor_names()),
+        (("map", "export"), "to", list(ExportFormat)),
         (("simulate",), "light", list(Light)),
     ],
 )

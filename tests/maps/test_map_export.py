@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import io
+import subprocess
+import sys
 from dataclasses import replace
 from xml.etree import ElementTree
 
@@ -70,6 +72,11 @@ def test_the_picture_shows_landmarks_path_and_waypoints(room_map: Map) -> None:
     assert marked.sum() > 100
     assert (np.abs(bare - (0xD1, 0x49, 0x5B)).sum(axis=2) < 12).sum() == 0
     assert (with_all.sum(axis=2) < 600).mean() > 0.005
+
+
+def test_matplotlib_is_loaded_for_pictures_alone() -> None:
+    code = "import sys, rholoc.maps, rholoc.mapping, rholoc.localization; sys.exit('matplotlib' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
 def test_one_far_landmark_does_not_shrink_the_picture(make_map) -> None:

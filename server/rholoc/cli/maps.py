@@ -30,6 +30,7 @@ def build(
         Path | None, typer.Option("--out", "-o", metavar="MAP.rho", help="Where to; default: the recording's name.")
     ] = None,
     density: Annotated[str, typer.Option(metavar="ray|tensor", help="The form of the densities.")] = "ray",
+    degree: Annotated[int, typer.Option(metavar="1|2|3", help="P of tensor densities; with 1 nothing localizes.")] = 2,
     features: Annotated[
         str | None, typer.Option(metavar="gray|rgb|lab|lab3|sift", help="What the map's features are.")
     ] = None,
@@ -59,6 +60,7 @@ def build(
 
     build_options = BuildOptions(
         density=options.choice(DensityKind, density, "--density"),
+        degree=degree,
         features=features or DEFAULT_FEATURES,
         poses=options.choice(PoseMethod, poses, "--poses"),
         report=report,
