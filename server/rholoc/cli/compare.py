@@ -94,7 +94,7 @@ def _read(path: Path, camera: str | None, truth: bool) -> Recording:
     from rholoc.evaluation.splits import with_poses
     from rholoc.recordings import read_recording
 
-    return with_poses(read_recording(path, camera=camera), truth)
+    return with_poses(read_recording(path, camera=options.named_camera(camera)), truth)
 
 
 def _split(

@@ -51,7 +51,7 @@ def localize(
     if not out.parent.is_dir():
         raise InvalidInput(f"There is no folder {out.parent} to write the trajectory to.", "Make it first.")
     map_ = load_map(map_file)
-    recording = read_recording(source, camera=camera, frames=frames)
+    recording = read_recording(source, camera=options.named_camera(camera), frames=frames)
     used_camera = _camera(recording, map_.info)
     localizer = Localizer(map_, min_confidence)
     count = len(recording.frames.times)

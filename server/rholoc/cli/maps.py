@@ -66,7 +66,7 @@ def build(
         report=report,
     )
     with stage_progress() as progress:
-        read = [read_recording(path, camera=camera, frames=frames, waypoints=waypoints) for path in recordings]
+        read = [read_recording(path, options.named_camera(camera), frames, waypoints) for path in recordings]
         map_ = build_map(read, build_options, progress)
     save_map(map_, target)
     _print_map(map_, target, as_json)
@@ -110,7 +110,9 @@ def update(
     update_options = UpdateOptions(None if poses is None else options.choice(PoseMethod, poses, "--poses"))
     map_ = load_map(map_file)
     with stage_progress() as progress:
-        updated = update_map(map_, read_recording(recording, camera=camera, frames=frames), update_options, progress)
+        updated = update_map(
+            map_, read_recording(recording, options.named_camera(camera), frames), update_options, progress
+        )
     _save(updated, out or map_file, as_json)
 
 

@@ -2,19 +2,27 @@
 
 from __future__ import annotations
 
+import os
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, TypeVar
+from typing import TYPE_CHECKING, Annotated, TypeVar
 
 import typer
 
+if TYPE_CHECKING:
+    from rholoc.geometry import Camera as GeometryCamera
+
 _Choice = TypeVar("_Choice", bound=StrEnum)
+
+MAPS_VARIABLE = "RHOLOC_MAPS_DIR"
+DEFAULT_MAPS = "maps"
 
 Camera = Annotated[
     str | None,
     typer.Option(
-        metavar="FX,FY,CX,CY[,K1,K2,P1,P2[,K3]]",
-        help="Intrinsics in pixels of the frames, with OpenCV's distortion; instead of the recording's own.",
+        metavar="FX,FY,CX,CY[,K1,K2,P1,P2[,K3]]|NAME",
+        help="Intrinsics in pixels of the frames, with OpenCV's distortion, or a camera that `rholoc camera` keeps; "
+        "instead of the recording's own.",
     ),
 ]
 Frames = Annotated[
@@ -24,6 +32,17 @@ Frames = Annotated[
 Json = Annotated[bool, typer.Option("--json", help="Print the figures as JSON.")]
 MapFile = Annotated[Path, typer.Argument(metavar="MAP", help="A map file (.rho).")]
 Source = Annotated[Path, typer.Argument(metavar="SOURCE", help="A video, a folder of images, or a recording's folder.")]
+
+
+def named_camera(text: str | None) -> GeometryCamera | str | None:
+    """The camera that ``--camera`` names, from beside the maps; intrinsics and None stay what they are.
+
+    Raises:
+        InvalidName, UnknownCamera, InvalidCamera: there is no such camera, or its file is broken.
+    """
+    from rholoc.maps import CameraLibrary
+
+    return CameraLibrary(Path(os.environ.get(MAPS_VARIABLE, DEFAULT_MAPS))).named_in(text)
 
 
 def choice(kind: type[_Choice], text: str, option: str) -> _Choice:
