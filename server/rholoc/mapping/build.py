@@ -15,6 +15,7 @@ from rholoc.errors import InvalidInput, MappingFailed
 from rholoc.features import Extractor, FeatureSet, get_extractor
 from rholoc.geometry import Camera, FloatArray, IntArray
 from rholoc.mapping.assembly import assemble
+from rholoc.mapping.coaching import advice_line, coach, with_advice
 from rholoc.mapping.landmarks import (
     Landmarks,
     extend_and_merge,
@@ -28,7 +29,7 @@ from rholoc.mapping.tensor_fit import DEFAULT_DEGREE, fit_map_tensors
 from rholoc.mapping.views import choose_views
 from rholoc.maps import DensityKind, Map, MapInfo
 from rholoc.progress import ProgressListener, Stage, silent
-from rholoc.recordings import Recording
+from rholoc.recordings import Look, Recording, look_at
 from rholoc.trajectory import PoseMethod, Scale, Trajectory, estimate_trajectory
 
 DEFAULT_FEATURES = "gray"
@@ -87,7 +88,7 @@ def build_map(
         raise InvalidInput(f"A density of degree {options.degree} cannot be fitted.", "Use 1, 2 or 3.")
     walks = [_walk(recording, options, progress) for recording in recordings]
     _check_common_frame(walks)
-    views, held_out = _extract(walks, extractor, progress)
+    views, held_out, looks = _extract(walks, extractor, progress)
     landmarks = _landmarks(views, extractor, progress)
     progress(Stage.DENSITIES, 0.6, f"{len(landmarks)} stable features")
     map_ = _assemble(walks, views, landmarks, extractor, options)
@@ -95,14 +96,22 @@ def build_map(
         map_ = fit_map_tensors(map_, options.degree, progress)
     progress(Stage.DENSITIES, 1.0, f"{len(map_.descriptors)} descriptors")
     report = map_report(map_, held_out if options.report else HeldOut.none(), progress)
-    for walk in walks:
-        report.setdefault("trajectories", []).append(walk.trajectory.report)
+    report["trajectories"] = [walk.trajectory.report for walk in walks]
+    report["coaching"] = [
+        coach(walk.recording, seen, walk.trajectory.times, walk.trajectory.T_map_camera)
+        for walk, seen in zip(walks, looks, strict=True)
+    ]
     map_.info.report.update(report)
+    if line := advice_line(report["coaching"]):
+        progress(Stage.REPORT, 1.0, line)
     return map_
 
 
 def _walk(recording: Recording, options: BuildOptions, progress: ProgressListener) -> _Walk:
-    trajectory = estimate_trajectory(recording, options.poses, progress)
+    try:
+        trajectory = estimate_trajectory(recording, options.poses, progress)
+    except MappingFailed as failure:
+        raise with_advice(failure, recording) from failure
     views, held_out = choose_views(trajectory.T_map_camera, hold_out=options.report)
     if len(views) < _MIN_VIEWS:
         raise MappingFailed(
@@ -122,20 +131,25 @@ def _check_common_frame(walks: Sequence[_Walk]) -> None:
         )
 
 
-def _extract(walks: Sequence[_Walk], extractor: Extractor, progress: ProgressListener) -> tuple[Views, HeldOut]:
-    """The features of all views, and those of the frames held out."""
+def _extract(
+    walks: Sequence[_Walk], extractor: Extractor, progress: ProgressListener
+) -> tuple[Views, HeldOut, list[list[Look]]]:
+    """The features of all views, those of the frames held out, and what each walk's frames look like."""
     cameras: list[Camera] = []
     poses: list[FloatArray] = []
     times: list[float] = []
     features: list[FeatureSet] = []
     held: list[tuple[Camera, FloatArray, FeatureSet]] = []
+    looks: list[list[Look]] = []
     total, done = sum(len(walk.views) + len(walk.held_out) for walk in walks), 0
     for walk in walks:
         trajectory, is_view = walk.trajectory, set(walk.views.tolist())
         chosen = np.sort(np.concatenate([walk.views, walk.held_out]))
         images = walk.recording.frames.images(trajectory.rows[chosen].tolist())
+        looks.append([])
         for row, image in zip(chosen.tolist(), images, strict=True):
             found = extractor.extract(image)
+            looks[-1].append(look_at(image))
             if row in is_view:
                 cameras.append(trajectory.camera)
                 poses.append(trajectory.T_map_camera[row])
@@ -145,7 +159,7 @@ def _extract(walks: Sequence[_Walk], extractor: Extractor, progress: ProgressLis
                 held.append((trajectory.camera, trajectory.T_map_camera[row], found))
             done += 1
             progress(Stage.OBSERVATIONS, 0.3 * done / total, f"features of {done} of {total} frames")
-    return Views.from_features(cameras, np.array(poses), np.array(times), features), HeldOut(tuple(held))
+    return Views.from_features(cameras, np.array(poses), np.array(times), features), HeldOut(tuple(held)), looks
 
 
 def _landmarks(views: Views, extractor: Extractor, progress: ProgressListener) -> Landmarks:

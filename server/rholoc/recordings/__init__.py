@@ -22,7 +22,7 @@ from rholoc.recordings.recording import (
 )
 from rholoc.recordings.selection import parse_frame_slice
 from rholoc.recordings.stillness import pauses
-from rholoc.recordings.walk_figures import Look, look_at, measure_walk
+from rholoc.recordings.walk_figures import Look, look_at, look_through, measure_walk
 from rholoc.recordings.waypoints import check_waypoints_fix_frame, read_waypoints_csv, write_waypoints_csv
 
 __all__ = [
@@ -50,6 +50,7 @@ __all__ = [
     "decode_image",
     "describe_recording",
     "look_at",
+    "look_through",
     "measure_walk",
     "parse_frame_slice",
     "pauses",

@@ -74,8 +74,9 @@ def _given(recording: Recording) -> Trajectory:
         "why": "The poses were given.",
         "up": up,
     }
+    scale = Scale.METRIC if recording.poses.metric else Scale.ARBITRARY
     return Trajectory(
-        rows, recording.frames.times[rows], T_map_camera, _known_camera(recording), Scale.METRIC, upright, report
+        rows, recording.frames.times[rows], T_map_camera, _known_camera(recording), scale, upright, report
     )
 
 
