@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -114,3 +115,32 @@ def test_progress_never_goes_back_and_ends_at_one() -> None:
     steps = [overall(stage, fraction) for stage in Stage for fraction in (0.0, 0.5, 1.0)]
     assert steps == sorted(steps)
     assert steps[-1] == pytest.approx(1.0)
+
+
+def test_recordings_go_when_their_maps_have_been_there_for_long(site: Site) -> None:
+    mapped, failed = site.submit(), site.submit()
+    both = [mapped.recording, failed.recording]
+    with open_database(site.data_dir).begin() as connection:
+        for job, state in ((mapped, JobState.PUBLISHED), (failed, JobState.FAILED)):
+            connection.execute(jobs_table.update().where(jobs_table.c.id == job.id).values(state=state, ended=1000.0))
+    site.queue.delete_mapped_recordings(math.inf)
+    assert {entry.id for entry in site.recordings.list()} == set(both)
+    site.queue.retry(failed.id)
+    again = site.queue.submit(mapped.recording, "other")
+    site.queue.delete_mapped_recordings(0.0)
+    assert {entry.id for entry in site.recordings.list()} == set(both), "jobs still need them"
+    with pytest.raises(Conflict):
+        site.queue.delete_recording(mapped.recording)
+    with open_database(site.data_dir).begin() as connection:
+        connection.execute(
+            jobs_table.update().where(jobs_table.c.id == again.id).values(state=JobState.PUBLISHED, ended=1000.0)
+        )
+    site.queue.delete_mapped_recordings(0.0)
+    assert [entry.id for entry in site.recordings.list()] == [failed.recording]
+
+
+def test_the_same_submission_twice_is_one_job(site: Site) -> None:
+    entry = site.recordings.create([("walk.mp4", [b"x"])])
+    first = site.queue.submit(entry.id, "room", job_id="1" * 32)
+    assert site.queue.submit(entry.id, "room", job_id="1" * 32) == first
+    assert site.queue.list() == [first]

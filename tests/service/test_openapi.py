@@ -8,6 +8,8 @@ from schemathesis.checks import CHECKS
 
 from rholoc.service import Settings, create_app
 
+schemathesis.serializer.alias("application/offset+octet-stream", "application/octet-stream")
+
 METHODS = ("get", "put", "post", "patch", "delete", "head", "options")
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 import uuid
 from contextlib import suppress
 from pathlib import Path
@@ -10,7 +11,7 @@ import sqlalchemy as sa
 from dbos import DBOSClient, EnqueueOptions
 from sqlalchemy.exc import IntegrityError
 
-from rholoc.errors import Conflict
+from rholoc.errors import Conflict, UnknownRecording
 from rholoc.jobs.database import open_database, telling_full_database
 from rholoc.jobs.job import Job, JobOptions
 from rholoc.jobs.recording_store import RecordingStore
@@ -118,6 +119,15 @@ class JobQueue:
         if self._jobs.needs(recording_id):
             raise Conflict("A job needs the recording.", "Cancel the job, or wait until it has ended.")
         self._recordings.delete(recording_id)
+
+    def delete_mapped_recordings(self, retention_s: float) -> None:
+        """Delete the recordings whose maps were published longer ago than ``retention_s``.
+
+        One that a later job failed on, or still needs, is kept.
+        """
+        for recording_id in self._jobs.mapped_before(time.time() - retention_s):
+            with suppress(UnknownRecording):  # it was deleted before
+                self._recordings.delete(recording_id)
 
     def has_worker(self) -> bool:
         """Whether a worker lives, here or elsewhere: it has lately said so."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -86,6 +87,14 @@ class JobTable:
                 jobs_table.c.state.in_([JobState.QUEUED, JobState.RUNNING]),
             )
             return connection.execute(found).first() is not None
+
+    def mapped_before(self, time_s: float) -> Sequence[str]:
+        """The recordings all of whose jobs published their maps before ``time_s``, seconds since the epoch."""
+        published_before = sa.and_(jobs_table.c.state == JobState.PUBLISHED, jobs_table.c.ended < time_s)
+        others = sa.func.sum(sa.case((published_before, 0), else_=1))
+        with self._engine.connect() as connection:
+            found = sa.select(jobs_table.c.recording).group_by(jobs_table.c.recording).having(others == 0)
+            return connection.execute(found).scalars().all()
 
     # What users do
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 
@@ -28,6 +29,7 @@ from rholoc.service.errors import (
     status_of,
 )
 from rholoc.service.guard import Guard, SecurityHeaders
+from rholoc.service.housekeeping import keep_house
 from rholoc.service.keys import KeyStore
 from rholoc.service.localizers import Localizers
 from rholoc.service.logs import configure_logs
@@ -55,9 +57,11 @@ def create_app(settings: Settings | None = None) -> FastAPI:
         app.state.rholoc = state = _start(settings)
         if state.worker is not None:
             state.worker.start()
+        house = asyncio.create_task(keep_house(state))
         try:
             yield
         finally:
+            house.cancel()
             if state.worker is not None:
                 state.worker.stop()
             state.compute.close()

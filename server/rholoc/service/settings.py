@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from pathlib import Path
 
@@ -53,6 +54,11 @@ class Settings(BaseSettings):
     max_upload_bytes: int = Field(default=4 * 2**30, ge=1, description="The largest upload of a map or a recording.")
     upload_expires_s: float = Field(
         default=24 * 3600, gt=0, description="How long an unfinished upload is kept without a further byte."
+    )
+    recording_retention_days: float = Field(
+        default=math.inf,
+        ge=0,
+        description="How long a recording is kept after its map was published; inf: until it is deleted.",
     )
     max_upload_files: int = Field(
         default=20_000, ge=1, description="The most files one upload of a recording may hold."

@@ -50,7 +50,12 @@ async def begin_upload(request: Request, service: State) -> Response:
     return Response(status_code=201, headers=headers)
 
 
-@router.head("/{recording}", summary="Where an upload stands", responses=failures(UnknownRecording, UnsupportedVersion))
+@router.head(
+    "/{recording}",
+    summary="Where an upload stands",
+    response_class=Response,
+    responses=failures(InvalidRequest, InvalidRecording, UnknownRecording, TooLarge, StorageFull, UnsupportedVersion),
+)
 async def upload_standing(recording: str, service: Service) -> Response:
     """In headers: `Upload-Offset`, `Upload-Length`, `Upload-Expires`; once it is whole, its mapping job's id in
     `Rholoc-Job`."""
@@ -106,7 +111,7 @@ async def continue_upload(
     "/{recording}",
     status_code=204,
     summary="Delete a recording, or give up its upload",
-    responses=failures(UnknownRecording, Conflict, UnsupportedVersion),
+    responses=failures(InvalidRequest, UnknownRecording, Conflict, UnsupportedVersion),
 )
 async def delete_recording(recording: str, service: Service) -> Response:
     """For good, unless a job is waiting for it or working on it. Maps made from it stay."""
