@@ -28,7 +28,11 @@ def test_an_upload_becomes_a_recording_and_a_job(service):
 
 
 def test_the_files_of_a_folder_keep_their_places(service):
-    files = [("file", ("frames/0001.jpg", b"\xff\xd8\xff1")), ("file", ("frames/0002.jpg", b"\xff\xd8\xff2")), ("file", ("imu.csv", b"3"))]
+    files = [
+        ("file", ("frames/0001.jpg", b"\xff\xd8\xff1")),
+        ("file", ("frames/0002.jpg", b"\xff\xd8\xff2")),
+        ("file", ("imu.csv", b"3")),
+    ]
     recording = upload(service, files).json()["recording"]
     entry = RecordingStore(service.settings.data_dir).get(recording)
     assert entry.files == ("frames/0001.jpg", "frames/0002.jpg", "imu.csv")
@@ -56,3 +60,11 @@ def test_a_job_is_cancelled_and_tried_again(service):
     assert again.status_code == 202
     assert again.json()["state"] == "queued"
     assert httpx.delete(url).json()["state"] == "cancelled"
+
+
+def test_recordings_are_listed(service):
+    recording = upload(service, {"file": ("walk.mp4", VIDEO)}).json()["recording"]
+    (listed,) = [
+        one for one in httpx.get(service.url + "/v1/recordings").json()["recordings"] if one["id"] == recording
+    ]
+    assert (listed["files"], listed["size_bytes"]) == (["walk.mp4"], len(VIDEO))

@@ -1,0 +1,63 @@
+// The console: one page, whose address after the # says which part of it is shown.
+
+import { fill, h } from "../shared/dom.js";
+import { problem } from "./parts.js";
+import { showCameras } from "./cameras.js";
+import { showJob, showJobs } from "./jobs.js";
+import { showMap } from "./map.js";
+import { showMaps } from "./maps.js";
+import { showRecordings } from "./recordings.js";
+import { showTry } from "./try.js";
+
+const ROUTES = [
+  [/^\/maps$/, "Maps", showMaps],
+  [/^\/maps\/([^/]+)$/, "Map", showMap],
+  [/^\/try(?:\/([^/]+))?$/, "Try it", showTry],
+  [/^\/jobs$/, "Jobs", showJobs],
+  [/^\/jobs\/([^/]+)$/, "Job", showJob],
+  [/^\/recordings$/, "Recordings", showRecordings],
+  [/^\/cameras$/, "Cameras", showCameras],
+];
+
+let shown = new AbortController();
+
+async function show() {
+  shown.abort(); // what the view before still waits for
+  shown = new AbortController();
+  const { signal } = shown;
+  const main = document.getElementById("content");
+  const where = location.hash.slice(1).split("?")[0] || "/maps";
+  const found = ROUTES.map(([pattern, title, view]) => ({ title, view, match: where.match(pattern) })).find(({ match }) => match);
+  for (const link of document.querySelectorAll("nav a")) {
+    const part = link.getAttribute("href").replace("#", "");
+    if (where === part || where.startsWith(`${part}/`)) link.setAttribute("aria-current", "page");
+    else link.removeAttribute("aria-current");
+  }
+  scrollTo(0, 0);
+  if (!found) {
+    fill(main, h("div", { class: "empty" }, h("h1", {}, "Nothing here"), h("a", { href: "#/maps" }, "To the maps")));
+    return;
+  }
+  const name = found.match[1] === undefined ? undefined : decode(found.match[1]);
+  document.title = `${name ?? found.title} – rholoc`;
+  try {
+    await found.view(main, name, signal);
+  } catch (error) {
+    if (signal.aborted) return;
+    fill(main, problem(error, show));
+  }
+}
+
+function decode(text) {
+  try {
+    return decodeURIComponent(text);
+  } catch {
+    return text;
+  }
+}
+
+addEventListener("hashchange", async () => {
+  await show();
+  document.getElementById("content").focus({ preventScroll: true });
+});
+show();

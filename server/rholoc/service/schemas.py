@@ -442,6 +442,28 @@ class JobList(_Out):
     jobs: list[JobOut]
 
 
+class RecordingOut(_Out):
+    """A stored recording."""
+
+    model_config = ConfigDict(
+        frozen=True,
+        json_schema_extra={
+            "example": {"id": _RECORDING_ID, "files": ["walk.mp4"], "size_bytes": 60_000_000, "created": 1767607200.0}
+        },
+    )
+
+    id: str
+    files: list[str]
+    size_bytes: int
+    created: float = Field(description="s since the epoch")
+
+
+class RecordingList(_Out):
+    """All stored recordings, the newest first."""
+
+    recordings: list[RecordingOut]
+
+
 class RecordingAccepted(_Out):
     """An upload that is complete, and the mapping job that it started."""
 

@@ -25,7 +25,7 @@ from rholoc.service.intake import UPLOAD_FAILURES, RecordingFields, checked_opti
 from rholoc.service.openapi import BINARY, failures, request_body
 from rholoc.service.routes.jobs import job_out
 from rholoc.service.routes.uploads import begin_upload
-from rholoc.service.schemas import RecordingAccepted
+from rholoc.service.schemas import RecordingAccepted, RecordingList, RecordingOut
 from rholoc.service.state import Service, State
 from rholoc.service.tus import RESUMABLE
 from rholoc.trajectory import PoseMethod
@@ -62,6 +62,18 @@ def _form_schema() -> dict[str, Any]:
         "waypoints": {**BINARY, "description": "waypoints.csv: name,time or frame,x,y,z; not beside a ZIP file"},
     }
     return {"type": "object", "required": ["file", "map"], "properties": {**files, **inlined}}
+
+
+@router.get("", summary="All recordings")
+async def list_recordings(service: Service) -> RecordingList:
+    """Those that are stored whole, the newest first."""
+    entries = await run_in_threadpool(service.recordings.list)
+    return RecordingList(
+        recordings=[
+            RecordingOut(id=one.id, files=list(one.files), size_bytes=one.size_bytes, created=one.created)
+            for one in entries
+        ]
+    )
 
 
 @router.post(

@@ -1,0 +1,83 @@
+// What several parts of the console show.
+
+import { fill, h } from "../shared/dom.js";
+
+const STATES = { published: "good", failed: "bad", cancelled: "warn" };
+
+/** An error with what to do about it, and a button to try again. */
+export function problem(error, again) {
+  return h(
+    "div",
+    { class: "notice bad stack", role: "alert" },
+    h("p", {}, h("strong", {}, error.summary ?? error.message)),
+    error.hint && h("p", {}, error.hint),
+    h("div", { class: "row" },
+      again && h("button", { type: "button", onclick: again }, "Try again"),
+      error.status === 404 && h("a", { class: "button", href: "#/maps" }, "To the maps")),
+  );
+}
+
+/** Grey shapes of the size of what is to come. */
+export function skeletons(number, size) {
+  return Array.from({ length: number }, () => h("div", { class: `skeleton ${size}`, "aria-hidden": "true" }));
+}
+
+/** A place where something comes to be: `load` fills it; its error is shown in its place. */
+export async function loading(element, load, signal) {
+  element.setAttribute("aria-busy", "true");
+  try {
+    await load();
+  } catch (error) {
+    if (!signal.aborted) fill(element, problem(error, () => loading(element, load, signal)));
+  } finally {
+    element.removeAttribute("aria-busy");
+  }
+}
+
+/** Names and figures beside each other. */
+export function facts(pairs) {
+  const rows = pairs.filter(([, figure]) => figure !== null && figure !== undefined);
+  return h("dl", { class: "facts" }, rows.map(([name, figure]) => [h("dt", {}, name), h("dd", {}, figure)]));
+}
+
+/** What is said when there is nothing yet. */
+export function empty(title, text, ...actions) {
+  return h("div", { class: "empty" }, h("h2", {}, title), h("p", { class: "muted" }, text), h("div", { class: "row" }, actions));
+}
+
+/** A job's state as a badge. */
+export const stateBadge = (state) => h("span", { class: ["badge", STATES[state]] }, state);
+
+/** A line at the bottom of the window that says what was done, and goes away. */
+export function tell(text, kind = "good") {
+  document.querySelector(".toast")?.remove();
+  const toast = h("div", { class: ["toast notice", kind], role: "status" }, text);
+  document.body.append(toast);
+  setTimeout(() => toast.remove(), 6000);
+}
+
+/** A button that works on something: it waits, and an error is told. */
+export function action(text, work, kind = "") {
+  const button = h("button", { type: "button", class: kind }, text);
+  button.addEventListener("click", async () => {
+    button.disabled = true;
+    try {
+      await work();
+    } catch (error) {
+      if (error.name !== "AbortError") tell(error.message, "bad");
+    } finally {
+      button.disabled = false;
+    }
+  });
+  return button;
+}
+
+/** A field with its label. */
+export function field(text, input, note) {
+  return h("label", {}, text, input, note && h("span", { class: "small muted" }, note));
+}
+
+/** The field of a map's name. */
+export const nameField = (value = "") =>
+  h("input", { name: "name", value, required: true, maxlength: 64, pattern: "[A-Za-z0-9_][A-Za-z0-9._\\-]*", autocomplete: "off",
+    title: "letters, digits, '.', '_' and '-'; the first a letter, a digit or '_'" });

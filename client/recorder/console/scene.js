@@ -1,0 +1,337 @@
+// A map in 3-D: landmarks coloured by uncertainty, the walk, waypoints, and the pose that was found. WebGL, z up.
+
+import { multiply, perspective, lookAt, project } from "./matrix.js";
+import { h } from "../shared/dom.js";
+
+const STRIDE_LANDMARK = 4; // x, y, z, standard deviation
+const STRIDE_VIEW = 7; // x, y, z, heading, recording
+const FIELD_OF_VIEW = 0.9; // rad
+const SHOWN = [0.02, 0.98]; // the quantiles of landmarks that the first view holds, and of deviations that the colours tell
+const HEADING_LENGTH = 0.25; // m, of a view's tick
+const FRUSTUM = 0.5; // m, how far the drawn camera reaches
+const MAX_RAYS = 150; // the most lines from the camera to landmarks
+
+const POINT_SHADER = `
+  attribute vec4 point; uniform mat4 matrix; uniform float size; uniform vec2 deviations;
+  varying vec3 colour;
+  void main() {
+    gl_Position = matrix * vec4(point.xyz, 1.0);
+    gl_PointSize = clamp(size / gl_Position.w, 1.5, 12.0);
+    float t = clamp((log(point.w) - deviations.x) / (deviations.y - deviations.x), 0.0, 1.0);
+    vec3 sure = vec3(0.16, 0.47, 0.86), middle = vec3(0.66, 0.52, 0.66), unsure = vec3(0.93, 0.49, 0.10);
+    colour = t < 0.5 ? mix(sure, middle, 2.0 * t) : mix(middle, unsure, 2.0 * t - 1.0);
+  }`;
+const POINT_COLOUR = "precision mediump float; varying vec3 colour; void main() { gl_FragColor = vec4(colour, 1.0); }";
+const LINE_SHADER = "attribute vec3 point; uniform mat4 matrix; void main() { gl_Position = matrix * vec4(point, 1.0); }";
+const LINE_COLOUR = "precision mediump float; uniform vec4 colour; void main() { gl_FragColor = colour; }";
+
+/** The numbers of `/v1/maps/{map}/scene`. */
+export function readScene(buffer) {
+  const [features, views] = new Uint32Array(buffer, 0, 2);
+  const landmarks = new Float32Array(buffer, 8, features * STRIDE_LANDMARK);
+  return { features, landmarks, views: new Float32Array(buffer, 8 + landmarks.byteLength, views * STRIDE_VIEW) };
+}
+
+/** An element that shows a scene; `element` is put into a page, `show…` says what of, `dispose` ends it. */
+export class SceneView {
+  constructor(label) {
+    this.canvas = h("canvas", {
+      class: "scene-canvas",
+      tabindex: 0,
+      role: "img",
+      "aria-label": `${label}. Arrow keys turn, shift and arrow keys move, plus and minus zoom, Home resets.`,
+    });
+    this.labels = h("div", { class: "scene-labels", "aria-hidden": "true" });
+    this.legend = h("div", { class: "scene-legend small", hidden: true });
+    this.element = h("div", { class: "scene" }, this.canvas, this.labels, this.legend);
+    this.lines = {};
+    this.waypoints = [];
+    this.view = { target: [0, 0, 0], distance: 5, turn: -0.9, tilt: 0.6 };
+    this.home = this.view;
+    this.gl = this.canvas.getContext("webgl", { antialias: true, powerPreference: "low-power" });
+    if (!this.gl) {
+      this.element.append(h("p", { class: "notice warn" }, "This browser has no WebGL, so the map cannot be drawn in 3-D."));
+      return;
+    }
+    this.points = program(this.gl, POINT_SHADER, POINT_COLOUR);
+    this.strokes = program(this.gl, LINE_SHADER, LINE_COLOUR);
+    this.observer = new ResizeObserver(() => this.redraw());
+    this.observer.observe(this.canvas);
+    this.scheme = matchMedia("(prefers-color-scheme: dark)");
+    this.scheme.addEventListener("change", (this.recolour = () => this.redraw()));
+    this.canvas.addEventListener("webglcontextlost", (event) => event.preventDefault());
+    this.canvas.addEventListener("webglcontextrestored", () => location.reload());
+    listen(this);
+  }
+
+  dispose() {
+    this.observer?.disconnect();
+    this.scheme?.removeEventListener("change", this.recolour);
+    cancelAnimationFrame(this.frame);
+    this.gl?.getExtension("WEBGL_lose_context")?.loseContext();
+  }
+
+  /** Show a map; `waypoints` as the service gives them, `unit` is what lengths are told in. */
+  showMap(scene, waypoints, metric) {
+    if (!this.gl) return;
+    const { gl } = this;
+    this.count = scene.features;
+    this.buffer = upload(gl, scene.landmarks);
+    const deviations = quantiles(scene.landmarks, 3, SHOWN);
+    this.deviations = deviations.map((value) => Math.log(Math.max(value, 1e-4)));
+    if (this.deviations[1] - this.deviations[0] < 0.1) this.deviations[1] = this.deviations[0] + 0.1;
+    this.waypoints = waypoints.map(({ name, position, residual_m: residual }) => ({
+      position,
+      label: h("span", { class: "scene-waypoint" }, residual === null ? name : `${name} · ${length(residual, metric)}`),
+    }));
+    this.labels.replaceChildren(...this.waypoints.map(({ label }) => label));
+    this.legend.replaceChildren(
+      "landmark uncertainty ",
+      h("span", { class: "mono" }, length(deviations[0], metric)),
+      h("span", { class: "scene-ramp" }),
+      h("span", { class: "mono" }, length(deviations[1], metric)),
+    );
+    this.legend.hidden = !scene.features;
+    this.setLines("walk", "--ink", walk(scene.views));
+    this.setLines("headings", "--muted", headings(scene.views));
+    this.lookAtAll(scene);
+  }
+
+  /** Show where a camera is and looks (`T_map_camera`, 4 × 4), or nothing; `landmarks` are those that it recognised. */
+  showPose(T, landmarks = []) {
+    this.setLines("camera", "--accent", T ? frustum(T) : []);
+    const at = T && T.slice(0, 3).map((row) => row[3]);
+    const step = Math.max(1, Math.ceil(landmarks.length / MAX_RAYS));
+    const seen = landmarks.filter((_, i) => i % step === 0);
+    this.setLines("rays", "--accent", at ? seen.flatMap((landmark) => [...at, ...landmark]) : [], 0.35);
+  }
+
+  /** Show a path as a line: `positions` is a list of [x, y, z]. */
+  showTrail(positions) {
+    this.setLines("trail", "--warn", segments(positions));
+  }
+
+  setLines(name, token, vertices, alpha = 1) {
+    if (!this.gl) return;
+    if (this.lines[name]) this.gl.deleteBuffer(this.lines[name].buffer);
+    const numbers = new Float32Array(vertices);
+    this.lines[name] = { token, alpha, count: numbers.length / 3, buffer: upload(this.gl, numbers) };
+    this.redraw();
+  }
+
+  lookAtAll({ landmarks, views }) {
+    const some = landmarks.length ? [landmarks, STRIDE_LANDMARK] : [views, STRIDE_VIEW];
+    const spans = [0, 1, 2].map((axis) => quantiles(some[0], axis, SHOWN, some[1]));
+    const extent = Math.hypot(...spans.map(([low, high]) => high - low)) || 1;
+    this.home = { ...this.home, target: spans.map(([low, high]) => (low + high) / 2), distance: 1.15 * extent };
+    this.reset();
+  }
+
+  reset() {
+    this.view = { ...this.home };
+    this.redraw();
+  }
+
+  turn(by, tilt) {
+    this.view.turn += by;
+    this.view.tilt = Math.min(1.55, Math.max(-1.55, this.view.tilt + tilt));
+    this.redraw();
+  }
+
+  zoom(factor) {
+    this.view.distance = Math.min(500, Math.max(0.2, this.view.distance * factor));
+    this.redraw();
+  }
+
+  /** Move what is looked at by parts of the picture's height. */
+  pan(right, up) {
+    const { turn, tilt, distance, target } = this.view;
+    const span = 2 * distance * Math.tan(FIELD_OF_VIEW / 2);
+    const across = [-Math.sin(turn), Math.cos(turn), 0];
+    const above = [-Math.cos(turn) * Math.sin(tilt), -Math.sin(turn) * Math.sin(tilt), Math.cos(tilt)];
+    this.view.target = target.map((value, i) => value + span * (right * across[i] + up * above[i]));
+    this.redraw();
+  }
+
+  redraw() {
+    this.frame ??= requestAnimationFrame(() => {
+      this.frame = null;
+      this.draw();
+    });
+  }
+
+  draw() {
+    const { gl, canvas } = this;
+    const ratio = Math.min(devicePixelRatio, 2);
+    const [width, height] = [canvas.clientWidth, canvas.clientHeight].map((value) => Math.max(1, Math.round(value * ratio)));
+    if (canvas.width !== width || canvas.height !== height) Object.assign(canvas, { width, height });
+    const matrix = this.matrix(width / height);
+    gl.viewport(0, 0, width, height);
+    gl.clearColor(...colour(canvas, "--surface"));
+    gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
+    gl.enable(gl.DEPTH_TEST);
+    if (this.count) this.drawPoints(matrix, height);
+    gl.enable(gl.BLEND);
+    gl.blendFunc(gl.SRC_ALPHA, gl.ONE_MINUS_SRC_ALPHA);
+    for (const line of Object.values(this.lines)) this.drawLines(line, matrix);
+    gl.disable(gl.BLEND);
+    this.placeLabels(matrix);
+  }
+
+  drawPoints(matrix, height) {
+    const { gl, points } = this;
+    gl.useProgram(points.program);
+    gl.uniformMatrix4fv(points.uniform("matrix"), false, matrix);
+    gl.uniform1f(points.uniform("size"), 0.025 * height);
+    gl.uniform2f(points.uniform("deviations"), ...this.deviations);
+    points.bind(this.buffer, STRIDE_LANDMARK);
+    gl.drawArrays(gl.POINTS, 0, this.count);
+  }
+
+  drawLines({ token, alpha, count, buffer }, matrix) {
+    if (!count) return;
+    const { gl, strokes } = this;
+    gl.useProgram(strokes.program);
+    gl.uniformMatrix4fv(strokes.uniform("matrix"), false, matrix);
+    gl.uniform4f(strokes.uniform("colour"), ...colour(this.canvas, token).slice(0, 3), alpha);
+    strokes.bind(buffer, 3);
+    gl.drawArrays(gl.LINES, 0, count);
+  }
+
+  placeLabels(matrix) {
+    const { clientWidth: width, clientHeight: height } = this.canvas;
+    for (const { position, label } of this.waypoints) {
+      const [x, y, w] = project(matrix, position);
+      label.hidden = w <= 0 || Math.abs(x) > 1 || Math.abs(y) > 1;
+      label.style.transform = `translate(${((x + 1) / 2) * width}px, ${((1 - y) / 2) * height}px)`;
+    }
+  }
+
+  matrix(aspect) {
+    const { target, distance, turn, tilt } = this.view;
+    const away = [Math.cos(turn) * Math.cos(tilt), Math.sin(turn) * Math.cos(tilt), Math.sin(tilt)];
+    const eye = target.map((value, i) => value + distance * away[i]);
+    const fov = aspect < 1 ? 2 * Math.atan(Math.tan(FIELD_OF_VIEW / 2) / aspect) : FIELD_OF_VIEW;
+    return multiply(perspective(fov, aspect, distance / 100, distance * 20), lookAt(eye, target));
+  }
+}
+
+/** A length for people: centimetres below a metre; bare units where the map is not metric. */
+export function length(value, metric = true) {
+  if (!metric) return `${value.toPrecision(2)} units`;
+  return value < 1 ? `${(100 * value).toFixed(value < 0.1 ? 1 : 0)} cm` : `${value.toFixed(2)} m`;
+}
+
+function listen(scene) {
+  const { canvas } = scene;
+  const fingers = new Map();
+  const keys = {
+    ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1],
+  };
+  canvas.addEventListener("pointerdown", (event) => {
+    canvas.setPointerCapture(event.pointerId);
+    fingers.set(event.pointerId, event);
+  });
+  for (const name of ["pointerup", "pointercancel"]) {
+    canvas.addEventListener(name, (event) => fingers.delete(event.pointerId));
+  }
+  canvas.addEventListener("pointermove", (event) => {
+    const before = fingers.get(event.pointerId);
+    if (!before) return;
+    const [dx, dy] = [event.clientX - before.clientX, event.clientY - before.clientY].map((v) => v / canvas.clientHeight);
+    const others = [...fingers.values()].filter((one) => one.pointerId !== event.pointerId);
+    if (others.length) {
+      const apart = (one) => Math.hypot(one.clientX - others[0].clientX, one.clientY - others[0].clientY) || 1;
+      scene.zoom(apart(before) / apart(event));
+      scene.pan(-dx / 2, dy / 2);
+    } else if (event.shiftKey || event.buttons === 2) scene.pan(-dx, dy);
+    else scene.turn(-4 * dx, 4 * dy);
+    fingers.set(event.pointerId, event);
+  });
+  canvas.addEventListener("contextmenu", (event) => event.preventDefault());
+  canvas.addEventListener("wheel", (event) => {
+    event.preventDefault();
+    scene.zoom(Math.exp(Math.max(-100, Math.min(100, event.deltaY)) * 0.002));
+  }, { passive: false });
+  canvas.addEventListener("keydown", (event) => {
+    const [x, y] = keys[event.key] ?? [0, 0];
+    if (x || y) event.shiftKey ? scene.pan(0.05 * x, 0.05 * y) : scene.turn(0.1 * x, 0.1 * y);
+    else if (event.key === "+" || event.key === "=") scene.zoom(0.85);
+    else if (event.key === "-") scene.zoom(1.18);
+    else if (event.key === "Home") scene.reset();
+    else return;
+    event.preventDefault();
+  });
+}
+
+/** Lines between consecutive views of one recording. */
+function walk(views) {
+  const lines = [];
+  for (let i = STRIDE_VIEW; i < views.length; i += STRIDE_VIEW) {
+    const before = i - STRIDE_VIEW;
+    if (views[i + 6] === views[before + 6]) lines.push(...views.subarray(before, before + 3), ...views.subarray(i, i + 3));
+  }
+  return lines;
+}
+
+function headings(views) {
+  const lines = [];
+  for (let i = 0; i < views.length; i += STRIDE_VIEW) {
+    const position = views.subarray(i, i + 3);
+    lines.push(...position, ...position.map((value, axis) => value + HEADING_LENGTH * views[i + 3 + axis]));
+  }
+  return lines;
+}
+
+function segments(positions) {
+  return positions.slice(1).flatMap((position, i) => [...positions[i], ...position]);
+}
+
+/** A pyramid whose tip is the camera, of a picture of 4:3. */
+function frustum(T) {
+  const point = (x, y, z) => [0, 1, 2].map((i) => T[i][0] * x + T[i][1] * y + T[i][2] * z + T[i][3]);
+  const [w, tall, d] = [0.6 * FRUSTUM, 0.45 * FRUSTUM, FRUSTUM];
+  const tip = point(0, 0, 0);
+  const corners = [point(-w, -tall, d), point(w, -tall, d), point(w, tall, d), point(-w, tall, d)];
+  const above = point(0, -1.5 * tall, d);
+  const edges = corners.flatMap((corner, i) => [...tip, ...corner, ...corner, ...corners[(i + 1) % 4]]);
+  return [...edges, ...corners[0], ...above, ...above, ...corners[1]];
+}
+
+function quantiles(numbers, axis, shares, stride = STRIDE_LANDMARK) {
+  const values = Float32Array.from({ length: numbers.length / stride }, (_, i) => numbers[i * stride + axis]).sort();
+  return shares.map((share) => values[Math.round(share * (values.length - 1))] ?? 0);
+}
+
+function upload(gl, numbers) {
+  const buffer = gl.createBuffer();
+  gl.bindBuffer(gl.ARRAY_BUFFER, buffer);
+  gl.bufferData(gl.ARRAY_BUFFER, numbers, gl.STATIC_DRAW);
+  return buffer;
+}
+
+function program(gl, ...sources) {
+  const made = gl.createProgram();
+  sources.forEach((source, i) => {
+    const shader = gl.createShader(i ? gl.FRAGMENT_SHADER : gl.VERTEX_SHADER);
+    gl.shaderSource(shader, source);
+    gl.compileShader(shader);
+    gl.attachShader(made, shader);
+  });
+  gl.bindAttribLocation(made, 0, "point");
+  gl.linkProgram(made);
+  const bind = (buffer, size) => {
+    gl.bindBuffer(gl.ARRAY_BUFFER, buffer);
+    gl.enableVertexAttribArray(0);
+    gl.vertexAttribPointer(0, size, gl.FLOAT, false, 0, 0);
+  };
+  const places = {};
+  return { program: made, bind, uniform: (name) => (places[name] ??= gl.getUniformLocation(made, name)) };
+}
+
+/** A colour of the design as the numbers that WebGL takes. */
+function colour(canvas, token) {
+  canvas.style.color = `var(${token})`;
+  const [red, green, blue] = getComputedStyle(canvas).color.match(/[\d.]+/g).map(Number);
+  return [red / 255, green / 255, blue / 255, 1];
+}
