@@ -7,6 +7,7 @@ import pwd
 import shutil
 import signal
 import subprocess
+import sys
 import tempfile
 from pathlib import Path
 
@@ -78,3 +79,14 @@ def test_what_is_no_address_of_a_database_is_refused(tmp_path, url):
     with pytest.raises(InvalidInput, match="not the address of a Postgres database") as caught:
         JobQueue(tmp_path, url)
     assert "secret" not in str(caught.value)
+
+
+@pytest.mark.parametrize("command", [["serve", "--port", "0", "--no-worker"], ["worker"]])
+def test_the_commands_refuse_a_database_in_one_line(tmp_path, command):
+    environment = {**os.environ, "RHOLOC_DATABASE_URL": "postgresql://jobs:secret@127.0.0.1:1/jobs"}
+    arguments = [sys.executable, "-m", "rholoc", *command, "--data", str(tmp_path), "--maps", str(tmp_path)]
+    ended = subprocess.run(arguments, env=environment, capture_output=True, text=True, timeout=60, check=False)
+    assert ended.returncode == 1
+    (line,) = [line for line in ended.stderr.splitlines() if not line.startswith("Working on")]
+    assert "127.0.0.1, database jobs cannot be reached" in line
+    assert "secret" not in line

@@ -46,10 +46,13 @@ def serve(
         settings = settings.model_copy(update={"host": _EVERYWHERE})
     import uvicorn
 
+    from rholoc.jobs import JobQueue
     from rholoc.service import create_app
     from rholoc.service.guard import keys_needed
     from rholoc.service.keys import KeyStore
 
+    if settings.jobs_database is not None:
+        JobQueue(settings.data_dir, settings.jobs_database).close()  # told here, in one line, if it cannot be reached
     with _listening_socket(settings.host, settings.port) as listener:
         server = uvicorn.Server(uvicorn.Config(create_app(settings), log_level="warning", backlog=_BACKLOG))
         port = listener.getsockname()[1]

@@ -98,7 +98,7 @@ def _check_connection(engine: sa.Engine) -> None:
         engine.connect().close()
     except OperationalError as error:
         where = f"{engine.url.host or 'this machine'}, database {engine.url.database}"
-        reason = str(error.orig).strip().splitlines()[-1].strip()
+        reason = str(error.orig).strip().splitlines()[0].rstrip(".")
         raise InvalidInput(
             f"The database of jobs at {where} cannot be reached: {reason}.", "Check RHOLOC_DATABASE_URL."
         ) from error
