@@ -1,0 +1,144 @@
+"""Debian's Chromium, driven by playwright; and the fake phone that the recorder runs on."""
+
+from __future__ import annotations
+
+import shutil
+import socket
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import closing, suppress
+
+import cv2
+import numpy as np
+import pytest
+from playwright.sync_api import Browser, Page, Playwright, sync_playwright
+
+from rholoc.geometry import ByteArray
+
+PHONE = {"width": 390, "height": 844}
+SENSORS = ["accelerometer", "gyroscope", "magnetometer"]
+
+
+@pytest.fixture(scope="session")
+def playwright() -> Iterator[Playwright]:
+    """Playwright itself."""
+    with sync_playwright() as playwright:
+        yield playwright
+
+
+@pytest.fixture(scope="session")
+def launch(playwright: Playwright) -> Callable[..., Browser]:
+    """Starts Chromium with further command line arguments; the caller closes it."""
+    executable = shutil.which("chromium")
+    if executable is None:
+        pytest.fail("Chromium is not installed: apt-get install chromium")
+    # Tests run as root in containers, where Chromium's sandbox does not.
+    return lambda *arguments: playwright.chromium.launch(
+        executable_path=executable, args=["--no-sandbox", *arguments], timeout=60_000
+    )
+
+
+@pytest.fixture(scope="session")
+def fake_camera(launch: Callable[..., Browser], tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Browser]:
+    """Starts a Chromium whose camera shows pictures (H, W, 3), 30 a second, over and over."""
+
+    def start(pictures: Iterator[ByteArray] | list[ByteArray]) -> Browser:
+        film = tmp_path_factory.mktemp("camera") / "film.mjpeg"
+        with film.open("wb") as file:
+            for picture in pictures:
+                file.write(cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, 92])[1].tobytes())
+        return launch(
+            "--use-fake-device-for-media-stream",
+            "--use-fake-ui-for-media-stream",
+            f"--use-file-for-fake-video-capture={film}",
+        )
+
+    return start
+
+
+@pytest.fixture(scope="session")
+def phone_browser(fake_camera: Callable[..., Browser]) -> Iterator[Browser]:
+    """A Chromium whose camera pans over a textured wall."""
+    rng = np.random.default_rng(0)
+    wall = cv2.resize(rng.integers(60, 220, (60, 160, 3), dtype=np.uint8), (1280, 480), interpolation=cv2.INTER_CUBIC)
+    browser = fake_camera([wall[:, 4 * i : 4 * i + 640] for i in range(150)])
+    yield browser
+    browser.close()
+
+
+def phone_page(browser: Browser, url: str, *, permissions: tuple[str, ...] = ("camera", *SENSORS)) -> Page:
+    """A new phone without history; its context's ``base_url`` is ``url``. Errors in its console fail the test."""
+    context = browser.new_context(viewport=PHONE, has_touch=True, base_url=url, permissions=list(permissions))
+    page = context.new_page()
+    page.set_default_timeout(20_000)
+    return page
+
+
+class Wire:
+    """A TCP relay in front of a server, to cut connections with: what a phone at the edge of the WLAN goes through."""
+
+    def __init__(self, target: tuple[str, int]) -> None:
+        self.target = target
+        self.listener = socket.create_server(("127.0.0.1", 0))
+        self.url = f"http://127.0.0.1:{self.listener.getsockname()[1]}"
+        self.up = True
+        self.left: int | None = None  # bytes towards the server until the wire breaks
+        self.sent = 0
+        self._open: set[socket.socket] = set()
+        threading.Thread(target=self._accept, daemon=True).start()
+
+    def cut(self) -> None:
+        """Break all connections, and take no new ones."""
+        self.up = False
+        for one in list(self._open):
+            with suppress(OSError):
+                one.shutdown(socket.SHUT_RDWR)
+
+    def cut_after(self, count: int) -> None:
+        """Cut once so many more bytes have gone to the server."""
+        self.left = count
+
+    def mend(self) -> None:
+        """Take connections again."""
+        self.up = True
+
+    def close(self) -> None:
+        """Break it for good."""
+        self.cut()
+        self.listener.close()
+
+    def _accept(self) -> None:
+        with suppress(OSError):
+            while True:
+                client, _ = self.listener.accept()
+                threading.Thread(target=self._relay, args=(client,), daemon=True).start()
+
+    def _relay(self, client: socket.socket) -> None:
+        with closing(client), suppress(OSError):
+            if not self.up:
+                return
+            with closing(socket.create_connection(self.target)) as server:
+                self._open |= {client, server}
+                back = threading.Thread(target=self._pump, args=(server, client), daemon=True)
+                back.start()
+                self._pump(client, server, counted=True)
+                back.join()
+                self._open -= {client, server}
+
+    def _pump(self, source: socket.socket, sink: socket.socket, counted: bool = False) -> None:
+        with suppress(OSError):
+            while data := source.recv(65536):
+                if counted and self.left is not None:
+                    data, broken = data[: self.left], len(data) >= self.left
+                    self.left -= len(data)
+                    if broken:
+                        sink.sendall(data)
+                        self.sent += len(data)
+                        self.left = None
+                        self.cut()
+                        return
+                sink.sendall(data)
+                self.sent += len(data) if counted else 0
+        for one in (source, sink):
+            with suppress(OSError):
+                one.shutdown(socket.SHUT_RDWR)
