@@ -54,7 +54,7 @@ def serve(
     if settings.jobs_database is not None:
         JobQueue(settings.data_dir, settings.jobs_database).close()  # told here, in one line, if it cannot be reached
     with _listening_socket(settings.host, settings.port) as listener:
-        server = uvicorn.Server(uvicorn.Config(create_app(settings), log_level="warning", backlog=_BACKLOG))
+        config = uvicorn.Config(create_app(settings), log_level="warning", backlog=_BACKLOG)
         port = listener.getsockname()[1]
         where = f"http://{settings.host}:{port}"
         if tls:
