@@ -24,7 +24,7 @@ from rholoc.recordings.recording import Imu, RecordingWarning, WarningKind
 STANDARD_GRAVITY = 9.80665  # m/s²
 MIN_RATE_HZ = 25.0  # the paper's floor
 
-_TIME_UNITS = {"s": 1.0, "ms": 1e-3, "µs": 1e-6, "ns": 1e-9}
+_PER_SECOND = {"s": 1.0, "ms": 1e3, "µs": 1e6, "ns": 1e9}  # divided by, which rounds right: 1e-9 is not exact
 _LONGEST_IMU_INTERVAL_S = 0.4
 _LONGEST_FRAME_INTERVAL_S = 2.0
 _MAX_DROPPED = 0.05  # share of rows whose time does not advance
@@ -110,8 +110,8 @@ def time_unit(times: FloatArray, longest_s: float = _LONGEST_IMU_INTERVAL_S) -> 
     if len(steps) == 0:
         return None
     median = float(np.median(steps))
-    for unit, seconds in _TIME_UNITS.items():
-        if longest_s / 1000 < median * seconds <= longest_s:
+    for unit, per_second in _PER_SECOND.items():
+        if longest_s / 1000 < median / per_second <= longest_s:
             return unit
     return None
 
@@ -120,7 +120,7 @@ def frame_times_s(times: FloatArray, says: str) -> tuple[FloatArray, tuple[Recor
     """Times (N,) of frames in seconds, by their interval, as an IMU's are; ``says`` is the format's own unit."""
     unit = time_unit(times, _LONGEST_FRAME_INTERVAL_S) or says
     warnings = () if unit == says else (_unit_warning("frames", unit, says),)
-    return times * _TIME_UNITS[unit], warnings
+    return times / _PER_SECOND[unit], warnings
 
 
 def advancing_rows(times: FloatArray, what: str) -> tuple[IntArray, tuple[RecordingWarning, ...]]:
@@ -245,7 +245,7 @@ def _in_seconds(samples: Samples, says: str, sensor: str, warnings: list[Recordi
     unit = unit or says
     if unit != says:
         warnings.append(_unit_warning(sensor, unit, says))
-    return replace(samples, times=samples.times * _TIME_UNITS[unit])
+    return replace(samples, times=samples.times / _PER_SECOND[unit])
 
 
 def _unit_warning(what: str, unit: str, says: str) -> RecordingWarning:

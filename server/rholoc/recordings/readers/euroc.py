@@ -39,7 +39,7 @@ from rholoc.recordings.recording import (
 _GYROSCOPE = tuple(f"w_rs_s_{axis}" for axis in "xyz")
 _ACCELEROMETER = tuple(f"a_rs_s_{axis}" for axis in "xyz")
 _BODY_POSE = ("p_rs_r_x", "p_rs_r_y", "p_rs_r_z", "q_rs_x", "q_rs_y", "q_rs_z", "q_rs_w")
-_NS = 1e-9
+_NS_PER_S = 1e9
 
 
 def recognises(folder: Path) -> bool:
@@ -136,8 +136,8 @@ def _poses(root: Path, T_body_camera: FloatArray | None, frames: FrameSource) ->
     if of_body.is_file() and T_body_camera is not None:
         table = read_logged_table(of_body)
         poses = poses_from_rows(table.named(*_BODY_POSE), "state_groundtruth_estimate0") @ T_body_camera
-        return match_poses(PoseTable(table.named("timestamp")[:, 0] * _NS, poses), frames)
+        return match_poses(PoseTable(table.named("timestamp")[:, 0] / _NS_PER_S, poses), frames)
     if of_camera.is_file():
         rows = read_logged_table(of_camera).numbered(*range(8))
-        return match_poses(PoseTable(rows[:, 0] * _NS, poses_from_rows(rows[:, 1:], of_camera.name)), frames)
+        return match_poses(PoseTable(rows[:, 0] / _NS_PER_S, poses_from_rows(rows[:, 1:], of_camera.name)), frames)
     return None

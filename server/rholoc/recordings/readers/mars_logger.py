@@ -93,5 +93,5 @@ def _intrinsics(metadata: LoggedTable) -> FloatArray:
 def _readout_s(metadata: LoggedTable) -> float | None:
     if _READOUT not in metadata.header:
         return None
-    readout_s = float(np.median(metadata.named(_READOUT))) * 1e-9
+    readout_s = float(np.median(metadata.named(_READOUT))) / 1e9
     return readout_s if readout_s > 0 else None

@@ -1,0 +1,257 @@
+"""Every format: the same walk comes back from each, with what the format holds of it."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import phone_recordings as phone
+import pytest
+
+from rholoc.errors import InvalidRecording, InvalidTrajectory
+from rholoc.geometry import Camera
+from rholoc.recordings import (
+    CameraFile,
+    Recording,
+    RecordingFormat,
+    WarningKind,
+    read_recording,
+    write_camera_json,
+    write_waypoints_csv,
+)
+from rholoc.recordings.readers import READERS
+from rholoc.recordings.recording import Waypoint
+
+UNTIMED = ("7-scenes", "colmap", "nerfstudio")
+WITHOUT_IMU = (*UNTIMED, "tum")
+MOUNTED = {
+    "rholoc": phone.R_PORTRAIT_CAMERA_IMU,
+    "spectacular": phone.R_LANDSCAPE_CAMERA_IMU,
+    "stray": phone.R_LANDSCAPE_CAMERA_IMU,
+    "ios-logger": phone.R_LANDSCAPE_CAMERA_IMU,
+    "advio": phone.R_PORTRAIT_CAMERA_IMU,
+    "euroc": phone.R_PORTRAIT_CAMERA_IMU,
+}
+POSED = {
+    "stray": phone.R_LANDSCAPE_CAMERA_IMU,
+    "ios-logger": phone.R_LANDSCAPE_CAMERA_IMU,
+    **dict.fromkeys(("advio", "euroc", "tum", "7-scenes", "colmap", "nerfstudio"), phone.R_PORTRAIT_CAMERA_IMU),
+}
+DISTORTED = {
+    "rholoc": (),
+    "stray": (),
+    "spectacular": (0.01, -0.02, 0.0, 0.0, 0.003),
+    **dict.fromkeys(("euroc", "colmap", "nerfstudio"), (0.1, -0.05, 0.001, 0.002)),
+}
+WARNED = {
+    "tum": [WarningKind.NOT_USED],
+    "colmap": [WarningKind.SCALE_UNKNOWN],
+    "nerfstudio": [WarningKind.SCALE_UNKNOWN],
+}
+
+
+def read(name: str, tmp_path: Path) -> Recording:
+    return read_recording(phone.write_recording(name, tmp_path / "walk"))
+
+
+@pytest.mark.parametrize("name", phone.WRITERS)
+def test_the_walk_comes_back_from_every_format(name: str, tmp_path: Path) -> None:
+    recording = read(name, tmp_path)
+    assert recording.name == "walk"
+    assert recording.format is phone.WRITERS[name][0]
+    assert [warning.kind for warning in recording.warnings] == WARNED.get(name, [])
+    check_frames(name, recording)
+    check_imu(name, recording)
+    check_poses(name, recording)
+    check_camera(name, recording)
+
+
+def check_frames(name: str, recording: Recording) -> None:
+    times = recording.frames.times - recording.frames.times[0]
+    np.testing.assert_allclose(times, np.arange(phone.FRAMES) / (30 if name in UNTIMED else phone.FPS), atol=1e-5)
+    if name not in UNTIMED:
+        assert recording.frames.times[0] == pytest.approx(0 if name == "advio" else phone.START_S, abs=1e-5)
+    assert recording.frames.size == phone.SIZE
+    shades = [float(image.mean()) for image in recording.frames.images([3, 11, 20])]
+    np.testing.assert_allclose(shades, [30, 110, 200], atol=4)
+
+
+def check_imu(name: str, recording: Recording) -> None:
+    imu = recording.imu
+    if name in WITHOUT_IMU:
+        assert imu is None
+        return
+    assert imu is not None
+    times = imu.times + (phone.START_S if name == "advio" else 0)
+    _, _, rate, felt = phone.truth(times)
+    assert len(times) >= 178
+    np.testing.assert_allclose(imu.angular_velocity, rate, atol=1e-3)
+    np.testing.assert_allclose(imu.acceleration, felt, atol=0.01)
+    assert imu.includes_gravity
+    if name in MOUNTED:
+        np.testing.assert_allclose(imu.R_camera_imu, MOUNTED[name], atol=1e-9)
+    else:
+        assert imu.R_camera_imu is None
+
+
+def check_poses(name: str, recording: Recording) -> None:
+    if name not in POSED:
+        assert recording.poses is None
+        return
+    assert recording.poses is not None
+    assert recording.poses.known.all()
+    assert recording.poses.metric is (name not in ("colmap", "nerfstudio"))
+    np.testing.assert_allclose(recording.poses.T_map_camera, phone.camera_poses(POSED[name]), atol=1e-4)
+
+
+def check_camera(name: str, recording: Recording) -> None:
+    if name in DISTORTED:
+        assert recording.camera == Camera(*phone.SIZE, *phone.INTRINSICS, DISTORTED[name])
+    else:
+        assert recording.camera is None
+
+
+@pytest.mark.parametrize("name", phone.WRITERS)
+def test_every_format_is_read_from_a_zip_file_wrapped_in_a_folder(name: str, tmp_path: Path) -> None:
+    phone.write_recording(name, tmp_path / "packed" / "some name")
+    packed = shutil.make_archive(str(tmp_path / "walk"), "zip", tmp_path / "packed")
+    recording = read_recording(Path(packed))
+    assert recording.format is phone.WRITERS[name][0]
+    assert recording.name == "walk"
+    assert len(recording.frames.times) == phone.FRAMES
+
+
+def test_every_reader_has_a_format_of_its_own_and_a_walk_here() -> None:
+    formats = [reader.format for reader in READERS]
+    assert len(set(formats)) == len(formats)
+    written = {kind for kind, _ in phone.WRITERS.values()}
+    assert {*formats, RecordingFormat.RHOLOC} == written
+    assert written | {RecordingFormat.VIDEO} == set(RecordingFormat)
+
+
+def test_what_a_recorder_logs_of_every_frame(tmp_path: Path) -> None:
+    android = read_recording(phone.write_recording("mars-android", tmp_path / "android"), frames="3:5")
+    assert android.readout_s == pytest.approx(0.015)
+    assert android.frame_intrinsics is not None
+    np.testing.assert_array_equal(android.frame_intrinsics[:, :2], [[64, 65], [65, 66]])
+    assert np.isnan(android.frame_intrinsics[:, 2:]).all()
+    ios = read_recording(phone.write_recording("mars-ios", tmp_path / "ios"))
+    for name in ("stray", "ios-logger"):
+        recording = read_recording(phone.write_recording(name, tmp_path / name))
+        for logged in (ios, recording):
+            np.testing.assert_array_equal(logged.frame_intrinsics, np.tile(phone.INTRINSICS, (24, 1)))
+    spectacular = read_recording(phone.write_recording("spectacular", tmp_path / "spectacular"))
+    assert spectacular.frame_intrinsics is not None
+    np.testing.assert_allclose(spectacular.frame_intrinsics[:, 0], 60 + 0.1 * np.arange(24))
+
+
+@pytest.mark.parametrize("platform", ["android", "ios"])
+def test_sensor_logger_without_gravity(platform: str, tmp_path: Path) -> None:
+    folder = tmp_path / "walk"
+    phone.write_sensor_logger(folder, platform)
+    (folder / "TotalAcceleration.csv").unlink(missing_ok=True)
+    imu = read_recording(folder).imu
+    assert imu is not None
+    assert not imu.includes_gravity
+    R, _, _, felt = phone.truth(imu.times)
+    np.testing.assert_allclose(imu.acceleration, felt - np.einsum("nji,j->ni", R, [0, 0, phone.GRAVITY]), atol=1e-2)
+
+
+def test_the_raw_tables_of_ios_logger_serve_without_the_fused_one(tmp_path: Path) -> None:
+    folder = phone.write_recording("ios-logger", tmp_path / "walk")
+    _, _, rate, felt = phone.truth(phone.imu_times)
+    later = phone.imu_times + 0.003
+    phone.write_rows(folder / "Gyro.txt", "", np.column_stack([phone.imu_times, rate]).tolist())
+    accelerometer = np.column_stack([later, -phone.truth(later)[3] / phone.GRAVITY])
+    phone.write_rows(folder / "Accel.txt", "", accelerometer.tolist())
+    (folder / "MotARH.txt").unlink()
+    imu = read_recording(folder).imu
+    assert imu is not None
+    np.testing.assert_allclose(imu.acceleration, phone.truth(imu.times)[3], atol=0.02)
+
+
+def test_ios_logger_without_its_video_has_times_and_no_images(tmp_path: Path) -> None:
+    folder = phone.write_recording("ios-logger", tmp_path / "walk")
+    (folder / "Frames.m4v").unlink()
+    recording = read_recording(folder)
+    assert recording.warnings[0].kind is WarningKind.NO_IMAGES
+    assert len(recording.frames.times) == phone.FRAMES
+    with pytest.raises(InvalidRecording, match="no images"):
+        list(recording.frames.images([0]))
+
+
+def test_apples_sign_is_found_by_the_poses_where_a_format_does_not_have_it(tmp_path: Path) -> None:
+    folder = phone.write_recording("advio", tmp_path / "walk")
+    _, _, _, felt = phone.truth(phone.imu_times)
+    rows = np.column_stack([phone.imu_times - phone.START_S, -felt / phone.GRAVITY])
+    phone.write_rows(folder / "iphone" / "accelerometer.csv", "", rows.tolist())
+    recording = read_recording(folder)
+    assert {warning.kind for warning in recording.warnings} == {WarningKind.ACCELERATION_UNIT, WarningKind.SIGN}
+    check_imu("advio", recording)
+
+
+def test_waypoints_and_intrinsics_may_be_added_to_any_format(tmp_path: Path) -> None:
+    folder = phone.write_recording("opencamera", tmp_path / "walk")
+    waypoints = [Waypoint(f"W{i}", phone.START_S + 0.3 * i, (i, i * i, 1.5)) for i in range(3)]
+    write_waypoints_csv(folder / "waypoints.csv", waypoints)
+    camera = Camera(2 * 64, 2 * 48, 120, 120, 63.5, 47.5)
+    write_camera_json(folder / "camera.json", CameraFile(camera, R_camera_imu=phone.R_PORTRAIT_CAMERA_IMU))
+    recording = read_recording(folder)
+    assert recording.format is RecordingFormat.OPENCAMERA_SENSORS
+    assert [waypoint.name for waypoint in recording.waypoints] == ["W0", "W1", "W2"]
+    assert recording.camera == Camera(64, 48, 60, 60, 31.5, 23.5)
+    assert recording.imu is not None
+    np.testing.assert_array_equal(recording.imu.R_camera_imu, phone.R_PORTRAIT_CAMERA_IMU)
+
+
+def test_fisheye_intrinsics_are_left_aside_and_told(tmp_path: Path) -> None:
+    edits = {
+        "spectacular": ("calibration.json", '"pinhole"', '"kannala-brandt4"'),
+        "euroc": ("mav0/cam0/sensor.yaml", "radial-tangential", "equidistant"),
+        "colmap": ("sparse/0/cameras.txt", "1 OPENCV", "1 OPENCV_FISHEYE"),
+        "nerfstudio": ("transforms.json", '"OPENCV"', '"OPENCV_FISHEYE"'),
+    }
+    for name, (file, old, new) in edits.items():
+        path = phone.write_recording(name, tmp_path / name) / file
+        assert old in path.read_text()
+        path.write_text(path.read_text().replace(old, new))
+        recording = read_recording(tmp_path / name)
+        assert recording.camera is None
+        assert WarningKind.CAMERA_UNSUPPORTED in [warning.kind for warning in recording.warnings]
+
+
+def test_a_frame_that_tracking_lost_has_no_pose(tmp_path: Path) -> None:
+    folder = phone.write_recording("7-scenes", tmp_path / "walk")
+    (folder / "frame-000005.pose.txt").write_text("-1.#IND " * 16)
+    (folder / "frame-000006.pose.txt").write_text("nan " * 16)
+    (folder / "frame-000007.pose.txt").unlink()
+    with pytest.raises(InvalidTrajectory, match=r"frame-000005\.pose\.txt"):
+        read_recording(folder)
+    (folder / "frame-000005.pose.txt").write_text("inf " * 16)
+    poses = read_recording(folder).poses
+    assert poses is not None
+    assert np.flatnonzero(~poses.known).tolist() == [5, 6, 7]
+
+
+def test_frames_that_a_colmap_model_does_not_place_are_left_aside(tmp_path: Path) -> None:
+    folder = phone.write_recording("colmap", tmp_path / "walk")
+    phone.write_images(folder / "images", ["walk/frame0099.png"])
+    path = folder / "sparse" / "0" / "images.txt"
+    lines = path.read_text().splitlines()
+    path.write_text("\n".join(lines[:1] + lines[5:]))
+    recording = read_recording(folder)
+    assert recording.frames.numbers.tolist() == list(range(22))
+
+
+def test_a_cameras_own_intrinsics_of_several_in_a_colmap_model(tmp_path: Path) -> None:
+    folder = phone.write_recording("colmap", tmp_path / "walk")
+    cameras = folder / "sparse" / "0" / "cameras.txt"
+    cameras.write_text(cameras.read_text() + "2 PINHOLE 64 48 70 71 32 24\n")
+    path = folder / "sparse" / "0" / "images.txt"
+    path.write_text(path.read_text().replace(" 1 walk/frame0004.png", " 2 walk/frame0004.png"))
+    recording = read_recording(folder)
+    assert recording.camera is not None
+    assert recording.camera.fx == 60
+    assert recording.frame_intrinsics is not None
+    assert recording.frame_intrinsics[[3, 4], 0].tolist() == [60, 70]
