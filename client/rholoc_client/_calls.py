@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import hashlib
 import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
@@ -29,8 +30,11 @@ from rholoc_client.models import (
 
 T = TypeVar("T")
 
+Standing = tuple[int, str | None]  # of an upload: the bytes that the service has; once it has all, the job's id
 Outcome = httpx.Response | httpx.TransportError
 Maps = str | Sequence[str] | None  # one map, several, or all
+
+_TUS = {"Tus-Resumable": "1.0.0"}
 
 
 @dataclass(frozen=True)
@@ -49,7 +53,6 @@ class Call(Generic[T]):
     headers: Mapping[str, str] = field(default_factory=dict)
     content: bytes | None = None
     files: Mapping[str, Any] | None = None
-    data: Mapping[str, str] | None = None
 
 
 def result_of(call: Call[T], outcome: Outcome) -> T:
@@ -96,7 +99,7 @@ def localize_features(maps: Maps, features: Features, options: Mapping[str, Any]
     size = {"width": features.width, "height": features.height}
     sent: dict[str, Any] = {
         "pixels": [[float(u), float(v)] for u, v in features.pixels],
-        "descriptors": base64.b64encode(b"".join(bytes(one) for one in features.descriptors)).decode("ascii"),
+        "descriptors": _base64(b"".join(bytes(one) for one in features.descriptors)),
     }
     if features.channels is not None:
         sent["channels"] = [one if isinstance(one, str) else int(one) for one in features.channels]
@@ -224,16 +227,31 @@ def delete_map(name: str) -> Call[None]:
     return Call("DELETE", _map_path(name), lambda response: None, idempotent=False)
 
 
-def upload_recording(files: Mapping[str, Any], fields: Mapping[str, str | None]) -> Call[Job]:
-    """Upload a recording; the answer is its mapping job."""
-    return Call(
-        "POST",
-        "/v1/recordings",
-        lambda response: parse_job(response.json()["job"]),
-        idempotent=False,
-        files=files,
-        data={name: value for name, value in fields.items() if value is not None},
-    )
+def begin_upload(name: str, length: int, fields: Mapping[str, str | None]) -> Call[str]:
+    """Announce a recording's file of ``length`` bytes; the answer is the recording's id.
+
+    Should it be announced twice, the service forgets the one that stays empty.
+    """
+    told = {"filename": name, **_without_none(fields)}
+    metadata = ",".join(f"{key} {_base64(value.encode())}" for key, value in told.items())
+    headers = {**_TUS, "Upload-Length": str(length), "Upload-Metadata": metadata}
+    return Call("POST", "/v1/recordings", lambda response: _last_part(response.headers["Location"]), headers=headers)
+
+
+def continue_upload(recording: str, offset: int, piece: bytes) -> Call[Standing]:
+    """Send the bytes from ``offset`` on; the answer is where the upload stands."""
+    headers = {
+        **_TUS,
+        "Upload-Offset": str(offset),
+        "Upload-Checksum": f"sha256 {_base64(hashlib.sha256(piece).digest())}",
+        "Content-Type": "application/offset+octet-stream",
+    }
+    return Call("PATCH", _recording_path(recording), _standing, idempotent=False, headers=headers, content=piece)
+
+
+def upload_standing(recording: str) -> Call[Standing]:
+    """Where the upload stands."""
+    return Call("HEAD", _recording_path(recording), _standing, headers=_TUS)
 
 
 def get_job(job_id: str) -> Call[Job]:
@@ -259,6 +277,18 @@ def retry_job(job_id: str) -> Call[Job]:
 def readiness() -> Call[dict[str, str]]:
     """What is ready."""
     return Call("GET", "/readyz", lambda response: dict(response.json()["checks"]), answers=frozenset({503}))
+
+
+def _standing(response: httpx.Response) -> Standing:
+    return int(response.headers["Upload-Offset"]), response.headers.get("Rholoc-Job")
+
+
+def _last_part(address: str) -> str:
+    return address.rstrip("/").rsplit("/", 1)[1]
+
+
+def _base64(data: bytes) -> str:
+    return base64.b64encode(data).decode("ascii")
 
 
 def _post(path: str, body: Mapping[str, Any], read: Callable[[httpx.Response], T]) -> Call[T]:
@@ -296,6 +326,10 @@ def _map_path(name: str) -> str:
 
 def _camera_path(name: str) -> str:
     return f"/v1/cameras/{_segment(name)}"
+
+
+def _recording_path(recording: str) -> str:
+    return f"/v1/recordings/{_segment(recording)}"
 
 
 def _job_path(job_id: str) -> str:

@@ -1,74 +1,98 @@
-"""Recordings and maps → what is uploaded, with progress."""
+"""Recordings → what is uploaded, piece by piece, so that a broken connection costs one piece at most."""
 
 from __future__ import annotations
 
 import os
 import tempfile
 import zipfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
-UploadProgress = Callable[[int, int], None]  # bytes sent, bytes in all
+from rholoc_client._calls import Call, begin_upload, continue_upload, get_job, upload_standing
+from rholoc_client.errors import ChecksumMismatch, Conflict, ConnectionFailed, InvalidAnswer, InvalidRecording
+from rholoc_client.models import Job
 
+UploadProgress = Callable[[int, int], None]  # bytes that the service has, bytes in all
+
+_PIECE_BYTES = 4 * 2**20
+_WAYPOINTS_FILE = "waypoints.csv"
 _PACKED = frozenset({".jpg", ".jpeg", ".png", ".webp", ".mp4", ".mov", ".webm", ".mkv"})
 
 
-class CountedFile:
-    """A file that tells how much of it was read; httpx reads it once per attempt."""
+def upload_steps(
+    name: str, file: BinaryIO, fields: Mapping[str, str | None], retries: int, progress: UploadProgress | None
+) -> Generator[Call[Any], Any, Job]:
+    """The calls of an upload, one after the other; each is sent its answer, or thrown its error.
 
-    def __init__(self, file: BinaryIO, progress: UploadProgress | None) -> None:
-        self._file = file
-        self._progress = progress
-        self._total = os.fstat(file.fileno()).st_size
+    After a piece that failed, the service is asked what it has. What it has is not sent again.
 
-    def read(self, size: int = -1) -> bytes:
-        """The next bytes."""
-        chunk = self._file.read(size)
-        if self._progress is not None and chunk:
-            self._progress(self._file.tell(), self._total)
-        return chunk
+    Args:
+        name: the file's name.
+        file: what is uploaded.
+        fields: what is to become of it.
+        retries: how often in a row a piece may fail.
+        progress: hears of every piece that arrived.
 
-    def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
-        """As of files."""
-        return self._file.seek(offset, whence)
-
-    def tell(self) -> int:
-        """As of files."""
-        return self._file.tell()
-
-    def fileno(self) -> int:
-        """As of files; httpx learns the length from it."""
-        return self._file.fileno()
+    Returns:
+        The mapping job.
+    """
+    length = file.seek(0, os.SEEK_END)
+    recording = yield begin_upload(name, length, fields)
+    offset, job_id, failures = 0, None, 0
+    while offset < length:
+        file.seek(offset)
+        try:
+            offset, job_id = yield continue_upload(recording, offset, file.read(_PIECE_BYTES))
+            failures = 0
+            if progress is not None:
+                progress(offset, length)
+        except (ConnectionFailed, Conflict, ChecksumMismatch):
+            failures += 1
+            if failures > retries:
+                raise
+            offset, job_id = yield upload_standing(recording)
+    if job_id is None:
+        raise InvalidAnswer("The service has the whole upload, but names no job.")
+    job: Job = yield get_job(job_id)
+    return job
 
 
 @contextmanager
-def opened_recording(path: Path, progress: UploadProgress | None) -> Iterator[tuple[str, CountedFile]]:
-    """A recording as one file: a video or a ZIP file as it is, a folder packed into a temporary ZIP file.
+def opened_recording(path: Path, waypoints: Path | None = None) -> Iterator[tuple[str, BinaryIO]]:
+    """A recording as one file: a video or a ZIP file as it is; a folder, or a video with its waypoints, packed.
 
     Yields:
         The file's name and the file.
 
     Raises:
+        InvalidRecording: waypoints cannot be added to a ZIP file.
         OSError: the path cannot be read.
     """
+    if path.suffix.lower() == ".zip" and waypoints is not None:
+        raise InvalidRecording("Waypoints were given beside a ZIP file.", f"Put {_WAYPOINTS_FILE} into the ZIP file.")
     with ExitStack() as stack:
-        if path.is_dir():
+        if path.is_dir() or waypoints is not None:
             file: BinaryIO = stack.enter_context(tempfile.TemporaryFile())
-            _pack(path, file)
-            name = f"{path.resolve().name}.zip"
+            _pack(_contents(path, waypoints), file)
+            yield f"{path.resolve().stem if path.is_file() else path.resolve().name}.zip", file
         else:
-            file = stack.enter_context(path.open("rb"))
-            name = path.name
-        yield name, CountedFile(file, progress)
+            yield path.name, stack.enter_context(path.open("rb"))
 
 
-def _pack(folder: Path, file: BinaryIO) -> None:
+def _contents(path: Path, waypoints: Path | None) -> dict[str, Path]:
+    """What is packed: name → file."""
+    files = {path.name: path} if path.is_file() else {}
+    for inner in sorted(path.rglob("*")):
+        relative = inner.relative_to(path)
+        if inner.is_file() and not any(part.startswith(".") for part in relative.parts):
+            files[relative.as_posix()] = inner
+    return files if waypoints is None else {**files, _WAYPOINTS_FILE: waypoints}
+
+
+def _pack(contents: Mapping[str, Path], file: BinaryIO) -> None:
     with zipfile.ZipFile(file, "w") as archive:
-        for path in sorted(folder.rglob("*")):
-            relative = path.relative_to(folder)
-            if path.is_file() and not any(part.startswith(".") for part in relative.parts):
-                packed = path.suffix.lower() in _PACKED
-                archive.write(path, relative, zipfile.ZIP_STORED if packed else zipfile.ZIP_DEFLATED)
-    file.seek(0)
+        for name, path in contents.items():
+            packed = path.suffix.lower() in _PACKED
+            archive.write(path, name, zipfile.ZIP_STORED if packed else zipfile.ZIP_DEFLATED)

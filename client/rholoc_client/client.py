@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any, TypeVar
@@ -15,14 +15,15 @@ from rholoc_client import _calls
 from rholoc_client._calls import Call, Maps, Outcome, localize_options, result_of
 from rholoc_client._images import ImageLike
 from rholoc_client._retry import Attempts, Backoff
-from rholoc_client._uploads import UploadProgress, opened_recording
-from rholoc_client.errors import JobFailed, WaitTimedOut
+from rholoc_client._uploads import UploadProgress, opened_recording, upload_steps
+from rholoc_client.errors import JobFailed, RholocClientError, WaitTimedOut
 from rholoc_client.models import Camera, CameraProfile, Features, Job, Localization, MapSummary, Prior, Vector3
 
 T = TypeVar("T")
 JobProgress = Callable[[Job], None]
 
 _UPLOAD_TIMEOUT_S = 600.0
+_PIECE_TIMEOUT_S = 60.0  # of an upload; the last one is answered once the recording is safe on disk
 
 
 class Client:
@@ -200,7 +201,7 @@ class Client:
         waypoints: Path | None = None,
         progress: UploadProgress | None = None,
     ) -> Job:
-        """Upload a recording and have it mapped.
+        """Upload a recording and have it mapped. A broken connection is taken up again where it broke.
 
         Args:
             path: a video, a ZIP file, or a recording's folder, which is packed on the way.
@@ -208,13 +209,12 @@ class Client:
             kind: "build" a new map, or "update" the one of that name; None: build.
             features, density, poses: how to build it; the service's defaults where None.
             camera: the intrinsics, or the name of a stored camera, instead of the recording's own.
-            waypoints: a CSV file of measured waypoints beside a video; in a folder or ZIP file it is ``waypoints.csv``.
-            progress: hears of bytes sent and bytes in all.
+            waypoints: a CSV file of measured waypoints; in a ZIP file it is ``waypoints.csv``.
+            progress: hears of the bytes that the service has, and of bytes in all.
         """
         fields = _recording_fields(map_name, kind, features, density, poses, camera)
-        with opened_recording(path, progress) as (name, file):
-            files = _recording_files(name, file, waypoints)
-            return self._send(_calls.upload_recording(files, fields), _UPLOAD_TIMEOUT_S)
+        with opened_recording(path, waypoints) as (name, file):
+            return self._run(upload_steps(name, file, fields, self._backoff.retries, progress))
 
     def jobs(self) -> list[Job]:
         """All jobs, the newest first."""
@@ -258,6 +258,20 @@ class Client:
     def readiness(self) -> dict[str, str]:
         """What the service checks of itself: "ok" or what is wrong, by name."""
         return self._send(_calls.readiness())
+
+    def _run(self, steps: Generator[Call[Any], Any, T]) -> T:
+        try:
+            call = next(steps)
+            while True:
+                try:
+                    answer = self._send(call, _PIECE_TIMEOUT_S)
+                except RholocClientError as error:
+                    call = steps.throw(error)
+                else:
+                    call = steps.send(answer)
+        except StopIteration as ended:
+            result: T = ended.value
+            return result
 
     def _send(self, call: Call[T], timeout_s: float | None = None) -> T:
         attempts = Attempts(self._backoff, call)
@@ -426,9 +440,8 @@ class AsyncClient:
     ) -> Job:
         """As :meth:`Client.upload_recording`."""
         fields = _recording_fields(map_name, kind, features, density, poses, camera)
-        with opened_recording(path, progress) as (name, file):
-            files = _recording_files(name, file, waypoints)
-            return await self._send(_calls.upload_recording(files, fields), _UPLOAD_TIMEOUT_S)
+        with opened_recording(path, waypoints) as (name, file):
+            return await self._run(upload_steps(name, file, fields, self._backoff.retries, progress))
 
     async def jobs(self) -> list[Job]:
         """As :meth:`Client.jobs`."""
@@ -468,6 +481,20 @@ class AsyncClient:
         """As :meth:`Client.readiness`."""
         return await self._send(_calls.readiness())
 
+    async def _run(self, steps: Generator[Call[Any], Any, T]) -> T:
+        try:
+            call = next(steps)
+            while True:
+                try:
+                    answer = await self._send(call, _PIECE_TIMEOUT_S)
+                except RholocClientError as error:
+                    call = steps.throw(error)
+                else:
+                    call = steps.send(answer)
+        except StopIteration as ended:
+            result: T = ended.value
+            return result
+
     async def _send(self, call: Call[T], timeout_s: float | None = None) -> T:
         attempts = Attempts(self._backoff, call)
         while True:
@@ -496,7 +523,6 @@ def _request(http: httpx.Client | httpx.AsyncClient, call: Call[T], timeout_s: f
         headers=call.headers,
         content=call.content,
         files=call.files,
-        data=call.data,
         timeout=httpx.USE_CLIENT_DEFAULT if timeout_s is None else timeout_s,
     )
 
@@ -528,13 +554,6 @@ def _camera_text(camera: Camera | str | None) -> str | None:
         return camera
     values = (camera.fx, camera.fy, camera.cx, camera.cy, *camera.distortion)
     return ",".join(repr(float(value)) for value in values)
-
-
-def _recording_files(name: str, file: Any, waypoints: Path | None) -> dict[str, Any]:
-    files: dict[str, Any] = {"file": (name, file, "application/octet-stream")}
-    if waypoints is not None:
-        files["waypoints"] = ("waypoints.csv", waypoints.read_bytes(), "text/csv")
-    return files
 
 
 def _deadline(timeout_s: float | None) -> float:

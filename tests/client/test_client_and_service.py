@@ -150,7 +150,7 @@ def test_a_camera_that_is_absurd(client, picture_world):
 def test_a_folder_is_uploaded_as_a_zip_file(client, service, tmp_path):
     folder = tmp_path / "walk"
     (folder / "frames").mkdir(parents=True)
-    (folder / "frames" / "0001.jpg").write_bytes(b"\xff\xd8" * 200_000)
+    (folder / "frames" / "0001.jpg").write_bytes(b"\xff\xd8\xff" * 200_000)
     (folder / "imu.csv").write_text("timestamp,ax\n" + "0,1\n" * 1000)
     (folder / ".hidden").write_text("no")
     heard = []
@@ -168,10 +168,13 @@ def test_a_folder_is_uploaded_as_a_zip_file(client, service, tmp_path):
 
 
 def test_a_video_with_waypoints(client, service, tmp_path):
-    (tmp_path / "walk.mp4").write_bytes(b"\0" * 1000)
+    (tmp_path / "walk.mp4").write_bytes(b"\0\0\0\x18ftypmp42" + b"\0" * 1000)
     (tmp_path / "measured.csv").write_text("name,time,x,y,z\n")
     job = client.upload_recording(tmp_path / "walk.mp4", "hall", waypoints=tmp_path / "measured.csv")
-    assert RecordingStore(service.settings.data_dir).get(job.recording).files == ("walk.mp4", "waypoints.csv")
+    with zipfile.ZipFile(RecordingStore(service.settings.data_dir).path(job.recording)) as archive:
+        assert archive.namelist() == ["walk.mp4", "waypoints.csv"]
+    with pytest.raises(rholoc_client.InvalidRecording, match="into the ZIP"):
+        client.upload_recording(tmp_path / "walk.zip", "hall", waypoints=tmp_path / "measured.csv")
     assert job.id in [one.id for one in client.jobs()]
     with pytest.raises(WaitTimedOut):
         client.wait_for_job(job.id, timeout_s=0.05, poll_s=0.01)

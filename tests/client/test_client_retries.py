@@ -106,13 +106,38 @@ def test_what_was_never_sent_is_sent_again(slept):
     assert client(Script(httpx.ConnectError("refused"), busy(), job())).retry_job("1").map == "hall"
 
 
-def test_a_whole_upload_is_sent_again(slept, tmp_path):
-    (tmp_path / "walk.mp4").write_bytes(b"0123456789" * 1000)
-    script = Script(busy(), httpx.Response(202, json={"recording": "2" * 32, "job": JOB}))
-    client(script).upload_recording(tmp_path / "walk.mp4", "hall")
-    for request in script.requests:
-        assert b"0123456789" * 1000 in request.content
-        assert int(request.headers["Content-Length"]) == len(request.content)
+def stands_at(offset: int, status: int = 204, **headers: str) -> httpx.Response:
+    return httpx.Response(status, headers={"Upload-Offset": str(offset), **headers})
+
+
+def upload(script, folder, **options):
+    (folder / "walk.mp4").write_bytes(b"0123456789" * 1000)
+    begun = httpx.Response(201, headers={"Location": "http://elsewhere/v1/recordings/" + "2" * 32})
+    script.answers = [begun, *script.answers]
+    return client(script, **options).upload_recording(folder / "walk.mp4", "hall")
+
+
+def test_after_a_broken_connection_the_upload_goes_on_where_the_service_is(slept, tmp_path):
+    whole = stands_at(10_000, **{"Rholoc-Job": JOB["id"]})
+    script = Script(busy(), httpx.ReadError("cut"), stands_at(4000, 200), whole, job())
+    assert upload(script, tmp_path).id == JOB["id"]
+    asked = [
+        (request.method, request.headers.get("Upload-Offset"), len(request.content)) for request in script.requests
+    ]
+    assert asked[1:5] == [("PATCH", "0", 10_000)] * 2 + [("HEAD", None, 0), ("PATCH", "4000", 6000)]
+
+
+def test_an_answer_that_was_lost_costs_no_byte(slept, tmp_path):
+    script = Script(httpx.ReadError("cut"), stands_at(10_000, 200, **{"Rholoc-Job": JOB["id"]}), job())
+    assert upload(script, tmp_path).id == JOB["id"]
+    assert [request.method for request in script.requests] == ["POST", "PATCH", "HEAD", "GET"]
+
+
+def test_an_upload_that_does_not_come_on_is_given_up(slept, tmp_path):
+    script = Script(*[httpx.ReadError("cut"), stands_at(0, 200)] * 3)
+    with pytest.raises(ConnectionFailed):
+        upload(script, tmp_path, retries=1)
+    assert [request.method for request in script.requests] == ["POST", "PATCH", "HEAD", "PATCH"]
 
 
 def test_errors_that_asking_again_does_not_help_are_not_repeated(slept):
