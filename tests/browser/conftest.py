@@ -11,12 +11,9 @@ from contextlib import closing, suppress
 import cv2
 import numpy as np
 import pytest
-from playwright.sync_api import Browser, Page, Playwright, sync_playwright
+from playwright.sync_api import Browser, Playwright, sync_playwright
 
 from rholoc.geometry import ByteArray
-
-PHONE = {"width": 390, "height": 844}
-SENSORS = ["accelerometer", "gyroscope", "magnetometer"]
 
 
 @pytest.fixture(scope="session")
@@ -51,6 +48,7 @@ def fake_camera(launch: Callable[..., Browser], tmp_path_factory: pytest.TempPat
             "--use-fake-device-for-media-stream",
             "--use-fake-ui-for-media-stream",
             f"--use-file-for-fake-video-capture={film}",
+            "--host-resolver-rules=MAP rholoc.test 127.0.0.1",  # a name that does not count as this machine
         )
 
     return start
@@ -64,14 +62,6 @@ def phone_browser(fake_camera: Callable[..., Browser]) -> Iterator[Browser]:
     browser = fake_camera([wall[:, 4 * i : 4 * i + 640] for i in range(150)])
     yield browser
     browser.close()
-
-
-def phone_page(browser: Browser, url: str, *, permissions: tuple[str, ...] = ("camera", *SENSORS)) -> Page:
-    """A new phone without history; its context's ``base_url`` is ``url``. Errors in its console fail the test."""
-    context = browser.new_context(viewport=PHONE, has_touch=True, base_url=url, permissions=list(permissions))
-    page = context.new_page()
-    page.set_default_timeout(20_000)
-    return page
 
 
 class Wire:
@@ -142,3 +132,17 @@ class Wire:
         for one in (source, sink):
             with suppress(OSError):
                 one.shutdown(socket.SHUT_RDWR)
+
+
+@pytest.fixture
+def wire() -> Iterator[Callable[[tuple[str, int]], Wire]]:
+    """Lays wires to servers; they are broken at the end."""
+    laid: list[Wire] = []
+
+    def lay(target: tuple[str, int]) -> Wire:
+        laid.append(Wire(target))
+        return laid[-1]
+
+    yield lay
+    for one in laid:
+        one.close()

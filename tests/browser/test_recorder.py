@@ -1,0 +1,338 @@
+"""The recorder as a person uses it, on a fake phone: recordings arrive whole, and whatever goes wrong is told."""
+
+from __future__ import annotations
+
+import hashlib
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from playwright.sync_api import Browser, Page, expect
+
+from rholoc.recordings import read_recording
+from rholoc.service.guard import KeyPolicy
+from rholoc.service.keys import KeyStore, Scope
+
+PHONE = {"width": 390, "height": 844}
+SENSORS = ("accelerometer", "gyroscope", "magnetometer")
+LONG_MS = 60_000
+
+MOTION = """({hz, rotationRate}) => {
+    clearInterval(window.fakeMotion);
+    window.fakeMotion = setInterval(() => dispatchEvent(new DeviceMotionEvent("devicemotion", {
+        accelerationIncludingGravity: {x: 0.2, y: 9.8, z: 0.4}, rotationRate, interval: 1000 / hz})), 1000 / hz);
+}"""
+
+
+@pytest.fixture(scope="module")
+def running(serve: Callable[..., Any]) -> Any:
+    """A service without a worker: what it gets stays as it came."""
+    return serve()
+
+
+@pytest.fixture
+def phone(phone_browser: Browser) -> Iterator[Callable[..., Page]]:
+    """Opens the recorder of a service on a phone without history."""
+    opened = []
+
+    def open_page(url: str, permissions: tuple[str, ...] = ("camera", *SENSORS)) -> Page:
+        context = phone_browser.new_context(viewport=PHONE, has_touch=True, permissions=list(permissions))
+        opened.append(context)
+        page = context.new_page()
+        page.set_default_timeout(LONG_MS)
+        page.goto(f"{url}/record")
+        return page
+
+    yield open_page
+    for context in opened:
+        context.close()
+
+
+def move(page: Page, hz: float = 60, **rates: float | None) -> None:
+    """Motion events from now on; rates in degrees a second."""
+    page.evaluate(MOTION, {"hz": hz, "rotationRate": {"alpha": 2, "beta": 3, "gamma": 1, **rates}})
+
+
+def open_camera(page: Page) -> None:
+    page.get_by_role("button", name="Open the camera").click()
+    expect(page.get_by_role("button", name="Record", exact=True)).to_be_enabled(timeout=LONG_MS)
+
+
+def record(page: Page, seconds: float) -> None:
+    page.get_by_role("button", name="Record", exact=True).click()
+    page.wait_for_timeout(1000 * seconds)
+    stop = page.get_by_role("button", name="Stop")
+    stop.click()
+    expect(page.get_by_role("heading", name="Your recording")).to_be_visible(timeout=LONG_MS)
+
+
+def recording_that_came(running: Any) -> Path:
+    """The file of the newest recording."""
+    files = list((running.settings.data_dir / "recordings").glob("*/*.zip"))
+    return max(files, key=lambda path: path.stat().st_mtime)
+
+
+def digest(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def test_a_recording_arrives_whole_through_a_lost_connection_and_a_reload(running, phone, wire, tmp_path):
+    line = wire(running.address)
+    page = phone(line.url)
+    page.evaluate("navigator.serviceWorker.ready.then(() => {})")
+    page.get_by_label("Name of the map").fill("hall")
+    page.get_by_text("Measured points").click()
+    for name, position in {"W1": "0 0 1.5", "W2": "2 0 1.5", "W3": "2 3,5 1.5", "E": "-1 2 1.5"}.items():
+        for axis, value in zip("xyz", position.split(), strict=True):
+            page.get_by_label(f"{axis} of {name} in metres").fill(value)
+    open_camera(page)
+    move(page)
+    page.get_by_role("button", name="Record", exact=True).click()
+    for _ in range(4):
+        page.wait_for_timeout(1500)
+        page.locator("button.waypoint").click()
+    page.get_by_role("button", name="Stop").click()
+    expect(page.get_by_role("heading", name="Your recording")).to_be_visible()
+    with page.expect_download() as download:
+        page.get_by_role("button", name="Save as a file").click()
+    download.value.save_as(tmp_path / "saved.zip")
+
+    line.cut_after((tmp_path / "saved.zip").stat().st_size // 3)
+    page.get_by_role("button", name="Send").click()
+    expect(page.get_by_text("The server cannot be reached.")).to_be_visible()
+    page.reload()  # without a connection: the page is kept on the phone
+    expect(page.get_by_text("The server cannot be reached.")).to_be_visible()
+    sent = line.sent
+    line.mend()
+    expect(page.get_by_role("heading", name="The server makes the map")).to_be_visible()
+    assert page.get_by_text("Received").get_attribute("aria-current") == "step"
+    came = recording_that_came(running)
+    assert digest(came) == digest(tmp_path / "saved.zip")
+    assert line.sent - sent < 0.8 * came.stat().st_size  # it went on, and did not begin again
+
+    walk = read_recording(came)
+    assert [one.name for one in walk.waypoints] == ["W1", "W2", "W3", "E"]
+    assert walk.waypoints[2].position == (2.0, 3.5, 1.5)
+    assert np.diff([one.time for one in walk.waypoints]) == pytest.approx(1.5, abs=1)
+    assert walk.frames.size == (640, 480)
+    assert walk.frames.times[0] == 0
+    assert walk.imu is not None
+    assert walk.imu.includes_gravity
+    assert walk.imu.times[0] < 1
+    assert walk.imu.times[-1] == pytest.approx(walk.frames.times[-1], abs=1.5)
+    np.testing.assert_allclose(walk.imu.acceleration, np.tile([0.2, 9.8, 0.4], (len(walk.imu.times), 1)))
+    np.testing.assert_allclose(walk.imu.angular_velocity[0], np.radians([2, 3, 1]))
+    page.get_by_role("link", name="Record", exact=True).click()
+    expect(page.get_by_text("sent", exact=True)).to_be_visible()
+
+
+@pytest.mark.slow
+def test_an_upload_cut_five_times_goes_on_from_what_the_server_has(running, phone, wire):
+    """60 MB; after each cut the next piece begins where the server stands, and in the end the bytes are the same."""
+    line = wire(running.address)
+    page = phone(line.url)
+    pieces: list[tuple[str, int]] = []
+    page.on("request", lambda one: pieces.append((one.method, int(one.headers.get("upload-offset", -1)))))
+    acknowledged: list[int] = []
+    page.on("response", lambda one: acknowledged.append(int(one.headers.get("upload-offset", -1))))
+    size = page.evaluate(
+        """async () => {
+            const {zip, crc32} = await import("/web/record/zip.js");
+            const {upload} = await import("/web/record/upload.js");
+            const bytes = new Uint8Array(60e6);
+            for (let at = 0; at < bytes.length; at += 65536) crypto.getRandomValues(bytes.subarray(at, at + 65536));
+            window.file = zip([{name: "video.webm", blob: new Blob([bytes]), crc: crc32(bytes)}], new Date(0));
+            window.ended = upload(file, {metadata: {filename: "big.zip", map: "big", kind: "build"}, location: null,
+                hear: () => {}});
+            return file.size;
+        }"""
+    )
+    for cut in range(5):
+        line.cut_after(9_000_000)
+        deadline = time.monotonic() + 60
+        while line.up:
+            assert time.monotonic() < deadline, f"cut {cut} did not come"
+            page.wait_for_timeout(50)
+        page.wait_for_timeout(300)
+        line.mend()
+    page.evaluate("window.ended")
+    came = recording_that_came(running)
+    expected = page.evaluate(
+        """async () => Array.from(new Uint8Array(await crypto.subtle.digest("SHA-256", await file.arrayBuffer())),
+            (byte) => byte.toString(16).padStart(2, "0")).join("")"""
+    )
+    assert digest(came) == expected
+    offsets = [offset for method, offset in pieces if method == "PATCH"]
+    assert offsets == sorted(offsets)
+    assert set(offsets) <= {0, *acknowledged}
+    assert max(acknowledged) == size
+
+
+def test_a_server_that_restarts_in_mid_upload_gets_the_rest(serve, phone, wire):
+    before = serve()
+    line = wire(before.address)
+    page = phone(line.url)
+    open_camera(page)
+    move(page)
+    record(page, 6)
+    line.cut_after(300_000)
+    page.get_by_role("button", name="Send").click()
+    expect(page.get_by_text("The server cannot be reached.")).to_be_visible()
+    after = serve(data_dir=before.settings.data_dir, maps_dir=before.settings.maps_dir)
+    line.target = after.address
+    line.mend()
+    expect(page.get_by_role("heading", name="The server makes the map")).to_be_visible()
+    assert read_recording(recording_that_came(before)).imu is not None
+
+
+def test_an_expired_key_is_told_and_another_goes_on(serve, phone):
+    running = serve(keys=KeyPolicy.ALWAYS)
+    keys = KeyStore(running.settings.data_dir)
+    old, new = keys.create("old", Scope.MAP, lifetime_s=0.01), keys.create("new", Scope.MAP)
+    page = phone(running.url)
+    open_camera(page)
+    record(page, 6)
+    page.get_by_role("button", name="Send").click()
+    page.get_by_role("textbox", name="Key").fill(old)
+    page.get_by_role("button", name="Use this key").click()
+    expect(page.get_by_text("This API key has expired.")).to_be_visible()
+    page.get_by_role("textbox", name="Key").fill(new)
+    page.get_by_role("button", name="Use this key").click()
+    expect(page.get_by_role("heading", name="The server makes the map")).to_be_visible()
+
+
+def test_a_key_refused_at_last_keeps_the_recording(serve, phone):
+    page = phone(serve(keys=KeyPolicy.ALWAYS).url)
+    open_camera(page)
+    record(page, 6)
+    page.get_by_role("button", name="Send").click()
+    page.get_by_role("dialog").get_by_role("button", name="Cancel").click()
+    expect(page.get_by_role("heading", name="It could not be sent")).to_be_visible()
+    expect(page.get_by_text("still on this phone")).to_be_visible()
+    page.get_by_role("link", name="Later").click()
+    expect(page.get_by_role("link", name="Go on sending")).to_be_visible()
+
+
+def test_a_camera_that_is_refused_is_told_with_what_to_do(running, phone):
+    page = phone(running.url)
+    page.evaluate(
+        """() => {
+            navigator.mediaDevices.getUserMedia = async () => { throw new DOMException("no", "NotAllowedError"); };
+        }"""
+    )
+    page.get_by_role("button", name="Open the camera").click()
+    expect(page.get_by_role("heading", name="The camera was refused.")).to_be_visible()
+    expect(page.get_by_role("alert")).to_contain_text("browser's settings")
+
+
+def test_refused_sensors_leave_video_alone(running, phone):
+    page = phone(running.url, permissions=("camera",))
+    page.get_by_role("button", name="Open the camera").click()
+    expect(page.get_by_role("heading", name="The motion sensors were refused.")).to_be_visible()
+    page.get_by_role("button", name="Record video alone").click()
+    expect(page.get_by_text("No motion sensors: video only")).to_be_visible()
+
+
+def test_a_missing_gyroscope_and_slow_sensors_are_told(running, phone):
+    page = phone(running.url)
+    open_camera(page)
+    move(page, alpha=None, beta=None, gamma=None)
+    expect(page.get_by_text("No gyroscope: video only")).to_be_visible()
+    move(page, hz=10)
+    expect(page.locator(".advice")).to_contain_text("25 are needed")
+    expect(page.locator(".readings .badge.warn")).to_contain_text("Hz")
+    move(page, beta=90)
+    expect(page.locator(".advice")).to_contain_text("Turn more slowly")
+
+
+def test_two_seconds_are_too_short_to_be_sent(running, phone):
+    page = phone(running.url)
+    open_camera(page)
+    record(page, 2)
+    expect(page.get_by_role("alert")).to_contain_text("too short for a map")
+    expect(page.get_by_role("button", name="Send")).to_be_disabled()
+
+
+def test_a_page_in_the_background_ends_its_recording_and_keeps_it(running, phone):
+    page = phone(running.url)
+    open_camera(page)
+    page.get_by_role("button", name="Record", exact=True).click()
+    page.wait_for_timeout(6000)
+    page.evaluate(
+        """Object.defineProperty(document, "hidden", {value: true});
+        document.dispatchEvent(new Event("visibilitychange"));"""
+    )
+    expect(page.get_by_text("ended when you left this page")).to_be_visible()
+    expect(page.get_by_role("button", name="Send")).to_be_enabled()
+
+
+def test_a_phone_turned_in_mid_recording_ends_it_and_keeps_it(running, phone):
+    page = phone(running.url)
+    open_camera(page)
+    page.get_by_role("button", name="Record", exact=True).click()
+    page.wait_for_timeout(2000)
+    page.context.new_cdp_session(page).send(
+        "Emulation.setDeviceMetricsOverride",
+        {
+            "width": 844,
+            "height": 390,
+            "deviceScaleFactor": 1,
+            "mobile": True,
+            "screenOrientation": {"type": "landscapePrimary", "angle": 90},
+        },
+    )
+    expect(page.get_by_text("ended when the phone was turned")).to_be_visible()
+
+
+def test_a_full_phone_ends_the_recording_and_keeps_what_came_before(running, phone):
+    page = phone(running.url)
+    devtools = page.context.new_cdp_session(page)
+    devtools.send("Storage.overrideQuotaForOrigin", {"origin": running.url, "quotaSize": 2_500_000})
+    page.reload()
+    open_camera(page)
+    page.get_by_role("button", name="Record", exact=True).click()
+    expect(page.get_by_text("this phone has no room left")).to_be_visible(timeout=LONG_MS)
+    assert (
+        page.locator("video.review").evaluate("video => fetch(video.src).then(async (r) => (await r.blob()).size)") > 0
+    )
+    page.goto(f"{running.url}/record")
+    expect(page.get_by_text("This phone has little room left")).to_be_visible()
+    expect(page.get_by_role("link", name="Look at it")).to_be_visible()
+
+
+def test_a_reload_in_mid_recording_keeps_what_came_before(running, phone):
+    page = phone(running.url)
+    open_camera(page)
+    move(page)
+    page.get_by_role("button", name="Record", exact=True).click()
+    page.wait_for_timeout(7000)
+    page.goto(f"{running.url}/record")
+    page.get_by_role("link", name="Look at it").click()
+    expect(page.get_by_text("Recording broke off.")).to_be_visible()
+    page.get_by_role("button", name="Send").click()
+    expect(page.get_by_role("heading", name="The server makes the map")).to_be_visible()
+    walk = read_recording(recording_that_came(running))
+    assert walk.frames.times[-1] > 2
+
+
+def test_a_page_without_https_says_what_is_missing(serve, phone):
+    port = serve(keys=KeyPolicy.NEVER).address[1]
+    page = phone(f"http://rholoc.test:{port}", permissions=())
+    expect(page.get_by_role("alert")).to_contain_text("rholoc serve --tls")
+    expect(page.get_by_role("button", name="Open the camera")).to_be_disabled()
+
+
+def test_a_recording_is_deleted_only_after_asking(running, phone):
+    page = phone(running.url)
+    open_camera(page)
+    record(page, 2)
+    page.get_by_role("link", name="Later").click()
+    page.get_by_role("button", name="Delete").click()
+    page.get_by_role("dialog").get_by_role("button", name="Delete").click()
+    expect(page.get_by_role("link", name="Look at it")).to_have_count(0)
+    page.reload()
+    expect(page.get_by_role("heading", name="Record a walk")).to_be_visible()
+    assert page.get_by_role("link", name="Look at it").count() == 0
