@@ -1,7 +1,7 @@
 """One short walk, written in the layout of every format that is read. All of it is synthesised here.
 
 The walk: 24 frames at 20 a second whose frame i has shade 10 i, and a phone in portrait that turns about two axes and
-is thrust to and fro, sampled 100 times a second in CoreMotion's and Android's axes (x right, y up, z out of the screen).
+is thrust to and fro, sampled 100 times a second in the axes of iOS and Android (x right, y up, z out of the screen).
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ def truth(times: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatA
     rate = (rotation(t - step / 2).inv() * rotation(t + step / 2)).as_rotvec() / step
     positions = np.column_stack([0.2 * np.sin(3 * t), 0.3 * t, 1.5 + 0.02 * np.sin(6 * t)])
     pull = np.column_stack([-1.8 * np.sin(3 * t), 0 * t, -0.72 * np.sin(6 * t)])
-    felt = rotation(t).inv().apply(pull + [0, 0, GRAVITY])
+    felt = rotation(t).inv().apply(pull + np.array([0, 0, GRAVITY]))
     return rotation(t).as_matrix(), positions, rate, felt
 
 

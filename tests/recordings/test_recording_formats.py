@@ -160,7 +160,7 @@ def test_sensor_logger_without_gravity(platform: str, tmp_path: Path) -> None:
 
 def test_the_raw_tables_of_ios_logger_serve_without_the_fused_one(tmp_path: Path) -> None:
     folder = phone.write_recording("ios-logger", tmp_path / "walk")
-    _, _, rate, felt = phone.truth(phone.imu_times)
+    rate = phone.truth(phone.imu_times)[2]
     later = phone.imu_times + 0.003
     phone.write_rows(folder / "Gyro.txt", "", np.column_stack([phone.imu_times, rate]).tolist())
     accelerometer = np.column_stack([later, -phone.truth(later)[3] / phone.GRAVITY])

@@ -3,29 +3,28 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.ndimage import uniform_filter1d
+from scipy.ndimage import binary_dilation, uniform_filter1d
 
 from rholoc.geometry import BoolArray, FloatArray
 from rholoc.recordings.recording import Imu
 
 MIN_PAUSE_S = 1.0
-_MOMENT_S = 0.5
-_TREMOR = 0.12  # rad/s, rms over a moment: a resting hand trembles with up to 0.09
-_FORCE = 0.25  # m/s², standard deviation over a moment; a step feels like 1 and more
-_WHILE_S = 1.0
-_TURN = 0.045  # rad/s, of the mean over a while, in which tremor cancels out and slow turning does not
+_WINDOW_S = 0.8  # shorter than a pause, so that one with soft edges still holds a window at rest
+_TREMOR = 0.12  # rad/s, rms: a resting hand trembles with up to 0.09
+_TURN = 0.045  # rad/s, of the mean, in which tremor cancels out and slow turning does not
+_FORCE = 0.25  # m/s², standard deviation; a step feels like 1 and more
 
 
 def is_still(imu: Imu) -> BoolArray:
-    """Whether the device rests at each of the IMU's times, (M,): neither thrust nor turn, but for a hand's tremor."""
+    """Whether each of the IMU's times, (M,), lies in a window of 0.8 s without thrust or turn, but for tremor."""
     if len(imu.times) < 2:
         return np.zeros(len(imu.times), dtype=np.bool_)
-    interval_s = float(np.median(np.diff(imu.times)))
-    moment, while_ = (max(1, round(span_s / interval_s)) for span_s in (_MOMENT_S, _WHILE_S))
-    tremor = np.sqrt(_mean(np.sum(imu.angular_velocity**2, axis=1), moment))
-    turn = np.linalg.norm(_mean(imu.angular_velocity, while_), axis=1)
-    force = np.sqrt(_mean(np.sum((imu.acceleration - _mean(imu.acceleration, moment)) ** 2, axis=1), moment))
-    return np.asarray((tremor < _TREMOR) & (turn < _TURN) & (force < _FORCE))
+    size = max(1, round(_WINDOW_S / float(np.median(np.diff(imu.times)))))
+    tremor = np.sqrt(_mean(np.sum(imu.angular_velocity**2, axis=1), size))
+    turn = np.linalg.norm(_mean(imu.angular_velocity, size), axis=1)
+    variance = _mean(np.sum(imu.acceleration**2, axis=1), size) - np.sum(_mean(imu.acceleration, size) ** 2, axis=1)
+    middles = (tremor < _TREMOR) & (turn < _TURN) & (variance < _FORCE**2)
+    return np.asarray(binary_dilation(middles, np.ones(size, dtype=np.bool_)))
 
 
 def pauses(imu: Imu, shortest_s: float = MIN_PAUSE_S) -> FloatArray:

@@ -1,0 +1,92 @@
+"""``rholoc recording info``."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from rholoc.cli import main
+
+IMU_HEADER = "timestamp,ax,ay,az,gx,gy,gz"
+
+
+@pytest.fixture
+def walk(tmp_path: Path) -> Path:
+    """Forty dark frames at 20 a second, an IMU in g with a gap, three waypoints, and no pause."""
+    folder = tmp_path / "walk"
+    (folder / "frames").mkdir(parents=True)
+    for i in range(40):
+        assert cv2.imwrite(str(folder / "frames" / f"{i:04d}.png"), np.full((48, 64, 3), 12, np.uint8))
+    (folder / "camera.json").write_text('{"fps": 20}')
+    times = [t for t in np.arange(200) / 100 if not 1.0 < t < 1.5]
+    rows = [f"{t:.3f},0,{1 + 0.1 * np.sin(20 * t):.4f},0,{1.2 * np.cos(5 * t):.4f},0,0" for t in times]
+    (folder / "imu.csv").write_text("\n".join([IMU_HEADER, *rows]) + "\n")
+    (folder / "waypoints.csv").write_text("name,time,x,y,z\nA,0,0,0,1\nB,1,2,0,1\nC,1.9,2,3,1\n")
+    return folder
+
+
+def run(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> int:
+    monkeypatch.setattr(sys, "argv", ["rholoc", "recording", "info", *map(str, arguments)])
+    try:
+        main()
+    except SystemExit as ended:
+        return int(ended.code or 0)
+    return 0
+
+
+def test_it_tells_all_of_a_recording(
+    walk: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    picture = tmp_path / "walk.png"
+    assert run(monkeypatch, walk, "--json", "-o", picture) == 0
+    printed = capsys.readouterr()
+    told = json.loads(printed.out)
+    assert told["format"] == "rholoc"
+    assert told["frames"] | {"start_s": 0.0, "end_s": 1.95} == told["frames"]
+    assert (told["frames"]["count"], told["frames"]["width"], told["frames"]["height"]) == (40, 64, 48)
+    assert told["frames"]["rate_hz"] == pytest.approx(20)
+    assert told["imu"]["rate_hz"] == pytest.approx(100)
+    assert told["imu"]["longest_interval_s"] == pytest.approx(0.5)
+    assert told["imu"]["force_median_m_s2"] == pytest.approx(9.8, abs=0.2)
+    assert told["imu"]["pauses_s"] == []
+    assert [waypoint["name"] for waypoint in told["waypoints"]] == ["A", "B", "C"]
+    assert (told["camera"], told["poses"], told["frame_intrinsics"], told["readout_ms"]) == (None, None, None, None)
+    assert {warning["kind"] for warning in told["warnings"]} == {"acceleration_unit", "imu_gap"}
+    expected = {"too_fast", "too_dark", "too_little_texture", "pauses_missing"}
+    assert {advice["kind"] for advice in told["advice"]} == expected
+    assert str(picture) in printed.err
+    drawn = cv2.imread(str(picture))
+    assert drawn is not None
+    assert drawn.shape == (1080, 1600, 3)
+    assert (drawn < 128).any(axis=2).mean() > 0.01  # lines, not a white page
+
+
+def test_people_read_the_same_in_words(
+    walk: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(monkeypatch, walk) == 0
+    printed = capsys.readouterr().out
+    for words in (
+        "40, 64×48",
+        "at 20.0 Hz",
+        "with gravity, mounting unknown",
+        "A, B, C",
+        "unknown: will be calibrated",
+    ):
+        assert words in " ".join(printed.split())
+    assert printed.count("amiss: ") == 3
+    assert printed.count("next time: ") == 4
+
+
+def test_what_is_no_recording_is_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(monkeypatch, tmp_path / "nowhere") == 1
+    printed = capsys.readouterr()
+    assert printed.out == ""
+    assert printed.err.count("\n") == 1
