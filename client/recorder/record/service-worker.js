@@ -22,6 +22,7 @@ const FILES = [
   "record/tables.js",
   "record/take.js",
   "record/upload.js",
+  "record/views/camera_field.js",
   "record/views/home.js",
   "record/views/light_curve.js",
   "record/views/live.js",

@@ -7,6 +7,7 @@ import { archive, sealed, SHORTEST_S, videoOf } from "../recording.js";
 import { State } from "../store.js";
 import { ENDINGS } from "../take.js";
 import { problem } from "../waypoints.js";
+import { cameraField } from "./camera_field.js";
 import { mapNameField } from "./map_name.js";
 import { waypointList } from "./waypoint_list.js";
 import { duration, moment, percent, size } from "./words.js";
@@ -60,6 +61,7 @@ export async function reviewView({ content, store, id }) {
       facts(recording, imuHz),
       h("details", { open: recording.waypoints.some((waypoint) => waypoint.time !== null) }, h("summary", {}, "Measured points"), waypointList(recording.waypoints, (waypoints) => keep({ waypoints }), recording.started)),
       mapNameField(recording.map, (map) => keep({ map })),
+      cameraField(recording.camera, (camera) => keep({ camera })),
       h(
         "label",
         {},

@@ -46,8 +46,8 @@ async function send(page, store, recording, signal) {
     if (waiting) page.waiting(waiting);
     if (location !== undefined) await store.save(Object.assign(recording, { location }));
   };
-  const { map, kind = "build" } = recording;
-  const metadata = { filename: `${map}.zip`, map, kind };
+  const { map, kind = "build", camera } = recording;
+  const metadata = { filename: `${map}.zip`, map, kind, ...(camera && { camera }) };
   const job = await upload(file, { metadata, location: recording.location ?? null, hear, signal });
   const uploaded = { ...recording, state: State.UPLOADED, job, files: null };
   await store.dropParts(uploaded);
