@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -124,9 +125,20 @@ def test_synthetic_features_give_back_the_poses() -> None:
 
 
 def test_an_unknown_camera_is_estimated() -> None:
-    truth = _walk(24)
-    found = structure_from_motion(_features(truth, np.random.default_rng(1)), None, (640, 480))
-    assert found.camera.fx == pytest.approx(500, rel=0.05)
+    """Within its own uncertainty, the principal point included; and wrong by no more than a hundredth."""
+    found = structure_from_motion(_features(_walk(24), np.random.default_rng(1)), None, (640, 480))
+    assert found.calibration is not None
+    assert found.calibration.observable
+    assert found.camera.fx == pytest.approx(_CAMERA.fx, rel=0.01)
+    assert abs(found.camera.fx - _CAMERA.fx) < 3 * found.calibration.focal_sigma_px
+    assert found.camera.distortion[:2] == pytest.approx(_CAMERA.distortion[:2], abs=0.02)
+    assert json.loads(json.dumps(found.calibration.report))["observable"]
+
+
+def test_a_known_camera_is_left_as_it_is() -> None:
+    found = structure_from_motion(_features(_walk(12), np.random.default_rng(1)), _CAMERA, (640, 480))
+    assert found.camera == _CAMERA
+    assert found.calibration is None
 
 
 def test_unrelated_frames_fail_and_say_how_many_were_placed() -> None:

@@ -134,6 +134,10 @@ def _visual(recording: Recording, method: PoseMethod, progress: ProgressListener
     times = recording.frames.times[rows]
     report = _visual_report(visual, len(features), method)
     doubts = [] if visual.trusted else [visual.why]
+    if visual.calibration is not None:
+        report["camera"] = visual.calibration.report
+        if not visual.calibration.observable:
+            doubts.append(visual.calibration.why)
     inertial = _ask_imu(recording, method, times, visual.reconstruction.T_world_camera, report, doubts)
     fixed = _fix_frame(recording, times, visual, inertial)
     report.update(fixed.report)

@@ -11,6 +11,7 @@ import numpy as np
 import pycolmap
 
 from rholoc.geometry import FloatArray, IntArray, pose_matrix
+from rholoc.trajectory.self_calibration import refine_camera
 from rholoc.trajectory.two_view import VerifiedPair
 
 _FEWEST_MATCHES = 20
@@ -24,6 +25,7 @@ class Reconstruction:
         placed: (K,) int64, the keyframes that have a pose, increasing.
         T_world_camera: (K, 4, 4).
         parameters: the camera's, in COLMAP's order and pixel convention.
+        sigmas: their standard deviations, NaN for those that were held.
         reprojection_error_px: the mean over all observations.
         landmarks: how many points were triangulated.
         median_depth: of the points before the cameras that see them, in the frame's own unit.
@@ -32,6 +34,7 @@ class Reconstruction:
     placed: IntArray
     T_world_camera: FloatArray
     parameters: FloatArray
+    sigmas: FloatArray
     reprojection_error_px: float
     landmarks: int
     median_depth: float
@@ -39,7 +42,7 @@ class Reconstruction:
 
 def reconstruct(
     camera: pycolmap.Camera,
-    refine_camera: bool,
+    camera_is_known: bool,
     pixels: Sequence[FloatArray],
     pairs: Sequence[VerifiedPair],
     seed: int,
@@ -49,7 +52,7 @@ def reconstruct(
 
     Args:
         camera: one camera for all keyframes.
-        refine_camera: whether bundle adjustment may change focal length and distortion.
+        camera_is_known: whether its intrinsics are right as they are; else they are where to start from.
         pixels: the features' places in every keyframe, (N, 2), COLMAP's pixel convention.
         pairs: verified pairs of keyframes.
         seed: for COLMAP's random choices. One thread is used, so the same input gives the same result.
@@ -69,15 +72,19 @@ def reconstruct(
             database,
             folder,
             folder,
-            _options(refine_camera, seed),
+            _options(camera_is_known, seed),
             next_image_callback=next_image,
         )
     if not models:
         return None
-    return _as_reconstruction(max(models.values(), key=lambda model: int(model.num_reg_images())))
+    largest = max(models.values(), key=lambda model: int(model.num_reg_images()))
+    if largest.num_points3D() == 0:
+        return None
+    sigmas = np.full(len(camera.params), np.nan) if camera_is_known else refine_camera(largest)
+    return _as_reconstruction(largest, sigmas)
 
 
-def _options(refine_camera: bool, seed: int) -> pycolmap.IncrementalPipelineOptions:
+def _options(camera_is_known: bool, seed: int) -> pycolmap.IncrementalPipelineOptions:
     options = pycolmap.IncrementalPipelineOptions()
     options.min_num_matches = _FEWEST_MATCHES
     options.multiple_models = False
@@ -88,10 +95,10 @@ def _options(refine_camera: bool, seed: int) -> pycolmap.IncrementalPipelineOpti
     options.mapper.random_seed = seed
     options.mapper.num_threads = 1
     options.triangulation.random_seed = seed
-    options.ba_refine_focal_length = refine_camera
-    options.ba_refine_extra_params = refine_camera
-    options.mapper.abs_pose_refine_focal_length = refine_camera
-    options.mapper.abs_pose_refine_extra_params = refine_camera
+    options.ba_refine_focal_length = not camera_is_known
+    options.ba_refine_extra_params = not camera_is_known
+    options.mapper.abs_pose_refine_focal_length = not camera_is_known
+    options.mapper.abs_pose_refine_extra_params = not camera_is_known
     options.ba_global_frames_ratio = 1.3
     options.ba_global_points_ratio = 1.3
     options.ba_global_max_refinements = 2
@@ -124,7 +131,7 @@ def _write_database(
             database.write_two_view_geometry(first, second, pair.geometry)
 
 
-def _as_reconstruction(model: pycolmap.Reconstruction) -> Reconstruction:
+def _as_reconstruction(model: pycolmap.Reconstruction, sigmas: FloatArray) -> Reconstruction:
     images = sorted((model.images[i] for i in model.reg_image_ids()), key=lambda image: str(image.name))
     poses = []
     depths = []
@@ -140,6 +147,7 @@ def _as_reconstruction(model: pycolmap.Reconstruction) -> Reconstruction:
         np.array([int(image.name) for image in images], dtype=np.int64),
         np.array(poses),
         np.array(camera.params),
+        sigmas,
         float(model.compute_mean_reprojection_error()),
         int(model.num_points3D()),
         float(np.median(np.concatenate(depths))),

@@ -15,6 +15,7 @@ from rholoc.geometry import Camera, FloatArray, IntArray
 from rholoc.progress import ProgressListener, Stage, silent
 from rholoc.trajectory.alignment import align_poses, rotation_angles_deg
 from rholoc.trajectory.loops import Pair, loop_candidates, sequential_pairs, supported_loops
+from rholoc.trajectory.self_calibration import SelfCalibration, guessed_cameras, self_calibration
 from rholoc.trajectory.structure_from_motion import Reconstruction, reconstruct
 from rholoc.trajectory.two_view import VerifiedPair, verify
 
@@ -26,7 +27,6 @@ _THREADS = 2
 MIN_PLACED = 0.7  # the share of the keyframes that must be placed
 _MAX_DISAGREEMENT = 0.02  # of the median depth, between two reconstructions that count as the same
 _MAX_DISAGREEMENT_DEG = 2.0
-_GUESSED_FOCAL = 1.0  # times the longer side, where intrinsics are unknown
 _PAIRS_SHARE = 0.4  # of the time that matching takes, for honest fractions
 _SEEDS = (1, 2)
 
@@ -40,6 +40,7 @@ class VisualPoses:
     Attributes:
         reconstruction: the keyframes' poses.
         camera: given, or estimated where it was not.
+        calibration: how well it is known where it was estimated, else None.
         loops: how many pairs of keyframes were found to show a place seen again.
         trusted: whether a second reconstruction, from every other keyframe, agrees.
         why: one line on that.
@@ -49,6 +50,7 @@ class VisualPoses:
 
     reconstruction: Reconstruction
     camera: Camera
+    calibration: SelfCalibration | None
     loops: int
     trusted: bool
     why: str
@@ -69,7 +71,7 @@ def structure_from_motion(
 
     Args:
         features: SIFT features of each keyframe, in the order of time, pixels of the full image.
-        camera: the intrinsics, or None to estimate focal length and one radial coefficient.
+        camera: the intrinsics, or None to estimate them.
         size: of the images, width and height in pixels.
         progress: hears of :data:`Stage.POSES`.
 
@@ -80,8 +82,8 @@ def structure_from_motion(
     pycolmap.set_random_seed(_SEEDS[0])
     if len(features) < 2:
         raise MappingFailed("The camera did not move.", "Walk through the room while recording.")
-    model, places = _colmap_camera(features, camera, size)
-    sequential, loops = _match(features, places, model, progress)
+    models, places = _colmap_cameras(features, camera, size)
+    sequential, loops = _match(features, places, models[0], progress)
 
     def told(placed: int) -> None:
         tried = min(placed, len(features))
@@ -90,17 +92,24 @@ def structure_from_motion(
         progress(Stage.POSES, fraction, f"{tried} of {len(features)} keyframes tried")
 
     alternate = np.arange(0, len(features), 2)
-    with ThreadPoolExecutor(2) as pool:
-        pairs = [*sequential, *loops]
-        first = pool.submit(reconstruct, model, camera is None, places, pairs, _SEEDS[0], told)
-        second = pool.submit(_reconstruct_some, model, camera is None, places, pairs, alternate)
-        full, half = first.result(), second.result()
-    placed = 0 if full is None else len(full.placed)
+    pairs = [*sequential, *loops]
+    for model in models:
+        with ThreadPoolExecutor(2) as pool:
+            first = pool.submit(reconstruct, model, camera is not None, places, pairs, _SEEDS[0], told)
+            second = pool.submit(_reconstruct_some, model, camera is not None, places, pairs, alternate)
+            full, half = first.result(), second.result()
+        placed = 0 if full is None else len(full.placed)
+        if placed >= MIN_PLACED * len(features):
+            break
     if full is None or placed < MIN_PLACED * len(features):
         raise MappingFailed(f"{placed} of {len(features)} keyframes could be placed.", _ADVICE)
     trusted, why, distance, angle_deg = _agreement(full, half, alternate)
-    found = camera if camera is not None else _found_camera(full.parameters, size)
-    return VisualPoses(full, found, len(loops), trusted, why, distance, angle_deg)
+    calibration = None
+    if camera is None:
+        other_focal = None if half is None else float(half.parameters[0])
+        calibration = self_calibration(full.parameters, full.sigmas, other_focal, size)
+        camera = calibration.camera
+    return VisualPoses(full, camera, calibration, len(loops), trusted, why, distance, angle_deg)
 
 
 def _match(
@@ -134,7 +143,7 @@ def _match(
 
 def _reconstruct_some(
     camera: pycolmap.Camera,
-    refine: bool,
+    camera_is_known: bool,
     places: Sequence[FloatArray],
     pairs: Sequence[VerifiedPair],
     some: IntArray,
@@ -145,7 +154,7 @@ def _reconstruct_some(
         for p in pairs
         if p.first in number and p.second in number
     ]
-    return reconstruct(camera, refine, [places[i] for i in some], kept, _SEEDS[1])
+    return reconstruct(camera, camera_is_known, [places[i] for i in some], kept, _SEEDS[1])
 
 
 def _agreement(
@@ -166,27 +175,18 @@ def _agreement(
     return trusted, why, distance, angle_deg
 
 
-def _colmap_camera(
+def _colmap_cameras(
     features: Sequence[FeatureSet], camera: Camera | None, size: tuple[int, int]
-) -> tuple[pycolmap.Camera, list[FloatArray]]:
-    """COLMAP's camera and the features' places for it: its top-left pixel's centre is (0.5, 0.5), ours (0, 0).
+) -> tuple[list[pycolmap.Camera], list[FloatArray]]:
+    """COLMAP's camera, or those to try where it is unknown, and the features' places: its top-left pixel's centre is
+    (0.5, 0.5), ours (0, 0).
 
     Known distortion is taken out of the places, so that one pinhole model serves.
     """
-    width, height = size
     if camera is None:
-        focal = _GUESSED_FOCAL * max(size)
-        model = pycolmap.Camera(
-            model="SIMPLE_RADIAL", width=width, height=height, params=[focal, width / 2, height / 2, 0.0]
-        )
-        return model, [f.pixels.astype(np.float64) + 0.5 for f in features]
+        return guessed_cameras(size), [f.pixels.astype(np.float64) + 0.5 for f in features]
     parameters = [camera.fx, camera.fy, camera.cx + 0.5, camera.cy + 0.5]
-    model = pycolmap.Camera(model="PINHOLE", width=width, height=height, params=parameters)
+    model = pycolmap.Camera(model="PINHOLE", width=size[0], height=size[1], params=parameters)
     model.has_prior_focal_length = True  # else COLMAP tries other focal lengths when it places an image
     centre, focal_px = np.array(parameters[2:]), np.array(parameters[:2])
-    return model, [camera.undistort(f.pixels) * focal_px + centre for f in features]
-
-
-def _found_camera(parameters: FloatArray, size: tuple[int, int]) -> Camera:
-    focal, cx, cy, k1 = (float(value) for value in parameters)
-    return Camera(*size, fx=focal, fy=focal, cx=cx - 0.5, cy=cy - 0.5, distortion=(k1, 0.0, 0.0, 0.0))
+    return [model], [camera.undistort(f.pixels) * focal_px + centre for f in features]
