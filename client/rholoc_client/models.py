@@ -149,6 +149,7 @@ class Job:
         progress: 0..1 over all stages.
         message: one line for people.
         log: the last lines of its log.
+        warnings: why its published map is not to be trusted, where that is so.
         error_code, error_message, error_hint: why it failed, or None.
         created, started, ended: seconds since the epoch, or None.
         attempts: how many workers have taken it up.
@@ -162,6 +163,7 @@ class Job:
     progress: float
     message: str
     log: tuple[str, ...]
+    warnings: tuple[str, ...]
     error_code: str | None
     error_message: str | None
     error_hint: str | None
@@ -225,10 +227,11 @@ def _camera(values: Mapping[str, Any]) -> Camera:
 def parse_job(answer: Mapping[str, Any]) -> Job:
     """The JSON of a job → :class:`Job`."""
     error = answer["error"] or {}
-    plain = {name: answer[name] for name in Job.__dataclass_fields__ if name != "log" and not name.startswith("error_")}
+    apart = ("log", "warnings", "error_code", "error_message", "error_hint")
     return Job(
-        **plain,
+        **{name: answer[name] for name in Job.__dataclass_fields__ if name not in apart},
         log=tuple(answer["log"]),
+        warnings=tuple(answer.get("warnings", ())),
         error_code=error.get("code"),
         error_message=error.get("message"),
         error_hint=error.get("hint"),

@@ -19,7 +19,7 @@ from rholoc.maps import DensityKind, Map, MapInfo, save_map
 from rholoc.progress import ProgressListener, Stage
 
 TIMING = Timing(poll_s=0.1, heartbeat_s=0.25, dead_after_s=1.5, cancel_grace_s=0.5)
-BUILD_STAGES = (Stage.READ, Stage.KEYFRAMES, Stage.POSES, Stage.REPORT)
+BUILD_STAGES = tuple(stage for stage in Stage if stage not in (Stage.RECEIVED, Stage.PUBLISHED))
 
 
 @dataclass(frozen=True)
@@ -74,17 +74,19 @@ class FakePipeline(MappingPipeline):
                 time.sleep(0.02)
             self._wait(f"deaf-{stage}")
             self._obey(task.recording.read_bytes(), stage)
-        save_map(tiny_map(), task.map_file)
+        save_map(tiny_map(trusted=task.recording.read_bytes() != b"a doubtful walk"), task.map_file)
         self.control.reach("built")
         self._wait("built")
 
-    def publish(self, task: MappingTask) -> None:
+    def publish(self, task: MappingTask) -> tuple[str, ...]:
+        self._wait("publishing")
         target = task.maps_dir / f"{task.map_name}.rho"
         before = target.stat().st_ino if target.exists() else None
-        super().publish(task)
+        doubts = super().publish(task)
         if target.stat().st_ino != before:
             self.control.reach("put")
         self._wait("after-publishing")
+        return doubts
 
     def _wait(self, point: str) -> None:
         if self.control.held(point):
@@ -99,11 +101,15 @@ class FakePipeline(MappingPipeline):
             raise ZeroDivisionError("something\nwith lines")
         if recording == f"crash at {stage}".encode():
             os.kill(os.getpid(), signal.SIGKILL)
+        if recording == f"greedy at {stage}".encode():
+            hoard = np.ones(100_000_000)  # 800 MB
+            while hoard.any():
+                time.sleep(0.02)
         if recording == f"disk full at {stage}".encode():
             raise OSError(28, "No space left on device")
 
 
-def tiny_map() -> Map:
+def tiny_map(trusted: bool = True) -> Map:
     """A valid map of one feature in one view."""
     info = MapInfo(
         id=uuid.uuid4().hex,
@@ -114,6 +120,7 @@ def tiny_map() -> Map:
         upright=True,
         created="2025-01-01T00:00:00Z",
         camera=Camera(width=640, height=480, fx=500.0, fy=500.0, cx=320.0, cy=240.0),
+        report={"trajectories": [{"trusted": trusted, "why": "Two reconstructions disagree."}]},
     )
     return Map(
         info=info,

@@ -11,7 +11,7 @@ from rholoc_client import Client, JobFailed
 @pytest.mark.slow
 def test_a_video_that_does_not_open_fails_its_job(serve, tmp_path):
     running = serve(worker=True)
-    (tmp_path / "walk.mp4").write_bytes(b"this is no video" * 100)
+    (tmp_path / "walk.mp4").write_bytes(b"\0\0\0\x18ftypmp42" + b"no frames" * 100)
     with Client(running.url) as client:
         job = client.upload_recording(tmp_path / "walk.mp4", "hall")
         with pytest.raises(JobFailed) as caught:

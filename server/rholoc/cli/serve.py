@@ -90,7 +90,7 @@ def worker(maps: Maps = None, data: Data = None) -> None:
 
     settings = service_settings(maps_dir=maps, data_dir=data)
     print_notice(f"Working on the jobs of {settings.data_dir}; maps go to {settings.maps_dir}.")
-    run_worker(settings.data_dir, settings.maps_dir, settings.jobs_database)
+    run_worker(settings.data_dir, settings.maps_dir, settings.jobs_database, limits=settings.job_limits)
 
 
 def service_settings(**options: object) -> Settings:

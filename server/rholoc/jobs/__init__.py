@@ -1,5 +1,6 @@
 """Durable mapping jobs: recordings on disk, the queue, and the workers that turn one into the other's maps."""
 
+from rholoc.jobs.build_process import Limits
 from rholoc.jobs.embedded import EmbeddedWorker
 from rholoc.jobs.job import Job, JobKind, JobOptions, JobState
 from rholoc.jobs.pipeline import MappingPipeline, MappingTask, Pipeline
@@ -15,6 +16,7 @@ __all__ = [
     "JobOptions",
     "JobQueue",
     "JobState",
+    "Limits",
     "MappingPipeline",
     "MappingTask",
     "PendingRecording",

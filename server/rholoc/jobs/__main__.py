@@ -8,16 +8,17 @@ import sys
 import threading
 from pathlib import Path
 
+from rholoc.jobs.build_process import Limits
 from rholoc.jobs.worker import run_worker
 
 
 def main() -> None:
     """Work until the server closes the pipe, on purpose or by dying."""
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(name)s %(levelname)s %(message)s")
-    data_dir, maps_dir, database_url = json.loads(sys.stdin.buffer.readline())
+    data_dir, maps_dir, database_url, *limits = json.loads(sys.stdin.buffer.readline())
     stop = threading.Event()
     threading.Thread(target=_wait_for_end, args=(stop,), daemon=True).start()
-    run_worker(Path(data_dir), Path(maps_dir), database_url, stop=stop)
+    run_worker(Path(data_dir), Path(maps_dir), database_url, limits=Limits(*limits), stop=stop)
 
 
 def _wait_for_end(stop: threading.Event) -> None:

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import contextlib
 import logging
+import math
 import multiprocessing
 import os
+import resource
 import signal
 import threading
 import time
@@ -13,6 +15,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from multiprocessing.context import SpawnProcess
+from pathlib import Path
 
 from rholoc.errors import Cancelled, RholocError
 from rholoc.jobs.disk import is_full, storage_full
@@ -25,6 +28,20 @@ _log = logging.getLogger("rholoc.jobs")
 _NICENESS = 10  # requests of localization come first
 _SEND_EVERY_S = 0.1
 _EXIT_TAKES_S = 0.05
+_STAT_GROUP, _STAT_PAGES = 2, 21  # fields of /proc/PID/stat after the process's name
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What one build may take.
+
+    Attributes:
+        time_s: how long it may last.
+        memory_bytes: how much memory its processes may hold together; watched on Linux alone.
+    """
+
+    time_s: float = math.inf
+    memory_bytes: float = math.inf
 
 
 @dataclass(frozen=True)
@@ -50,6 +67,7 @@ def build_in_process(
     wanted: Callable[[], bool],
     poll_s: float,
     cancel_grace_s: float,
+    limits: Limits,
 ) -> Failure | None:
     """Run ``pipeline.build`` in a new process; returns why it failed, or None when the map file is there.
 
@@ -60,6 +78,7 @@ def build_in_process(
         wanted: asked every ``poll_s`` seconds whether to go on.
         poll_s: see there.
         cancel_grace_s: how long the build may take to stop by itself when it is not wanted any more.
+        limits: what the build may take; looked at every ``poll_s`` seconds.
 
     Raises:
         Cancelled: it was not wanted any more. The process has ended.
@@ -70,7 +89,7 @@ def build_in_process(
     process.start()
     theirs.close()
     try:
-        return _follow(process, ours, note, wanted, poll_s)
+        return _follow(process, ours, note, wanted, poll_s, limits)
     except Cancelled:
         with contextlib.suppress(OSError):
             ours.send(Cancelled.code)
@@ -87,8 +106,10 @@ def _follow(
     note: Callable[[Progress], None],
     wanted: Callable[[], bool],
     poll_s: float,
+    limits: Limits,
 ) -> Failure | None:
     """Wait for the end, passing on progress."""
+    last_s = time.monotonic() + limits.time_s
     while True:
         alive = process.is_alive()  # asked first: what a dead process had sent is received below
         latest, finished = _receive(connection, time.monotonic() + poll_s)
@@ -100,6 +121,10 @@ def _follow(
             return _died(process)
         if not wanted():
             raise Cancelled("The job is not wanted any more.")
+        if time.monotonic() > last_s:
+            return _too_long(limits.time_s)
+        if process.pid is not None and group_memory_bytes(process.pid) > limits.memory_bytes:
+            return _too_much_memory(limits.memory_bytes)
 
 
 def _receive(connection: Connection, until: float) -> tuple[list[Progress], Finished | None]:
@@ -116,6 +141,35 @@ def _receive(connection: Connection, until: float) -> tuple[list[Progress], Fini
     except (EOFError, OSError):
         time.sleep(_EXIT_TAKES_S)  # the process closed its end: it is about to be gone
     return list(latest.values()), None
+
+
+def _too_long(time_s: float) -> Failure:
+    return Failure(
+        "mapping_failed",
+        f"Mapping took longer than the limit of {time_s:g} s.",
+        "Record a shorter walk, or raise RHOLOC_JOB_TIME_LIMIT_S.",
+    )
+
+
+def _too_much_memory(memory_bytes: float) -> Failure:
+    return Failure(
+        "mapping_failed",
+        f"Mapping needed more memory than the limit of {memory_bytes / 2**30:.3g} GiB.",
+        "Record a shorter walk, or raise RHOLOC_JOB_MEMORY_GIB.",
+    )
+
+
+def group_memory_bytes(group: int) -> int:
+    """The resident memory of all processes of a group; 0 where the system does not tell."""
+    pages = 0
+    for file in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            fields = file.read_text(encoding="utf-8", errors="replace").rsplit(")", 1)[1].split()
+        except OSError:  # it has ended
+            continue
+        if int(fields[_STAT_GROUP]) == group:
+            pages += int(fields[_STAT_PAGES])
+    return pages * resource.getpagesize()
 
 
 def _died(process: SpawnProcess) -> Failure:

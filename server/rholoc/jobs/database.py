@@ -10,7 +10,7 @@ from typing import Any
 import sqlalchemy as sa
 from dbos import DBOS
 from sqlalchemy.exc import OperationalError
-from sqlalchemy.schema import CreateTable
+from sqlalchemy.schema import CreateColumn, CreateTable
 
 from rholoc.errors import InvalidInput
 from rholoc.jobs.disk import storage_full, telling_full_disk
@@ -31,6 +31,7 @@ jobs_table = sa.Table(
     sa.Column("progress", sa.Float, nullable=False),
     sa.Column("message", sa.Text, nullable=False),
     sa.Column("log", sa.JSON, nullable=False),
+    sa.Column("warnings", sa.JSON),  # null in jobs of before there were warnings
     sa.Column("error_code", sa.Text),
     sa.Column("error_message", sa.Text),
     sa.Column("error_hint", sa.Text),
@@ -77,7 +78,17 @@ def open_database(data_dir: Path, database_url: str | None = None) -> sa.Engine:
         with engine.begin() as connection:
             for table in _metadata.sorted_tables:
                 connection.execute(CreateTable(table, if_not_exists=True))
+                _add_missing_columns(connection, table)
     return engine
+
+
+def _add_missing_columns(connection: sa.Connection, table: sa.Table) -> None:
+    """Bring a table that an earlier version made up to date: later columns are nullable, so old rows do without."""
+    present = {column["name"] for column in sa.inspect(connection).get_columns(table.name)}
+    for column in table.columns:
+        if column.name not in present:
+            definition = CreateColumn(column).compile(dialect=connection.dialect)
+            connection.execute(sa.text(f"ALTER TABLE {table.name} ADD COLUMN {definition}"))
 
 
 def _postgres_url(text: str) -> sa.URL:

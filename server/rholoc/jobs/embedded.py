@@ -8,7 +8,10 @@ import logging
 import subprocess
 import sys
 import threading
+from dataclasses import astuple
 from pathlib import Path
+
+from rholoc.jobs.build_process import Limits
 
 _log = logging.getLogger("rholoc.jobs")
 
@@ -19,9 +22,12 @@ _RESTART_AFTER_S = 2.0
 class EmbeddedWorker:
     """Runs ``python -m rholoc.jobs`` as a child, starts it again should it die, and stops it with its parent."""
 
-    def __init__(self, data_dir: Path, maps_dir: Path, database_url: str | None = None) -> None:
+    def __init__(
+        self, data_dir: Path, maps_dir: Path, database_url: str | None = None, limits: Limits | None = None
+    ) -> None:
+        configuration = [str(data_dir), str(maps_dir), database_url, *astuple(limits or Limits())]
         # Through the standard input, not the command line: the URL may hold a password.
-        self._configuration = json.dumps([str(data_dir), str(maps_dir), database_url]).encode() + b"\n"
+        self._configuration = json.dumps(configuration).encode() + b"\n"
         self._stopping = threading.Event()
         self._process: subprocess.Popen[bytes] | None = None
         self._keeper: threading.Thread | None = None

@@ -79,6 +79,7 @@ class Job:
         progress: 0..1 over all stages.
         message: one line for people.
         log: the last lines of its log.
+        warnings: why its published map is not to be trusted, where that is so.
         error_code, error_message, error_hint: set when it failed.
         created, started, ended: seconds since the epoch, or None.
         attempts: how many workers have taken it up.
@@ -92,6 +93,7 @@ class Job:
     progress: float
     message: str
     log: tuple[str, ...]
+    warnings: tuple[str, ...]
     error_code: str | None
     error_message: str | None
     error_hint: str | None

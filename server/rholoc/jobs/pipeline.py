@@ -44,8 +44,12 @@ class Pipeline(Protocol):
         """Write ``task.map_file``, atomically; do nothing if it is there."""
         ...
 
-    def publish(self, task: MappingTask) -> None:
-        """Put ``task.map_file`` into the library, atomically; do nothing if it is there."""
+    def publish(self, task: MappingTask) -> tuple[str, ...]:
+        """Put ``task.map_file`` into the library, atomically; do nothing if it is there.
+
+        Returns:
+            Why the map is not to be trusted, one line each.
+        """
         ...
 
 
@@ -67,7 +71,7 @@ class MappingPipeline:
         save_map(built, partial)
         partial.replace(task.map_file)
 
-    def publish(self, task: MappingTask) -> None:
+    def publish(self, task: MappingTask) -> tuple[str, ...]:
         """Put the map into the library unless the one of that name is already this one.
 
         Raises:
@@ -78,8 +82,10 @@ class MappingPipeline:
         map_ = load_map(task.map_file)
         if _updates(task):
             library.replace(task.map_name, map_)
-        elif _published_id(library, task.map_name) != map_.info.id:
+            return ()
+        if _published_id(library, task.map_name) != map_.info.id:
             library.put_file(task.map_name, task.map_file)
+        return _doubts(map_)
 
 
 def _updates(task: MappingTask) -> bool:
@@ -95,6 +101,12 @@ def _built(task: MappingTask, recording: Recording, progress: ProgressListener) 
 def _updated(task: MappingTask, recording: Recording, progress: ProgressListener) -> Map:
     map_ = MapLibrary(task.maps_dir).get(task.map_name)
     return update_map(map_, recording, UpdateOptions(task.options.poses), progress)
+
+
+def _doubts(map_: Map) -> tuple[str, ...]:
+    """Why the frame poses that a map was built on are not trusted, where they are not."""
+    reports = map_.info.report.get("trajectories", [])
+    return tuple(f"The frame poses are not trusted: {one['why']}" for one in reports if not one.get("trusted", True))
 
 
 def _published_id(library: MapLibrary, name: str) -> str | None:

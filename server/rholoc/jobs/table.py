@@ -123,15 +123,19 @@ class JobTable:
             raise Conflict("Only a job that failed or was cancelled can be retried.", "Submit a new one.")
 
     def cancel(self, job_id: str) -> None:
-        """End a queued or running job. Raises Conflict."""
+        """End a queued or running job, unless its map is being published. Raises Conflict."""
         with self._engine.begin() as connection:
             changed = connection.execute(
                 jobs_table.update()
-                .where(jobs_table.c.id == job_id, jobs_table.c.state.in_([JobState.QUEUED, JobState.RUNNING]))
+                .where(
+                    jobs_table.c.id == job_id,
+                    jobs_table.c.state.in_([JobState.QUEUED, JobState.RUNNING]),
+                    jobs_table.c.stage != Stage.PUBLISHED,
+                )
                 .values(state=JobState.CANCELLED, message="cancelled", ended=time.time())
             )
         if not changed.rowcount:
-            raise Conflict("The job has ended.", "Retry it, or submit a new one.")
+            raise Conflict("The job has ended, or its map is being published.", "Retry it, or submit a new one.")
 
     # What workers do
 
@@ -195,9 +199,15 @@ class JobTable:
         """Give the job back to the queue."""
         self._update(lease, state=JobState.QUEUED, message="waiting for another worker")
 
-    def publish(self, lease: Lease) -> None:
-        """Note that the job's map is published."""
-        self._end(lease, JobState.PUBLISHED, "published", stage=Stage.PUBLISHED, progress=1.0)
+    def begin_publishing(self, lease: Lease) -> bool:
+        """From here on the job cannot be cancelled. False if the lease was lost before."""
+        return self._update(lease, stage=Stage.PUBLISHED, message="publishing the map")
+
+    def publish(self, lease: Lease, warnings: Sequence[str]) -> None:
+        """Note that the job's map is published, and why it is not to be trusted where that is so."""
+        lines = [*(f"warning: {warning}" for warning in warnings), "published"]
+        values = {"stage": Stage.PUBLISHED, "progress": 1.0, "warnings": list(warnings)}
+        self._end(lease, JobState.PUBLISHED, "published", lines, **values)
 
     def fail(self, lease: Lease, failure: Failure) -> None:
         """Note why the job failed."""
@@ -205,12 +215,13 @@ class JobTable:
             lease,
             JobState.FAILED,
             failure.message,
+            [f"failed: {failure.message}"],
             error_code=failure.code,
             error_message=failure.message,
             error_hint=failure.hint,
         )
 
-    def _end(self, lease: Lease, state: JobState, message: str, **values: Any) -> None:
+    def _end(self, lease: Lease, state: JobState, message: str, lines: Sequence[str], **values: Any) -> None:
         with self._engine.begin() as connection:
             log = connection.execute(sa.select(jobs_table.c.log).where(*_held(lease))).scalar()
             if log is None:
@@ -221,15 +232,15 @@ class JobTable:
                 .values(
                     state=state,
                     message=message,
-                    log=_appended(log, f"{state}: {message}" if message != state else message),
+                    log=_appended(log, *lines),
                     ended=time.time(),
                     **values,
                 )
             )
 
-    def _update(self, lease: Lease, **values: Any) -> None:
+    def _update(self, lease: Lease, **values: Any) -> bool:
         with self._engine.begin() as connection:
-            connection.execute(jobs_table.update().where(*_held(lease)).values(**values))
+            return connection.execute(jobs_table.update().where(*_held(lease)).values(**values)).rowcount > 0
 
 
 class WorkerTable:
@@ -279,6 +290,7 @@ _QUEUED: dict[str, Any] = {
     "progress": 0.0,
     "message": "waiting for a worker",
     "log": [],
+    "warnings": [],
     "error_code": None,
     "error_message": None,
     "error_hint": None,
@@ -297,9 +309,9 @@ def _held(lease: Lease) -> tuple[sa.ColumnElement[bool], ...]:
     )
 
 
-def _appended(log: list[str], line: str) -> list[str]:
+def _appended(log: list[str], *lines: str) -> list[str]:
     now = time.strftime("%H:%M:%S", time.gmtime())
-    return [*log, f"{now} {line}"][-LOG_LINES:]
+    return [*log, *(f"{now} {line}" for line in lines)][-LOG_LINES:]
 
 
 def _job(row: sa.RowMapping) -> Job:
@@ -312,6 +324,7 @@ def _job(row: sa.RowMapping) -> Job:
         progress=row["progress"],
         message=row["message"],
         log=tuple(row["log"]),
+        warnings=tuple(row["warnings"] or ()),
         error_code=row["error_code"],
         error_message=row["error_message"],
         error_hint=row["error_hint"],

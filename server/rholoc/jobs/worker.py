@@ -18,7 +18,7 @@ from dbos import DBOS, DBOSConfig
 from sqlalchemy.exc import SQLAlchemyError
 
 from rholoc.errors import Cancelled, RholocError
-from rholoc.jobs.build_process import Progress, build_in_process, describe, unexpected
+from rholoc.jobs.build_process import Limits, Progress, build_in_process, describe, unexpected
 from rholoc.jobs.database import open_database
 from rholoc.jobs.disk import is_full, storage_full, telling_full_disk
 from rholoc.jobs.pipeline import MappingPipeline, MappingTask, Pipeline
@@ -29,6 +29,7 @@ from rholoc.jobs.table import DEAD_AFTER_S, Failure, JobTable, JobWork, Lease, W
 _log = logging.getLogger("rholoc.jobs")
 
 _MAX_ATTEMPTS = 5
+_ACTIVE = ("PENDING", "ENQUEUED", "DELAYED")  # states of workflows
 
 
 @dataclass(frozen=True)
@@ -63,12 +64,14 @@ class Worker:
         *,
         pipeline: Pipeline | None = None,
         timing: Timing | None = None,
+        limits: Limits | None = None,
     ) -> None:
         self.id = f"{socket.gethostname()[:40]}-{os.getpid()}-{uuid.uuid4().hex[:8]}"
         self._data_dir = Path(data_dir).resolve()
         self._maps_dir = Path(maps_dir).resolve()
         self._pipeline = pipeline or MappingPipeline()
         self._timing = timing or Timing()
+        self._limits = limits or Limits()
         self._database_url = database_url
         self._stopping = threading.Event()
         self._idle = threading.Condition()
@@ -148,13 +151,14 @@ class Worker:
     def _build_and_publish(self, lease: Lease, work: JobWork) -> None:
         failure = self._too_often(lease)
         failure = failure or DBOS.run_step({"name": "build"}, self._build, lease, work)
-        failure = failure or DBOS.run_step({"name": "publish"}, self._publish, lease, work)
-        shutil.rmtree(self._work_dir(lease), ignore_errors=True)
-        if failure is None:
-            self._jobs.publish(lease)
+        published = failure or DBOS.run_step({"name": "publish"}, self._publish, lease, work)
+        if isinstance(published, Failure):
+            _log.warning("job %s failed: %s", lease.job, published.message)
+            self._jobs.fail(lease, published)
         else:
-            _log.warning("job %s failed: %s", lease.job, failure.message)
-            self._jobs.fail(lease, failure)
+            self._jobs.publish(lease, published)
+        # Last: were the worker killed before the end was noted, the next one finds the map that was published.
+        shutil.rmtree(self._work_dir(lease), ignore_errors=True)
 
     def _too_often(self, lease: Lease) -> Failure | None:
         if lease.attempt <= _MAX_ATTEMPTS:
@@ -175,24 +179,25 @@ class Worker:
                 wanted=lambda: self._holds(lease),
                 poll_s=self._timing.poll_s,
                 cancel_grace_s=self._timing.cancel_grace_s,
+                limits=self._limits,
             )
         except Cancelled:
             raise
         except RholocError as error:
             return describe(error)
 
-    def _publish(self, lease: Lease, work: JobWork) -> Failure | None:
-        if not self._jobs.holds(lease):
+    def _publish(self, lease: Lease, work: JobWork) -> tuple[str, ...] | Failure:
+        """Publish the map; returns why it is not to be trusted, or why it could not be published."""
+        if not self._jobs.begin_publishing(lease):
             raise Cancelled("The job is not ours any more.")
         try:
-            self._pipeline.publish(self._task(lease, work))
+            return self._pipeline.publish(self._task(lease, work))
         except RholocError as error:
             return describe(error)
         except OSError as error:
             return describe(storage_full()) if is_full(error) else unexpected(error)
         except Exception as error:
             return unexpected(error)
-        return None
 
     def _task(self, lease: Lease, work: JobWork) -> MappingTask:
         folder = self._work_dir(lease)
@@ -239,7 +244,7 @@ class Worker:
                 _log.exception("the heartbeat failed; it is tried again")
 
     def _sweep(self) -> None:
-        """Hand the jobs of dead workers to living ones.
+        """Hand the jobs of dead workers to living ones, and begin again those that a broken database stopped.
 
         Two workers may do so for the same job at the same time. The job then starts twice, the second start takes the
         lease of the first, and the first stops.
@@ -250,6 +255,17 @@ class Worker:
         if orphans:
             _log.warning("taking over %d jobs of dead workers", len(orphans))
             self._client.resume_workflows(orphans, queue_name=QUEUE_NAME)
+        for workflow in self._stopped_workflows():
+            _log.warning("beginning the workflow %s again", workflow)
+            self._client.rewind_workflow(workflow, queue_name=QUEUE_NAME)
+
+    def _stopped_workflows(self) -> set[str]:
+        """Workflows that ended without the end of their job: the database failed when it was to be noted."""
+        wanted = self._jobs.wanted_workflows()
+        known = self._client.list_workflows(workflow_ids=list(wanted), load_input=False, load_output=False)
+        ended = {workflow.workflow_id for workflow in known if workflow.status not in _ACTIVE}
+        # Asked again: a workflow that ended between the two questions has noted its job's end before.
+        return ended & self._jobs.wanted_workflows() if ended else ended
 
 
 def run_worker(
@@ -259,6 +275,7 @@ def run_worker(
     *,
     pipeline: Pipeline | None = None,
     timing: Timing | None = None,
+    limits: Limits | None = None,
     stop: threading.Event | None = None,
 ) -> None:
     """Work until SIGINT, SIGTERM or ``stop``. To be called in the main thread of a process that does nothing else.
@@ -273,7 +290,7 @@ def run_worker(
 
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, ask_to_stop)
-    worker = Worker(data_dir, maps_dir, database_url, pipeline=pipeline, timing=timing)
+    worker = Worker(data_dir, maps_dir, database_url, pipeline=pipeline, timing=timing, limits=limits)
     worker.start()
     stop.wait()
     worker.stop()

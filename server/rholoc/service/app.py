@@ -102,7 +102,7 @@ def _start(settings: Settings) -> State:
 
 
 def _worker(settings: Settings) -> EmbeddedWorker:
-    return EmbeddedWorker(settings.data_dir, settings.maps_dir, settings.jobs_database)
+    return EmbeddedWorker(settings.data_dir, settings.maps_dir, settings.jobs_database, settings.job_limits)
 
 
 async def _answer_error(request: Request, error: Exception) -> JSONResponse:

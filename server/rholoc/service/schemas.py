@@ -406,6 +406,7 @@ _JOB: JsonDict = {
     "progress": 0.42,
     "message": "31 of 60 keyframes placed",
     "log": ["60 keyframes chosen"],
+    "warnings": [],
     "error": None,
     "created": 1767607200.0,
     "started": 1767607201.5,
@@ -427,6 +428,7 @@ class JobOut(_Out):
     progress: float = Field(description="0..1 over all stages")
     message: str
     log: list[str]
+    warnings: list[str] = Field(description="why its published map is not to be trusted, where that is so")
     error: JobError | None
     created: float = Field(description="s since the epoch")
     started: float | None

@@ -9,6 +9,7 @@ from pathlib import Path
 from pydantic import Field, SecretStr
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
+from rholoc.jobs import Limits
 from rholoc.service.guard import KeyPolicy
 
 
@@ -60,9 +61,18 @@ class Settings(BaseSettings):
         ge=0,
         description="How long a recording is kept after its map was published; inf: until it is deleted.",
     )
+    job_time_limit_s: float = Field(default=math.inf, gt=0, description="How long one mapping job may take.")
+    job_memory_gib: float = Field(
+        default=math.inf, gt=0, description="How much memory the processes of one mapping job may hold, on Linux."
+    )
     max_upload_files: int = Field(
         default=20_000, ge=1, description="The most files one upload of a recording may hold."
     )
+
+    @property
+    def job_limits(self) -> Limits:
+        """What one mapping job may take."""
+        return Limits(self.job_time_limit_s, self.job_memory_gib * 2**30)
 
     @property
     def jobs_database(self) -> str | None:

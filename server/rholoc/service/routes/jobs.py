@@ -29,6 +29,7 @@ def job_out(job: Job) -> JobOut:
         progress=job.progress,
         message=job.message,
         log=list(job.log),
+        warnings=list(job.warnings),
         error=error,
         created=job.created,
         started=job.started,
