@@ -4,15 +4,39 @@ from __future__ import annotations
 
 import os
 import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
+import cv2
 import numpy as np
 import pytest
 
 from rholoc.errors import Cancelled, InvalidRecording, MappingFailed
+from rholoc.geometry import ByteArray, FloatArray, IntArray
 from rholoc.progress import ProgressListener, Stage, silent
 from rholoc.trajectory.child import run_in_child
-from rholoc.trajectory.keyframes import choose_keyframes
+from rholoc.trajectory.keyframes import choose_keyframes, measure_motion
 from rholoc.trajectory.loops import sequential_pairs
+
+
+@dataclass(frozen=True, eq=False)
+class _Pictures:
+    pictures: list[ByteArray]
+
+    @property
+    def times(self) -> FloatArray:
+        return np.arange(len(self.pictures)) / 30.0
+
+    @property
+    def numbers(self) -> IntArray:
+        return np.arange(len(self.pictures))
+
+    @property
+    def size(self) -> tuple[int, int]:
+        return self.pictures[0].shape[1], self.pictures[0].shape[0]
+
+    def images(self, rows: Sequence[int]) -> Iterator[ByteArray]:
+        return (self.pictures[row] for row in rows)
 
 
 def test_keyframes_are_sharp_and_evenly_spaced_in_motion() -> None:
@@ -24,6 +48,36 @@ def test_keyframes_are_sharp_and_evenly_spaced_in_motion() -> None:
     assert 60 <= len(rows) <= 160
     assert np.mean(sharpness[rows] == 1.0) > 0.9
     assert np.diff(np.cumsum(motion)[rows]).max() < 0.09
+
+
+def test_blurred_frames_are_no_keyframes() -> None:
+    """A hand shakes for a third of a second in every two: these frames are left out, also where a whole step is."""
+    rng = np.random.default_rng(1)
+    blurred = np.arange(900) % 60 < 10
+    sharpness = np.where(blurred, 0.2, 1.0) * rng.uniform(0.8, 1.0, 900)
+    motion = np.where(blurred, 0.012, 0.006)
+    rows = choose_keyframes(motion, sharpness)
+    assert not blurred[rows[1:-1]].any()
+    assert np.diff(np.cumsum(motion)[rows]).max() <= 0.2
+    assert len(rows) > 100
+
+
+def test_a_walk_does_not_break_where_all_of_it_is_blurred() -> None:
+    sharpness = np.where((np.arange(600) > 250) & (np.arange(600) < 350), 0.1, 1.0)
+    motion = np.full(600, 0.01)
+    rows = choose_keyframes(motion, sharpness)
+    assert np.diff(np.cumsum(motion)[rows]).max() <= 0.2
+
+
+def test_sharpness_tells_motion_blur() -> None:
+    """Frames that were smeared while they were exposed are measured as less than half as sharp as their neighbours."""
+    rng = np.random.default_rng(2)
+    wall = cv2.GaussianBlur(rng.integers(0, 255, (240, 400, 3), dtype=np.uint8), (0, 0), 1.5)
+    pictures = [wall[:, 3 * k : 3 * k + 320] for k in range(12)]
+    pictures[5] = cv2.blur(pictures[5], (9, 1))
+    motion, sharpness = measure_motion(_Pictures(pictures))
+    assert sharpness[5] < 0.5 * np.delete(sharpness, 5).min()
+    assert motion[1:5] == pytest.approx(3 / 320, abs=0.002)
 
 
 def test_a_pause_gives_one_keyframe() -> None:

@@ -22,6 +22,9 @@ _USUAL_KEYFRAMES = 160
 _MOST_KEYFRAMES = 400
 
 
+_BLURRED = 0.5  # times the sharpness of the sharpest frame that shows nearly the same
+_SAME_VIEW = 0.1  # of the image's width: how far the image may have moved between frames that do
+_MOST_GAP = 0.2  # of the image's width: between keyframes, where a blurred one is left out
 def measure_motion(frames: FrameSource, progress: ProgressListener = silent) -> tuple[FloatArray, FloatArray]:
     """How far the image moves before each frame and how sharp it is: two (N,) arrays.
 
@@ -42,7 +45,7 @@ def measure_motion(frames: FrameSource, progress: ProgressListener = silent) -> 
 
 
 def choose_keyframes(motion: FloatArray, sharpness: FloatArray) -> IntArray:
-    """The sharpest frame of every step of image motion: rows (K,), increasing.
+    """The sharpest frame of every step of image motion, unless it is blurred: rows (K,), increasing.
 
     Args:
         motion: (N,) image motion before each frame, as a share of the image's width.
@@ -54,7 +57,21 @@ def choose_keyframes(motion: FloatArray, sharpness: FloatArray) -> IntArray:
     bins = np.minimum(np.floor(path * (steps / max(total, 1e-12))), np.ceil(steps) - 1)
     edges = np.flatnonzero(np.diff(bins, prepend=-np.inf, append=np.inf))
     rows = [first + int(np.argmax(sharpness[first:last])) for first, last in pairwise(edges)]
-    return np.array(rows, dtype=np.int64)
+    return _without_blurred(np.array(rows, dtype=np.int64), path, sharpness)
+
+
+def _without_blurred(rows: IntArray, path: FloatArray, sharpness: FloatArray) -> IntArray:
+    """The rows (K,) without those that are blurred beside frames of the same view, as long as no wide gap is left."""
+    nearby = [sharpness[np.abs(path - path[row]) <= _SAME_VIEW].max() for row in rows]
+    relative = sharpness[rows] / np.maximum(nearby, 1e-12)
+    kept = rows.tolist()
+    for i in np.argsort(relative, kind="stable"):
+        place = kept.index(rows[i])
+        if relative[i] >= _BLURRED:
+            break
+        if 0 < place < len(kept) - 1 and path[kept[place + 1]] - path[kept[place - 1]] <= _MOST_GAP:
+            kept.pop(place)
+    return np.array(kept, dtype=np.int64)
 
 
 def _scan_image(image: ByteArray) -> ByteArray:
