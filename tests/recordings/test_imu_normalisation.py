@@ -173,3 +173,12 @@ def test_times_of_frames_have_units_too() -> None:
     seconds, warnings = frame_times_s(np.array([5.0]), "ms")
     assert seconds.tolist() == [0.005]
     assert warnings == ()
+
+
+@pytest.mark.parametrize("interval_s", [1 / 240, 1 / 30, 0.5, 3.0])
+@pytest.mark.parametrize("says", PER_SECOND)
+def test_frames_in_the_unit_that_is_said_are_believed(interval_s: float, says: str) -> None:
+    times = 7.0 + np.arange(9) * interval_s
+    seconds, warnings = frame_times_s(times * PER_SECOND[says], says)
+    np.testing.assert_allclose(seconds, times)
+    assert warnings == ()

@@ -174,6 +174,7 @@ def test_the_raw_tables_of_ios_logger_serve_without_the_fused_one(tmp_path: Path
 def test_ios_logger_without_its_video_has_times_and_no_images(tmp_path: Path) -> None:
     folder = phone.write_recording("ios-logger", tmp_path / "walk")
     (folder / "Frames.m4v").unlink()
+    write_camera_json(folder / "camera.json", CameraFile(Camera(*phone.SIZE, *phone.INTRINSICS)))
     recording = read_recording(folder)
     assert recording.warnings[0].kind is WarningKind.NO_IMAGES
     assert len(recording.frames.times) == phone.FRAMES

@@ -26,7 +26,8 @@ MIN_RATE_HZ = 25.0  # the paper's floor
 
 _PER_SECOND = {"s": 1.0, "ms": 1e3, "µs": 1e6, "ns": 1e9}  # divided by, which rounds right: 1e-9 is not exact
 _LONGEST_IMU_INTERVAL_S = 0.4
-_LONGEST_FRAME_INTERVAL_S = 2.0
+_SHORTEST_FRAME_INTERVAL_S = 0.002
+_LONGEST_FRAME_INTERVAL_S = 4.0
 _MAX_DROPPED = 0.05  # share of rows whose time does not advance
 _GAP_INTERVALS = 5.0  # a gap is this many usual intervals …
 _GAP_S = 0.1  # … and at least this long
@@ -117,8 +118,11 @@ def time_unit(times: FloatArray, longest_s: float = _LONGEST_IMU_INTERVAL_S) -> 
 
 
 def frame_times_s(times: FloatArray, says: str) -> tuple[FloatArray, tuple[RecordingWarning, ...]]:
-    """Times (N,) of frames in seconds, by their interval, as an IMU's are; ``says`` is the format's own unit."""
-    unit = time_unit(times, _LONGEST_FRAME_INTERVAL_S) or says
+    """Times (N,) of frames in seconds. Frames may be seconds apart, so ``says``, the format's own unit, is believed
+    where it makes an interval of 2 ms to 4 s; else the interval shows the unit, as it does an IMU's."""
+    steps = np.abs(np.diff(times)) / _PER_SECOND[says]
+    plausible = len(steps) == 0 or _SHORTEST_FRAME_INTERVAL_S < np.median(steps) <= _LONGEST_FRAME_INTERVAL_S
+    unit = says if plausible else time_unit(times, 1000 * _SHORTEST_FRAME_INTERVAL_S) or says
     warnings = () if unit == says else (_unit_warning("frames", unit, says),)
     return times / _PER_SECOND[unit], warnings
 

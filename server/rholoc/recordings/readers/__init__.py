@@ -26,7 +26,6 @@ from rholoc.recordings.readers import (
     stray_scanner,
     tum_rgbd,
 )
-from rholoc.recordings.readers._frames import fitted_camera
 from rholoc.recordings.recording import Recording, RecordingFormat
 from rholoc.recordings.waypoints import read_waypoints_csv
 
@@ -81,9 +80,8 @@ def read_folder(folder: Path) -> Recording:
 def _with_additions(recording: Recording, folder: Path) -> Recording:
     """The recording with the intrinsics, mounting and waypoints that its operator put beside it."""
     description = own.read_description(folder)
-    if description.camera is not None:
-        camera = fitted_camera(description.camera, recording.frames.size, "camera.json")
-        recording = replace(recording, camera=camera)
+    if description.camera is not None and 0 not in recording.frames.size:
+        recording = replace(recording, camera=description.camera.fitted(*recording.frames.size))
     if description.R_camera_imu is not None and recording.imu is not None:
         recording = replace(recording, imu=replace(recording.imu, R_camera_imu=description.R_camera_imu))
     waypoints_csv = folder / "waypoints.csv"

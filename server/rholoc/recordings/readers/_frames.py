@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from rholoc.errors import InvalidCamera, InvalidRecording
-from rholoc.geometry import Camera, FloatArray, IntArray
+from rholoc.errors import InvalidRecording
+from rholoc.geometry import FloatArray, IntArray
 from rholoc.recordings.image_folder import DEFAULT_FPS, image_frames, number_in_name
 from rholoc.recordings.imu_normalisation import advancing_rows
 from rholoc.recordings.recording import FrameSource, RecordingWarning, WarningKind
@@ -17,7 +17,6 @@ from rholoc.recordings.selection import SelectedFrames
 from rholoc.recordings.video import VIDEO_SUFFIXES, VideoFrames, read_video
 
 MAX_FRAME_COUNT_DIFFERENCE = 2  # frames that a recorder may lose at the end of the video or of its table
-_ASPECT_TOLERANCE = 0.01
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,21 +129,6 @@ def listed_file(folder: Path, name: str) -> Path:
     if "\0" in name or not path.resolve().is_relative_to(folder.resolve()):
         raise InvalidRecording(f"The list of images names '{name[:80]}', outside the recording's folder.")
     return path
-
-
-def fitted_camera(camera: Camera, size: tuple[int, int], source: str) -> Camera:
-    """The camera for frames of ``size``; ``source``, its file, may be of another resolution of the same shape.
-
-    Raises:
-        InvalidCamera: it is of another shape.
-    """
-    width, height = size
-    if abs(width * camera.height / (height * camera.width) - 1) > _ASPECT_TOLERANCE:
-        raise InvalidCamera(
-            f"{source} is for {camera.width}×{camera.height} pixels, but the frames are {width}×{height}.",
-            "Give the intrinsics of the frames as they are shown, after rotation.",
-        )
-    return camera if (camera.width, camera.height) == size else camera.resized(width, height)
 
 
 def _chosen(frames: VideoFrames, rows: IntArray) -> FrameSource:

@@ -21,7 +21,7 @@ from rholoc.errors import InvalidCamera, InvalidRecording
 from rholoc.geometry import Camera, FloatArray
 from rholoc.recordings.csv_table import read_text
 from rholoc.recordings.pose_table import poses_from_rows
-from rholoc.recordings.readers._frames import fitted_camera, listed_file, untimed_images
+from rholoc.recordings.readers._frames import listed_file, untimed_images
 from rholoc.recordings.recording import GivenPoses, Recording, RecordingFormat, RecordingWarning, WarningKind
 
 SCALE_WARNING = RecordingWarning(
@@ -143,7 +143,7 @@ def _camera(
         text = f"The camera's model is {cameras[used][0]}, which is not supported: its intrinsics are left aside."
         return None, (RecordingWarning(WarningKind.CAMERA_UNSUPPORTED, text),)
     (width, height), (fx, fy, cx, cy), distortion = found
-    return fitted_camera(Camera(width, height, fx, fy, cx, cy, distortion), size, "cameras.txt"), ()
+    return Camera(width, height, fx, fy, cx, cy, distortion).fitted(*size), ()
 
 
 def _per_frame(cameras: dict[str, list[str]], used: list[str]) -> FloatArray | None:

@@ -25,7 +25,7 @@ from rholoc.recordings.csv_table import read_text
 from rholoc.recordings.imu_normalisation import ImuConvention, Samples, frame_times_s, normalise_imu
 from rholoc.recordings.logged_table import has_columns, read_logged_table
 from rholoc.recordings.pose_table import PoseTable, match_poses, poses_from_rows
-from rholoc.recordings.readers._frames import fitted_camera, listed_file, timed_images
+from rholoc.recordings.readers._frames import listed_file, timed_images
 from rholoc.recordings.recording import (
     FrameSource,
     GivenPoses,
@@ -104,7 +104,7 @@ def _camera(sensor: dict[str, Any], size: tuple[int, int]) -> tuple[Camera | Non
         width, height = (int(value) for value in sensor.get("resolution") or size)
     except (TypeError, ValueError, OverflowError) as error:
         raise InvalidCamera("cam0/sensor.yaml: a part of the intrinsics is not a number.") from error
-    return fitted_camera(Camera(width, height, fx, fy, cx, cy, coefficients), size, "cam0/sensor.yaml"), ()
+    return Camera(width, height, fx, fy, cx, cy, coefficients).fitted(*size), ()
 
 
 def _body(sensor: dict[str, Any]) -> FloatArray | None:

@@ -22,7 +22,7 @@ from rholoc.errors import InvalidCamera, InvalidRecording, InvalidTrajectory
 from rholoc.geometry import Camera, FloatArray
 from rholoc.recordings.csv_table import read_text
 from rholoc.recordings.readers._apple import opencv_camera
-from rholoc.recordings.readers._frames import fitted_camera, listed_file, untimed_images
+from rholoc.recordings.readers._frames import listed_file, untimed_images
 from rholoc.recordings.readers.colmap import SCALE_WARNING
 from rholoc.recordings.recording import GivenPoses, Recording, RecordingFormat, RecordingWarning, WarningKind
 
@@ -128,7 +128,7 @@ def _camera(values: dict[str, Any], size: tuple[int, int]) -> tuple[Camera | Non
         (cy if math.isfinite(cy) else height / 2) - 0.5,
         _distortion(values),
     )
-    return fitted_camera(camera, size, _FILE), ()
+    return camera.fitted(*size), ()
 
 
 def _distortion(values: dict[str, Any]) -> tuple[float, ...]:

@@ -24,7 +24,7 @@ from rholoc.recordings.image_folder import find_images, read_image_folder
 from rholoc.recordings.imu_normalisation import ImuConvention, Samples, frame_times_s, normalise_imu
 from rholoc.recordings.imu_table import IMU_COLUMNS
 from rholoc.recordings.pose_table import match_poses, read_pose_table
-from rholoc.recordings.readers._frames import find_video, fitted_camera, timed_video
+from rholoc.recordings.readers._frames import find_video, timed_video
 from rholoc.recordings.recording import FrameSource, Imu, Recording, RecordingFormat, RecordingWarning
 from rholoc.recordings.video import read_video
 from rholoc.recordings.waypoints import read_waypoints_csv
@@ -49,7 +49,7 @@ def read(folder: Path) -> Recording:
         name=folder.resolve().name,
         path=folder,
         frames=frames,
-        camera=None if camera is None else fitted_camera(camera, frames.size, "camera.json"),
+        camera=None if camera is None else camera.fitted(*frames.size),
         imu=imu,
         waypoints=read_waypoints_csv(waypoints_csv, frames) if waypoints_csv.is_file() else (),
         poses=None if poses is None else match_poses(read_pose_table(poses), frames),

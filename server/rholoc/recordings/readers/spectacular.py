@@ -21,7 +21,7 @@ from rholoc.errors import InvalidCamera, InvalidRecording
 from rholoc.geometry import Camera, FloatArray
 from rholoc.recordings.csv_table import read_text
 from rholoc.recordings.imu_normalisation import ImuConvention, Samples, normalise_imu
-from rholoc.recordings.readers._frames import fitted_camera, require_video, timed_video
+from rholoc.recordings.readers._frames import require_video, timed_video
 from rholoc.recordings.recording import Imu, Recording, RecordingFormat, RecordingWarning, WarningKind
 
 _INTRINSICS = ("focalLengthX", "focalLengthY", "principalPointX", "principalPointY")
@@ -154,7 +154,7 @@ def _camera(values: dict[str, Any], size: tuple[int, int]) -> tuple[Camera | Non
         text = f"The camera's model is {model}, which is not supported: its intrinsics are left aside."
         return None, (RecordingWarning(WarningKind.CAMERA_UNSUPPORTED, text),)
     camera = Camera(width, height, fx, fy, cx, cy, tuple(coefficients))
-    return fitted_camera(camera, size, "calibration.json"), ()
+    return camera.fitted(*size), ()
 
 
 def _rotation(rows: Any) -> FloatArray | None:

@@ -23,7 +23,7 @@ from rholoc.recordings.imu_normalisation import ImuConvention, Samples, normalis
 from rholoc.recordings.logged_table import LoggedTable, has_columns, read_logged_table
 from rholoc.recordings.pose_table import poses_from_rows
 from rholoc.recordings.readers._apple import R_LANDSCAPE_CAMERA_IMU, z_up
-from rholoc.recordings.readers._frames import fitted_camera, require_video, timed_video
+from rholoc.recordings.readers._frames import require_video, timed_video
 from rholoc.recordings.recording import GivenPoses, Imu, Recording, RecordingFormat, RecordingWarning
 
 _POSES = ("x", "y", "z", "qx", "qy", "qz", "qw")
@@ -79,7 +79,7 @@ def _camera(path: Path, size: tuple[int, int]) -> Camera | None:
     K = read_logged_table(path).numbered(0, 1, 2)
     if K.shape != (3, 3):
         raise InvalidCamera(f"{path.name} is not a 3×3 matrix.")
-    return fitted_camera(Camera(*size, K[0, 0], K[1, 1], K[0, 2], K[1, 2]), size, path.name)
+    return Camera(*size, K[0, 0], K[1, 1], K[0, 2], K[1, 2])
 
 
 def _logged_intrinsics(odometry: LoggedTable, rows: IntArray) -> FloatArray | None:

@@ -1,0 +1,45 @@
+"""What maps and failed jobs tell of their recordings."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from rholoc.errors import MappingFailed
+from rholoc.geometry import Pose
+from rholoc.mapping import build_map
+from rholoc.mapping.coaching import advice_line, coach
+from rholoc.recordings import Look, read_recording
+
+
+@pytest.fixture
+def dark(tmp_path: Path) -> Path:
+    """Twenty frames of a dark wall."""
+    folder = tmp_path / "dark"
+    folder.mkdir()
+    for i in range(20):
+        assert cv2.imwrite(str(folder / f"{i:04d}.png"), np.full((48, 64, 3), 9, np.uint8))
+    return folder
+
+
+def test_a_section_holds_what_was_measured_and_advised(dark: Path) -> None:
+    recording = read_recording(dark)
+    straight = [Pose.from_heading(np.array([t, 0, 1.5]), np.array([1.0, 0, 0])).T_map_camera for t in range(20)]
+    section = coach(recording, [Look(120.0, 400)] * 20, recording.frames.times, np.array(straight))
+    assert section["recording"] == "dark"
+    assert section["warnings"] == []
+    assert section["figures"]["nearest_return"] == pytest.approx(1)
+    assert [advice["kind"] for advice in section["advice"]] == ["no_loop"]
+    assert advice_line([section]) == f"next time: {section['advice'][0]['text']}"
+    assert advice_line([{**section, "advice": []}]) == ""
+
+
+def test_a_walk_that_gives_no_map_is_told_what_it_lacked(dark: Path) -> None:
+    with pytest.raises(MappingFailed) as caught:
+        build_map([read_recording(dark)])
+    assert "Switch on more light: the mean grey is 9 of 255" in caught.value.hint
+    assert "100% of the frames show hardly any corners" in caught.value.hint
+    assert "\n" not in str(caught.value)
