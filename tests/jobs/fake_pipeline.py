@@ -101,10 +101,6 @@ class FakePipeline(MappingPipeline):
             raise ZeroDivisionError("something\nwith lines")
         if recording == f"crash at {stage}".encode():
             os.kill(os.getpid(), signal.SIGKILL)
-        if recording == f"greedy at {stage}".encode():
-            hoard = np.ones(100_000_000)  # 800 MB
-            while hoard.any():
-                time.sleep(0.02)
         if recording == f"disk full at {stage}".encode():
             raise OSError(28, "No space left on device")
 

@@ -14,7 +14,7 @@ from fake_pipeline import Control
 from rholoc.jobs import Job, JobQueue, JobState, RecordingStore
 
 _HERE = Path(__file__).parent
-_TIMEOUT_S = 60.0  # only a stuck test takes so long, or a busy machine
+_TIMEOUT_S = 120.0  # only a stuck test takes so long, or a busy machine
 
 
 class Site:

@@ -145,3 +145,14 @@ def test_the_same_submission_twice_is_one_job(site: Site) -> None:
     first = site.queue.submit(entry.id, "room", job_id="1" * 32)
     assert site.queue.submit(entry.id, "room", job_id="1" * 32) == first
     assert site.queue.list() == [first]
+
+
+def test_a_database_of_an_earlier_version_is_brought_up_to_date(site: Site) -> None:
+    job = site.submit()
+    engine = open_database(site.data_dir)
+    with engine.begin() as connection:
+        connection.execute(sa.text("ALTER TABLE rholoc_jobs DROP COLUMN warnings"))
+    engine.dispose()
+    later = JobQueue(site.data_dir)
+    assert later.get(job.id) == job
+    later.close()

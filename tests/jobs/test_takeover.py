@@ -6,6 +6,7 @@ import os
 import signal
 from typing import TYPE_CHECKING
 
+import pytest
 from job_site import alive, until
 
 from rholoc.jobs import JobState
@@ -15,25 +16,35 @@ if TYPE_CHECKING:
     from job_site import Site
 
 
-def test_every_next_worker_goes_on_where_the_killed_one_was(site: Site) -> None:
-    points = ("deaf-read", "built", "after-publishing")
-    for point in points:
-        site.control.hold(point)
-    job = site.submit()
+KILLED_AT = (
+    ("read", "keyframes", "features", "poses"),
+    ("observations", "densities", "report", "built"),
+    ("publishing", "after-publishing"),
+)
+
+
+@pytest.mark.slow
+def test_workers_killed_in_every_stage_lose_no_job_and_publish_each_once(site: Site) -> None:
     worker = site.start_worker()
-    for point in points:
-        site.wait_at(point)
-        next_worker = site.start_worker()
-        worker.kill()
-        worker.wait()
-        until(lambda: not any(alive(pid) for pid in site.control.processes()))
-        site.control.let_go(point)
-        worker = next_worker
-    done = site.wait_for(job, JobState.PUBLISHED, JobState.FAILED)
-    assert (done.state, done.attempts) == (JobState.PUBLISHED, 4)
-    assert site.control.count("read") == 2, "only the first was killed before the map was built"
-    assert site.control.count("put") == 1, "only the third put the map into the library"
-    assert MapLibrary(site.maps_dir).names() == ["room"]
+    for number, points in enumerate(KILLED_AT):
+        seen = {point: site.control.count(point) for point in points}
+        for point in points:
+            site.control.hold(point)
+        job = site.submit(map_name=f"room-{number}")
+        for point in points:
+            site.wait_at(point, seen[point] + 1)
+            next_worker = site.start_worker()
+            worker.kill()
+            worker.wait()
+            until(lambda: not any(alive(pid) for pid in site.control.processes()))
+            site.control.let_go(point)
+            worker = next_worker
+        done = site.wait_for(job, JobState.PUBLISHED, JobState.FAILED)
+        assert (done.state, done.attempts) == (JobState.PUBLISHED, len(points) + 1)
+        assert site.control.count("put") == number + 1
+        assert site.recordings.get(job.recording).files == ("walk.mp4",)
+    assert site.control.count("read") == 4 + 4 + 1, "what was built is not built again"
+    assert MapLibrary(site.maps_dir).names() == ["room-0", "room-1", "room-2"]
 
 
 def test_two_workers_share_the_queue_and_one_takes_over_from_the_other(site: Site) -> None:

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import multiprocessing
 import time
 import uuid
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
-from fake_pipeline import BUILD_STAGES, FakePipeline
+import sqlalchemy as sa
+from fake_pipeline import BUILD_STAGES, TIMING, FakePipeline
 from job_site import until
 
 from rholoc.errors import Conflict
-from rholoc.jobs import JobOptions, JobState, MappingTask
-from rholoc.jobs.build_process import run_build
+from rholoc.jobs import JobOptions, JobState, Limits, MappingTask
+from rholoc.jobs.build_process import build_in_process, run_build
+from rholoc.jobs.database import open_database
 from rholoc.maps import MapLibrary
 from rholoc.progress import Stage, silent
 
@@ -90,6 +93,74 @@ def test_a_running_job_is_cancelled_within_two_seconds(busy_site: Site, point: s
     control.let_go(point)
     assert busy_site.queue.get(job.id).state is JobState.CANCELLED
     assert name not in MapLibrary(busy_site.maps_dir).names()
+
+
+def test_what_is_being_published_cannot_be_cancelled(busy_site: Site) -> None:
+    busy_site.control.hold("publishing")
+    job = busy_site.submit(map_name="too-late")
+    busy_site.wait_at("publishing")
+    with pytest.raises(Conflict):
+        busy_site.queue.cancel(job.id)
+    busy_site.control.let_go("publishing")
+    assert busy_site.wait_for(job, JobState.PUBLISHED, JobState.CANCELLED).state is JobState.PUBLISHED
+
+
+def test_doubts_about_a_map_are_told(busy_site: Site) -> None:
+    job = busy_site.wait_for(busy_site.submit(b"a doubtful walk", "doubtful"), JobState.PUBLISHED, JobState.FAILED)
+    assert job.warnings == ("The frame poses are not trusted: Two reconstructions disagree.",)
+    assert [line.split(" ", 1)[1] for line in job.log[-2:]] == [f"warning: {job.warnings[0]}", "published"]
+
+
+def test_a_database_that_fails_at_the_end_costs_nothing(busy_site: Site) -> None:
+    engine = open_database(busy_site.data_dir)
+    with engine.begin() as connection:
+        connection.execute(
+            sa.text(
+                "CREATE TRIGGER broken BEFORE UPDATE ON rholoc_jobs WHEN NEW.state = 'published' "
+                "BEGIN SELECT RAISE(FAIL, 'disk I/O error'); END"
+            )
+        )
+    put = busy_site.control.count("put")
+    job = busy_site.submit(map_name="stubborn")
+    until(lambda: busy_site.control.count("put") > put and busy_site.queue.get(job.id).attempts > 1)
+    with engine.begin() as connection:
+        connection.execute(sa.text("DROP TRIGGER broken"))
+    done = busy_site.wait_for(job, JobState.PUBLISHED, JobState.FAILED)
+    assert (done.state, busy_site.control.count("put")) == (JobState.PUBLISHED, put + 1)
+    engine.dispose()
+
+
+def test_a_database_that_is_locked_for_a_while_is_waited_for(busy_site: Site) -> None:
+    engine = open_database(busy_site.data_dir)
+    seen = busy_site.control.count("poses")
+    busy_site.control.hold("poses")
+    job = busy_site.submit(map_name="patient")
+    busy_site.wait_at("poses", seen + 1)
+    with engine.begin():  # IMMEDIATE: nobody else can write
+        busy_site.control.let_go("poses")
+        time.sleep(2 * TIMING.dead_after_s)
+    done = busy_site.wait_for(job, JobState.PUBLISHED, JobState.FAILED)
+    assert done.state is JobState.PUBLISHED
+    engine.dispose()
+
+
+@pytest.mark.parametrize(
+    ("limits", "message"),
+    [(Limits(time_s=0.1), "Mapping took longer than"), (Limits(memory_bytes=2**20), "Mapping needed more memory")],
+)
+def test_a_build_beyond_its_limits_is_ended(site: Site, tmp_path: Path, limits: Limits, message: str) -> None:
+    site.control.hold("deaf-poses")
+    recording = tmp_path / "walk.mp4"
+    recording.write_bytes(b"a walk")
+    task = MappingTask(recording, tmp_path / "map.rho", tmp_path, "room", JobOptions())
+    failure = build_in_process(
+        FakePipeline(site.control), task, lambda _: None, lambda: True, poll_s=0.1, cancel_grace_s=0.1, limits=limits
+    )
+    assert failure is not None
+    assert failure.code == "mapping_failed"
+    assert failure.message.startswith(message)
+    assert "RHOLOC_JOB_" in failure.hint
+    assert multiprocessing.active_children() == []
 
 
 def test_a_full_disk_is_told(busy_site: Site, tmp_path: Path) -> None:
