@@ -26,7 +26,7 @@ async function show() {
   shown = new AbortController();
   const { signal } = shown;
   const main = document.getElementById("content");
-  const where = location.hash.slice(1).split("?")[0] || "/maps";
+  const where = location.hash.slice(1).replace(/^\/?$/, "/maps");
   const found = ROUTES.map(([pattern, title, view]) => ({ title, view, match: where.match(pattern) })).find(({ match }) => match);
   for (const link of document.querySelectorAll("nav a")) {
     const part = link.getAttribute("href").replace("#", "");

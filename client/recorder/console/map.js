@@ -19,7 +19,7 @@ export async function showMap(main, name, signal) {
   const scene = new SceneView(`Landmarks and walk of the map ${name}`);
   signal.addEventListener("abort", () => scene.dispose());
   const about = h("div", { class: "stack" }, skeletons(1, "panel"));
-  const picture = h("div", { class: "report-picture" }, skeletons(1, "fill"));
+  const picture = h("div", { class: "report-picture", tabindex: 0, role: "group", "aria-label": "Coverage" }, skeletons(1, "fill"));
   fill(
     main,
     h("div", { class: "stack" },

@@ -9,6 +9,10 @@ const FIELD_OF_VIEW = 0.9; // rad
 const SHOWN = [0.02, 0.98]; // the quantiles of landmarks that the first view holds, and of deviations that the colours tell
 const HEADING_LENGTH = 0.25; // m, of a view's tick
 const FRUSTUM = 0.5; // m, how far the drawn camera reaches
+const SMOOTH_MS = [20, 34]; // how far apart pictures may be while the map moves; fewer landmarks are drawn, or more
+const LEAST_DRAWN = 2000; // landmarks, while the map moves
+const REST_MS = 150; // after which a map that was moved rests, and all of it is drawn
+const MAX_FLOOR = 10_000; // square metres that are drawn
 const MAX_RAYS = 150; // the most lines from the camera to landmarks
 
 const POINT_SHADER = `
@@ -45,10 +49,11 @@ export class SceneView {
     this.legend = h("div", { class: "scene-legend small", hidden: true });
     this.element = h("div", { class: "scene" }, this.canvas, this.labels, this.legend);
     this.lines = {};
+    this.colours = {};
     this.waypoints = [];
     this.view = { target: [0, 0, 0], distance: 5, turn: -0.9, tilt: 0.6 };
     this.home = this.view;
-    this.gl = this.canvas.getContext("webgl", { antialias: true, powerPreference: "low-power" });
+    this.gl = this.canvas.getContext("webgl", { alpha: false, antialias: false, powerPreference: "low-power" });
     if (!this.gl) {
       this.element.append(h("p", { class: "notice warn" }, "This browser has no WebGL, so the map cannot be drawn in 3-D."));
       return;
@@ -58,7 +63,10 @@ export class SceneView {
     this.observer = new ResizeObserver(() => this.redraw());
     this.observer.observe(this.canvas);
     this.scheme = matchMedia("(prefers-color-scheme: dark)");
-    this.scheme.addEventListener("change", (this.recolour = () => this.redraw()));
+    this.scheme.addEventListener("change", (this.recolour = () => {
+      this.colours = {};
+      this.redraw();
+    }));
     this.canvas.addEventListener("webglcontextlost", (event) => event.preventDefault());
     this.canvas.addEventListener("webglcontextrestored", () => location.reload());
     listen(this);
@@ -68,6 +76,7 @@ export class SceneView {
     this.observer?.disconnect();
     this.scheme?.removeEventListener("change", this.recolour);
     cancelAnimationFrame(this.frame);
+    clearTimeout(this.rest);
     this.gl?.getExtension("WEBGL_lose_context")?.loseContext();
   }
 
@@ -75,8 +84,8 @@ export class SceneView {
   showMap(scene, waypoints, metric) {
     if (!this.gl) return;
     const { gl } = this;
-    this.count = scene.features;
-    this.buffer = upload(gl, scene.landmarks);
+    this.count = this.budget = scene.features;
+    this.buffer = upload(gl, shuffled(scene.landmarks)); // so that the first of them are a fair choice
     const deviations = quantiles(scene.landmarks, 3, SHOWN);
     this.deviations = deviations.map((value) => Math.log(Math.max(value, 1e-4)));
     if (this.deviations[1] - this.deviations[0] < 0.1) this.deviations[1] = this.deviations[0] + 0.1;
@@ -86,12 +95,13 @@ export class SceneView {
     }));
     this.labels.replaceChildren(...this.waypoints.map(({ label }) => label));
     this.legend.replaceChildren(
-      "landmark uncertainty ",
+      "uncertainty ",
       h("span", { class: "mono" }, length(deviations[0], metric)),
       h("span", { class: "scene-ramp" }),
       h("span", { class: "mono" }, length(deviations[1], metric)),
     );
     this.legend.hidden = !scene.features;
+    this.setLines("floor", "--line", floor(scene.landmarks));
     this.setLines("walk", "--ink", walk(scene.views));
     this.setLines("headings", "--muted", headings(scene.views));
     this.lookAtAll(scene);
@@ -103,7 +113,7 @@ export class SceneView {
     const at = T && T.slice(0, 3).map((row) => row[3]);
     const step = Math.max(1, Math.ceil(landmarks.length / MAX_RAYS));
     const seen = landmarks.filter((_, i) => i % step === 0);
-    this.setLines("rays", "--accent", at ? seen.flatMap((landmark) => [...at, ...landmark]) : [], 0.35);
+    this.setLines("rays", "--accent", at ? seen.flatMap((landmark) => [...at, ...landmark]) : [], 0.2);
   }
 
   /** Show a path as a line: `positions` is a list of [x, y, z]. */
@@ -123,7 +133,7 @@ export class SceneView {
     const some = landmarks.length ? [landmarks, STRIDE_LANDMARK] : [views, STRIDE_VIEW];
     const spans = [0, 1, 2].map((axis) => quantiles(some[0], axis, SHOWN, some[1]));
     const extent = Math.hypot(...spans.map(([low, high]) => high - low)) || 1;
-    this.home = { ...this.home, target: spans.map(([low, high]) => (low + high) / 2), distance: 1.15 * extent };
+    this.home = { ...this.home, target: spans.map(([low, high]) => (low + high) / 2), distance: 0.9 * extent };
     this.reset();
   }
 
@@ -135,12 +145,12 @@ export class SceneView {
   turn(by, tilt) {
     this.view.turn += by;
     this.view.tilt = Math.min(1.55, Math.max(-1.55, this.view.tilt + tilt));
-    this.redraw();
+    this.move();
   }
 
   zoom(factor) {
     this.view.distance = Math.min(500, Math.max(0.2, this.view.distance * factor));
-    this.redraw();
+    this.move();
   }
 
   /** Move what is looked at by parts of the picture's height. */
@@ -150,14 +160,34 @@ export class SceneView {
     const across = [-Math.sin(turn), Math.cos(turn), 0];
     const above = [-Math.cos(turn) * Math.sin(tilt), -Math.sin(turn) * Math.sin(tilt), Math.cos(tilt)];
     this.view.target = target.map((value, i) => value + span * (right * across[i] + up * above[i]));
+    this.move();
+  }
+
+  /** Draw while the user moves the map: as many landmarks as keep it smooth, and all of them once it rests. */
+  move() {
+    clearTimeout(this.rest);
+    this.moving = true;
+    this.rest = setTimeout(() => {
+      this.moving = false;
+      this.before = null;
+      this.redraw();
+    }, REST_MS);
     this.redraw();
   }
 
   redraw() {
-    this.frame ??= requestAnimationFrame(() => {
+    this.frame ??= requestAnimationFrame((now) => {
       this.frame = null;
-      this.draw();
+      if (this.moving) this.keepSmooth(now);
+      if (this.canvas.isConnected) this.draw();
     });
+  }
+
+  keepSmooth(now) {
+    const took = now - (this.before ?? now - SMOOTH_MS[0]);
+    const change = took > SMOOTH_MS[1] ? 0.7 : took < SMOOTH_MS[0] ? 1.2 : 1;
+    this.budget = Math.min(this.count, Math.max(LEAST_DRAWN, Math.round(this.budget * change)));
+    this.before = now;
   }
 
   draw() {
@@ -167,7 +197,7 @@ export class SceneView {
     if (canvas.width !== width || canvas.height !== height) Object.assign(canvas, { width, height });
     const matrix = this.matrix(width / height);
     gl.viewport(0, 0, width, height);
-    gl.clearColor(...colour(canvas, "--surface"));
+    gl.clearColor(...this.colour("--surface"), 1);
     gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
     gl.enable(gl.DEPTH_TEST);
     if (this.count) this.drawPoints(matrix, height);
@@ -185,7 +215,7 @@ export class SceneView {
     gl.uniform1f(points.uniform("size"), 0.025 * height);
     gl.uniform2f(points.uniform("deviations"), ...this.deviations);
     points.bind(this.buffer, STRIDE_LANDMARK);
-    gl.drawArrays(gl.POINTS, 0, this.count);
+    gl.drawArrays(gl.POINTS, 0, this.moving ? this.budget : this.count);
   }
 
   drawLines({ token, alpha, count, buffer }, matrix) {
@@ -193,9 +223,14 @@ export class SceneView {
     const { gl, strokes } = this;
     gl.useProgram(strokes.program);
     gl.uniformMatrix4fv(strokes.uniform("matrix"), false, matrix);
-    gl.uniform4f(strokes.uniform("colour"), ...colour(this.canvas, token).slice(0, 3), alpha);
+    gl.uniform4f(strokes.uniform("colour"), ...this.colour(token), alpha);
     strokes.bind(buffer, 3);
     gl.drawArrays(gl.LINES, 0, count);
+  }
+
+  /** A colour of the design as the numbers that WebGL takes. */
+  colour(token) {
+    return (this.colours[token] ??= resolved(this.canvas, token));
   }
 
   placeLabels(matrix) {
@@ -274,6 +309,17 @@ function walk(views) {
   return lines;
 }
 
+/** A grid of square metres, at the height of the lowest landmarks. */
+function floor(landmarks) {
+  if (!landmarks.length) return [];
+  const [[west, east], [south, north], [z]] = [0, 1, 2].map((axis) => quantiles(landmarks, axis, SHOWN).map(Math.round));
+  if ((east - west) * (north - south) > MAX_FLOOR) return [];
+  const lines = [];
+  for (let x = west; x <= east; x++) lines.push(x, south, z, x, north, z);
+  for (let y = south; y <= north; y++) lines.push(west, y, z, east, y, z);
+  return lines;
+}
+
 function headings(views) {
   const lines = [];
   for (let i = 0; i < views.length; i += STRIDE_VIEW) {
@@ -303,6 +349,17 @@ function quantiles(numbers, axis, shares, stride = STRIDE_LANDMARK) {
   return shares.map((share) => values[Math.round(share * (values.length - 1))] ?? 0);
 }
 
+function shuffled(landmarks) {
+  const mixed = landmarks.slice();
+  for (let i = mixed.length / STRIDE_LANDMARK - 1; i > 0; i--) {
+    const [here, there] = [i, Math.floor(Math.random() * (i + 1))].map((row) => row * STRIDE_LANDMARK);
+    const kept = mixed.slice(here, here + STRIDE_LANDMARK);
+    mixed.copyWithin(here, there, there + STRIDE_LANDMARK);
+    mixed.set(kept, there);
+  }
+  return mixed;
+}
+
 function upload(gl, numbers) {
   const buffer = gl.createBuffer();
   gl.bindBuffer(gl.ARRAY_BUFFER, buffer);
@@ -329,9 +386,7 @@ function program(gl, ...sources) {
   return { program: made, bind, uniform: (name) => (places[name] ??= gl.getUniformLocation(made, name)) };
 }
 
-/** A colour of the design as the numbers that WebGL takes. */
-function colour(canvas, token) {
-  canvas.style.color = `var(${token})`;
-  const [red, green, blue] = getComputedStyle(canvas).color.match(/[\d.]+/g).map(Number);
-  return [red / 255, green / 255, blue / 255, 1];
+function resolved(element, token) {
+  element.style.color = `var(${token})`;
+  return getComputedStyle(element).color.match(/[\d.]+/g).slice(0, 3).map((part) => part / 255);
 }
