@@ -1,0 +1,132 @@
+"""How heavy and how quick the web page is, in Debian's Chromium with software rendering.
+
+    python benchmarks/web_page.py [--json]
+
+Prints, for the first visit of a phone to the console and to the recorder, the bytes over the network and the time until
+the page can be used, the processor throttled to a quarter; how many camera frames a second "try it" localizes and
+draws; and how many times a second a map of 50 000 landmarks is drawn: whole, and while it is being turned, when as many
+landmarks are drawn as keep it smooth, and how many those are.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import shutil
+import tempfile
+from pathlib import Path
+
+from playwright.sync_api import Browser, Page, Playwright, sync_playwright
+
+from rholoc.cli.server_process import running_server
+
+MAPS = Path(__file__).parents[1] / "maps"
+PHONE = {"width": 390, "height": 844}
+DESK = {"width": 1280, "height": 850}
+THROTTLE = 4
+USABLE = {"/": "main li.map-card a", "/record": "main button"}
+TRY_S = 12
+STILL = 60  # pictures that the camera stays in a place for, 30 a second
+LANDMARKS = 50_000
+DRAW_S = 4
+CHROMIUM = ["--no-sandbox", "--enable-unsafe-swiftshader", "--use-fake-device-for-media-stream"]
+
+# Turns the map and waits for each picture's last pixel, so that no frame is counted that was only queued.
+DRAW = """async ([count, seconds]) => {
+    const { SceneView } = await import('/web/console/scene.js');
+    const view = new SceneView('benchmark');
+    view.element.style.cssText = 'position: fixed; inset: 0; height: 100vh; z-index: 9';
+    document.body.append(view.element);
+    const number = (_, i) => Math.random() * (i % 4 === 3 ? 0.1 : 8);
+    const landmarks = Float32Array.from({ length: 4 * count }, number);
+    view.showMap({ features: count, landmarks, views: new Float32Array(0) }, [], true);
+    const pixel = new Uint8Array(4);
+    const rate = async (draw) => {
+        const start = performance.now();
+        let frames = 0;
+        while (performance.now() - start < 1000 * seconds) {
+            draw();
+            await new Promise(requestAnimationFrame);
+            view.gl.readPixels(0, 0, 1, 1, view.gl.RGBA, view.gl.UNSIGNED_BYTE, pixel);
+            frames++;
+        }
+        return (1000 * frames) / (performance.now() - start);
+    };
+    const whole = await rate(() => view.redraw());
+    const turned = await rate(() => view.turn(0.02, 0));
+    return [whole, turned, view.budget];
+}"""
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--json", action="store_true", help="print the figures as JSON")
+    as_json = parser.parse_args().json
+    with tempfile.TemporaryDirectory() as name, sync_playwright() as playwright:
+        folder = Path(name)
+        with running_server(MAPS, folder / "data", folder / "log") as server:
+            figures = measured(playwright, server.url, folder)
+    if as_json:
+        print(json.dumps(figures, indent=2))
+    else:
+        for what, value in figures.items():
+            print(f"{what:<28} {value:,.1f}")
+
+
+def measured(playwright: Playwright, url: str, folder: Path) -> dict[str, float]:
+    """All figures by name."""
+    film = folder / "film.mjpeg"
+    film.write_bytes(b"".join(path.read_bytes() * STILL for path in sorted((MAPS / "queries").glob("*.jpg"))))
+    camera = ["--use-fake-ui-for-media-stream", f"--use-file-for-fake-video-capture={film}"]
+    browser = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=[*CHROMIUM, *camera])
+    figures: dict[str, float] = {}
+    for path in USABLE:
+        figures |= first_visit(browser, url, path)
+    figures["try it, frames/s"] = try_rate(browser, url)
+    page = browser.new_page(viewport=DESK)
+    page.goto(url)
+    whole, turned, drawn = page.evaluate(DRAW, [LANDMARKS, DRAW_S])
+    figures |= {"50000 landmarks, frames/s": whole, "while turned, frames/s": turned, "landmarks then drawn": drawn}
+    browser.close()
+    return figures
+
+
+def first_visit(browser: Browser, url: str, path: str) -> dict[str, float]:
+    """Bytes over the network, and milliseconds until the page can be used, of a phone that never was here."""
+    context = browser.new_context(viewport=PHONE, has_touch=True)
+    page = context.new_page()
+    wire = context.new_cdp_session(page)
+    wire.send("Network.enable")
+    wire.send("Emulation.setCPUThrottlingRate", {"rate": THROTTLE})
+    received: list[float] = []
+    wire.on("Network.loadingFinished", lambda event: received.append(event["encodedDataLength"]))
+    page.goto(url + path, wait_until="commit")
+    usable_ms = page.wait_for_function(
+        "(what) => document.querySelector(what) && performance.now()", arg=USABLE[path], polling=20
+    ).json_value()
+    page.wait_for_load_state("networkidle")
+    context.close()
+    return {f"{path} kB": sum(received) / 1000, f"{path} usable after ms": usable_ms}
+
+
+def try_rate(browser: Browser, url: str) -> float:
+    """Camera frames a second from the camera to the drawn pose."""
+    context = browser.new_context(viewport=DESK, permissions=["camera"], base_url=url)
+    page = context.new_page()
+    page.goto("/#/try/testsite")
+    page.get_by_role("button", name="Use the camera").click()
+    page.wait_for_timeout(1000 * TRY_S)
+    rate = shown_rate(page)
+    context.close()
+    return rate
+
+
+def shown_rate(page: Page) -> float:
+    """The rate that the page itself tells."""
+    text = page.locator(".answer").text_content() or ""
+    return float(text.split(" frames a second")[0].rsplit(" ", 1)[-1])
+
+
+if __name__ == "__main__":
+    main()
