@@ -20,15 +20,19 @@ def read_imu_csv(path: Path, includes_gravity: bool = True, R_camera_imu: FloatA
     Raises:
         InvalidRecording: a column is missing, there are no rows, a value is not finite, or times do not increase.
     """
+    rows = read_imu_rows(path)
+    require_increasing(rows[:, 0], path)
+    return Imu(rows[:, 0], rows[:, 1:4], rows[:, 4:7], includes_gravity, R_camera_imu)
+
+
+def read_imu_rows(path: Path) -> FloatArray:
+    """The rows of Table 3 as they are, (M, 7) in the order of ``IMU_COLUMNS``; times in any order.
+
+    Raises:
+        InvalidRecording: a column is missing, there are no rows, or a value is not finite.
+    """
     table = read_numbers(path, IMU_COLUMNS)
-    require_increasing(table["timestamp"], path)
-    return Imu(
-        times=table["timestamp"],
-        acceleration=np.column_stack([table[name] for name in ("ax", "ay", "az")]),
-        angular_velocity=np.column_stack([table[name] for name in ("gx", "gy", "gz")]),
-        includes_gravity=includes_gravity,
-        R_camera_imu=R_camera_imu,
-    )
+    return np.column_stack([table[name] for name in IMU_COLUMNS])
 
 
 def write_imu_csv(path: Path, imu: Imu) -> None:

@@ -84,36 +84,31 @@ def untimed_images(paths: Sequence[Path]) -> TimedFrames:
     return TimedFrames(frames, np.array(order, dtype=np.int64), ())
 
 
-def find_video(folder: Path, *names: str) -> Path | None:
-    """The video with one of the names (without suffix, in this order), or the only video there is.
+def find_video(folder: Path, name: str = "video") -> Path | None:
+    """The video of that name, suffix aside, or the only video there is.
 
     Raises:
-        InvalidRecording: there are several, and none has such a name.
+        InvalidRecording: there are several, and none has the name, or more than one.
     """
     videos = [
         path
         for path in sorted(folder.iterdir())
         if path.suffix.lower() in VIDEO_SUFFIXES and not path.name.startswith(".") and path.is_file()
     ]
-    for name in names:
-        named = [path for path in videos if path.stem.lower() == name]
-        if named:
-            videos = named
-            break
+    videos = [path for path in videos if path.stem.lower() == name] or videos
     if len(videos) > 1:
         listed = ", ".join(path.name for path in videos)
-        hint = f"Name the one {names[0] if names else 'video'}.mp4."
-        raise InvalidRecording(f"The folder {folder.name} holds several videos: {listed}.", hint)
+        raise InvalidRecording(f"The folder {folder.name} holds several videos: {listed}.", f"Name the one {name}.mp4.")
     return next(iter(videos), None)
 
 
-def require_video(folder: Path, *names: str) -> Path:
+def require_video(folder: Path, name: str) -> Path:
     """As :func:`find_video`.
 
     Raises:
         InvalidRecording: there is none, or there are several.
     """
-    video = find_video(folder, *names)
+    video = find_video(folder, name)
     if video is None:
         raise InvalidRecording(f"The folder {folder.name} holds no video.", "Pack the video with the tables.")
     return video

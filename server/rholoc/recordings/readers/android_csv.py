@@ -39,7 +39,7 @@ def read(folder: Path) -> Recording:
     """
     table = read_logged_table(folder / "frames.csv")
     times, unit_warnings = frame_times_s(table.named("timestamp_ns")[:, 0], "ns")
-    video = find_video(folder, "video")
+    video = find_video(folder)
     if video is not None:
         timed = timed_video(video, times, "frames.csv")
     else:

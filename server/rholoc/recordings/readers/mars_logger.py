@@ -54,7 +54,9 @@ def read(folder: Path) -> Recording:
     if exact.is_file():
         times, source = frame_times_s(read_logged_table(exact).numbered(0)[:, 0], "ns")[0], exact.name
     timed = timed_video(require_video(folder, "movie"), times, source)
-    nearest = np.abs(logged[:, None] - timed.frames.times[None, :]).argmin(axis=0)
+    order = np.argsort(logged)
+    middles = (logged[order][1:] + logged[order][:-1]) / 2
+    nearest = order[np.searchsorted(middles, timed.frames.times)]
     return Recording(
         name=folder.resolve().name,
         path=folder,

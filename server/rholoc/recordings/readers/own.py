@@ -14,15 +14,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
-
 from rholoc.errors import InvalidRecording
 from rholoc.recordings.camera_file import CameraFile, read_camera_json
-from rholoc.recordings.csv_table import read_numbers
 from rholoc.recordings.frames_table import read_frame_numbers
 from rholoc.recordings.image_folder import find_images, read_image_folder
 from rholoc.recordings.imu_normalisation import ImuConvention, Samples, frame_times_s, normalise_imu
-from rholoc.recordings.imu_table import IMU_COLUMNS
+from rholoc.recordings.imu_table import read_imu_rows
 from rholoc.recordings.pose_table import match_poses, read_pose_table
 from rholoc.recordings.readers._frames import find_video, timed_video
 from rholoc.recordings.recording import FrameSource, Imu, Recording, RecordingFormat, RecordingWarning
@@ -72,18 +69,15 @@ def _read_imu(folder: Path, description: CameraFile) -> tuple[Imu | None, tuple[
     path = folder / "imu.csv"
     if not path.is_file():
         return None, ()
-    table = read_numbers(path, IMU_COLUMNS)
-    columns = np.column_stack([table[name] for name in IMU_COLUMNS])
-    times = columns[:, 0]
+    rows = read_imu_rows(path)
+    felt, turned = Samples(rows[:, 0], rows[:, 1:4]), Samples(rows[:, 0], rows[:, 4:7])
     says = ImuConvention(includes_gravity=description.gravity_included)
-    return normalise_imu(
-        Samples(times, columns[:, 1:4]), Samples(times, columns[:, 4:7]), says, description.R_camera_imu
-    )
+    return normalise_imu(felt, turned, says, description.R_camera_imu)
 
 
 def _read_frames(folder: Path, description: CameraFile) -> tuple[FrameSource, tuple[RecordingWarning, ...]]:
     times_csv = _first_file(folder, "frames.csv", "times.csv")
-    video = find_video(folder, "video")
+    video = find_video(folder)
     if video is not None and times_csv is not None:
         times, unit_warnings = frame_times_s(read_frame_numbers(times_csv)[1], "s")
         timed = timed_video(video, times, times_csv.name)

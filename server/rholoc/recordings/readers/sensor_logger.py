@@ -25,7 +25,7 @@ from rholoc.recordings.image import IMAGE_SUFFIXES
 from rholoc.recordings.image_folder import number_in_name
 from rholoc.recordings.imu_normalisation import ImuConvention, Samples, interpolated, normalise_imu
 from rholoc.recordings.logged_table import has_columns, read_logged_table
-from rholoc.recordings.readers._frames import TimedFrames, find_video, timed_images, timed_video
+from rholoc.recordings.readers._frames import TimedFrames, find_video, timed_images
 from rholoc.recordings.recording import Recording, RecordingFormat
 from rholoc.recordings.video import read_video
 
@@ -64,7 +64,9 @@ def _frames(camera: Path) -> TimedFrames:
         raise InvalidRecording("The recording has no folder Camera.", hint)
     video = find_video(camera)
     if video is not None:
-        return timed_video(video, _milliseconds(video) / 1000 + read_video(video).times, video.name)
+        frames = read_video(video)
+        times = _milliseconds(video) / 1000 + frames.times
+        return TimedFrames(replace(frames, times=times), np.arange(len(times)), ())
     images = sorted(path for path in camera.iterdir() if path.suffix.lower() in IMAGE_SUFFIXES)
     if not images:
         raise InvalidRecording("The folder Camera holds neither a video nor images.", hint)

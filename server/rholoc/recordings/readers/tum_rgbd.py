@@ -13,15 +13,15 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from rholoc.recordings.logged_table import header_of, read_logged_table
+from rholoc.recordings.logged_table import is_bare_table, read_logged_table
 from rholoc.recordings.pose_table import match_poses, read_pose_table
 from rholoc.recordings.readers._frames import listed_file, timed_images
 from rholoc.recordings.recording import Recording, RecordingFormat, RecordingWarning, WarningKind
 
 
 def recognises(folder: Path) -> bool:
-    """Whether there is a list of colour images with this dataset's header."""
-    return header_of(folder / "rgb.txt") == ("timestamp", "filename")
+    """Whether there is a list of colour images with this dataset's name and columns; its header is a comment."""
+    return is_bare_table(folder / "rgb.txt", 2)
 
 
 def read(folder: Path) -> Recording:
@@ -32,7 +32,7 @@ def read(folder: Path) -> Recording:
         InvalidTrajectory: the ground truth is broken.
     """
     table = read_logged_table(folder / "rgb.txt")
-    timed = timed_images([listed_file(folder, name) for name in table.text("filename")], table.named("timestamp")[:, 0])
+    timed = timed_images([listed_file(folder, name) for _, name in table.rows], table.numbered(0)[:, 0])
     truth = folder / "groundtruth.txt"
     warnings = list(timed.warnings)
     if (folder / "accelerometer.txt").is_file():
