@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import socket
 import threading
@@ -28,7 +29,9 @@ def launch(playwright: Playwright) -> Callable[..., Browser]:
     """Starts Chromium with further command line arguments; the caller closes it."""
     executable = shutil.which("chromium")
     if executable is None:
-        pytest.fail("Chromium is not installed: apt-get install chromium")
+        if os.environ.get("RHOLOC_REQUIRE_BROWSER") == "1":
+            pytest.fail("RHOLOC_REQUIRE_BROWSER=1, but Chromium is absent: apt-get install chromium")
+        pytest.skip("Chromium is absent: apt-get install chromium")
     # Tests run as root in containers, where Chromium's sandbox does not.
     return lambda *arguments: playwright.chromium.launch(
         executable_path=executable, args=["--no-sandbox", *arguments], timeout=60_000
