@@ -262,3 +262,12 @@ def test_a_server_that_is_gone_is_told_and_tried_again(browser, named):
         page.unroute("**/v1/**")
         page.get_by_role("button", name="Try again").click()
         expect(page.get_by_role("link", name="room")).to_be_visible()
+
+
+def test_the_description_of_the_api_needs_no_other_server(browser, named):
+    with opened(browser, named.url) as page:
+        asked: list[str] = []
+        page.on("request", lambda request: asked.append(request.url))
+        page.goto(f"{named.url}/docs")
+        expect(page.get_by_text("/v1/maps/{map_name}/localize").first).to_be_visible()
+        assert [url for url in asked if not url.startswith((named.url, "data:"))] == []

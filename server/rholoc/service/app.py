@@ -68,7 +68,13 @@ def create_app(settings: Settings | None = None) -> FastAPI:
             state.jobs.close()
 
     app = FastAPI(
-        title="rholoc", version=__version__, description=_DESCRIPTION, lifespan=lifespan, redirect_slashes=False
+        title="rholoc",
+        version=__version__,
+        description=_DESCRIPTION,
+        lifespan=lifespan,
+        redirect_slashes=False,
+        docs_url=None,
+        redoc_url=None,
     )
     for router in ROUTERS:
         app.include_router(router)

@@ -9,12 +9,12 @@ from urllib.parse import urlsplit
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from rholoc.service import web
 from rholoc.service.errors import CrossSite, Forbidden, Unauthorized
 from rholoc.service.keys import KeyStore
 from rholoc.service.keys import Scope as KeyScope
 
-_OPEN_PATHS = frozenset({"/", "/record", "/healthz", "/readyz", "/docs", "/openapi.json"})
-_OPEN_PREFIX = "/web/"
+_OPEN_PATHS = frozenset({*web.PAGES, "/healthz", "/readyz", "/openapi.json"})
 _READING = ("GET", "HEAD", "OPTIONS")
 _KEY_HINT = "Make one on the server with rholoc key create, and send it as Authorization: Bearer KEY."
 
@@ -113,7 +113,7 @@ def keys_needed(policy: KeyPolicy, host: str) -> bool:
 
 def needed_scope(method: str, path: str) -> KeyScope | None:
     """The scope that a request needs, or None for what is open to all: the page itself and the health checks."""
-    if path in _OPEN_PATHS or path.startswith(_OPEN_PREFIX):
+    if path in _OPEN_PATHS or path.startswith(f"{web.PREFIX}/"):
         return None
     if method in _READING:
         return KeyScope.READ

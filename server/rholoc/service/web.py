@@ -1,4 +1,4 @@
-"""The web page: the console at ``/``, the recorder at ``/record``, and what they are made of under ``/web``."""
+"""The web page: console, recorder, the API's description, and what they are made of under ``/web``."""
 
 from __future__ import annotations
 
@@ -11,7 +11,8 @@ from fastapi import FastAPI, Request, Response
 from starlette.staticfiles import StaticFiles
 
 PREFIX = "/web"
-_PAGES = {"/": "index.html", "/record": "record/index.html"}
+PAGES = {"/": "index.html", "/record": "record/index.html", "/docs": "docs.html"}
+_SWAGGER_UI = ("fastapi_offline", "static")  # the package that has its files
 _TYPES = {".js": "text/javascript", ".webmanifest": "application/manifest+json", ".svg": "image/svg+xml"}
 _SERVICE_WORKER = "service-worker.js"
 
@@ -38,8 +39,9 @@ def install(app: FastAPI) -> None:
     for suffix, kind in _TYPES.items():
         mimetypes.add_type(kind, suffix)  # what the operating system says of them differs
     files = _PageFiles(directory=web_folder())
+    app.mount(f"{PREFIX}/swagger", _PageFiles(packages=[_SWAGGER_UI]))
     app.mount(PREFIX, files)
-    for path, name in _PAGES.items():
+    for path, name in PAGES.items():
         app.add_api_route(path, _page(files, name), methods=["GET", "HEAD"], include_in_schema=False)
 
 
