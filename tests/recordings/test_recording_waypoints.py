@@ -56,13 +56,22 @@ def test_waypoints_come_back(tmp_path: Path) -> None:
     assert read_waypoints_csv(tmp_path / "w.csv", FRAMES) == waypoints
 
 
+def test_waypoints_may_come_in_order_alone(tmp_path: Path) -> None:
+    path = written(tmp_path, "name,x,y,z\nW1,0,0,1\nW2,2,0,1\nE,2,3,1\n")
+    found = read_waypoints_csv(path, FRAMES)
+    assert [waypoint.name for waypoint in found] == ["W1", "W2", "E"]
+    assert np.isnan([waypoint.time for waypoint in found]).all()
+    write_waypoints_csv(tmp_path / "again.csv", found)
+    assert (tmp_path / "again.csv").read_text().startswith("name,x,y,z\nW1,0.0000,")
+
+
 @pytest.mark.parametrize(
     ("text", "complaint"),
     [
         ("", "empty"),
         ("name,time,x,y,z\n", "0 waypoints"),
         ("name,time,x,y,z\nW1,0.5,1,0,1\nW2,1,2,0,1\n", "2 waypoints"),
-        ("name,x,y,z\nW1,1,0,1\n", "neither a column time nor a column frame"),
+        ("name,x,y,z\nW1,1,0,1\n", "1 waypoints"),
         ("name,time,x,y\n", "no column z"),
         ("name,time,x,y,z\n" + ROWS + "W1,1.7,1,1,1\n", "W1 more than once"),
         ("name,time,x,y,z\n" + ROWS + ",1.7,1,1,1\n", "no name"),

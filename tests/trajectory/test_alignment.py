@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import re
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -59,21 +62,39 @@ def test_a_minority_of_wrong_poses_does_not_move_the_alignment() -> None:
 def test_three_waypoints_fix_the_frame(seed: int, scale: float) -> None:
     path = _walk()
     own = _similarity(seed, scale).points(path)
-    found, residuals = align_to_waypoints(_TIMES, own, _waypoints(path, [0, 45, 90]))
-    np.testing.assert_allclose(found.points(own), path, atol=1e-5)
-    assert residuals.max() < 1e-5
+    found = align_to_waypoints(_TIMES, own, _waypoints(path, [0, 45, 90]))
+    np.testing.assert_allclose(found.similarity.points(own), path, atol=1e-5)
+    assert found.worst_m < 1e-5
 
 
-def test_one_wrong_waypoint_of_six_is_outvoted() -> None:
+def test_one_mistyped_coordinate_of_five_is_found_and_named() -> None:
     path = _walk()
     own = _similarity(5, 0.3).points(path)
-    waypoints = _waypoints(path, [0, 15, 35, 55, 75, 99])
-    wrong = waypoints[2]
-    waypoints[2] = Waypoint(wrong.name, wrong.time, (wrong.position[0] + 1.0, *wrong.position[1:]))
-    found, residuals = align_to_waypoints(_TIMES, own, waypoints)
-    assert np.linalg.norm(found.points(own) - path, axis=1).max() < 0.1
-    assert residuals.argmax() == 2
-    assert residuals[2] > 0.9
+    waypoints = _waypoints(path, [0, 20, 45, 70, 99])
+    for wrong in range(5):
+        for axis, metres in ((0, 1.0), (1, -0.3), (2, 9.0)):
+            said = list(waypoints[wrong].position)
+            said[axis] += metres
+            x, y, z = said
+            mistyped = [*waypoints[:wrong], replace(waypoints[wrong], position=(x, y, z)), *waypoints[wrong + 1 :]]
+            found = align_to_waypoints(_TIMES, own, mistyped)
+            assert found.mistake == wrong
+            assert f"W{wrong} is" in found.explanation
+            advice = re.search(r"Check its (.): (\S+) is written, (\S+) would fit", found.explanation)
+            assert advice is not None
+            assert advice[1] == "xyz"[axis]
+            assert float(advice[2]) - float(advice[3]) == pytest.approx(metres, abs=0.011)
+            assert np.linalg.norm(found.similarity.points(own) - path, axis=1).max() < 0.01
+            assert found.residuals_m[wrong] == pytest.approx(abs(metres), abs=0.01)
+            assert found.worst_m < 0.01
+
+
+def test_waypoints_that_are_merely_imprecise_are_all_used() -> None:
+    path = _walk()
+    noise = np.random.default_rng(2).normal(0, 0.02, path.shape)
+    found = align_to_waypoints(_TIMES, path, _waypoints(path + noise, [0, 20, 45, 70, 99]))
+    assert found.mistake is None
+    assert np.linalg.norm(found.similarity.points(path) - path, axis=1).max() < 0.08
 
 
 def test_gravity_mends_what_noisy_waypoints_tilt() -> None:
@@ -86,7 +107,7 @@ def test_gravity_mends_what_noisy_waypoints_tilt() -> None:
     up = UpMeasurement(truth.rotation @ [0.0, 0.0, 1.0], 0.1)
     tilts = []
     for measurement in (None, up):
-        found, _ = align_to_waypoints(_TIMES, own, waypoints, measurement)
+        found = align_to_waypoints(_TIMES, own, waypoints, measurement).similarity
         tilts.append(np.degrees(np.arccos((found.rotation @ up.direction)[2])))
     assert tilts[1] < 0.3 * tilts[0]
 
@@ -112,8 +133,8 @@ def test_waypoints_of_another_walk_fail() -> None:
 def test_waypoints_far_from_any_posed_frame_are_left_out() -> None:
     path = _walk()
     waypoints = [*_waypoints(path, [0, 45, 90]), Waypoint("late", 30.0, (0.0, 0.0, 0.0))]
-    found, residuals = align_to_waypoints(_TIMES, path, waypoints)
-    assert found.scale == pytest.approx(1, rel=1e-5)
-    assert np.isnan(residuals[3])
+    found = align_to_waypoints(_TIMES, path, waypoints)
+    assert found.similarity.scale == pytest.approx(1, rel=1e-5)
+    assert np.isnan(found.residuals_m[3])
     with pytest.raises(MappingFailed, match="late"):
         align_to_waypoints(_TIMES, path, [waypoints[0], waypoints[1], waypoints[3]])

@@ -9,7 +9,7 @@ import numpy as np
 
 from rholoc.geometry import FloatArray
 from rholoc.recordings.coaching import advise
-from rholoc.recordings.recording import FrameSource, GivenPoses, Imu, Recording
+from rholoc.recordings.recording import FrameSource, GivenPoses, Imu, Recording, Waypoint
 from rholoc.recordings.stillness import pauses
 from rholoc.recordings.walk_figures import look_through, measure_walk
 
@@ -32,7 +32,7 @@ def describe_recording(recording: Recording) -> dict[str, Any]:
         "frame_intrinsics": _logged(recording.frame_intrinsics),
         "readout_ms": None if recording.readout_s is None else 1000 * recording.readout_s,
         "imu": None if recording.imu is None else _imu(recording.imu),
-        "waypoints": [asdict(waypoint) for waypoint in recording.waypoints],
+        "waypoints": [_waypoint(waypoint) for waypoint in recording.waypoints],
         "poses": None if recording.poses is None else _poses(recording.poses),
         "warnings": [asdict(warning) for warning in recording.warnings],
         "figures": figures.to_json(),
@@ -86,6 +86,10 @@ def _imu(imu: Imu) -> dict[str, Any]:
         "mounting_known": imu.R_camera_imu is not None,
         "pauses_s": pauses(imu).tolist(),
     }
+
+
+def _waypoint(waypoint: Waypoint) -> dict[str, Any]:
+    return asdict(waypoint) | ({"time": None} if np.isnan(waypoint.time) else {})
 
 
 def _poses(poses: GivenPoses) -> dict[str, Any]:

@@ -107,7 +107,10 @@ class Imu:
 
 @dataclass(frozen=True)
 class Waypoint:
-    """A measured point of the walk: the camera's place at a time, metres in the map frame."""
+    """A measured point of the walk: the camera's place at a time, metres in the map frame.
+
+    Where only the waypoints' order is known, their times are NaN: the camera then paused at each.
+    """
 
     name: str
     time: float

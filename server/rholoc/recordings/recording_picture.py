@@ -13,7 +13,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from rholoc.geometry import FloatArray
-from rholoc.recordings.recording import FrameSource, Imu, Recording
+from rholoc.recordings.recording import FrameSource, Imu, Recording, Waypoint
 from rholoc.recordings.stillness import pauses
 
 _SIZE_PX = (1600, 1080)
@@ -42,7 +42,7 @@ def recording_png(recording: Recording) -> bytes:
         _mark(axis, recording, start_s)
         axis.spines[["top", "right"]].set_visible(False)
         axis.tick_params(colors=_MUTED)
-    for waypoint in recording.waypoints:
+    for waypoint in _timed(recording):
         position = (waypoint.time - start_s, 1.02)
         axes[0].annotate(waypoint.name, position, xycoords=("data", "axes fraction"), ha="center", color=_MARKED)
     span_s = float(recording.frames.times[-1]) - start_s
@@ -84,5 +84,9 @@ def _mark(axis: Axes, recording: Recording, start_s: float) -> None:
     if recording.imu is not None:
         for begin, end in pauses(recording.imu) - start_s:
             axis.axvspan(begin, end, color=_RESTED, zorder=0)
-    for waypoint in recording.waypoints:
+    for waypoint in _timed(recording):
         axis.axvline(waypoint.time - start_s, color=_MARKED, linewidth=1.0, linestyle="--")
+
+
+def _timed(recording: Recording) -> list[Waypoint]:
+    return [waypoint for waypoint in recording.waypoints if not np.isnan(waypoint.time)]

@@ -60,8 +60,8 @@ def parse_frame_slice(text: str) -> slice:
 def select_frames(recording: Recording, chosen: slice) -> Recording:
     """The recording with only the frames whose *numbers* are in the slice; a step counts from its start.
 
-    Poses go with their frames, waypoints that lie outside the chosen frames' time are left out, the IMU's table stays
-    whole.
+    Poses go with their frames, waypoints known to lie outside the chosen frames' time are left out, the IMU's table
+    stays whole.
 
     Raises:
         InvalidRecording: no frame is in the slice.
@@ -82,7 +82,9 @@ def select_frames(recording: Recording, chosen: slice) -> Recording:
     return replace(
         recording,
         frames=frames,
-        waypoints=tuple(waypoint for waypoint in recording.waypoints if first <= waypoint.time <= last),
+        waypoints=tuple(
+            waypoint for waypoint in recording.waypoints if not (waypoint.time < first or waypoint.time > last)
+        ),
         poses=(
             None
             if recording.poses is None

@@ -11,7 +11,6 @@ from scipy.spatial.transform import Rotation
 
 from rholoc.geometry import ByteArray, FloatArray
 from rholoc.recordings.coaching import WalkFigures
-from rholoc.recordings.missing_images import MissingImages
 from rholoc.recordings.recording import FrameSource, Imu, Recording, Waypoint
 from rholoc.recordings.stillness import pauses
 
@@ -50,7 +49,7 @@ def look_through(frames: FrameSource) -> list[Look]:
     Raises:
         InvalidRecording: a frame cannot be decoded.
     """
-    if isinstance(frames, MissingImages):
+    if 0 in frames.size:
         return []
     rows = np.unique(np.linspace(0, len(frames.times) - 1, _LOOKED_AT).astype(np.int64))
     return [look_at(image) for image in frames.images(rows.tolist())]
@@ -114,7 +113,9 @@ def _turn_of_poses(times: FloatArray, T_map_camera: FloatArray) -> float | None:
 
 
 def _rested_at(waypoints: Sequence[Waypoint], imu: Imu) -> int:
-    """How many of the waypoints lie in a pause."""
+    """How many of the waypoints lie in a pause, or can, where their times are unknown."""
     begin, end = pauses(imu).T
+    if any(np.isnan(waypoint.time) for waypoint in waypoints):
+        return min(len(begin), len(waypoints))
     begin, end = begin - _PAUSE_TOLERANCE_S, end + _PAUSE_TOLERANCE_S
     return sum(bool(np.any((begin <= waypoint.time) & (waypoint.time <= end))) for waypoint in waypoints)

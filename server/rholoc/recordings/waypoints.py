@@ -15,11 +15,14 @@ from rholoc.recordings.recording import FrameSource, Waypoint
 MIN_WAYPOINTS = 3
 MIN_SPREAD_RATIO = 0.02  # of their extent across the line that fits them best to that along it
 
-_COLUMNS_HINT = "The first row must be name,time,x,y,z or name,frame,x,y,z: seconds or a frame's number, metres."
+_COLUMNS_HINT = (
+    "The first row must be name,time,x,y,z or name,frame,x,y,z: seconds or a frame's number, metres; or name,x,y,z, "
+    "the rows in the order of the walk, where the camera paused at each."
+)
 
 
 def read_waypoints_csv(path: Path, frames: FrameSource) -> tuple[Waypoint, ...]:
-    """Read waypoints under the header ``name,time,x,y,z`` or ``name,frame,x,y,z``.
+    """Read waypoints under the header ``name,time,x,y,z`` or ``name,frame,x,y,z``, or ``name,x,y,z`` in their order.
 
     They may be collinear; :func:`check_waypoints_fix_frame` tells whether they fix a frame.
 
@@ -28,10 +31,10 @@ def read_waypoints_csv(path: Path, frames: FrameSource) -> tuple[Waypoint, ...]:
             time outside the recording, or a frame that is not in it.
     """
     header, rows = read_rows(path, InvalidWaypoints)
-    if "time" not in header and "frame" not in header:
-        raise InvalidWaypoints(f"{path.name} has neither a column time nor a column frame.", _COLUMNS_HINT)
-    moment = "time" if "time" in header else "frame"
-    require_columns(path, header, ("name", moment, "x", "y", "z"), InvalidWaypoints)
+    moment = next((column for column in ("time", "frame") if column in header), None)
+    if moment is None and not {"name", "x", "y", "z"} <= set(header):
+        raise InvalidWaypoints(f"{path.name} has other columns: '{','.join(header)}'.", _COLUMNS_HINT)
+    require_columns(path, header, ("name", *([moment] if moment else []), "x", "y", "z"), InvalidWaypoints)
     waypoints = tuple(_waypoint(row, line, moment, path, frames) for line, row in enumerate(rows, start=2))
     _require_enough(waypoints)
     names = [waypoint.name for waypoint in waypoints]
@@ -42,12 +45,17 @@ def read_waypoints_csv(path: Path, frames: FrameSource) -> tuple[Waypoint, ...]:
 
 
 def write_waypoints_csv(path: Path, waypoints: Sequence[Waypoint]) -> None:
-    """Write waypoints under the header ``name,time,x,y,z``: microseconds, tenths of a millimetre."""
+    """Write waypoints under the header ``name,time,x,y,z``: microseconds, tenths of a millimetre.
+
+    Without times where those are unknown.
+    """
+    ordered = any(np.isnan(waypoint.time) for waypoint in waypoints)
     with path.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(("name", "time", "x", "y", "z"))
+        writer.writerow(("name", "x", "y", "z") if ordered else ("name", "time", "x", "y", "z"))
         for waypoint in waypoints:
-            writer.writerow((waypoint.name, f"{waypoint.time:.6f}", *(f"{value:.4f}" for value in waypoint.position)))
+            time = () if ordered else (f"{waypoint.time:.6f}",)
+            writer.writerow((waypoint.name, *time, *(f"{value:.4f}" for value in waypoint.position)))
 
 
 def check_waypoints_fix_frame(waypoints: Sequence[Waypoint]) -> None:
@@ -77,13 +85,14 @@ def _require_enough(waypoints: Sequence[Waypoint]) -> None:
         )
 
 
-def _waypoint(row: dict[str, str], line: int, moment: str, path: Path, frames: FrameSource) -> Waypoint:
+def _waypoint(row: dict[str, str], line: int, moment: str | None, path: Path, frames: FrameSource) -> Waypoint:
     name = row["name"]
     if not name:
         raise InvalidWaypoints(f"{path.name}, row {line}: the waypoint has no name.")
-    when, x, y, z = (
-        parse_number(row[column], path, line, column, InvalidWaypoints) for column in (moment, "x", "y", "z")
-    )
+    x, y, z = (parse_number(row[column], path, line, column, InvalidWaypoints) for column in ("x", "y", "z"))
+    if moment is None:
+        return Waypoint(name, float("nan"), (x, y, z))
+    when = parse_number(row[moment], path, line, moment, InvalidWaypoints)
     time = _time_of_frame(name, when, frames) if moment == "frame" else when
     first, last = float(frames.times[0]), float(frames.times[-1])
     if not first <= time <= last:

@@ -1,4 +1,4 @@
-"""The gyroscope against the cameras' rotations: time offset, bias, mounting, and whether they agree."""
+"""The gyroscope against the cameras' rotations: time offset, bias, mounting, and which rotations it contradicts."""
 
 from __future__ import annotations
 
@@ -7,13 +7,17 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
-from rholoc.geometry import FloatArray
+from rholoc.geometry import BoolArray, FloatArray
 from rholoc.recordings import Imu
 
 _OFFSETS_S = np.arange(-0.25, 0.2501, 0.01)
 _FINE_OFFSETS_S = np.arange(-0.01, 0.0101, 0.001)
 _MIN_INTERVAL_S = 0.2  # rotations over shorter times are mostly noise
 _CHECK_INTERVAL_S = 2.0
+_FEWEST_INTERVALS = 7
+_NORM_TO_SIGMA = 0.65  # of an axis, from the median norm of a three-vector of normal errors
+_MAX_APART_RAD = np.radians(10.0)  # between a camera's rotation and the gyroscope's, at once …
+_DRIFT_RAD_S = np.radians(0.1)  # … and more for every second between
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,15 +26,21 @@ class GyroCalibration:
 
     Attributes:
         time_offset_s: to be added to a frame's time to get the IMU's.
+        time_offset_sigma_s: its standard uncertainty; large where the camera hardly turns.
         bias: (3,) rad/s, of the gyroscope.
-        R_camera_imu: (3, 3).
+        bias_sigma: rad/s, its standard uncertainty in every axis.
+        R_camera_imu: (3, 3), as the recording says, or found where it does not.
+        mounting_sigma_deg: the standard uncertainty of a rotation that was found, in its weakest axis; else 0.
         residual_deg: the median angle between the camera's rotation and the gyroscope's over short intervals.
         contradiction: the share of two-second intervals over which they differ by more than 5° and a fifth.
     """
 
     time_offset_s: float
+    time_offset_sigma_s: float
     bias: FloatArray
+    bias_sigma: float
     R_camera_imu: FloatArray
+    mounting_sigma_deg: float
     residual_deg: float
     contradiction: float
 
@@ -54,7 +64,7 @@ def calibrate_gyro(times: FloatArray, R_world_camera: FloatArray, imu: Imu) -> G
     rows = spaced_rows(times, _MIN_INTERVAL_S)
     margin = -_OFFSETS_S[0] + 0.01
     rows = rows[(times[rows] > imu.times[0] + margin) & (times[rows] < imu.times[-1] - margin)]
-    if len(rows) < 8:
+    if len(rows) <= _FEWEST_INTERVALS:
         return None
     t, R = times[rows], Rotation.from_matrix(R_world_camera[rows])
     spans = np.diff(t)
@@ -75,18 +85,61 @@ def calibrate_gyro(times: FloatArray, R_world_camera: FloatArray, imu: Imu) -> G
             fits.append((float(np.mean(np.minimum(error, np.radians(5)))), float(candidate), drift, mounting, error))
         _, offset, drift, R_camera_imu, error = min(fits, key=lambda fit: fit[0])
         bias = bias + drift
-    residual_deg = float(np.degrees(np.median(error)))
+    typical = float(np.median(error))
+    sigma = max(_NORM_TO_SIGMA * typical, 1e-6)
     slerp = Slerp(imu.times, orientations(imu, bias))
-    return GyroCalibration(offset, bias, R_camera_imu, residual_deg, _contradiction(t, R, slerp, offset, R_camera_imu))
+    return GyroCalibration(
+        offset,
+        _time_sigma_s(imu, t + offset, sigma),
+        bias,
+        sigma / float(np.sqrt(np.sum(spans**2))),
+        R_camera_imu,
+        0.0 if imu.R_camera_imu is not None else _mounting_sigma_deg(camera, sigma),
+        float(np.degrees(typical)),
+        _contradiction(t, R, slerp, offset, R_camera_imu),
+    )
 
 
-def spaced_rows(times: FloatArray, interval_s: float, start: int = 0) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
-    """Rows at least ``interval_s`` apart, beginning with ``start``."""
-    rows = [start]
-    for row in range(start + 1, len(times)):
+def camera_rotations(imu: Imu, gyro: GyroCalibration, times: FloatArray) -> Rotation:
+    """R_start_camera at the frames' ``times`` (N,) by the gyroscope alone; at rest outside the IMU's own times."""
+    there = np.clip(times + gyro.time_offset_s, imu.times[0], imu.times[-1])
+    mounting = Rotation.from_matrix(gyro.R_camera_imu)
+    return mounting * Slerp(imu.times, orientations(imu, gyro.bias))(there) * mounting.inv()
+
+
+def allowed_apart(seconds: FloatArray) -> FloatArray:
+    """The angle in radians by which a camera's rotation over so many seconds may differ from the gyroscope's."""
+    return np.asarray(_MAX_APART_RAD + _DRIFT_RAD_S * np.abs(seconds))
+
+
+def agreeing_rotations(times: FloatArray, R_world_camera: FloatArray, by_gyro: Rotation) -> BoolArray:
+    """The largest set of cameras (N,) whose rotations (N, 3, 3) agree with one of them, by the gyroscope."""
+    R_world_start = Rotation.from_matrix(R_world_camera) * by_gyro.inv()
+    quaternions = R_world_start.as_quat()
+    apart = 2 * np.arccos(np.clip(np.abs(quaternions @ quaternions.T), 0, 1))
+    agree = apart <= allowed_apart(times[:, None] - times)
+    return np.asarray(agree[np.argmax(agree.sum(axis=1))])
+
+
+def spaced_rows(times: FloatArray, interval_s: float) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
+    """Rows at least ``interval_s`` apart, beginning with the first."""
+    rows = [0]
+    for row in range(1, len(times)):
         if times[row] - times[rows[-1]] >= interval_s:
             rows.append(row)
     return np.array(rows, dtype=np.int64)
+
+
+def _time_sigma_s(imu: Imu, t: FloatArray, sigma: float) -> float:
+    """Of the time offset: shifted in time, an interval's rotation changes by the rates' difference between its ends."""
+    rate = np.column_stack([np.interp(t, imu.times, axis) for axis in imu.angular_velocity.T])
+    return sigma / max(float(np.linalg.norm(np.diff(rate, axis=0))), 1e-9)
+
+
+def _mounting_sigma_deg(camera: FloatArray, sigma: float) -> float:
+    """Of Wahba's rotation, from the rotation vectors (N, 3) it rests on: about an axis, only those across it tell."""
+    information = np.sum(camera**2) * np.eye(3) - camera.T @ camera
+    return float(np.degrees(sigma / np.sqrt(max(float(np.linalg.eigvalsh(information)[0]), 1e-12))))
 
 
 def _contradiction(t: FloatArray, R: Rotation, slerp: Slerp, offset: float, R_camera_imu: FloatArray) -> float:

@@ -7,28 +7,31 @@ from itertools import pairwise
 
 import numpy as np
 from scipy.optimize import least_squares
-from scipy.spatial.transform import Rotation
+from scipy.spatial.transform import Rotation, Slerp
 
 from rholoc.errors import MappingFailed
 from rholoc.geometry import FloatArray, pose_matrix
 from rholoc.recordings import Imu, Waypoint, check_waypoints_fix_frame
+from rholoc.recordings.stillness import pauses
 from rholoc.trajectory.imu import orientations
 from rholoc.trajectory.upright import rotation_to_upright
-from rholoc.trajectory.visual_inertial import GRAVITY, rotations_at
+from rholoc.trajectory.visual_inertial import GRAVITY
 
 _PAUSE_S = 0.6  # the camera rests this long around a waypoint
 _LEG_SIGMA_M = 0.3  # how far an integrated leg ends from its waypoint
 _LEVEL_SIGMA = 0.3  # m/s², of the horizontal force felt at rest
 _BIAS_SIGMA = 0.02  # rad/s, of the gyroscope
+_NOT_A_WAYPOINT_S = 1.0  # a pause this far from all waypoints is a rest on the way
 
 
 def integrate_between_waypoints(imu: Imu, waypoints: Sequence[Waypoint], at: FloatArray) -> FloatArray:
     """Poses T_map_camera (N, 4, 4) at times ``at`` (N,), all between the first and the last waypoint.
 
-    At a waypoint the camera rests: its velocity is zero there and its place is measured. Between two waypoints the
-    acceleration is integrated twice; what is left of velocity and place at the end is taken out, as a constant error of
-    acceleration and a linear one of place (paper, section 3). The tilt comes from gravity at the first waypoint, the
-    heading from the waypoints, the gyroscope's bias from the legs' ends and from gravity at every waypoint.
+    At a waypoint the camera rests: its velocity is zero there and its place is measured; at other pauses its velocity
+    is zero, too. From rest to rest the acceleration is integrated twice; what is left of velocity at the end is taken
+    out as a constant error of acceleration, what is left of place at the next waypoint as a linear one of place (paper,
+    section 3). The tilt comes from gravity at the first waypoint, the heading from the waypoints, the gyroscope's bias
+    from the legs' ends and from gravity at every waypoint.
 
     Raises:
         InvalidWaypoints: they do not fix a frame.
@@ -46,6 +49,7 @@ def integrate_between_waypoints(imu: Imu, waypoints: Sequence[Waypoint], at: Flo
     places = np.array([waypoint.position for waypoint in ordered])
     if imu.times[0] > stops[0] or imu.times[-1] < stops[-1]:
         raise MappingFailed("The IMU does not cover the waypoints.", "Record the IMU for the whole walk.")
+    rests = _rests(imu, stops)
     near = [np.abs(imu.times - stop) <= _PAUSE_S / 2 for stop in stops]
 
     def walked(bias: FloatArray) -> tuple[Rotation, Rotation, list[tuple[FloatArray, FloatArray]], FloatArray]:
@@ -54,7 +58,9 @@ def integrate_between_waypoints(imu: Imu, waypoints: Sequence[Waypoint], at: Flo
         felt = orientation.apply(imu.acceleration)
         level = Rotation.from_matrix(rotation_to_upright(np.mean(felt[near[0]], axis=0)))
         felt = level.apply(felt)
-        legs = [_rest_to_rest(imu.times, felt - [0.0, 0.0, GRAVITY], a, b) for a, b in pairwise(stops)]
+        legs = [
+            _leg(imu.times, felt - [0.0, 0.0, GRAVITY], rests[(rests >= a) & (rests <= b)]) for a, b in pairwise(stops)
+        ]
         return orientation, level, legs, np.array([felt[here].mean(axis=0) for here in near])
 
     def residuals(bias: FloatArray) -> FloatArray:
@@ -77,8 +83,24 @@ def integrate_between_waypoints(imu: Imu, waypoints: Sequence[Waypoint], at: Flo
         share = ((times - a) / (b - a))[:, None]
         corrected = from_place + turned + share * (to_place - from_place - turned[-1])
         positions[here] = np.column_stack([np.interp(at[here], times, corrected[:, i]) for i in range(3)])
-    R_map_imu = yaw * level * rotations_at(imu, orientation, at)
+    R_map_imu = yaw * level * Slerp(imu.times, orientation)(at)
     return pose_matrix(R_map_imu.as_matrix() @ imu.R_camera_imu.T, positions)
+
+
+def _rests(imu: Imu, stops: FloatArray) -> FloatArray:
+    """The times at which the camera rests: at the waypoints, and in the middle of other pauses."""
+    middles = pauses(imu).mean(axis=1)
+    others = [middle for middle in middles if np.abs(stops - middle).min() > _NOT_A_WAYPOINT_S]
+    return np.sort(np.concatenate([stops, others]))
+
+
+def _leg(times: FloatArray, acceleration: FloatArray, rests: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Times from the first to the last of ``rests`` and the displacement (M, 3) since then."""
+    t, path = np.array([rests[0]]), np.zeros((1, 3))
+    for a, b in pairwise(rests):
+        later, moved = _rest_to_rest(times, acceleration, a, b)
+        t, path = np.concatenate([t, later[1:]]), np.concatenate([path, path[-1] + moved[1:]])
+    return t, path
 
 
 def _rest_to_rest(times: FloatArray, acceleration: FloatArray, a: float, b: float) -> tuple[FloatArray, FloatArray]:

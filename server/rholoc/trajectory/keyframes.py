@@ -16,15 +16,17 @@ _TRACKED_CORNERS = 150
 _FEWEST_CORNERS = 8
 _LOST_MOTION = 0.05  # assumed where nothing can be tracked, as a share of the image's width
 
-_FINE_STEP = 0.03  # keyframes are this share of the image's width apart …
+_FINEST_STEP = 0.01  # keyframes are at least this share of the image's width apart in short recordings,
+_FINE_STEP = 0.03  # usually this …
 _COARSE_STEP = 0.08  # … or up to this in long recordings
+_FEW_KEYFRAMES = 60  # a recording with fewer is short
 _USUAL_KEYFRAMES = 160
 _MOST_KEYFRAMES = 400
-
-
 _BLURRED = 0.5  # times the sharpness of the sharpest frame that shows nearly the same
 _SAME_VIEW = 0.1  # of the image's width: how far the image may have moved between frames that do
 _MOST_GAP = 0.2  # of the image's width: between keyframes, where a blurred one is left out
+
+
 def measure_motion(frames: FrameSource, progress: ProgressListener = silent) -> tuple[FloatArray, FloatArray]:
     """How far the image moves before each frame and how sharp it is: two (N,) arrays.
 
@@ -53,7 +55,8 @@ def choose_keyframes(motion: FloatArray, sharpness: FloatArray) -> IntArray:
     """
     path = np.cumsum(motion)
     total = path[-1] if len(path) else 0.0
-    steps = min(total / _FINE_STEP, max(_USUAL_KEYFRAMES, total / _COARSE_STEP), _MOST_KEYFRAMES)
+    fine = max(total / _FINE_STEP, min(total / _FINEST_STEP, _FEW_KEYFRAMES))
+    steps = min(fine, max(_USUAL_KEYFRAMES, total / _COARSE_STEP), _MOST_KEYFRAMES)
     bins = np.minimum(np.floor(path * (steps / max(total, 1e-12))), np.ceil(steps) - 1)
     edges = np.flatnonzero(np.diff(bins, prepend=-np.inf, append=np.inf))
     rows = [first + int(np.argmax(sharpness[first:last])) for first, last in pairwise(edges)]

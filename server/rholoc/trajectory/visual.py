@@ -14,6 +14,7 @@ from rholoc.features import FeatureSet
 from rholoc.geometry import Camera, FloatArray, IntArray
 from rholoc.progress import ProgressListener, Stage, silent
 from rholoc.trajectory.alignment import align_poses, rotation_angles_deg
+from rholoc.trajectory.gyro_guard import GyroGuard
 from rholoc.trajectory.loops import Pair, loop_candidates, sequential_pairs, supported_loops
 from rholoc.trajectory.self_calibration import SelfCalibration, guessed_cameras, self_calibration
 from rholoc.trajectory.structure_from_motion import Reconstruction, reconstruct
@@ -42,6 +43,7 @@ class VisualPoses:
         camera: given, or estimated where it was not.
         calibration: how well it is known where it was estimated, else None.
         loops: how many pairs of keyframes were found to show a place seen again.
+        contradicted: how many pairs of keyframes were dropped, because the gyroscope contradicts their rotation.
         trusted: whether a second reconstruction, from every other keyframe, agrees.
         why: one line on that.
         disagreement: the median distance between the two, as a share of the median depth; NaN without a second.
@@ -52,6 +54,7 @@ class VisualPoses:
     camera: Camera
     calibration: SelfCalibration | None
     loops: int
+    contradicted: int
     trusted: bool
     why: str
     disagreement: float
@@ -62,6 +65,7 @@ def structure_from_motion(
     features: Sequence[FeatureSet],
     camera: Camera | None,
     size: tuple[int, int],
+    guard: GyroGuard | None = None,
     progress: ProgressListener = silent,
 ) -> VisualPoses:
     """Poses of keyframes from their features.
@@ -73,6 +77,7 @@ def structure_from_motion(
         features: SIFT features of each keyframe, in the order of time, pixels of the full image.
         camera: the intrinsics, or None to estimate them.
         size: of the images, width and height in pixels.
+        guard: the gyroscope, where there is one; pairs of keyframes that it contradicts are not used.
         progress: hears of :data:`Stage.POSES`.
 
     Raises:
@@ -84,6 +89,9 @@ def structure_from_motion(
         raise MappingFailed("The camera did not move.", "Walk through the room while recording.")
     models, places = _colmap_cameras(features, camera, size)
     sequential, loops = _match(features, places, models[0], progress)
+    matched = len(sequential) + len(loops)
+    if guard is not None:
+        sequential, loops = guard.keep(sequential, loops)
 
     def told(placed: int) -> None:
         tried = min(placed, len(features))
@@ -109,7 +117,7 @@ def structure_from_motion(
         other_focal = None if half is None else float(half.parameters[0])
         calibration = self_calibration(full.parameters, full.sigmas, other_focal, size)
         camera = calibration.camera
-    return VisualPoses(full, camera, calibration, len(loops), trusted, why, distance, angle_deg)
+    return VisualPoses(full, camera, calibration, len(loops), matched - len(pairs), trusted, why, distance, angle_deg)
 
 
 def _match(

@@ -5,19 +5,27 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.transform import Rotation, Slerp
+from scipy.spatial.transform import Slerp
 
 from rholoc.geometry import FloatArray
 from rholoc.recordings import Imu
-from rholoc.trajectory.imu import GyroCalibration, spaced_rows
+from rholoc.trajectory.imu import GyroCalibration, orientations
 
 GRAVITY = 9.81
-_INTERVAL_S = 0.75  # keyframes at 1.33 Hz: denser ones were measured to be worse
-_BIAS_SIGMA = 0.1  # m/s², of the accelerometer
-_VELOCITY_SIGMA = 0.02  # m/s over an interval
-_POSITION_SIGMA = 0.02  # m over an interval
-_FEWEST_INTERVALS = 6
-_SUBSETS = 4  # shifted choices of keyframes; their spread tells the uncertainty
+MAX_SCALE_SIGMA = 0.1  # relative; a scale less certain than this is no scale
+_ARM_S = 0.25  # of a hat function: shorter ones see the cameras' noise, longer ones less of the motion
+_LONGEST_ARM_S = 1.0
+_FEWEST_HATS = 12
+_NOISE = 0.05  # m/s², what a hat's equation is typically missed by; only its ratio to the priors' deviations counts
+_BIAS_SIGMA = 0.3  # m/s², of the accelerometer
+_LEVER_SIGMA_M = 0.05  # between camera and IMU: the size of a phone
+_REMOVED_GRAVITY_SIGMA = 0.3  # m/s², what remains of gravity where the device has taken it out
+_ROUNDS = 5  # of reweighting
+_BLOCKS = 8  # of the jackknife
+_TURNING = 0.2  # rad/s, rms, from which a camera turns
+
+_SCALE, _GRAVITY, _BIAS, _LEVER = slice(0, 1), slice(1, 4), slice(4, 7), slice(7, 10)
+_UNKNOWNS = 10
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,13 +36,21 @@ class InertialAlignment:
         scale: metres per unit of the trajectory.
         scale_sigma: its relative standard uncertainty.
         up: (3,), unit, in the trajectory's frame; None where the acceleration comes without gravity.
-        gravity: the magnitude found, m/s²; a check. NaN where the acceleration comes without gravity.
+        up_sigma_deg: its standard uncertainty; NaN without ``up``.
+        bias: (3,) m/s², of the accelerometer.
+        lever_m: (3,) the IMU's place in the camera's axes.
+        residual: the median misfit of the accelerations, m/s².
+        why_no_scale: one line on why the scale is not to be used, or empty.
     """
 
     scale: float
     scale_sigma: float
     up: FloatArray | None
-    gravity: float
+    up_sigma_deg: float
+    bias: FloatArray
+    lever_m: FloatArray
+    residual: float
+    why_no_scale: str
 
 
 def align_inertially(
@@ -42,120 +58,145 @@ def align_inertially(
 ) -> InertialAlignment | None:
     """Scale and gravity from poses (N, 4, 4) of arbitrary frame and scale at ``times`` (N,), and the IMU.
 
-    Between keyframes k, k+1 that are T apart, with α, β the accelerations integrated twice and once in the axes of k:
-    s (p_{k+1} − p_k) = v_k T + ½ g T² + R_k α, v_{k+1} = v_k + g T + R_k β. Linear in the scale s, gravity g, the
-    velocities v and the accelerometer's bias (Martinelli, 2012; Qin et al., 2018). The lever arm between camera and
-    IMU is neglected. None where the recording is too short.
+    The equation of motion s p̈ + R̈ l = R a + g, a being the acceleration felt and l the IMU's place in the camera's
+    axes, is multiplied by hat functions whose corners are keyframes. Integrated by parts, the second derivative of a
+    path becomes the difference of two mean velocities: neither velocities nor a differentiated path are needed. What
+    remains is linear in the scale s, gravity g, l and the accelerometer's bias. Uncertainties are those of a jackknife
+    over blocks of time, for neighbouring hats err alike.
+
+    None where IMU and poses have too little time in common.
     """
-    inside = np.flatnonzero((times + gyro.time_offset_s > imu.times[0]) & (times + gyro.time_offset_s < imu.times[-1]))
-    results = []
-    for start in range(_SUBSETS):
-        first = int(np.searchsorted(times[inside], times[inside[0]] + start * _INTERVAL_S / _SUBSETS))
-        rows = inside[spaced_rows(times[inside], _INTERVAL_S, first)]
-        if len(rows) > _FEWEST_INTERVALS:
-            results.append(_solve(times[rows], T_world_camera[rows], imu, gyro))
-    if not results:
+    at, A, b = _equations(times, T_world_camera, imu, gyro)
+    if len(at) < _FEWEST_HATS:
         return None
-    scales = np.array([scale for scale, _, _ in results])
-    scale = float(np.median(scales))
-    spread = float(np.std(scales)) / max(abs(scale), 1e-12)
-    sigma = max(float(np.median([sigma for _, sigma, _ in results])), spread)
-    if not imu.includes_gravity:
-        return InertialAlignment(scale, sigma, None, float("nan"))
-    g = np.median([g for _, _, g in results], axis=0)
-    magnitude = float(np.linalg.norm(g))
-    return InertialAlignment(scale, sigma, -g / magnitude, magnitude)
+    x = _solve(A, b, imu.includes_gravity)
+    blocks = np.array_split(np.arange(len(at)), _BLOCKS)
+    without = np.array(
+        [_solve(np.delete(A, block, axis=0), np.delete(b, block, axis=0), imu.includes_gravity) for block in blocks]
+    )
+    variance = (_BLOCKS - 1) / _BLOCKS * np.sum((without - without.mean(axis=0)) ** 2, axis=0)
+    scale, g = float(x[0]), x[_GRAVITY]
+    scale_sigma = float(np.sqrt(variance[0])) / max(abs(scale), 1e-12)
+    up_sigma_deg = float(np.degrees(np.sqrt(variance[_GRAVITY].sum()) / GRAVITY))
+    return InertialAlignment(
+        scale,
+        scale_sigma,
+        -g / np.linalg.norm(g) if imu.includes_gravity else None,
+        up_sigma_deg if imu.includes_gravity else float("nan"),
+        x[_BIAS],
+        x[_LEVER],
+        float(np.median(_misfits(A, b, x))),
+        _why_no_scale(scale, scale_sigma, imu),
+    )
 
 
-def _solve(
-    times: FloatArray, T_world_camera: FloatArray, imu: Imu, gyro: GyroCalibration
-) -> tuple[float, float, FloatArray]:
-    """Scale, its relative standard uncertainty and gravity (3,); gravity's length is held at 9.81 in the end."""
-    A, b, weights = _equations(times, T_world_camera, imu, gyro)
-    if not imu.includes_gravity:
-        A[:, 1:4] = 0
-    x, covariance = _least_squares(A, b, weights)
-    if imu.includes_gravity:
-        for _ in range(3):  # gravity of known length: it moves in its tangent plane alone
-            g = x[1:4] * (GRAVITY / np.linalg.norm(x[1:4]))
-            tangent = np.linalg.svd(g[None])[2][1:].T
-            B = np.column_stack([A[:, :1], A[:, 1:4] @ tangent, A[:, 4:]])
-            y, covariance = _least_squares(B, b - A[:, 1:4] @ g, weights)
-            x = np.concatenate([y[:1], g + tangent @ y[1:3], y[3:]])
-    scale = float(x[0])
-    sigma = float(np.sqrt(covariance[0, 0]))
-    return scale, sigma / abs(scale) if scale else float("inf"), x[1:4]
-
-
-def _least_squares(A: FloatArray, b: FloatArray, weights: FloatArray) -> tuple[FloatArray, FloatArray]:
-    W, c = A * weights[:, None], b * weights
-    information = W.T @ W
-    inverse = np.linalg.pinv(information, rcond=1e-14, hermitian=True)
-    x = inverse @ (W.T @ c)
-    redundancy = max(len(b) - int(np.count_nonzero(np.diag(information))), 1)
-    variance = float(np.sum((W @ x - c) ** 2)) / redundancy
-    return x, inverse * max(variance, 1e-12)
+def _why_no_scale(scale: float, sigma: float, imu: Imu) -> str:
+    if sigma > MAX_SCALE_SIGMA:
+        turning = float(np.sqrt(np.mean(np.sum(imu.angular_velocity**2, axis=1)))) > _TURNING
+        motion = "turned but hardly moved" if turning else "hardly sped up or slowed down"
+        return f"The accelerometer leaves the scale open ({sigma:.0%}): the camera {motion}. Start and stop more often."
+    if scale <= 0:
+        return "The accelerometer contradicts the cameras: its sign or its axes are not what the recording says."
+    return ""
 
 
 def _equations(
     times: FloatArray, T_world_camera: FloatArray, imu: Imu, gyro: GyroCalibration
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Rows of A x = b for x = (scale, gravity, bias of the accelerometer, velocities), and their weights."""
-    n = len(times)
-    A, b, weights = [], [], []
-    for k in range(n - 1):
-        span = times[k + 1] - times[k]
-        alpha, beta, alpha_bias, beta_bias = preintegrate(
-            imu, gyro, times[k] + gyro.time_offset_s, times[k + 1] + gyro.time_offset_s
-        )
-        R_world_imu = T_world_camera[k, :3, :3] @ gyro.R_camera_imu
-        position, velocity = np.zeros((3, 7 + 3 * n)), np.zeros((3, 7 + 3 * n))
-        position[:, 0] = T_world_camera[k + 1, :3, 3] - T_world_camera[k, :3, 3]
-        position[:, 1:4] = -0.5 * span**2 * np.eye(3)
-        position[:, 4:7] = R_world_imu @ alpha_bias
-        position[:, 7 + 3 * k : 10 + 3 * k] = -span * np.eye(3)
-        velocity[:, 1:4] = -span * np.eye(3)
-        velocity[:, 4:7] = R_world_imu @ beta_bias
-        velocity[:, 7 + 3 * k : 10 + 3 * k] = -np.eye(3)
-        velocity[:, 10 + 3 * k : 13 + 3 * k] = np.eye(3)
-        A += [position, velocity]
-        b += [R_world_imu @ alpha, R_world_imu @ beta]
-        weights += [np.full(3, 1 / _POSITION_SIGMA), np.full(3, 1 / _VELOCITY_SIGMA)]
-    prior = np.zeros((3, 7 + 3 * n))
-    prior[:, 4:7] = np.eye(3)
-    A.append(prior)
-    b.append(np.zeros(3))
-    weights.append(np.full(3, 1 / _BIAS_SIGMA))
-    return np.concatenate(A), np.concatenate(b), np.concatenate(weights)
+    """For every hat its time (H,), and A (H, 3, 10), b (H, 3) of A x = b for x = (scale, gravity, bias, lever)."""
+    t = times + gyro.time_offset_s
+    inside = (t >= imu.times[0]) & (t <= imu.times[-1])
+    t, T = t[inside], T_world_camera[inside]
+    before = np.searchsorted(t, t - _ARM_S, side="right") - 1
+    after = np.searchsorted(t, t + _ARM_S)
+    middle = np.flatnonzero((before >= 0) & (after < len(t)))
+    middle = middle[
+        (t[after[middle]] - t[middle] <= _LONGEST_ARM_S) & (t[middle] - t[before[middle]] <= _LONGEST_ARM_S)
+    ]
+    if len(middle) == 0:
+        return np.zeros(0), np.zeros((0, 3, _UNKNOWNS)), np.zeros((0, 3))
+    before, after = before[middle], after[middle]
+    corners = t[before], t[middle], t[after]
+    area = (corners[2] - corners[0]) / 2
+
+    def bend(values: FloatArray) -> FloatArray:
+        """The mean second derivative under each hat, of values at the keyframes."""
+        shape = (-1, *([1] * (values.ndim - 1)))
+        rising = (values[middle] - values[before]) / (corners[1] - corners[0]).reshape(shape)
+        falling = (values[after] - values[middle]) / (corners[2] - corners[1]).reshape(shape)
+        return np.asarray((falling - rising) / area.reshape(shape))
+
+    R_start_imu = orientations(imu, gyro.bias)
+    felt = _under_hats(imu.times, R_start_imu.apply(imu.acceleration), corners)
+    turned = _under_hats(imu.times, R_start_imu.as_matrix().reshape(-1, 9), corners).reshape(-1, 3, 3)
+    there = Slerp(imu.times, R_start_imu)(corners[1]).as_matrix()
+    R_world_start = T[middle, :3, :3] @ gyro.R_camera_imu @ np.swapaxes(there, 1, 2)
+    A = np.zeros((len(middle), 3, _UNKNOWNS))
+    A[:, :, _SCALE] = bend(T[:, :3, 3])[:, :, None]
+    A[:, :, _GRAVITY] = -np.eye(3)
+    A[:, :, _BIAS] = R_world_start @ turned
+    A[:, :, _LEVER] = bend(T[:, :3, :3])
+    return corners[1], A, np.einsum("hij,hj->hi", R_world_start, felt)
 
 
-def preintegrate(
-    imu: Imu, gyro: GyroCalibration, start: float, end: float
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Accelerations from ``start`` to ``end`` (IMU times) integrated twice and once: (3,) each, in the first axes.
+def _under_hats(
+    times: FloatArray, values: FloatArray, corners: tuple[FloatArray, FloatArray, FloatArray]
+) -> FloatArray:
+    """The means (H, K) of values (M, K) at ``times`` (M,), weighted by hats of three corners (H,)."""
+    begin, top, end = corners
+    integral = _cumulative(times, values)
+    moment = _cumulative(times, values * times[:, None])
 
-    And by what (3, 3) they shrink per unit of the accelerometer's bias. Linear between samples, midpoint rule.
-    """
-    between = imu.times[(imu.times > start) & (imu.times < end)]
-    t = np.concatenate([[start], between, [end]])
-    rate = np.column_stack([np.interp(t, imu.times, imu.angular_velocity[:, i] - gyro.bias[i]) for i in range(3)])
-    felt = np.column_stack([np.interp(t, imu.times, imu.acceleration[:, i]) for i in range(3)])
-    R = np.eye(3)
-    alpha, beta = np.zeros(3), np.zeros(3)
-    alpha_bias, beta_bias = np.zeros((3, 3)), np.zeros((3, 3))
-    steps = np.diff(t)
-    half_turns = Rotation.from_rotvec(0.25 * (rate[1:] + rate[:-1]) * steps[:, None]).as_matrix()
-    for i, dt in enumerate(steps):
-        middle = R @ half_turns[i]
-        a = middle @ (0.5 * (felt[i] + felt[i + 1]))
-        alpha += beta * dt + 0.5 * a * dt**2
-        alpha_bias += beta_bias * dt + 0.5 * middle * dt**2
-        beta += a * dt
-        beta_bias += middle * dt
-        R = middle @ half_turns[i]
-    return alpha, beta, alpha_bias, beta_bias
+    def between(table: FloatArray, a: FloatArray, b: FloatArray) -> FloatArray:
+        columns = [np.interp(b, times, column) - np.interp(a, times, column) for column in table.T]
+        return np.column_stack(columns)
+
+    rising = between(moment, begin, top) - begin[:, None] * between(integral, begin, top)
+    falling = end[:, None] * between(integral, top, end) - between(moment, top, end)
+    weighted = rising / (top - begin)[:, None] + falling / (end - top)[:, None]
+    return np.asarray(weighted / ((end - begin) / 2)[:, None])
 
 
-def rotations_at(imu: Imu, orientation: Rotation, at: FloatArray) -> Rotation:
-    """Orientations between IMU samples, by slerp."""
-    return Slerp(imu.times, orientation)(np.clip(at, imu.times[0], imu.times[-1]))
+def _cumulative(times: FloatArray, values: FloatArray) -> FloatArray:
+    """The integral (M, K) from the first time on, by trapezoids."""
+    steps = 0.5 * (values[1:] + values[:-1]) * np.diff(times)[:, None]
+    return np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(steps, axis=0)])
+
+
+def _solve(A: FloatArray, b: FloatArray, includes_gravity: bool) -> FloatArray:
+    """x (10,) by reweighted least squares, with priors on all but the scale; gravity's length is held at 9.81."""
+    sigmas = np.full(_UNKNOWNS, np.inf)
+    sigmas[_BIAS], sigmas[_LEVER] = _BIAS_SIGMA, _LEVER_SIGMA_M
+    if not includes_gravity:
+        sigmas[_GRAVITY] = _REMOVED_GRAVITY_SIGMA
+    prior = np.diag((_NOISE / sigmas) ** 2)
+    weights = np.ones(len(b))
+    x: FloatArray = np.zeros(_UNKNOWNS)
+    for _ in range(_ROUNDS):
+        weighted = A * weights[:, None, None]
+        information = np.einsum("hij,hik->jk", weighted, A) + prior
+        right = np.einsum("hij,hi->j", weighted, b)
+        x = np.linalg.lstsq(information, right)[0]
+        if includes_gravity:
+            x = _with_gravity_of_known_length(information, right, x)
+        misfits = _misfits(A, b, x)
+        weights = 1 / (1 + (misfits / (3 * max(float(np.median(misfits)), 1e-9))) ** 2)
+    return x
+
+
+def _with_gravity_of_known_length(information: FloatArray, right: FloatArray, x: FloatArray) -> FloatArray:
+    """The solution again, gravity moving on the sphere of its known length alone: three steps in tangent planes."""
+    for _ in range(3):
+        g = np.zeros(_UNKNOWNS)
+        g[_GRAVITY] = x[_GRAVITY] * (GRAVITY / np.linalg.norm(x[_GRAVITY]))
+        basis = np.delete(np.eye(_UNKNOWNS), np.arange(*_GRAVITY.indices(_UNKNOWNS)), axis=1)
+        tangent = np.zeros((_UNKNOWNS, 2))
+        tangent[_GRAVITY] = np.linalg.svd(g[None, _GRAVITY])[2][1:].T
+        basis = np.column_stack([basis, tangent])
+        y = np.linalg.lstsq(basis.T @ information @ basis, basis.T @ (right - information @ g))[0]
+        x = g + basis @ y
+    return x
+
+
+def _misfits(A: FloatArray, b: FloatArray, x: FloatArray) -> FloatArray:
+    return np.asarray(np.linalg.norm(b - A @ x, axis=1))

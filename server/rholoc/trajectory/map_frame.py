@@ -1,0 +1,168 @@
+"""A reconstruction of arbitrary frame and scale → the map's frame, by what is trusted most."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from rholoc.errors import MappingFailed
+from rholoc.geometry import FloatArray
+from rholoc.recordings import Waypoint
+from rholoc.trajectory.alignment import Similarity
+from rholoc.trajectory.trajectory import Scale
+from rholoc.trajectory.upright import rotation_to_upright, up_without_roll
+from rholoc.trajectory.visual_inertial import InertialAlignment
+from rholoc.trajectory.waypoint_alignment import UpMeasurement, WaypointAlignment, align_to_waypoints
+
+_FEWEST_GRAVITY_SIGMA_DEG = 0.3  # what the alignment's own uncertainty does not see: the mounting, the model
+_MAX_GRAVITY_SIGMA_DEG = 5.0  # beyond which gravity does not count as measured
+_NO_ROLL_SIGMA_DEG = 1.5
+_MAX_TILT_DEG = 15.0  # between the waypoints' z axis and the measured up, above which they are not the same
+_MAX_WAYPOINT_RESIDUAL_M = 0.1  # of a trajectory that is trusted
+_MAX_SCALE_CONTRADICTION = 0.15  # between waypoints and accelerometer …
+_SIGMAS = 4.0  # … and as many of the accelerometer's uncertainties
+_CLEARER = 2.0  # times worse must the next best choice of pauses fit …
+_EXACT_M = 0.02  # … than the best, or than this where that fits better
+
+
+@dataclass(frozen=True, eq=False)
+class MapFrame:
+    """How a reconstruction comes to the map frame.
+
+    Attributes:
+        similarity: from its own frame to the map's.
+        scale: whether lengths are metres now.
+        upright: whether the z axis is known to point up.
+        waypoints: with the times at which the camera was at them.
+        report: figures for people.
+        doubts: why the trajectory is not to be trusted, one line each.
+    """
+
+    similarity: Similarity
+    scale: Scale
+    upright: bool
+    waypoints: tuple[Waypoint, ...] = ()
+    report: dict[str, Any] = field(default_factory=dict)
+    doubts: tuple[str, ...] = ()
+
+
+def measure_up(R_world_camera: FloatArray, inertial: InertialAlignment | None) -> tuple[UpMeasurement | None, str]:
+    """The upward direction from gravity or else from the no-roll prior, and what to say about it."""
+    if inertial is not None and inertial.up is not None and inertial.up_sigma_deg <= _MAX_GRAVITY_SIGMA_DEG:
+        sigma_deg = max(inertial.up_sigma_deg, _FEWEST_GRAVITY_SIGMA_DEG)
+        return UpMeasurement(inertial.up, sigma_deg), f"The accelerometer measured gravity to {sigma_deg:.1f}°."
+    prior = up_without_roll(R_world_camera)
+    figures = f"the cameras' x axes are {prior.roll_deg:.1f}° off one plane and spread {prior.turn_deg:.0f}° in it"
+    if prior.holds:
+        return UpMeasurement(prior.direction, _NO_ROLL_SIGMA_DEG), f"By the no-roll prior: {figures}."
+    return None, f"Unknown; the no-roll prior does not hold: {figures}."
+
+
+def frame_of_first_camera(
+    T_world_camera: FloatArray, median_depth: float, inertial: InertialAlignment | None
+) -> MapFrame:
+    """Origin at the first of the cameras (N, 4, 4), which looks along x; upright and metric where the IMU says how."""
+    up, told_up = measure_up(T_world_camera[:, :3, :3], inertial)
+    scale, unit = Scale.ARBITRARY, 1 / median_depth
+    why = "Nothing measured fixes the scale; the unit is the median distance of the landmarks."
+    if inertial is not None:
+        why = inertial.why_no_scale
+        if not why:
+            scale, unit = Scale.METRIC, inertial.scale
+            why = f"The accelerometer fixes the scale to {inertial.scale_sigma:.1%}."
+    similarity = _at_camera(T_world_camera[0], None if up is None else up.direction, unit)
+    return MapFrame(similarity, scale, up is not None, report={"up": told_up, "scale": why})
+
+
+def frame_of_waypoints(
+    times: FloatArray,
+    T_world_camera: FloatArray,
+    choices: Iterable[tuple[Waypoint, ...]],
+    inertial: InertialAlignment | None,
+) -> MapFrame:
+    """The waypoints' own frame, from cameras (N, 4, 4) at ``times`` (N,).
+
+    Args:
+        choices: the waypoints at their times; where those are not known, every way to tell them, the best of which is
+            taken.
+
+    Raises:
+        MappingFailed: the camera's path misses the waypoints, however they are taken.
+    """
+    up, told_up = measure_up(T_world_camera[:, :3, :3], inertial)
+    waypoints, alignment, next_best_m = _best_choice(times, T_world_camera[:, :3, 3], choices)
+    doubts = []
+    tilt_deg = None
+    if up is not None:
+        tilt_deg = _tilt_deg(alignment.similarity, up)
+        if tilt_deg <= _MAX_TILT_DEG:
+            alignment = align_to_waypoints(times, T_world_camera[:, :3, 3], waypoints, up)
+        else:
+            told_up += f" The waypoints' z axis is {tilt_deg:.0f}° off it, and was left there."
+    if alignment.worst_m > _MAX_WAYPOINT_RESIDUAL_M:
+        doubts.append(f"A waypoint is missed by {alignment.worst_m:.2f} m.")
+    if next_best_m < _CLEARER * max(alignment.worst_m, _EXACT_M):
+        doubts.append("Other pauses than those taken fit the waypoints nearly as well; give the waypoints their times.")
+    scales = _scale_contradiction(alignment.similarity.scale, inertial)
+    report = {
+        "up": told_up,
+        "scale": "The waypoints fix the scale." + scales,
+        "waypoints_tilt_deg": tilt_deg,
+        "waypoint_times_s": {waypoint.name: waypoint.time for waypoint in waypoints},
+        "waypoint_residuals_m": {
+            waypoint.name: float(value) if np.isfinite(value) else None
+            for waypoint, value in zip(waypoints, alignment.residuals_m, strict=True)
+        },
+        "waypoint_mistake": alignment.explanation or None,
+    }
+    upright = tilt_deg is not None and tilt_deg <= _MAX_TILT_DEG
+    if scales:
+        doubts.append(scales.strip())
+    return MapFrame(alignment.similarity, Scale.METRIC, upright, waypoints, report, tuple(doubts))
+
+
+def _best_choice(
+    times: FloatArray, positions: FloatArray, choices: Iterable[Sequence[Waypoint]]
+) -> tuple[tuple[Waypoint, ...], WaypointAlignment, float]:
+    """The choice whose worst waypoint is missed least, its alignment, and by how much the next best misses its own."""
+    found: list[tuple[float, tuple[Waypoint, ...], WaypointAlignment]] = []
+    failure: MappingFailed | None = None
+    for waypoints in choices:
+        try:
+            alignment = align_to_waypoints(times, positions, waypoints)
+        except MappingFailed as error:
+            failure = failure or error
+            continue
+        found.append((float(np.nanmax(alignment.residuals_m)), tuple(waypoints), alignment))
+    if not found:
+        raise failure or MappingFailed("No pauses fit the waypoints.", "Give the waypoints their times.")
+    found.sort(key=lambda one: one[0])
+    _, waypoints, alignment = found[0]
+    return waypoints, alignment, found[1][0] if len(found) > 1 else np.inf
+
+
+def _tilt_deg(similarity: Similarity, up: UpMeasurement) -> float:
+    return float(np.degrees(np.arccos(np.clip((similarity.rotation @ up.direction)[2], -1, 1))))
+
+
+def _scale_contradiction(scale: float, inertial: InertialAlignment | None) -> str:
+    if inertial is None or inertial.why_no_scale:
+        return ""
+    ratio = inertial.scale / scale
+    if abs(ratio - 1) <= max(_MAX_SCALE_CONTRADICTION, _SIGMAS * inertial.scale_sigma):
+        return ""
+    return f" The accelerometer says that the walk is {ratio:.2f} times as large."
+
+
+def _at_camera(T_world_camera: FloatArray, up: FloatArray | None, unit: float) -> Similarity:
+    """The frame of a camera (4, 4): it stands at the origin and looks along x, upright where up is known."""
+    up = -T_world_camera[:3, 1] if up is None else up
+    R = rotation_to_upright(up)
+    heading = R @ T_world_camera[:3, 2]
+    length = float(np.hypot(heading[0], heading[1]))
+    c, s = (heading[0] / length, heading[1] / length) if length > 1e-6 else (1.0, 0.0)
+    R = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]) @ R
+    return Similarity(unit, R, -unit * R @ T_world_camera[:3, 3])

@@ -1,0 +1,70 @@
+"""Waypoints of which only the order is known: the pauses of the walk say when each was reached."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from itertools import combinations
+from math import comb
+
+import numpy as np
+from scipy.ndimage import uniform_filter1d
+
+from rholoc.errors import InvalidWaypoints
+from rholoc.geometry import FloatArray
+from rholoc.recordings import Imu, Waypoint
+from rholoc.recordings.stillness import MIN_PAUSE_S, is_still
+
+_STILL_IMAGE = 0.04  # image widths a second, up to which an image alone shows a camera at rest
+_TREMBLING_IMAGE = 0.15  # … and up to which it does not contradict an IMU that feels rest
+_MOMENT_S = 0.3
+_TOLERANCE_S = 0.1  # a pause this much too short still counts: its ends blur in the mean over a moment
+_MOST_CHOICES = 2000
+
+
+def find_pauses(times: FloatArray, motion: FloatArray, imu: Imu | None) -> FloatArray:
+    """Start and end (P, 2), in seconds, of every rest of a second or more, as the IMU feels and the images show it.
+
+    Args:
+        times: (N,) seconds, of the frames.
+        motion: (N,) image motion before each frame, as a share of the image's width.
+        imu: of the same recording, or None: then the images decide alone.
+    """
+    interval_s = float(np.median(np.diff(times)))
+    rate = uniform_filter1d(motion / interval_s, max(1, round(_MOMENT_S / interval_s)), mode="nearest")
+    if imu is None:
+        still = rate <= _STILL_IMAGE
+    else:
+        felt = np.interp(times, imu.times, is_still(imu).astype(np.float64), left=0.0, right=0.0) > 0.5
+        still = felt & (rate <= _TREMBLING_IMAGE)
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], still, [False]])))
+    spans = np.column_stack([times[edges[::2]], times[edges[1::2] - 1]])
+    return np.asarray(spans[spans[:, 1] - spans[:, 0] >= MIN_PAUSE_S - _TOLERANCE_S])
+
+
+def times_are_known(waypoints: Sequence[Waypoint]) -> bool:
+    """Whether every waypoint has a time."""
+    return not any(np.isnan(waypoint.time) for waypoint in waypoints)
+
+
+def choices_of_pauses(waypoints: Sequence[Waypoint], pauses: FloatArray) -> Iterator[tuple[Waypoint, ...]]:
+    """Every way to take pauses (P, 2) for the waypoints in their order, the longest pauses first; each at its middle.
+
+    Of very many pauses only the longest are taken, so that the choices remain few.
+
+    Raises:
+        InvalidWaypoints: there are fewer pauses than waypoints.
+    """
+    count = len(waypoints)
+    if len(pauses) < count:
+        raise InvalidWaypoints(
+            f"The walk has {len(pauses)} pauses of a second or more, but there are {count} waypoints without a time.",
+            "Stand still for a second and a half at each waypoint, or give each its time or frame.",
+        )
+    taken = len(pauses)
+    while comb(taken, count) > _MOST_CHOICES:
+        taken -= 1
+    longest = np.argsort(pauses[:, 0] - pauses[:, 1], kind="stable")[:taken]
+    for chosen in combinations(longest.tolist(), count):
+        middles = np.sort(pauses[list(chosen)].mean(axis=1))
+        yield tuple(replace(waypoint, time=float(t)) for waypoint, t in zip(waypoints, middles, strict=True))
