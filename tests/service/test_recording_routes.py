@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+
 import httpx
 
 from rholoc.jobs import RecordingStore
@@ -68,3 +70,32 @@ def test_recordings_are_listed(service):
         one for one in httpx.get(service.url + "/v1/recordings").json()["recordings"] if one["id"] == recording
     ]
     assert (listed["files"], listed["size_bytes"]) == (["walk.mp4"], len(VIDEO))
+
+
+def test_a_job_is_watched_until_it_ends(service):
+    url = service.url + "/v1/jobs/" + upload(service, {"file": ("walk.mp4", VIDEO)}).json()["job"]["id"]
+    with httpx.stream("GET", url + "/events", timeout=30) as answer:
+        assert answer.headers["Content-Type"].startswith("text/event-stream")
+        lines = answer.iter_lines()
+        first = event(lines)
+        assert (first["event"], first["data"]["state"]) == ("job", "queued")
+        httpx.delete(url)
+        last = event(lines)
+        assert last["data"] == httpx.get(url).json()
+        assert last["data"]["state"] == "cancelled"
+        assert list(lines) == []
+    with httpx.stream("GET", url + "/events", headers={"Last-Event-ID": first["id"]}) as answer:
+        assert event(answer.iter_lines()) == last, "what was missed is told"
+    assert httpx.get(url + "/events", headers={"Last-Event-ID": last["id"]}).status_code == 204
+    assert httpx.get(f"{service.url}/v1/jobs/{'0' * 32}/events").json()["code"] == "unknown_job"
+
+
+def event(lines):
+    """The next server-sent event, its data read as JSON."""
+    fields = {}
+    for line in lines:
+        if not line:
+            return {**fields, "data": json.loads(fields["data"])}
+        name, _, value = line.partition(": ")
+        fields[name] = value
+    raise AssertionError("the events ended")

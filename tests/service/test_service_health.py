@@ -59,3 +59,19 @@ def test_the_log_is_json(capsys):
     line = json.loads(capsys.readouterr().err)
     assert (line["event"], line["request_id"], line["level"]) == ("internal_error", "r1", "error")
     assert "what went wrong" in line["exception"]
+
+
+def test_metrics_count_requests_frames_and_jobs(service, picture_world):
+    for _ in range(2):
+        httpx.post(
+            service.url + "/v1/maps/room/localize", content=picture_world.png(), headers={"Content-Type": "image/png"}
+        )
+    httpx.get(service.url + "/v1/maps/attic")
+    lines = httpx.get(service.url + "/metrics").text.splitlines()
+    told = {name: float(value) for name, _, value in (line.rpartition(" ") for line in lines if line[0] != "#")}
+    route = 'method="POST",route="/v1/maps/{map_name}/localize",status="200"'
+    assert told[f"rholoc_request_seconds_count{{{route}}}"] >= 2
+    assert told['rholoc_request_seconds_count{method="GET",route="/v1/maps/{map_name}",status="404"}'] >= 1
+    assert told['rholoc_localizations_total{outcome="localized"}'] >= 2
+    assert told['rholoc_jobs{state="queued"}'] == 0
+    assert told['rholoc_frames{at="now"}'] == 0

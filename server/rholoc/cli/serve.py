@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from rholoc.service import Settings
 
 _BACKLOG = 2048
+_SHUTDOWN_S = 5  # for requests that are being answered; who watches a job would stay for as long as it takes
 _EVERYWHERE = "0.0.0.0"
 
 Maps = Annotated[
@@ -54,7 +55,9 @@ def serve(
     if settings.jobs_database is not None:
         JobQueue(settings.data_dir, settings.jobs_database).close()  # told here, in one line, if it cannot be reached
     with _listening_socket(settings.host, settings.port) as listener:
-        config = uvicorn.Config(create_app(settings), log_level="warning", backlog=_BACKLOG)
+        config = uvicorn.Config(
+            create_app(settings), log_level="warning", backlog=_BACKLOG, timeout_graceful_shutdown=_SHUTDOWN_S
+        )
         port = listener.getsockname()[1]
         where = f"http://{settings.host}:{port}"
         if tls:

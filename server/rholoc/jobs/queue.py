@@ -13,7 +13,7 @@ from sqlalchemy.exc import IntegrityError
 
 from rholoc.errors import Conflict, UnknownRecording
 from rholoc.jobs.database import open_database, telling_full_database
-from rholoc.jobs.job import Job, JobOptions
+from rholoc.jobs.job import Job, JobOptions, JobState
 from rholoc.jobs.recording_store import RecordingStore
 from rholoc.jobs.table import JobTable, JobWork, WorkerTable
 from rholoc.maps import check_map_name
@@ -79,6 +79,10 @@ class JobQueue:
     def list(self) -> list[Job]:
         """All jobs, the newest first."""
         return self._jobs.list()
+
+    def counts(self) -> dict[JobState, int]:
+        """How many jobs are in each state."""
+        return self._jobs.counts()
 
     def cancel(self, job_id: str) -> Job:
         """End a queued or running job. A worker that has it stops within two seconds.

@@ -79,6 +79,13 @@ class JobTable:
             rows = connection.execute(sa.select(jobs_table).order_by(jobs_table.c.created.desc())).mappings().all()
         return [_job(row) for row in rows]
 
+    def counts(self) -> dict[JobState, int]:
+        """How many jobs are in each state."""
+        with self._engine.connect() as connection:
+            found = sa.select(jobs_table.c.state, sa.func.count()).group_by(jobs_table.c.state)
+            counted = {JobState(state): number for state, number in connection.execute(found)}
+        return {state: counted.get(state, 0) for state in JobState}
+
     def needs(self, recording_id: str) -> bool:
         """Whether a job that is queued or running reads the recording."""
         with self._engine.connect() as connection:

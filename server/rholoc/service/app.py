@@ -33,6 +33,7 @@ from rholoc.service.housekeeping import keep_house
 from rholoc.service.keys import KeyStore
 from rholoc.service.localizers import Localizers
 from rholoc.service.logs import configure_logs
+from rholoc.service.metrics import Metered, Metrics
 from rholoc.service.middleware import RequestBoundary
 from rholoc.service.openapi import install
 from rholoc.service.routes import ROUTERS
@@ -49,12 +50,12 @@ Errors have one shape: `{code, message, hint, request_id}`. "No pose" is an answ
 
 def create_app(settings: Settings | None = None) -> FastAPI:
     """The service as an ASGI application. Its threads and its worker live from start-up to shut-down."""
-    settings = settings or Settings()
+    settings, metrics = settings or Settings(), Metrics()
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
         configure_logs()
-        app.state.rholoc = state = _start(settings)
+        app.state.rholoc = state = _start(settings, metrics)
         if state.worker is not None:
             state.worker.start()
         house = asyncio.create_task(keep_house(state))
@@ -85,21 +86,26 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     app.add_middleware(Tus)
     app.add_middleware(RequestBoundary)
     app.add_middleware(SecurityHeaders)
+    app.add_middleware(Metered, metrics=metrics)
     install(app)
     return app
 
 
-def _start(settings: Settings) -> State:
+def _start(settings: Settings, metrics: Metrics) -> State:
     for folder in (settings.maps_dir, settings.data_dir):
         folder.mkdir(parents=True, exist_ok=True)
     library = MapLibrary(settings.maps_dir)
     recordings, jobs = RecordingStore(settings.data_dir), JobQueue(settings.data_dir, settings.jobs_database)
+    compute = ComputePool(settings.concurrency, settings.queue_length)
+    metrics.gauge("rholoc_jobs", "Mapping jobs", "state", lambda: {str(state): n for state, n in jobs.counts().items()})
+    metrics.gauge("rholoc_frames", "Frames that are being localized, or wait", "at", lambda: {"now": compute.taken})
     return State(
         settings=settings,
         library=library,
         cameras=CameraLibrary(settings.maps_dir),
         localizers=Localizers(library, settings.min_confidence),
-        compute=ComputePool(settings.concurrency, settings.queue_length),
+        compute=compute,
+        metrics=metrics,
         recordings=recordings,
         uploads=UploadStore(recordings, jobs, settings.upload_expires_s),
         jobs=jobs,

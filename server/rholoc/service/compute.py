@@ -33,6 +33,11 @@ class ComputePool:
         self._mean_s = _FIRST_GUESS_S
 
     @property
+    def taken(self) -> int:
+        """How many calls run or wait."""
+        return self._taken
+
+    @property
     def full(self) -> bool:
         """Whether the next call is refused."""
         return self._taken >= self._capacity

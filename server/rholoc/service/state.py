@@ -11,6 +11,7 @@ from rholoc.jobs import EmbeddedWorker, JobQueue, RecordingStore, UploadStore
 from rholoc.maps import CameraLibrary, MapLibrary
 from rholoc.service.compute import ComputePool
 from rholoc.service.localizers import Localizers
+from rholoc.service.metrics import Metrics
 from rholoc.service.settings import Settings
 
 
@@ -23,6 +24,7 @@ class State:
     cameras: CameraLibrary
     localizers: Localizers
     compute: ComputePool
+    metrics: Metrics
     recordings: RecordingStore
     uploads: UploadStore
     jobs: JobQueue

@@ -9,6 +9,8 @@ from fastapi import APIRouter, Response
 from starlette.concurrency import run_in_threadpool
 
 from rholoc import __version__
+from rholoc.service.metrics import METRICS_TYPE
+from rholoc.service.openapi import BINARY
 from rholoc.service.schemas import Health, Readiness
 from rholoc.service.state import Service, State
 
@@ -32,6 +34,17 @@ async def readyz(service: Service, response: Response) -> Readiness:
     ready = all(checks[name] == _OK for name in needed)
     response.status_code = 200 if ready else 503
     return Readiness(ready=ready, checks=checks)
+
+
+@router.get(
+    "/metrics",
+    summary="Metrics for Prometheus",
+    response_class=Response,
+    responses={200: {"description": "Text.", "content": {METRICS_TYPE: {"schema": BINARY}}}},
+)
+async def metrics(service: Service) -> Response:
+    """Requests by route and status, frames by outcome, jobs by state, frames in work."""
+    return Response(await run_in_threadpool(service.metrics.text), media_type=METRICS_TYPE)
 
 
 def _checks(service: State) -> dict[str, str]:

@@ -157,12 +157,16 @@ async def localize_in_maps(
 async def _localize(names: list[str], request: Request, service: State, options: OptionParameters) -> LocalizationOut:
     clock = Stopwatch()
     frame = await _frame(request, options.options(), service.settings.max_request_bytes)
-    for name in names:
-        service.library.stat(name)  # an unknown map is refused before it takes a place in the queue
     if frame.options.camera.name is not None:
         profile = await run_in_threadpool(service.cameras.get, frame.options.camera.name)
         frame = replace(frame, stored=profile.camera)
-    return await service.compute.run(lambda: localize_frame(frame, names, service.localizers, service.settings, clock))
+    for name in names:
+        service.library.stat(name)  # an unknown map is refused before it takes a place in the queue
+    answer = await service.compute.run(
+        lambda: localize_frame(frame, names, service.localizers, service.settings, clock)
+    )
+    service.metrics.localization(answer.reason)
+    return answer
 
 
 async def _frame(request: Request, options: dict[str, Any], max_bytes: int) -> Frame:
