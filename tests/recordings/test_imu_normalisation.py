@@ -83,6 +83,14 @@ def test_gravity_included_or_removed(said: bool, included: bool) -> None:
     assert kinds(warnings) == [WarningKind.GRAVITY] * (said != included)
 
 
+def test_a_sensor_that_warms_up_has_gravity_all_the_same() -> None:
+    felt = FELT.copy()
+    felt[:60] = 0
+    imu, warnings = normalised(felt=felt)
+    assert imu.includes_gravity
+    assert warnings == ()
+
+
 def test_apples_sign_is_turned_round_where_the_format_has_it() -> None:
     imu, warnings = normalised(felt=-FELT / phone.GRAVITY, says=ImuConvention(in_g=True, apple_sign=True))
     np.testing.assert_allclose(imu.acceleration, FELT)

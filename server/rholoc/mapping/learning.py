@@ -13,6 +13,7 @@ from rholoc.features.matching import LIMITS
 from rholoc.geometry import Camera, FloatArray, IntArray
 from rholoc.localization import Localizer
 from rholoc.mapping.assembly import assemble
+from rholoc.mapping.coaching import coach
 from rholoc.mapping.forms import as_learned, ray_form
 from rholoc.mapping.joining import join
 from rholoc.mapping.landmarks import Landmarks, extend_and_merge, select_stable, triangulate
@@ -22,7 +23,7 @@ from rholoc.mapping.registration import MIN_FOUND, SURE, Alignment, align_to_fou
 from rholoc.mapping.views import choose_views
 from rholoc.maps import Map, MapInfo
 from rholoc.progress import ProgressListener, Stage, silent
-from rholoc.recordings import Recording
+from rholoc.recordings import Recording, look_through
 from rholoc.trajectory import PoseMethod, Scale, estimate_trajectory
 
 _FEATURES_PER_VIEW = 400
@@ -104,6 +105,7 @@ def update_map(
         "views": len(views),
         "features_seen_again": int((seen >= 0).sum()),
         "features_new": int((seen < 0).sum()),
+        "coaching": coach(recording, look_through(recording.frames), walk.times, walk.T_map_camera),
     }
     return as_learned(map_, joined, figures, progress)
 

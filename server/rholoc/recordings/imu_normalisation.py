@@ -33,7 +33,7 @@ _GAP_INTERVALS = 5.0  # a gap is this many usual intervals …
 _GAP_S = 0.1  # … and at least this long
 _FEWEST_TO_MEASURE = 20
 _STEADY = 0.65  # 10th percentile to median of the acceleration's length: with gravity above it, without below
-_GRAVITY_RANGE = (0.85, 1.15)  # of the median length, in g
+_ONE_G_TOLERANCE = 0.15  # of the median length, in g
 _FASTEST_TURN = 12.0  # rad/s that a walking hand does not exceed in one row of twenty
 _TURN_WINDOW_S = 0.4
 _TOLD_TURN = 0.05  # rad that gravity must turn between two windows to tell anything …
@@ -180,14 +180,12 @@ def measure_acceleration(values: FloatArray, says: ImuConvention) -> ImuConventi
     """What the accelerations (M, 3) themselves show of unit and gravity; the rest as the format says."""
     if len(values) < _FEWEST_TO_MEASURE:
         return says
-    lengths = np.linalg.norm(values, axis=1)
-    low, median = np.percentile(lengths, [10, 50])
+    low, median = np.percentile(np.linalg.norm(values, axis=1), [10, 50])
+    if _is_one(median / STANDARD_GRAVITY):  # no hand thrusts as hard as gravity half of the time
+        return replace(says, in_g=False, includes_gravity=True)
     if low <= _STEADY * median:
         return replace(says, includes_gravity=False)
-    for in_g, one_g in ((True, 1.0), (False, STANDARD_GRAVITY)):
-        if _GRAVITY_RANGE[0] < median / one_g < _GRAVITY_RANGE[1]:
-            return replace(says, in_g=in_g, includes_gravity=True)
-    return says
+    return replace(says, in_g=True, includes_gravity=True) if _is_one(median) else says
 
 
 def measure_degrees(felt: Samples, turned: Samples, says: ImuConvention) -> bool:
@@ -237,6 +235,10 @@ def with_sign_by_poses(
 def interpolated(samples: Samples, times: FloatArray) -> FloatArray:
     """Values (N, 3) at ``times`` (N,), linear between the samples."""
     return np.column_stack([np.interp(times, samples.times, samples.values[:, axis]) for axis in range(3)])
+
+
+def _is_one(length_g: float) -> bool:
+    return abs(length_g - 1) < _ONE_G_TOLERANCE
 
 
 def _in_seconds(samples: Samples, says: str, sensor: str, warnings: list[RecordingWarning]) -> Samples:
