@@ -15,6 +15,10 @@ from rholoc.trajectory.self_calibration import refine_camera
 from rholoc.trajectory.two_view import VerifiedPair
 
 _FEWEST_MATCHES = 20
+_ENOUGH = 0.7  # of the keyframes; where fewer are placed, another first pair is tried
+# The angle in degrees between the first pair's rays and its inliers: at first those that make a firm start, then those
+# that a narrow view or a walk that mostly turns can offer.
+_FIRST_PAIRS = ((16.0, 100), (4.0, 50))
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,30 +62,38 @@ def reconstruct(
         seed: for COLMAP's random choices. One thread is used, so the same input gives the same result.
         told: hears how many keyframes have been placed.
     """
+    model: pycolmap.Reconstruction | None = None
     with tempfile.TemporaryDirectory(prefix="rholoc-sfm-") as folder:
         database = Path(folder) / "database.db"
         _write_database(database, camera, pixels, pairs)
-        count = 0
-
-        def next_image() -> None:
-            nonlocal count
-            count += 1
-            told(count)
-
-        models = pycolmap.incremental_mapping(
-            database,
-            folder,
-            folder,
-            _options(camera_is_known, seed),
-            next_image_callback=next_image,
-        )
-    if not models:
+        for angle_deg, inliers in _FIRST_PAIRS:
+            options = _options(camera_is_known, seed)
+            options.mapper.init_min_tri_angle, options.mapper.init_min_num_inliers = angle_deg, inliers
+            found = _largest(database, Path(folder), options, told)
+            if found is not None and (model is None or found.num_reg_images() > model.num_reg_images()):
+                model = found
+            if model is not None and model.num_reg_images() >= _ENOUGH * len(pixels):
+                break
+    if model is None:
         return None
-    largest = max(models.values(), key=lambda model: int(model.num_reg_images()))
-    if largest.num_points3D() == 0:
-        return None
-    sigmas = np.full(len(camera.params), np.nan) if camera_is_known else refine_camera(largest)
-    return _as_reconstruction(largest, sigmas)
+    sigmas = np.full(len(camera.params), np.nan) if camera_is_known else refine_camera(model)
+    return _as_reconstruction(model, sigmas)
+
+
+def _largest(
+    database: Path, folder: Path, options: pycolmap.IncrementalPipelineOptions, told: Callable[[int], None]
+) -> pycolmap.Reconstruction | None:
+    """The model with the most images, if any has points."""
+    count = 0
+
+    def next_image() -> None:
+        nonlocal count
+        count += 1
+        told(count)
+
+    models = pycolmap.incremental_mapping(database, folder, folder, options, next_image_callback=next_image)
+    largest = max(models.values(), key=lambda model: int(model.num_reg_images()), default=None)
+    return largest if largest is not None and largest.num_points3D() > 0 else None
 
 
 def _options(camera_is_known: bool, seed: int) -> pycolmap.IncrementalPipelineOptions:
