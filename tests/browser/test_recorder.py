@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import re
 import time
 from collections.abc import Callable, Iterator
@@ -11,8 +12,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import Browser, Page, expect
+from typer.testing import CliRunner
 
+from rholoc.cli import app
 from rholoc.recordings import read_recording
 from rholoc.service.guard import KeyPolicy
 from rholoc.service.keys import KeyStore, Scope
@@ -114,6 +118,9 @@ def test_a_recording_arrives_whole_through_a_lost_connection_and_a_reload(runnin
     assert digest(came) == digest(tmp_path / "saved.zip")
     assert line.sent - sent < 0.8 * came.stat().st_size  # it went on, and did not begin again
 
+    told = CliRunner().invoke(app, ["recording", "info", str(came), "--json"])
+    assert told.exit_code == 0
+    assert json.loads(told.stdout)["format"] == "rholoc"
     walk = read_recording(came)
     assert [one.name for one in walk.waypoints] == ["W1", "W2", "W3", "E"]
     assert walk.waypoints[2].position == (2.0, 3.5, 1.5)
@@ -335,3 +342,53 @@ def test_a_recording_is_deleted_only_after_asking(running, phone):
     page.reload()
     expect(page.get_by_role("heading", name="Record a walk")).to_be_visible()
     assert page.get_by_role("link", name="Look at it").count() == 0
+
+
+@pytest.mark.parametrize(("viewport", "scheme"), [(PHONE, "light"), ({"width": 1280, "height": 800}, "dark")])
+def test_every_view_is_accessible_and_fits_and_nothing_complains(running, phone, viewport, scheme):
+    page = phone(running.url)
+    page.set_viewport_size(viewport)
+    page.emulate_media(color_scheme=scheme)
+    complaints: list[str] = []
+    page.on("console", lambda message: message.type in ("error", "warning") and complaints.append(message.text))
+    page.on("pageerror", lambda error: complaints.append(str(error)))
+
+    def check() -> None:
+        found = Axe().run(page).response["violations"]
+        serious = [one for one in found if one["impact"] in ("serious", "critical")]
+        assert [(one["id"], one["nodes"][0]["html"]) for one in serious] == []
+        assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
+
+    page.get_by_text("Measured points").click()
+    check()
+    open_camera(page)
+    move(page, beta=90)
+    expect(page.locator(".advice")).not_to_be_empty()
+    check()
+    page.get_by_role("button", name="Record", exact=True).click()
+    page.wait_for_timeout(5500)
+    page.get_by_role("button", name=re.compile("^W1")).click()
+    page.get_by_role("button", name="Points").click()
+    check()
+    page.get_by_role("button", name="Done").click()
+    page.get_by_role("button", name="Stop").click()
+    expect(page.get_by_role("heading", name="Your recording")).to_be_visible()
+    check()
+    page.get_by_role("button", name="Send").click()
+    expect(page.get_by_role("heading", name="The server makes the map")).to_be_visible()
+    check()
+    page.get_by_role("link", name="Record", exact=True).click()
+    expect(page.get_by_text("sent", exact=True)).to_be_visible()
+    check()
+    assert complaints == []
+
+
+def test_the_page_can_be_installed(running, phone):
+    page = phone(running.url)
+    page.evaluate("navigator.serviceWorker.ready.then(() => {})")
+    devtools = page.context.new_cdp_session(page)
+    manifest = devtools.send("Page.getAppManifest")
+    assert manifest["errors"] == []
+    assert manifest["url"].endswith("/web/record/manifest.webmanifest")
+    problems = devtools.send("Page.getInstallabilityErrors")["installabilityErrors"]
+    assert [one["errorId"] for one in problems] in ([], ["in-incognito"])

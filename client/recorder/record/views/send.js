@@ -56,18 +56,19 @@ async function send(page, store, recording, signal) {
 
 class SendPage {
   constructor(recording) {
-    this.recording = recording;
     this.title = h("h1", {}, "Sending");
     this.bar = h("progress", { max: 1, value: "0", "aria-label": "Progress" });
     this.text = h("p", { role: "status" }, "Getting ready …");
     this.notice = h("div", { class: "notice warn", role: "alert", hidden: true });
     this.stages = h("ol", { class: "stages", hidden: true }, Object.entries(STAGES).map(([stage, words]) => h("li", { "data-stage": stage }, words)));
     this.actions = h("div", { class: "row" });
+    this.closing = h("p", { class: "muted" }, "You may close this page: sending goes on when you open it again.");
     this.element = h(
       "div",
       { class: "stack narrow" },
       this.title,
-      h("p", { class: "muted" }, "For the map ", h("strong", {}, recording.map), ". You may close this page: sending goes on when you open it again."),
+      h("p", { class: "muted" }, "For the map ", h("strong", {}, recording.map)),
+      this.closing,
       this.bar,
       this.text,
       this.notice,
@@ -83,6 +84,7 @@ class SendPage {
   }
 
   waiting(error) {
+    if (!this.bar.value) this.text.textContent = "Not begun yet.";
     this.notice.hidden = false;
     fill(this.notice, h("strong", {}, "The server cannot be reached."), " Nothing is lost: sending goes on by itself when it can. ", h("span", { class: "muted" }, error.summary));
   }
@@ -90,6 +92,7 @@ class SendPage {
   sent() {
     this.title.textContent = "The server makes the map";
     this.notice.hidden = true;
+    this.closing.hidden = true;
     this.stages.hidden = false;
     this.text.textContent = "Sent. It is no longer needed on this phone.";
     this.bar.removeAttribute("value");
@@ -124,6 +127,7 @@ class SendPage {
 
   failed(error, again) {
     this.title.textContent = "It could not be sent";
+    this.closing.hidden = true;
     this.text.textContent = "The recording is still on this phone.";
     this.tell({ message: error.summary ?? error.message, hint: error.hint ?? "" });
     fill(this.actions, h("button", { class: "primary", onclick: again }, "Try again"), h("a", { class: "button", href: "#/" }, "Later"));
