@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rholoc.geometry import Pose, rotation_from_heading
+from rholoc.geometry import Pose, is_rotation, rotation_from_heading
 
 angles = st.floats(-3.1, 3.1)
 pitches = st.floats(-1.4, 1.4)
@@ -47,3 +47,13 @@ def test_inverse_takes_the_position_to_the_origin() -> None:
 def test_a_vertical_heading_still_gives_a_rotation() -> None:
     R = rotation_from_heading(np.array([0.0, 0.0, 1.0]))
     np.testing.assert_allclose(R @ R.T, np.eye(3), atol=1e-12)
+
+
+def test_what_is_a_rotation() -> None:
+    turned = Pose.from_heading(np.zeros(3), np.array([1.0, 2.0, 0.3]), roll=0.4).R_map_camera
+    assert is_rotation(turned)
+    assert is_rotation(turned + 1e-4)
+    assert not is_rotation(turned + 0.1)
+    assert is_rotation(turned + 1e-3, tolerance=1e-2)
+    for wrong in (np.diag([1.0, 1, -1]), 2 * turned, 1e200 * turned, np.full((3, 3), np.nan), np.eye(4), np.zeros(0)):
+        assert not is_rotation(wrong)

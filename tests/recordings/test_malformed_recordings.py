@@ -191,6 +191,8 @@ REFUSED: list[tuple[str, Callable[[Path], Path], str, str]] = [
     ("NaN in an IMU", edited("rholoc", "imu.csv", cell(9, 3, "NaN")), "invalid_recording", "imu.csv, row 10: 'NaN' under az"),
     ("NaN in an IMU, MARS logger", edited("mars-android", "gyro_accel.csv", cell(5, 2, "nan")), "invalid_recording", "'nan' under gy"),
     ("infinity in a gyroscope, ADVIO", edited("advio", "iphone/gyro.csv", cell(3, 1, "inf")), "invalid_recording", "'inf' under column 2"),
+    ("a gyroscope beyond all bounds", edited("opencamera", "20260101_101010/VID_1_gyro.csv", cell(3, 1, "-1e308")), "invalid_recording", "reads 1e+308"),
+    ("more names than columns", replaced("sensor-logger-android", "Metadata.csv", "version,", "version,note,"), "invalid_recording", "7 names over 6 columns"),
     ("a word for a number, EuRoC", edited("euroc", "mav0/imu0/data.csv", cell(7, 4, "fast")), "invalid_recording", "'fast' under a_rs_s_x"),
     ("times that go back", edited("opencamera", "20260101_101010/VID_1_gyro.csv", swap_halves), "invalid_recording", "do not increase"),
     ("frames that go back", edited("android-csv", "frames.csv", lambda rows: [rows[0], *rows[:0:-1]]), "invalid_recording", "do not increase"),

@@ -2,7 +2,7 @@
 
 from rholoc.geometry.arrays import BoolArray, ByteArray, FloatArray, IntArray
 from rholoc.geometry.camera import Camera
-from rholoc.geometry.pose import Pose, pose_matrix, rotation_from_heading
+from rholoc.geometry.pose import Pose, is_rotation, pose_matrix, rotation_from_heading
 
 __all__ = [
     "BoolArray",
@@ -11,6 +11,7 @@ __all__ = [
     "FloatArray",
     "IntArray",
     "Pose",
+    "is_rotation",
     "pose_matrix",
     "rotation_from_heading",
 ]

@@ -22,6 +22,13 @@ def pose_matrix(R_map_camera: FloatArray, position: FloatArray) -> FloatArray:
     return T
 
 
+def is_rotation(R: FloatArray, tolerance: float = 1e-3) -> bool:
+    """Whether an array is a rotation matrix (3, 3), no entry of R Rᵀ further than ``tolerance`` from the identity's."""
+    if R.shape != (3, 3) or not np.all(np.abs(R) <= 1 + tolerance):
+        return False
+    return np.allclose(R @ R.T, np.eye(3), rtol=0, atol=tolerance) and float(np.linalg.det(R)) > 0
+
+
 def rotation_from_heading(heading: FloatArray, roll: float = 0.0) -> FloatArray:
     """R_map_camera (3, 3) of the camera that looks along ``heading`` (3,), rolled by ``roll`` radians about it.
 

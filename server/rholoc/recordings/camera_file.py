@@ -10,11 +10,10 @@ from typing import Any
 import numpy as np
 
 from rholoc.errors import InvalidCamera
-from rholoc.geometry import Camera, FloatArray
+from rholoc.geometry import Camera, FloatArray, is_rotation
 from rholoc.recordings.csv_table import read_text
 
 _INTRINSICS = ("width", "height", "fx", "fy", "cx", "cy")
-_ROTATION_TOLERANCE = 1e-3  # how far R Rᵀ may be from the identity
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,9 +101,6 @@ def _rotation(values: dict[str, Any], path: Path) -> FloatArray | None:
         R = np.array(rows, dtype=np.float64)
     except (TypeError, ValueError):
         R = np.zeros(0)
-    is_rotation = (
-        R.shape == (3, 3) and np.allclose(R @ R.T, np.eye(3), atol=_ROTATION_TOLERANCE) and np.linalg.det(R) > 0
-    )
-    if not is_rotation:
+    if not is_rotation(R):
         raise InvalidCamera(f"{path.name}: R_camera_imu is not a 3×3 rotation matrix.", "Leave it out if unknown.")
     return R

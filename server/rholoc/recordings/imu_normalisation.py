@@ -34,6 +34,7 @@ _GAP_S = 0.1  # … and at least this long
 _FEWEST_TO_MEASURE = 20
 _STEADY = 0.65  # 10th percentile to median of the acceleration's length: with gravity above it, without below
 _ONE_G_TOLERANCE = 0.15  # of the median length, in g
+_LARGEST = 1e5  # of a reading in any unit
 _FASTEST_TURN = 12.0  # rad/s that a walking hand does not exceed in one row of twenty
 _TURN_WINDOW_S = 0.4
 _TOLD_TURN = 0.05  # rad that gravity must turn between two windows to tell anything …
@@ -82,8 +83,11 @@ def normalise_imu(
         R_camera_imu: (3, 3), or None where unknown.
 
     Raises:
-        InvalidRecording: times go back for good, make no sense in any unit, or the two sensors hardly overlap.
+        InvalidRecording: times go back for good, make no sense in any unit, the two sensors hardly overlap, or a value
+            is one that no sensor gives.
     """
+    _check_range(accelerometer, "accelerometer")
+    _check_range(gyroscope, "gyroscope")
     warnings: list[RecordingWarning] = []
     felt = _advancing(_in_seconds(accelerometer, says.time_unit, "accelerometer", warnings), "accelerometer", warnings)
     turned = _advancing(_in_seconds(gyroscope, says.time_unit, "gyroscope", warnings), "gyroscope", warnings)
@@ -235,6 +239,12 @@ def with_sign_by_poses(
 def interpolated(samples: Samples, times: FloatArray) -> FloatArray:
     """Values (N, 3) at ``times`` (N,), linear between the samples."""
     return np.column_stack([np.interp(times, samples.times, samples.values[:, axis]) for axis in range(3)])
+
+
+def _check_range(samples: Samples, sensor: str) -> None:
+    largest = float(np.abs(samples.values).max(initial=0.0))
+    if largest > _LARGEST:
+        raise InvalidRecording(f"The {sensor} reads {largest:.3g}, which no phone's does in any unit.")
 
 
 def _is_one(length_g: float) -> bool:

@@ -38,10 +38,9 @@ class LoggedTable:
         """The named columns, (N, len(names)).
 
         Raises:
-            InvalidRecording: a column is missing, or a value is not a finite number.
+            InvalidRecording: a column is missing, the header does not fit the rows, or a value is not a finite number.
         """
-        require_columns(self.path, self.header, names, InvalidRecording)
-        return self.numbered(*(self.header.index(name) for name in names))
+        return self.numbered(*self._places(names))
 
     def numbered(self, *columns: int) -> FloatArray:
         """The columns by their places, (N, len(columns)), for tables whose format has no header.
@@ -51,7 +50,8 @@ class LoggedTable:
         """
         if max(columns) >= len(self.rows[0]):
             raise InvalidRecording(f"{self.path.name} has {len(self.rows[0])} columns; {max(columns) + 1} are meant.")
-        names = [self.header[column] if self.header else f"column {column + 1}" for column in columns]
+        fits = len(self.header) == len(self.rows[0])
+        names = [self.header[column] if fits else f"column {column + 1}" for column in columns]
         values = [
             [
                 parse_number(row[column], self.path, line, name, InvalidRecording)
@@ -65,10 +65,16 @@ class LoggedTable:
         """The named column as text.
 
         Raises:
-            InvalidRecording: there is no such column.
+            InvalidRecording: there is no such column, or the header does not fit the rows.
         """
-        require_columns(self.path, self.header, (name,), InvalidRecording)
-        return [row[self.header.index(name)] for row in self.rows]
+        (place,) = self._places((name,))
+        return [row[place] for row in self.rows]
+
+    def _places(self, names: Sequence[str]) -> list[int]:
+        require_columns(self.path, self.header, names, InvalidRecording)
+        if len(self.header) != len(self.rows[0]):
+            raise InvalidRecording(f"{self.path.name} has {len(self.header)} names over {len(self.rows[0])} columns.")
+        return [self.header.index(name) for name in names]
 
 
 def read_logged_table(path: Path) -> LoggedTable:

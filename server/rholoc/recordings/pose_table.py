@@ -15,6 +15,7 @@ from rholoc.recordings.recording import FrameSource, GivenPoses
 
 _COLUMNS_HINT = "Each row is: frame or time, tx ty tz in metres, qx qy qz qw (T_map_camera)."
 _NORM_TOLERANCE = 1e-2
+_FARTHEST = 1e8  # of a place, in any unit; georeferenced metres stay below
 _LONE_FRAME_TOLERANCE_S = 0.02
 
 
@@ -67,14 +68,17 @@ def poses_from_rows(rows: FloatArray, source: str) -> FloatArray:
     """Rows (N, 7) of tx ty tz qx qy qz qw → poses (N, 4, 4); ``source`` is the table's name.
 
     Raises:
-        InvalidTrajectory: a quaternion is not of unit length.
+        InvalidTrajectory: a quaternion is not of unit length, or a place beyond all bounds.
     """
-    lengths = np.linalg.norm(rows[:, 3:], axis=1)
-    wrong = np.flatnonzero(~(np.abs(lengths - 1) <= _NORM_TOLERANCE))
+    q = rows[:, 3:].clip(-2, 2)  # squares of more may overflow, and are not of unit length either
+    wrong = np.flatnonzero(np.abs(np.linalg.norm(q, axis=1) - 1) > _NORM_TOLERANCE)
     if len(wrong):
         raise InvalidTrajectory(
             f"{source}: the quaternion of pose {wrong[0] + 1} is not of unit length.", _COLUMNS_HINT
         )
+    far = np.flatnonzero(np.abs(rows[:, :3]).max(axis=1) > _FARTHEST)
+    if len(far):
+        raise InvalidTrajectory(f"{source}: pose {far[0] + 1} is beyond all bounds.", _COLUMNS_HINT)
     return pose_matrix(Rotation.from_quat(rows[:, 3:]).as_matrix(), rows[:, :3])
 
 

@@ -20,7 +20,7 @@ import numpy as np
 import yaml
 
 from rholoc.errors import InvalidCamera
-from rholoc.geometry import Camera, FloatArray
+from rholoc.geometry import Camera, FloatArray, is_rotation
 from rholoc.recordings.csv_table import read_text
 from rholoc.recordings.imu_normalisation import ImuConvention, Samples, frame_times_s, normalise_imu
 from rholoc.recordings.logged_table import has_columns, read_logged_table
@@ -113,7 +113,7 @@ def _body(sensor: dict[str, Any]) -> FloatArray | None:
         T = np.array(sensor["T_BS"]["data"], dtype=np.float64).reshape(4, 4)
     except (KeyError, TypeError, ValueError):
         return None
-    return T if np.allclose(T[:3, :3] @ T[:3, :3].T, np.eye(3), atol=1e-3) else None
+    return T if is_rotation(T[:3, :3]) else None
 
 
 def _imu(folder: Path, T_body_camera: FloatArray | None) -> tuple[Imu | None, tuple[RecordingWarning, ...]]:

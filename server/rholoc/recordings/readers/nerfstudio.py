@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from rholoc.errors import InvalidCamera, InvalidRecording, InvalidTrajectory
-from rholoc.geometry import Camera, FloatArray
+from rholoc.geometry import Camera, FloatArray, is_rotation
 from rholoc.recordings.csv_table import read_text
 from rholoc.recordings.readers._apple import opencv_camera
 from rholoc.recordings.readers._frames import listed_file, untimed_images
@@ -28,6 +28,7 @@ from rholoc.recordings.recording import GivenPoses, Recording, RecordingFormat, 
 
 _FILE = "transforms.json"
 _PINHOLE = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "PERSPECTIVE")
+_ROTATION_TOLERANCE = 1e-2
 _INTRINSICS = ("fl_x", "fl_y", "cx", "cy")
 
 
@@ -89,7 +90,7 @@ def _pose(frame: dict[str, Any]) -> FloatArray:
         T = np.array(frame.get("transform_matrix"), dtype=np.float64)
     except (TypeError, ValueError):
         T = np.zeros(0)
-    if T.shape != (4, 4) or not np.isfinite(T).all() or not np.allclose(T[:3, :3] @ T[:3, :3].T, np.eye(3), atol=1e-2):
+    if T.shape != (4, 4) or not np.isfinite(T).all() or not is_rotation(T[:3, :3], _ROTATION_TOLERANCE):
         raise InvalidTrajectory(f"{_FILE}: the transform_matrix of {frame['file_path']} is not a pose.")
     return T
 

@@ -16,11 +16,12 @@ from pathlib import Path
 import numpy as np
 
 from rholoc.errors import InvalidTrajectory
-from rholoc.geometry import FloatArray
+from rholoc.geometry import FloatArray, is_rotation
 from rholoc.recordings.csv_table import read_text
 from rholoc.recordings.readers._frames import untimed_images
 from rholoc.recordings.recording import GivenPoses, Recording, RecordingFormat
 
+_ROTATION_TOLERANCE = 1e-2
 _COLOUR = (".color.png", ".color.jpg")
 
 
@@ -68,6 +69,6 @@ def _read_pose(path: Path) -> FloatArray:
         T = values.reshape(4, 4)
     except ValueError as error:
         raise InvalidTrajectory(f"{path.name} is not a 4×4 matrix.") from error
-    if np.isfinite(T).all() and not np.allclose(T[:3, :3] @ T[:3, :3].T, np.eye(3), atol=1e-2):
+    if np.isfinite(T).all() and not is_rotation(T[:3, :3], _ROTATION_TOLERANCE):
         raise InvalidTrajectory(f"{path.name} holds no rotation.")
     return T

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from rholoc.errors import InvalidCamera, InvalidRecording
-from rholoc.geometry import Camera, FloatArray
+from rholoc.geometry import Camera, FloatArray, is_rotation
 from rholoc.recordings.csv_table import read_text
 from rholoc.recordings.imu_normalisation import ImuConvention, Samples, normalise_imu
 from rholoc.recordings.readers._frames import require_video, timed_video
@@ -162,4 +162,4 @@ def _rotation(rows: Any) -> FloatArray | None:
         R = np.array(rows, dtype=np.float64)[:3, :3]
     except (TypeError, ValueError, IndexError):
         return None
-    return R if R.shape == (3, 3) and np.allclose(R @ R.T, np.eye(3), atol=_ROTATION_TOLERANCE) else None
+    return R if is_rotation(R, _ROTATION_TOLERANCE) else None
