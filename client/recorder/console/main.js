@@ -30,8 +30,10 @@ async function show() {
   const found = ROUTES.map(([pattern, title, view]) => ({ title, view, match: where.match(pattern) })).find(({ match }) => match);
   for (const link of document.querySelectorAll("nav a")) {
     const part = link.getAttribute("href").replace("#", "");
-    if (where === part || where.startsWith(`${part}/`)) link.setAttribute("aria-current", "page");
-    else link.removeAttribute("aria-current");
+    if (where === part || where.startsWith(`${part}/`)) {
+      link.setAttribute("aria-current", "page");
+      link.scrollIntoView({ block: "nearest", inline: "center" }); // on a phone the row is wider than the screen
+    } else link.removeAttribute("aria-current");
   }
   scrollTo(0, 0);
   if (!found) {

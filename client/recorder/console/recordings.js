@@ -58,7 +58,7 @@ function fillList(place, { recordings }, reload) {
   fill(place, h("div", { class: "scroll", tabindex: 0, role: "group", "aria-label": "Recordings" }, h("table", {},
     h("thead", {}, h("tr", {}, ["Files", "Size", "Uploaded", "Actions"].map((text) => h("th", { scope: "col" }, text)))),
     h("tbody", {}, recordings.map((one) => h("tr", {},
-      h("td", {}, one.files.slice(0, 3).join(", "), one.files.length > 3 && ` and ${one.files.length - 3} more`, h("br"), h("code", { class: "muted" }, one.id)),
+      h("td", {}, one.files.slice(0, 3).join(", "), one.files.length > 3 && ` and ${one.files.length - 3} more`, h("br"), h("code", { class: "muted", title: one.id }, one.id.slice(0, 8))),
       h("td", {}, bytes(one.size_bytes)),
       h("td", {}, when(one.created)),
       h("td", {}, action("Delete", () => remove(one, reload), "danger"))))))));

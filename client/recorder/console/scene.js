@@ -133,7 +133,7 @@ export class SceneView {
     const some = landmarks.length ? [landmarks, STRIDE_LANDMARK] : [views, STRIDE_VIEW];
     const spans = [0, 1, 2].map((axis) => quantiles(some[0], axis, SHOWN, some[1]));
     const extent = Math.hypot(...spans.map(([low, high]) => high - low)) || 1;
-    this.home = { ...this.home, target: spans.map(([low, high]) => (low + high) / 2), distance: 0.9 * extent };
+    this.home = { ...this.home, target: spans.map(([low, high]) => (low + high) / 2), distance: extent };
     this.reset();
   }
 
