@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation, RotationSpline
 from rholoc.geometry import FloatArray, pose_matrix
 from rholoc.recordings import Imu, Waypoint
 from rholoc.trajectory.imu import calibrate_gyro
+from rholoc.trajectory.imu_evidence import compare_with_inertial, weigh_imu
 from rholoc.trajectory.inertial import integrate_between_waypoints
 from rholoc.trajectory.visual_inertial import GRAVITY, align_inertially
 
@@ -27,10 +28,12 @@ class _Spline:
     imu: Imu
 
 
-def _walk(delay_s: float = 0.0, includes_gravity: bool = True, known_mounting: bool = True) -> _Spline:
+def _walk(
+    delay_s: float = 0.0, includes_gravity: bool = True, known_mounting: bool = True, moving: bool = True
+) -> _Spline:
     rng = np.random.default_rng(4)
     knots = np.arange(-2.0, 24.0, 0.7)
-    path = make_interp_spline(knots, np.cumsum(rng.normal(0, 0.25, (len(knots), 3)), axis=0), k=5)
+    path = make_interp_spline(knots, np.cumsum(rng.normal(0, 0.25 * moving, (len(knots), 3)), axis=0), k=5)
     angles = np.column_stack([rng.uniform(-20, 20, len(knots)), np.cumsum(rng.normal(0, 15, len(knots))), 0 * knots])
     turn = RotationSpline(knots, Rotation.from_euler("xyz", np.add(angles, [-90, 0, 0]), degrees=True))
     t = np.arange(-1.0, 22.0, 0.005)
@@ -57,16 +60,19 @@ def test_the_gyroscope_is_calibrated(known_mounting: bool) -> None:
     np.testing.assert_allclose(found.bias, [0.01, -0.02, 0.005], atol=0.002)
     turned = Rotation.from_matrix(found.R_camera_imu.T @ _R_CAMERA_IMU)
     assert np.degrees(turned.magnitude()) < 0.5
+    assert found.time_offset_sigma_s < 0.003
+    assert found.bias_sigma < 0.001
+    assert found.mounting_sigma_deg < 0.2
     assert found.residual_deg < 0.2
-    assert found.contradiction == 0
 
 
 def test_the_gyroscope_contradicts_wrong_rotations() -> None:
     walk = _walk()
     bent = Rotation.from_rotvec(np.outer(np.sin(walk.times), [0.0, 0.6, 0.0])).as_matrix()
-    found = calibrate_gyro(walk.times, bent @ walk.T_map_camera[:, :3, :3], walk.imu)
-    assert found is not None
-    assert found.contradiction > 0.5
+    own = pose_matrix(bent @ walk.T_map_camera[:, :3, :3], walk.T_map_camera[:, :3, 3])
+    evidence = weigh_imu(walk.times, own, walk.imu)
+    assert any("gyroscope contradicts" in doubt for doubt in evidence.doubts)
+    assert evidence.alignment is None
 
 
 @pytest.mark.parametrize("includes_gravity", [True, False])
@@ -81,7 +87,8 @@ def test_scale_and_gravity_come_back(includes_gravity: bool) -> None:
     found = align_inertially(walk.times, own, walk.imu, gyro)
     assert found is not None
     assert found.scale * 0.37 == pytest.approx(1, abs=0.02)
-    assert found.scale_sigma < 0.05
+    assert abs(found.scale * 0.37 - 1) < 4 * found.scale_sigma < 0.1
+    np.testing.assert_allclose(found.lever_m, 0, atol=0.03)
     if includes_gravity:
         assert found.up is not None
         assert np.degrees(np.arccos(np.clip(found.up @ frame[:, 2], -1, 1))) < 0.3
@@ -93,17 +100,54 @@ def test_a_camera_at_rest_leaves_the_scale_open() -> None:
     walk = _walk()
     still = walk.T_map_camera.copy()
     still[:, :3, 3] = np.random.default_rng(0).normal(0, 0.01, (len(still), 3))
-    gyro = calibrate_gyro(walk.times, still[:, :3, :3], walk.imu)
-    assert gyro is not None
-    found = align_inertially(walk.times, still, walk.imu, gyro)
-    assert found is not None
-    assert found.scale_sigma > 0.1 or found.scale <= 0
+    evidence = weigh_imu(walk.times, still, walk.imu)
+    assert evidence.alignment is not None
+    assert evidence.alignment.why_no_scale
+    assert evidence.report["not_observable"]["scale"] == evidence.alignment.why_no_scale
 
 
-def test_the_imu_alone_joins_waypoints_at_rest() -> None:
-    stops, hold = np.array([1.0, 6.0, 11.0]), 1.0
-    places = np.array([[0.0, 0, 1.4], [2.0, 0.5, 1.4], [2.5, 2.5, 1.3]])
-    t = np.arange(0.0, 12.0, 0.005)
+def test_a_camera_that_only_turns_is_told_so() -> None:
+    walk = _walk(moving=False)
+    own = walk.T_map_camera.copy()
+    own[:, :3, 3] += np.random.default_rng(0).normal(0, 0.02, (len(own), 3))
+    why = weigh_imu(walk.times, own, walk.imu).report["not_observable"]["scale"]
+    assert "turned but hardly moved" in why
+
+
+def test_an_accelerometer_of_the_wrong_sign_is_told() -> None:
+    walk = _walk(includes_gravity=False)
+    negative = replace(walk.imu, acceleration=-walk.imu.acceleration)
+    why = weigh_imu(walk.times, walk.T_map_camera, negative).report["not_observable"]
+    assert "contradicts the cameras" in why["scale"]
+    assert "gravity" in why
+
+
+def test_a_mounting_that_nothing_shows_is_told() -> None:
+    walk = _walk(known_mounting=False)
+    straight = np.tile(walk.T_map_camera[0], (len(walk.times), 1, 1))
+    rate = np.tile([0.01, -0.02, 0.005], (len(walk.imu.times), 1))
+    evidence = weigh_imu(walk.times, straight, replace(walk.imu, angular_velocity=rate))
+    assert "mounting" in evidence.report["not_observable"]
+    assert evidence.alignment is None
+
+
+def test_frames_that_the_gyroscope_contradicts_are_dropped() -> None:
+    walk = _walk()
+    torn = walk.T_map_camera.copy()
+    torn[40:45, :3, :3] = Rotation.from_euler("z", 90, degrees=True).as_matrix() @ torn[40:45, :3, :3]
+    evidence = weigh_imu(walk.times, torn, walk.imu)
+    assert np.flatnonzero(~evidence.kept).tolist() == [40, 41, 42, 43, 44]
+    assert not evidence.doubts
+    torn[40:, :3, :3] = Rotation.from_euler("z", 90, degrees=True).as_matrix() @ walk.T_map_camera[40:, :3, :3]
+    evidence = weigh_imu(walk.times, torn, walk.imu)
+    assert np.flatnonzero(~evidence.kept).tolist() == list(range(40))
+    assert "contradicts 40% of the frames" in evidence.doubts[0]
+
+
+def test_the_imu_alone_joins_waypoints_and_rests_between_them() -> None:
+    stops, hold = np.array([1.0, 6.0, 11.0, 16.0]), 1.6
+    places = np.array([[0.0, 0, 1.4], [2.0, 0.5, 1.4], [2.5, 2.5, 1.3], [0.5, 2.0, 1.4]])
+    t = np.arange(0.0, 17.0, 0.005)
     share = np.clip((t[:, None] - stops[:-1] - hold / 2) / (np.diff(stops) - hold), 0, 1)
     smooth = 10 * share**3 - 15 * share**4 + 6 * share**5
     path = places[0] + smooth @ np.diff(places, axis=0)
@@ -119,9 +163,18 @@ def test_the_imu_alone_joins_waypoints_at_rest() -> None:
         True,
         _R_CAMERA_IMU,
     )
-    waypoints = [Waypoint(str(i), float(s), tuple(p)) for i, (s, p) in enumerate(zip(stops, places, strict=True))]
+    waypoints = [Waypoint(str(i), float(stops[i]), tuple(places[i])) for i in (0, 1, 3)]  # the third is a mere rest
     rows = np.flatnonzero((t >= stops[0]) & (t <= stops[-1]))[::40]
     found = integrate_between_waypoints(imu, waypoints, t[rows])
     assert np.linalg.norm(found[:, :3, 3] - path[rows], axis=1).max() < 0.05
     turned = Rotation.from_matrix(np.swapaxes(found[:, :3, :3], 1, 2) @ R[rows])
     assert np.degrees(turned.magnitude()).max() < 4
+
+    truth = pose_matrix(R[::20], path[::20])
+    gyro = calibrate_gyro(t[::20], R[::20], imu)
+    assert gyro is not None
+    beside = compare_with_inertial(t[::20], truth, waypoints, imu, gyro)
+    assert beside["frames"] == np.count_nonzero((t[::20] >= stops[0]) & (t[::20] <= stops[-1]))
+    assert beside["rms_m"] < beside["worst_m"] < 0.05
+    truth[:, 0, 3] += 1.0
+    assert compare_with_inertial(t[::20], truth, waypoints, imu, gyro)["rms_m"] == pytest.approx(1.0, abs=0.03)

@@ -20,7 +20,8 @@ def is_still(imu: Imu) -> BoolArray:
     if len(imu.times) < 2:
         return np.zeros(len(imu.times), dtype=np.bool_)
     size = max(1, round(_WINDOW_S / float(np.median(np.diff(imu.times)))))
-    tremor = _rms(imu.angular_velocity, size)
+    squared = _mean(np.sum(imu.angular_velocity**2, axis=1), size)
+    tremor = np.sqrt(np.maximum(squared, 0))  # a running mean may fall a little below
     turn = np.linalg.norm(_mean(imu.angular_velocity, size), axis=1)
     variance = _mean(np.sum(imu.acceleration**2, axis=1), size) - np.sum(_mean(imu.acceleration, size) ** 2, axis=1)
     middles = (tremor < _TREMOR) & (turn < _TURN) & (variance < _FORCE**2)
@@ -32,11 +33,6 @@ def pauses(imu: Imu, shortest_s: float = MIN_PAUSE_S) -> FloatArray:
     edges = np.flatnonzero(np.diff(np.concatenate([[False], is_still(imu), [False]])))
     spans = np.column_stack([imu.times[edges[::2]], imu.times[edges[1::2] - 1]])
     return spans[spans[:, 1] - spans[:, 0] >= shortest_s]
-
-
-def _rms(vectors: FloatArray, size: int) -> FloatArray:
-    """Root mean square lengths (M,) of vectors (M, 3) over ``size`` rows; the running mean may fall a little below 0."""
-    return np.asarray(np.sqrt(np.maximum(_mean(np.sum(vectors**2, axis=1), size), 0.0)))
 
 
 def _mean(values: FloatArray, size: int) -> FloatArray:

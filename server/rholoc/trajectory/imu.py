@@ -13,8 +13,9 @@ from rholoc.recordings import Imu
 _OFFSETS_S = np.arange(-0.25, 0.2501, 0.01)
 _FINE_OFFSETS_S = np.arange(-0.01, 0.0101, 0.001)
 _MIN_INTERVAL_S = 0.2  # rotations over shorter times are mostly noise
-_CHECK_INTERVAL_S = 2.0
 _FEWEST_INTERVALS = 7
+_LARGEST_ERROR_RAD = np.radians(5.0)  # of an interval; larger ones count as this
+_OFFSET_COST_RAD_S = 1e-3  # so that nothing is shifted in time for nothing
 _NORM_TO_SIGMA = 0.65  # of an axis, from the median norm of a three-vector of normal errors
 _MAX_APART_RAD = np.radians(10.0)  # between a camera's rotation and the gyroscope's, at once …
 _DRIFT_RAD_S = np.radians(0.1)  # … and more for every second between
@@ -32,7 +33,6 @@ class GyroCalibration:
         R_camera_imu: (3, 3), as the recording says, or found where it does not.
         mounting_sigma_deg: the standard uncertainty of a rotation that was found, in its weakest axis; else 0.
         residual_deg: the median angle between the camera's rotation and the gyroscope's over short intervals.
-        contradiction: the share of two-second intervals over which they differ by more than 5° and a fifth.
     """
 
     time_offset_s: float
@@ -42,7 +42,6 @@ class GyroCalibration:
     R_camera_imu: FloatArray
     mounting_sigma_deg: float
     residual_deg: float
-    contradiction: float
 
 
 def orientations(imu: Imu, bias: FloatArray) -> Rotation:
@@ -82,12 +81,12 @@ def calibrate_gyro(times: FloatArray, R_world_camera: FloatArray, imu: Imu) -> G
             remaining = gyro - camera @ mounting
             drift = np.median(remaining / spans[:, None], axis=0)
             error = np.linalg.norm(remaining - drift * spans[:, None], axis=1)
-            fits.append((float(np.mean(np.minimum(error, np.radians(5)))), float(candidate), drift, mounting, error))
+            cost = float(np.mean(np.minimum(error, _LARGEST_ERROR_RAD))) + _OFFSET_COST_RAD_S * abs(float(candidate))
+            fits.append((cost, float(candidate), drift, mounting, error))
         _, offset, drift, R_camera_imu, error = min(fits, key=lambda fit: fit[0])
         bias = bias + drift
     typical = float(np.median(error))
     sigma = max(_NORM_TO_SIGMA * typical, 1e-6)
-    slerp = Slerp(imu.times, orientations(imu, bias))
     return GyroCalibration(
         offset,
         _time_sigma_s(imu, t + offset, sigma),
@@ -96,7 +95,6 @@ def calibrate_gyro(times: FloatArray, R_world_camera: FloatArray, imu: Imu) -> G
         R_camera_imu,
         0.0 if imu.R_camera_imu is not None else _mounting_sigma_deg(camera, sigma),
         float(np.degrees(typical)),
-        _contradiction(t, R, slerp, offset, R_camera_imu),
     )
 
 
@@ -140,18 +138,6 @@ def _mounting_sigma_deg(camera: FloatArray, sigma: float) -> float:
     """Of Wahba's rotation, from the rotation vectors (N, 3) it rests on: about an axis, only those across it tell."""
     information = np.sum(camera**2) * np.eye(3) - camera.T @ camera
     return float(np.degrees(sigma / np.sqrt(max(float(np.linalg.eigvalsh(information)[0]), 1e-12))))
-
-
-def _contradiction(t: FloatArray, R: Rotation, slerp: Slerp, offset: float, R_camera_imu: FloatArray) -> float:
-    rows = spaced_rows(t, _CHECK_INTERVAL_S)
-    if len(rows) < 2:
-        return 0.0
-    turned = slerp(t[rows] + offset)
-    mounting = Rotation.from_matrix(R_camera_imu)
-    gyro = mounting * (turned[:-1].inv() * turned[1:]) * mounting.inv()
-    camera = R[rows[:-1]].inv() * R[rows[1:]]
-    apart = (camera.inv() * gyro).magnitude()
-    return float(np.mean(apart > np.radians(5) + 0.2 * gyro.magnitude()))
 
 
 def _wahba(source: FloatArray, target: FloatArray) -> FloatArray:

@@ -15,7 +15,6 @@ from rholoc.trajectory.imu import GyroCalibration, agreeing_rotations, calibrate
 from rholoc.trajectory.inertial import integrate_between_waypoints
 from rholoc.trajectory.visual_inertial import InertialAlignment, align_inertially
 
-_MAX_CONTRADICTION = 0.2  # the share of intervals in which camera and gyroscope may differ
 _MAX_DROPPED = 0.1  # the share of frames that the gyroscope may contradict in a trajectory that is trusted
 _MAX_MOUNTING_SIGMA_DEG = 3.0
 _MAX_TIME_SIGMA_S = 0.05
@@ -54,8 +53,6 @@ def weigh_imu(times: FloatArray, T_world_camera: FloatArray, imu: Imu) -> ImuEvi
     kept = agreeing_rotations(times, T_world_camera[:, :3, :3], camera_rotations(imu, gyro, times))
     report["frames_contradicted"] = int((~kept).sum())
     doubts = []
-    if gyro.contradiction > _MAX_CONTRADICTION:
-        doubts.append(f"The gyroscope contradicts the cameras in {gyro.contradiction:.0%} of the walk.")
     if np.mean(~kept) > _MAX_DROPPED:
         doubts.append(f"The gyroscope contradicts {np.mean(~kept):.0%} of the frames; they were dropped.")
     alignment = None if doubts else align_inertially(times[kept], T_world_camera[kept], imu, gyro)
@@ -110,7 +107,6 @@ def _gyro_report(gyro: GyroCalibration) -> dict[str, Any]:
         "R_camera_imu": gyro.R_camera_imu.tolist(),
         "mounting_sigma_deg": gyro.mounting_sigma_deg,
         "rotation_residual_deg": gyro.residual_deg,
-        "contradiction": gyro.contradiction,
     }
 
 

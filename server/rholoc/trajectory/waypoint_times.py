@@ -15,7 +15,7 @@ from rholoc.geometry import FloatArray
 from rholoc.recordings import Imu, Waypoint
 from rholoc.recordings.stillness import MIN_PAUSE_S, is_still
 
-_STILL_IMAGE = 0.04  # image widths a second, up to which an image alone shows a camera at rest
+_STILL_IMAGE = 0.1  # image widths a second, up to which an image alone shows a camera at rest
 _TREMBLING_IMAGE = 0.15  # … and up to which it does not contradict an IMU that feels rest
 _MOMENT_S = 0.3
 _TOLERANCE_S = 0.1  # a pause this much too short still counts: its ends blur in the mean over a moment
