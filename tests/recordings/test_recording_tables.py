@@ -111,17 +111,18 @@ def test_a_broken_frame_table_is_told(tmp_path: Path, rows: str) -> None:
     "description",
     [
         CameraFile(),
-        CameraFile(fps=25.0, gravity_included=False),
+        CameraFile(fps=25.0, gravity_included=False, readout_s=0.015),
         CameraFile(Camera(640, 480, 500, 501, 320, 240, (0.1, 0.2, 0, 0, 0.3)), R_camera_imu=np.eye(3)[[1, 2, 0]]),
     ],
 )
 def test_a_camera_file_comes_back(tmp_path: Path, description: CameraFile) -> None:
     write_camera_json(tmp_path / "camera.json", description)
     back = read_camera_json(tmp_path / "camera.json")
-    assert (back.camera, back.fps, back.gravity_included) == (
+    assert (back.camera, back.fps, back.gravity_included, back.readout_s) == (
         description.camera,
         description.fps,
         description.gravity_included,
+        description.readout_s,
     )
     np.testing.assert_array_equal(back.R_camera_imu, description.R_camera_imu)
 
@@ -146,6 +147,9 @@ WHOLE = {"width": 640, "height": 480, "fx": 500, "fy": 500, "cx": 320, "cy": 240
         json.dumps({"R_camera_imu": [[1, 0, 0], [0, 1, 0], [0, 0, -1]]}),
         json.dumps({"R_camera_imu": "identity"}),
         json.dumps({"gravity_included": "yes"}),
+        json.dumps({"readout_s": "fast"}),
+        json.dumps({"readout_s": 15}),
+        json.dumps({"readout_s": float("nan")}),
         json.dumps({"fps": 0}),
         json.dumps({"fps": "30"}),
     ],

@@ -151,6 +151,8 @@ def _extract(
             found = extractor.extract(image)
             looks[-1].append(look_at(image))
             if row in is_view:
+                if trajectory.rolling_shutter is not None:
+                    found = trajectory.rolling_shutter.at_once(row, found)
                 cameras.append(trajectory.camera)
                 poses.append(trajectory.T_map_camera[row])
                 times.append(float(trajectory.times[row]))

@@ -13,6 +13,7 @@ from rholoc.errors import InvalidCamera
 from rholoc.geometry import Camera, FloatArray, is_rotation
 from rholoc.recordings.csv_table import read_text
 
+_MAX_READOUT_S = 0.2
 _INTRINSICS = ("width", "height", "fx", "fy", "cx", "cy")
 
 
@@ -25,12 +26,14 @@ class CameraFile:
         fps: frames a second, for image folders without a table of times, or None.
         R_camera_imu: (3, 3), takes vectors of the IMU's axes to the camera frame, or None.
         gravity_included: whether gravity's reaction is part of the IMU's acceleration.
+        readout_s: how long a rolling shutter takes from the top row of a frame to the bottom row, in seconds, or None.
     """
 
     camera: Camera | None = None
     fps: float | None = None
     R_camera_imu: FloatArray | None = None
     gravity_included: bool = True
+    readout_s: float | None = None
 
 
 def read_camera_json(path: Path) -> CameraFile:
@@ -48,7 +51,8 @@ def read_camera_json(path: Path) -> CameraFile:
     gravity_included = values.get("gravity_included", True)
     if not isinstance(gravity_included, bool):
         raise InvalidCamera(f"{path.name}: gravity_included is neither true nor false.")
-    return CameraFile(_camera(values, path), _fps(values, path), _rotation(values, path), gravity_included)
+    rotation, readout_s = _rotation(values, path), _readout_s(values, path)
+    return CameraFile(_camera(values, path), _fps(values, path), rotation, gravity_included, readout_s)
 
 
 def write_camera_json(path: Path, description: CameraFile) -> None:
@@ -61,6 +65,8 @@ def write_camera_json(path: Path, description: CameraFile) -> None:
         values["fps"] = description.fps
     if description.R_camera_imu is not None:
         values["R_camera_imu"] = description.R_camera_imu.tolist()
+    if description.readout_s is not None:
+        values["readout_s"] = description.readout_s
     path.write_text(json.dumps(values, indent=2) + "\n", encoding="utf-8")
 
 
@@ -91,6 +97,17 @@ def _fps(values: dict[str, Any], path: Path) -> float | None:
     if isinstance(fps, bool) or not isinstance(fps, int | float) or not 0 < fps < 10_000:
         raise InvalidCamera(f"{path.name}: {fps!r} is not a number of frames a second.")
     return float(fps)
+
+
+def _readout_s(values: dict[str, Any], path: Path) -> float | None:
+    readout_s = values.get("readout_s")
+    if readout_s is None:
+        return None
+    if isinstance(readout_s, bool) or not isinstance(readout_s, int | float) or not 0 <= readout_s <= _MAX_READOUT_S:
+        raise InvalidCamera(
+            f"{path.name}: a read-out time of {readout_s!r} s is not possible.", "Leave it out if unknown."
+        )
+    return float(readout_s) or None
 
 
 def _rotation(values: dict[str, Any], path: Path) -> FloatArray | None:

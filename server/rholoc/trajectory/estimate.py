@@ -17,6 +17,7 @@ from rholoc.trajectory.inertial import integrate_between_waypoints
 from rholoc.trajectory.keyframe_features import extract_keyframe_features
 from rholoc.trajectory.keyframes import choose_keyframes, measure_motion
 from rholoc.trajectory.map_frame import frame_of_first_camera, frame_of_waypoints
+from rholoc.trajectory.rolling_shutter import measure_rolling_shutter
 from rholoc.trajectory.trajectory import PoseMethod, Scale, Trajectory
 from rholoc.trajectory.upright import up_without_roll
 from rholoc.trajectory.visual import MIN_PLACED, VisualPoses, structure_from_motion
@@ -112,6 +113,10 @@ def _visual(recording: Recording, method: PoseMethod, progress: ProgressListener
     imu = recording.imu if method is PoseMethod.VISUAL_INERTIAL else None
     rows, choices = _keyframes(recording, imu, progress)
     features = extract_keyframe_features(recording.frames, rows, progress)
+    shutter = None
+    if recording.readout_s is not None:
+        shutter = measure_rolling_shutter(recording.frames, rows, recording.readout_s)
+        features = [shutter.at_once(k, found) for k, found in enumerate(features)]
     textured = sum(len(found) >= _FEWEST_FEATURES for found in features)
     if textured < max(MIN_PLACED * len(rows), 2):
         raise MappingFailed(
@@ -127,7 +132,8 @@ def _visual(recording: Recording, method: PoseMethod, progress: ProgressListener
         progress=progress,
         stage=Stage.POSES,
     )
-    rows, T = rows[visual.reconstruction.placed], visual.reconstruction.T_world_camera
+    kept, T = visual.reconstruction.placed, visual.reconstruction.T_world_camera
+    rows = rows[kept]
     report = _visual_report(visual, len(features), method)
     doubts = [] if visual.trusted else [visual.why]
     if visual.calibration is not None:
@@ -139,7 +145,7 @@ def _visual(recording: Recording, method: PoseMethod, progress: ProgressListener
     evidence = None
     if imu is not None:
         evidence = weigh_imu(recording.frames.times[rows], T, imu)
-        rows, T = rows[evidence.kept], T[evidence.kept]
+        rows, T, kept = rows[evidence.kept], T[evidence.kept], kept[evidence.kept]
         report["imu"] = evidence.report
         doubts += evidence.doubts
     times, alignment = recording.frames.times[rows], None if evidence is None else evidence.alignment
@@ -156,7 +162,8 @@ def _visual(recording: Recording, method: PoseMethod, progress: ProgressListener
     report["trusted"] = not doubts
     report["why"] = " ".join(doubts) or visual.why
     progress(Stage.POSES, 1.0, f"{len(rows)} frames placed")
-    return Trajectory(rows, times, T, visual.camera, frame.scale, frame.upright, report)
+    shutter = None if shutter is None else shutter.take(kept)
+    return Trajectory(rows, times, T, visual.camera, frame.scale, frame.upright, report, shutter)
 
 
 def _keyframes(

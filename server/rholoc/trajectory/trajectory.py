@@ -7,6 +7,7 @@ from enum import StrEnum
 from typing import Any
 
 from rholoc.geometry import Camera, FloatArray, IntArray
+from rholoc.trajectory.rolling_shutter import RollingShutter
 
 
 class PoseMethod(StrEnum):
@@ -37,6 +38,8 @@ class Trajectory:
         scale: whether lengths are metres.
         upright: whether the map's z axis is known to point up.
         report: figures for people, JSON-serialisable: waypoint residuals, reprojection error, frames placed, …
+        rolling_shutter: how the image moves in these frames while they are read; None where that is not known, or they
+            are read at once.
     """
 
     rows: IntArray
@@ -46,3 +49,4 @@ class Trajectory:
     scale: Scale
     upright: bool
     report: dict[str, Any] = field(default_factory=dict)
+    rolling_shutter: RollingShutter | None = None

@@ -51,6 +51,7 @@ def read(folder: Path) -> Recording:
         waypoints=read_waypoints_csv(waypoints_csv, frames) if waypoints_csv.is_file() else (),
         poses=None if poses is None else match_poses(read_pose_table(poses), frames),
         format=RecordingFormat.RHOLOC,
+        readout_s=description.readout_s,
         warnings=(*warnings, *imu_warnings),
     )
 
