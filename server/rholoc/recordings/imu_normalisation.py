@@ -89,10 +89,11 @@ def normalise_imu(
     _check_range(accelerometer, "accelerometer")
     _check_range(gyroscope, "gyroscope")
     warnings: list[RecordingWarning] = []
-    felt = _advancing(_in_seconds(accelerometer, says.time_unit, "accelerometer", warnings), "accelerometer", warnings)
-    turned = _advancing(_in_seconds(gyroscope, says.time_unit, "gyroscope", warnings), "gyroscope", warnings)
-    for samples, sensor in ((felt, "accelerometer"), (turned, "gyroscope")):
-        warnings += rate_warnings(samples.times, sensor)
+    if np.array_equal(accelerometer.times, gyroscope.times):
+        felt, turned = _on_clock("IMU", [accelerometer, gyroscope], says.time_unit, warnings)
+    else:
+        (felt,) = _on_clock("accelerometer", [accelerometer], says.time_unit, warnings)
+        (turned,) = _on_clock("gyroscope", [gyroscope], says.time_unit, warnings)
     measured = measure_acceleration(felt.values, says)
     warnings += _convention_warnings(says, measured)
     factor = (STANDARD_GRAVITY if measured.in_g else 1.0) * (-1 if measured.apple_sign else 1)
@@ -251,27 +252,26 @@ def _is_one(length_g: float) -> bool:
     return abs(length_g - 1) < _ONE_G_TOLERANCE
 
 
-def _in_seconds(samples: Samples, says: str, sensor: str, warnings: list[RecordingWarning]) -> Samples:
-    unit = time_unit(samples.times)
-    if unit is None and len(samples.times) >= _FEWEST_TO_MEASURE:
+def _on_clock(what: str, sensors: list[Samples], says: str, warnings: list[RecordingWarning]) -> list[Samples]:
+    """Sensors with the same times, in seconds, without the rows that do not advance; notes what is amiss with them."""
+    times = sensors[0].times
+    unit = time_unit(times)
+    if unit is None and len(times) >= _FEWEST_TO_MEASURE:
         raise InvalidRecording(
-            f"The times of the {sensor} make no sense in s, ms, µs or ns.",
+            f"The times of the {what} make no sense in s, ms, µs or ns.",
             "They must advance by the time between two samples.",
         )
     unit = unit or says
     if unit != says:
-        warnings.append(_unit_warning(sensor, unit, says))
-    return replace(samples, times=samples.times / _PER_SECOND[unit])
+        warnings.append(_unit_warning(what, unit, says))
+    times = times / _PER_SECOND[unit]
+    rows, dropped = advancing_rows(times, what)
+    warnings += [*dropped, *rate_warnings(times[rows], what)]
+    return [Samples(times[rows], samples.values[rows]) for samples in sensors]
 
 
 def _unit_warning(what: str, unit: str, says: str) -> RecordingWarning:
     return RecordingWarning(WarningKind.TIME_UNIT, f"The times of the {what} are in {unit}, not in {says}.")
-
-
-def _advancing(samples: Samples, sensor: str, warnings: list[RecordingWarning]) -> Samples:
-    rows, found = advancing_rows(samples.times, sensor)
-    warnings += found
-    return Samples(samples.times[rows], samples.values[rows])
 
 
 def _convention_warnings(says: ImuConvention, measured: ImuConvention) -> list[RecordingWarning]:
