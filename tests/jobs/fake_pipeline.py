@@ -19,7 +19,8 @@ from rholoc.maps import DensityKind, Map, MapInfo, save_map
 from rholoc.progress import ProgressListener, Stage
 
 TIMING = Timing(poll_s=0.1, heartbeat_s=0.25, dead_after_s=1.5, cancel_grace_s=0.5)
-BUILD_STAGES = tuple(stage for stage in Stage if stage not in (Stage.RECEIVED, Stage.PUBLISHED))
+BUILD_STAGES: tuple[Stage, ...] = tuple(stage for stage in Stage if stage not in (Stage.RECEIVED, Stage.PUBLISHED))
+KILL_POINTS = (*BUILD_STAGES, "built", "publishing", "after-publishing")
 
 
 @dataclass(frozen=True)
@@ -73,19 +74,24 @@ class FakePipeline(MappingPipeline):
                 progress(stage, 0.5, f"at {stage}")
                 time.sleep(0.02)
             self._wait(f"deaf-{stage}")
+            self._kill_once(task, stage, os.getppid())
             self._obey(task.recording.read_bytes(), stage)
         save_map(tiny_map(trusted=task.recording.read_bytes() != b"a doubtful walk"), task.map_file)
         self.control.reach("built")
         self._wait("built")
+        self._kill_once(task, "built", os.getppid())
 
     def publish(self, task: MappingTask) -> tuple[str, ...]:
         self._wait("publishing")
+        self._kill_once(task, "publishing", os.getpid())
         target = task.maps_dir / f"{task.map_name}.rho"
         before = target.stat().st_ino if target.exists() else None
         doubts = super().publish(task)
         if target.stat().st_ino != before:
             self.control.reach("put")
+            self.control.reach(f"put {task.map_name}")
         self._wait("after-publishing")
+        self._kill_once(task, "after-publishing", os.getpid())
         return doubts
 
     def _wait(self, point: str) -> None:
@@ -93,6 +99,14 @@ class FakePipeline(MappingPipeline):
             self.control.reach(point)
         while self.control.held(point):
             time.sleep(0.02)
+
+    def _kill_once(self, task: MappingTask, point: str, worker: int) -> None:
+        """Kill the worker where the recording says so, the first time."""
+        killed = self.control.folder / f"killed-{task.map_name}-{point}"
+        if f" {point}," in task.recording.read_text() and not killed.exists():
+            killed.touch()
+            os.kill(worker, signal.SIGKILL)
+            time.sleep(60)  # a build is killed with its worker
 
     def _obey(self, recording: bytes, stage: Stage) -> None:
         if recording == f"unreadable at {stage}".encode():

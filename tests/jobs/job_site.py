@@ -6,7 +6,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from fake_pipeline import Control
@@ -50,6 +50,23 @@ class Site:
         """Wait until workers have been at a point of the pipeline."""
         until(lambda: self.control.count(point) >= times)
 
+    def survive_kills(self, plans: Sequence[Sequence[str]]) -> list[Job]:
+        """Do jobs, each of which has points where its worker is killed once; the jobs, when all have ended.
+
+        Two workers are kept alive.
+        """
+        jobs = []
+        for number, points in enumerate(plans):
+            content = "kill at" + "".join(f" {point}," for point in points)
+            jobs.append(self.submit(content.encode(), f"room-{number}"))
+        until(lambda: self._have_ended(jobs), _TIMEOUT_S * (1 + sum(map(len, plans)) / 5))
+        return [self.queue.get(job.id) for job in jobs]
+
+    def _have_ended(self, jobs: list[Job]) -> bool:
+        for _ in range(2 - sum(worker.poll() is None for worker in self._workers)):
+            self.start_worker()
+        return all(self.queue.get(job.id).state.ended for job in jobs)
+
     def close(self) -> None:
         """End what was started."""
         for point in list(self.control.folder.glob("hold-*")):
@@ -61,9 +78,9 @@ class Site:
         self.queue.close()
 
 
-def until(condition: Callable[[], bool]) -> None:
+def until(condition: Callable[[], bool], timeout_s: float = _TIMEOUT_S) -> None:
     """Wait for a condition."""
-    deadline = time.monotonic() + _TIMEOUT_S
+    deadline = time.monotonic() + timeout_s
     while not condition():
         assert time.monotonic() < deadline, "it did not happen in time"
         time.sleep(0.03)

@@ -7,7 +7,7 @@ import signal
 from typing import TYPE_CHECKING
 
 import pytest
-from job_site import alive, until
+from fake_pipeline import KILL_POINTS
 
 from rholoc.jobs import JobState
 from rholoc.maps import MapLibrary
@@ -16,35 +16,17 @@ if TYPE_CHECKING:
     from job_site import Site
 
 
-KILLED_AT = (
-    ("read", "keyframes", "features", "poses"),
-    ("observations", "densities", "report", "built"),
-    ("publishing", "after-publishing"),
-)
-
-
 @pytest.mark.slow
 def test_workers_killed_in_every_stage_lose_no_job_and_publish_each_once(site: Site) -> None:
-    worker = site.start_worker()
-    for number, points in enumerate(KILLED_AT):
-        seen = {point: site.control.count(point) for point in points}
-        for point in points:
-            site.control.hold(point)
-        job = site.submit(map_name=f"room-{number}")
-        for point in points:
-            site.wait_at(point, seen[point] + 1)
-            next_worker = site.start_worker()
-            worker.kill()
-            worker.wait()
-            until(lambda: not any(alive(pid) for pid in site.control.processes()))
-            site.control.let_go(point)
-            worker = next_worker
-        done = site.wait_for(job, JobState.PUBLISHED, JobState.FAILED)
-        assert (done.state, done.attempts) == (JobState.PUBLISHED, len(points) + 1)
-        assert site.control.count("put") == number + 1
-        assert site.recordings.get(job.recording).files == ("walk.mp4",)
-    assert site.control.count("read") == 4 + 4 + 1, "what was built is not built again"
-    assert MapLibrary(site.maps_dir).names() == ["room-0", "room-1", "room-2"]
+    plans = [KILL_POINTS[:3], KILL_POINTS[3:6], KILL_POINTS[6:8], KILL_POINTS[8:]]
+    jobs = site.survive_kills(plans)
+    assert [job.state for job in jobs] == [JobState.PUBLISHED] * len(jobs)
+    assert {job.map_name: site.control.count(f"put {job.map_name}") for job in jobs} == {
+        job.map_name: 1 for job in jobs
+    }
+    assert all(job.attempts > len(points) for job, points in zip(jobs, plans, strict=True)), "each point killed"
+    assert len(site.recordings.list()) == len(jobs)
+    assert MapLibrary(site.maps_dir).names() == sorted(job.map_name for job in jobs)
 
 
 def test_two_workers_share_the_queue_and_one_takes_over_from_the_other(site: Site) -> None:
