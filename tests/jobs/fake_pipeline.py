@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import sys
+import threading
 import time
 import uuid
 from dataclasses import dataclass
@@ -146,8 +147,21 @@ def tiny_map(trusted: bool = True) -> Map:
     )
 
 
+def orphaned() -> threading.Event:
+    """Set once the process that started this one is gone, however it ended."""
+    parent, event = os.getppid(), threading.Event()
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(0.5)
+        event.set()
+
+    threading.Thread(target=watch, daemon=True).start()
+    return event
+
+
 if __name__ == "__main__":
     data_dir, maps_dir, control_dir = map(Path, sys.argv[1:])
     from fake_pipeline import FakePipeline as ImportablePipeline  # not of __main__, so that it can be pickled
 
-    run_worker(data_dir, maps_dir, pipeline=ImportablePipeline(Control(control_dir)), timing=TIMING)
+    run_worker(data_dir, maps_dir, pipeline=ImportablePipeline(Control(control_dir)), timing=TIMING, stop=orphaned())
