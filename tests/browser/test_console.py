@@ -233,7 +233,7 @@ def test_a_camera_that_is_refused_is_told(browser, named):
 
 
 def test_a_job_is_cancelled_and_tried_again(browser, named):
-    with opened(browser, named.url, "jobs", failures=-1) as page:
+    with opened(browser, named.url, "jobs") as page:
         page.get_by_role("link", name="hall").first.click()
         page.get_by_role("button", name="Cancel").click()
         expect(page.locator("main .badge")).to_have_text("cancelled")
@@ -243,7 +243,7 @@ def test_a_job_is_cancelled_and_tried_again(browser, named):
 
 def test_a_recording_is_uploaded(browser, named, tmp_path):
     (tmp_path / "stairs.mp4").write_bytes(b"\0\0\0\x18ftypmp42" + b"\1" * 5_000_000)
-    with opened(browser, named.url, "recordings", failures=-1) as page:
+    with opened(browser, named.url, "recordings") as page:
         form = settled(page).locator("form")
         form.get_by_label("Recording").set_input_files(tmp_path / "stairs.mp4")
         form.get_by_label("Map", exact=True).fill("stairs")

@@ -49,14 +49,14 @@ export async function showJob(main, id, signal) {
   let shown = "";
   const hear = (job) => {
     const now = JSON.stringify(job);
-    if (now !== shown) fill(place, job_(job));
+    if (now !== shown) fill(place, overview(job));
     shown = now;
   };
   hear(await get(path`v1/jobs/${id}`, { signal }));
   await followJob(id, hear, signal);
 }
 
-function job_(job) {
+function overview(job) {
   const again = () => dispatchEvent(new HashChangeEvent("hashchange"));
   return [
     h("div", { class: "row spread" },
@@ -72,6 +72,7 @@ function job_(job) {
       h("div", { class: "row" }, stateBadge(job.state), h("span", { role: "status" }, job.message)),
       bar(job),
       stages(job)),
+    job.warnings.map((warning) => h("p", { class: "notice warn" }, warning)),
     job.error && h("div", { class: "notice bad", role: "alert" }, h("p", {}, h("strong", {}, job.error.message)), h("p", {}, job.error.hint)),
     facts([
       ["Queued", when(job.created)],

@@ -52,6 +52,7 @@ async function fillPicture(place, address, name, signal) {
 function fillAbout(place, map, { report }) {
   const metric = map.scale === "metric";
   const heldOut = report.held_out;
+  const advice = [report.coaching ?? []].flat().flatMap((section) => section.advice ?? []).map(({ text }) => text);
   fill(
     place,
     !metric && h("p", { class: "notice warn" }, "Nothing measured fixed this map's unit of length: positions are not metres."),
@@ -71,16 +72,21 @@ function fillAbout(place, map, { report }) {
       heldOut?.frames
         ? facts([
             ["Held out", `${heldOut.localized} of ${heldOut.frames} frames localized`],
-            ["Median error", `${length(heldOut.median_m, metric)}, ${heldOut.median_deg.toFixed(2)}°`],
-            ["90 % within", length(heldOut.p90_m, metric)],
+            ["Median error", measured(heldOut.median_m, (value) => length(value, metric))],
+            ["Median turn", measured(heldOut.median_deg, (value) => `${value.toFixed(2)}°`)],
+            ["90 % within", measured(heldOut.p90_m, (value) => length(value, metric))],
           ])
         : h("p", { class: "muted" }, "No frames were held out of it."),
-      facts([["Landmark uncertainty", Number.isFinite(report.landmark_sigma_median_m) ? length(report.landmark_sigma_median_m, metric) : null]])),
+      facts([["Landmark uncertainty", measured(report.landmark_sigma_median_m, (value) => length(value, metric))]]),
+      advice.length > 0 && [h("h3", {}, "On the next walk"), h("ul", {}, advice.map((text) => h("li", {}, text)))]),
     h("section", { class: "card stack" }, h("h2", {}, "Learned from"), sources(map)),
     map.waypoints.length > 0 && h("section", { class: "card stack" }, h("h2", {}, "Waypoints"), waypoints(map, metric)),
     h("section", { class: "card stack" }, h("h2", {}, "Take it away"), downloads(map.name)),
   );
 }
+
+/** A report may lack a figure, or hold none. */
+const measured = (value, show) => (Number.isFinite(value) ? show(value) : null);
 
 function sources({ name, sources: all }) {
   return h("ul", { class: "plain" }, all.map((source) =>
