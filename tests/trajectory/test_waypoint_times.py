@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rholoc.errors import InvalidWaypoints
-from rholoc.geometry import FloatArray, pose_matrix
+from rholoc.geometry import BoolArray, FloatArray, pose_matrix
 from rholoc.recordings import Imu, Waypoint
 from rholoc.trajectory.map_frame import frame_of_waypoints
 from rholoc.trajectory.waypoint_times import choices_of_pauses, find_pauses, times_are_known
@@ -16,8 +16,8 @@ _RESTS = np.array([[0.0, 1.5], [8.0, 9.5], [16.0, 18.0], [25.0, 26.4], [38.0, 39
 _PLACES = ((0.0, 0.0, 1.4), (2.0, 0.0, 1.4), (2.5, 2.0, 1.3), (0.5, 3.0, 1.4), (-1.0, 1.0, 1.5))
 
 
-def _resting(times: FloatArray) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
-    return ((times[:, None] >= _RESTS[:, 0]) & (times[:, None] <= _RESTS[:, 1])).any(axis=1)
+def _resting(times: FloatArray) -> BoolArray:
+    return np.array([bool(np.any((_RESTS[:, 0] <= t) & (t <= _RESTS[:, 1]))) for t in times])
 
 
 def _motion(tremor: float = 0.0) -> FloatArray:

@@ -40,7 +40,7 @@ def build(
     frames: options.Frames = None,
     camera: options.Camera = None,
     waypoints: Annotated[
-        Path | None, typer.Option(metavar="CSV", help="Measured waypoints: name,time or frame,x,y,z.")
+        Path | None, typer.Option(metavar="CSV", help="Measured waypoints: name[,time or frame],x,y,z.")
     ] = None,
     report: Annotated[
         bool, typer.Option(help="Hold frames out and localize them, for the map's own report; takes time.")

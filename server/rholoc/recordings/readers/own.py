@@ -5,7 +5,7 @@
     video.mp4 | .mov | .webm | …     or images, here or in frames/ or images/
     frames.csv | times.csv           frame,timestamp                        optional
     imu.csv                          timestamp,ax,ay,az,gx,gy,gz (Table 3)  optional
-    waypoints.csv                    name,time|frame,x,y,z                  optional
+    waypoints.csv                    name[,time|frame],x,y,z                optional
     camera.json                      intrinsics, fps, R_camera_imu          optional
     poses.txt | poses.csv            frame|time tx ty tz qx qy qz qw        optional
 """

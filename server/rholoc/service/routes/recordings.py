@@ -59,7 +59,7 @@ def _form_schema() -> dict[str, Any]:
             "items": BINARY,
             "description": "a video, a ZIP file, or the files of a recording's folder",
         },
-        "waypoints": {**BINARY, "description": "waypoints.csv: name,time or frame,x,y,z; not beside a ZIP file"},
+        "waypoints": {**BINARY, "description": "waypoints.csv: name[,time or frame],x,y,z; not beside a ZIP file"},
     }
     return {"type": "object", "required": ["file", "map"], "properties": {**files, **inlined}}
 
