@@ -216,10 +216,14 @@ def test_broken_videos_are_told(make_video, tmp_path: Path) -> None:
 def test_a_broken_video_is_told_in_one_line(capfd: pytest.CaptureFixture[str], make_video, tmp_path: Path) -> None:
     whole = make_video(tmp_path / "whole.mp4", frames=60).read_bytes()
     (tmp_path / "cut.mp4").write_bytes(whole[: len(whole) // 2])
+    codec = whole.index(b"\x20\x11", whole.index(b"esds"))  # MPEG-4 by its number, beside its name
+    foreign = whole[:codec] + b"\xfe" + whole[codec + 1 :]
+    (tmp_path / "foreign.mp4").write_bytes(foreign.replace(b"mp4v", b"zzzz"))
     capfd.readouterr()
-    with pytest.raises(InvalidRecording):
-        read_recording(tmp_path / "cut.mp4")
-    assert capfd.readouterr() == ("", "")
+    for name in ("cut.mp4", "foreign.mp4"):
+        with pytest.raises(InvalidRecording, match=name):
+            read_recording(tmp_path / name)
+        assert capfd.readouterr() == ("", "")
 
 
 def test_a_video_that_shrinks_after_it_was_read_is_told(make_video, tmp_path: Path) -> None:
