@@ -31,10 +31,10 @@ def advice_line(coaching: Sequence[dict[str, Any]]) -> str:
 
 
 def with_advice(failure: MappingFailed, recording: Recording) -> MappingFailed:
-    """The failure with what the recording itself shows of its cause added to the hint."""
+    """The failure with what is amiss in the recording, and what its frames and IMU advise, added to the hint."""
     try:
         section = coach(recording, look_through(recording.frames), np.zeros(0), np.zeros((0, 4, 4)))
     except InvalidRecording:
         return failure
-    texts = [advice["text"] for advice in section["advice"]]
+    texts = [found["text"] for found in (*section["warnings"], *section["advice"])]
     return MappingFailed(failure.message, " ".join([failure.hint, *texts]).strip())
