@@ -66,6 +66,19 @@ def test_the_gyroscope_is_calibrated(known_mounting: bool) -> None:
     assert found.residual_deg < 0.2
 
 
+def test_a_mounting_that_the_recording_states_wrongly_is_found() -> None:
+    walk = _walk()
+    landscape = _R_CAMERA_IMU @ Rotation.from_euler("z", 90, degrees=True).as_matrix()
+    found = calibrate_gyro(walk.times, walk.T_map_camera[:, :3, :3], replace(walk.imu, R_camera_imu=landscape))
+    assert found is not None
+    assert found.contradicts_recording
+    assert np.degrees(Rotation.from_matrix(found.R_camera_imu.T @ _R_CAMERA_IMU).magnitude()) < 0.5
+    right = calibrate_gyro(walk.times, walk.T_map_camera[:, :3, :3], walk.imu)
+    assert right is not None
+    assert not right.contradicts_recording
+    np.testing.assert_array_equal(right.R_camera_imu, _R_CAMERA_IMU)
+
+
 def test_the_gyroscope_contradicts_wrong_rotations() -> None:
     walk = _walk()
     bent = Rotation.from_rotvec(np.outer(np.sin(walk.times), [0.0, 0.6, 0.0])).as_matrix()

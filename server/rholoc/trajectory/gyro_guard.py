@@ -13,9 +13,6 @@ from rholoc.recordings import Imu
 from rholoc.trajectory.imu import allowed_apart, calibrate_gyro, camera_rotations
 from rholoc.trajectory.two_view import VerifiedPair
 
-_MAX_RESIDUAL_DEG = 2.0  # over short intervals; a calibration that fits worse guards nothing
-_MAX_MOUNTING_SIGMA_DEG = 2.0
-
 
 @dataclass(frozen=True, eq=False)
 class GyroGuard:
@@ -38,7 +35,7 @@ class GyroGuard:
         images a moment apart, most of what is seen is the same.
         """
         gyro = calibrate_gyro(self.times, _chained(sequential, len(self.times)), self.imu)
-        if gyro is None or gyro.residual_deg > _MAX_RESIDUAL_DEG or gyro.mounting_sigma_deg > _MAX_MOUNTING_SIGMA_DEG:
+        if gyro is None or not (gyro.fits and gyro.mounting_is_known):
             return list(sequential), list(loops)
         R_start_camera = camera_rotations(self.imu, gyro, self.times)
 

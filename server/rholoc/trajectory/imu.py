@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
@@ -14,8 +14,12 @@ _OFFSETS_S = np.arange(-0.25, 0.2501, 0.01)
 _FINE_OFFSETS_S = np.arange(-0.01, 0.0101, 0.001)
 _MIN_INTERVAL_S = 0.2  # rotations over shorter times are mostly noise
 _FEWEST_INTERVALS = 7
+_MAX_RESIDUAL_DEG = 2.0  # over short intervals, of a gyroscope that belongs to the camera
 _LARGEST_ERROR_RAD = np.radians(5.0)  # of an interval; larger ones count as this
 _OFFSET_COST_RAD_S = 1e-3  # so that nothing is shifted in time for nothing
+_OTHER_MOUNTING_RAD = np.radians(15.0)  # from which two mountings are not the same
+_CLEARLY_BETTER = 3.0  # times smaller is the residual of a mounting that is believed against the recording
+_MAX_MOUNTING_SIGMA_DEG = 3.0  # of a mounting that counts as found
 _NORM_TO_SIGMA = 0.65  # of an axis, from the median norm of a three-vector of normal errors
 _MAX_APART_RAD = np.radians(10.0)  # between a camera's rotation and the gyroscope's, at once …
 _DRIFT_RAD_S = np.radians(0.1)  # … and more for every second between
@@ -30,7 +34,8 @@ class GyroCalibration:
         time_offset_sigma_s: its standard uncertainty; large where the camera hardly turns.
         bias: (3,) rad/s, of the gyroscope.
         bias_sigma: rad/s, its standard uncertainty in every axis.
-        R_camera_imu: (3, 3), as the recording says, or found where it does not.
+        R_camera_imu: (3, 3), as the recording says, or found where it does not or is wrong.
+        contradicts_recording: whether it is far from what the recording says.
         mounting_sigma_deg: the standard uncertainty of a rotation that was found, in its weakest axis; else 0.
         residual_deg: the median angle between the camera's rotation and the gyroscope's over short intervals.
     """
@@ -40,8 +45,19 @@ class GyroCalibration:
     bias: FloatArray
     bias_sigma: float
     R_camera_imu: FloatArray
+    contradicts_recording: bool
     mounting_sigma_deg: float
     residual_deg: float
+
+    @property
+    def mounting_is_known(self) -> bool:
+        """Whether the camera turned enough to show how the IMU is mounted, where that was not known."""
+        return self.mounting_sigma_deg <= _MAX_MOUNTING_SIGMA_DEG
+
+    @property
+    def fits(self) -> bool:
+        """Whether camera and gyroscope turn together at all."""
+        return self.residual_deg <= _MAX_RESIDUAL_DEG
 
 
 def orientations(imu: Imu, bias: FloatArray) -> Rotation:
@@ -59,7 +75,22 @@ def calibrate_gyro(times: FloatArray, R_world_camera: FloatArray, imu: Imu) -> G
     """Fit the gyroscope to the rotations (N, 3, 3) of the camera at ``times`` (N,); None without common rotations.
 
     The time offset is searched, bias and (where unknown) mounting are solved for: Wahba's problem on rotation vectors.
+    A mounting that the recording states is not believed where another one fits several times better: a phone turned to
+    landscape, a recorder with axes of its own.
     """
+    stated = _fit(times, R_world_camera, imu)
+    if stated is None or imu.R_camera_imu is None:
+        return stated
+    found = _fit(times, R_world_camera, replace(imu, R_camera_imu=None))
+    if found is None or found.mounting_sigma_deg > _MAX_MOUNTING_SIGMA_DEG:
+        return stated
+    apart_rad = Rotation.from_matrix(found.R_camera_imu.T @ imu.R_camera_imu).magnitude()
+    if apart_rad < _OTHER_MOUNTING_RAD or _CLEARLY_BETTER * found.residual_deg > stated.residual_deg:
+        return stated
+    return replace(found, contradicts_recording=True)
+
+
+def _fit(times: FloatArray, R_world_camera: FloatArray, imu: Imu) -> GyroCalibration | None:
     rows = spaced_rows(times, _MIN_INTERVAL_S)
     margin = -_OFFSETS_S[0] + 0.01
     rows = rows[(times[rows] > imu.times[0] + margin) & (times[rows] < imu.times[-1] - margin)]
@@ -93,6 +124,7 @@ def calibrate_gyro(times: FloatArray, R_world_camera: FloatArray, imu: Imu) -> G
         bias,
         sigma / float(np.sqrt(np.sum(spans**2))),
         R_camera_imu,
+        False,
         0.0 if imu.R_camera_imu is not None else _mounting_sigma_deg(camera, sigma),
         float(np.degrees(typical)),
     )

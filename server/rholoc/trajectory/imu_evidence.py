@@ -16,7 +16,6 @@ from rholoc.trajectory.inertial import integrate_between_waypoints
 from rholoc.trajectory.visual_inertial import InertialAlignment, align_inertially
 
 _MAX_DROPPED = 0.1  # the share of frames that the gyroscope may contradict in a trajectory that is trusted
-_MAX_MOUNTING_SIGMA_DEG = 3.0
 _MAX_TIME_SIGMA_S = 0.05
 
 
@@ -45,11 +44,12 @@ def weigh_imu(times: FloatArray, T_world_camera: FloatArray, imu: Imu) -> ImuEvi
     gyro = calibrate_gyro(times, T_world_camera[:, :3, :3], imu)
     if gyro is None:
         return ImuEvidence(kept, report={"not_observable": {"all": "IMU and video hardly overlap."}})
-    report = _gyro_report(gyro)
-    why_no_axes = _why_no_axes(gyro, imu)
-    report["not_observable"] = why_no_axes
-    if "mounting" in why_no_axes:
+    report = _gyro_report(gyro) | {"not_observable": _why_not_calibrated(gyro)}
+    if not gyro.mounting_is_known:
         return ImuEvidence(kept, report=report)
+    if not gyro.fits:
+        doubt = f"The gyroscope contradicts the cameras: moment by moment they turn {gyro.residual_deg:.1f}° apart."
+        return ImuEvidence(kept, report=report, doubts=(doubt,))
     kept = agreeing_rotations(times, T_world_camera[:, :3, :3], camera_rotations(imu, gyro, times))
     report["frames_contradicted"] = int((~kept).sum())
     doubts = []
@@ -87,11 +87,11 @@ def compare_with_inertial(
     }
 
 
-def _why_no_axes(gyro: GyroCalibration, imu: Imu) -> dict[str, str]:
+def _why_not_calibrated(gyro: GyroCalibration) -> dict[str, str]:
     reasons = {}
     if gyro.time_offset_sigma_s > _MAX_TIME_SIGMA_S:
         reasons["time_offset"] = "The camera hardly turns: nothing shows by how much camera and IMU are apart in time."
-    if imu.R_camera_imu is None and gyro.mounting_sigma_deg > _MAX_MOUNTING_SIGMA_DEG:
+    if not gyro.mounting_is_known:
         reasons["mounting"] = (
             "How the IMU is mounted is not known, and the camera hardly turns about two axes, which would show it."
         )
@@ -105,6 +105,7 @@ def _gyro_report(gyro: GyroCalibration) -> dict[str, Any]:
         "gyro_bias_rad_per_s": gyro.bias.tolist(),
         "gyro_bias_sigma_rad_per_s": gyro.bias_sigma,
         "R_camera_imu": gyro.R_camera_imu.tolist(),
+        "R_camera_imu_contradicts_recording": gyro.contradicts_recording,
         "mounting_sigma_deg": gyro.mounting_sigma_deg,
         "rotation_residual_deg": gyro.residual_deg,
     }
