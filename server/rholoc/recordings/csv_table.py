@@ -13,6 +13,7 @@ from rholoc.errors import InvalidInput, InvalidRecording
 from rholoc.geometry import FloatArray
 
 MAX_TABLE_BYTES = 2**29
+_MOST_SHOWN = 200  # characters of a table in a message
 
 
 def read_text(path: Path, error: type[InvalidInput] = InvalidRecording) -> str:
@@ -85,7 +86,7 @@ def require_columns(path: Path, header: Sequence[str], columns: Sequence[str], e
     missing = [column for column in columns if column not in header]
     if missing:
         raise error(
-            f"{path.name} has no column {', '.join(missing)}; its header is '{','.join(header)}'.",
+            f"{path.name} has no column {', '.join(missing)}; its header is '{_shown(','.join(header))}'.",
             f"The first row must be {','.join(columns)}.",
         )
 
@@ -101,8 +102,12 @@ def parse_number(text: str, path: Path, line: int, column: str, error: type[Inva
     except ValueError:
         value = np.nan
     if not np.isfinite(value):
-        raise error(f"{path.name}, row {line}: '{text}' under {column} is not a finite number.")
+        raise error(f"{path.name}, row {line}: '{_shown(text)}' under {column} is not a finite number.")
     return value
+
+
+def _shown(text: str) -> str:
+    return text if len(text) <= _MOST_SHOWN else f"{text[:_MOST_SHOWN]}…"
 
 
 def require_increasing(times: FloatArray, path: Path, error: type[InvalidInput] = InvalidRecording) -> None:

@@ -101,13 +101,8 @@ def read_logged_table(path: Path) -> LoggedTable:
 
 def header_of(path: Path) -> tuple[str, ...]:
     """The names in a table's header, as :class:`LoggedTable` has them; empty for no file, no text or no header."""
-    try:
-        with path.open("rb") as file:
-            lines = file.read(_HEAD_BYTES).decode("utf-8-sig").splitlines()
-    except (OSError, UnicodeDecodeError):
-        return ()
     before: list[str] = []
-    for line in lines:
+    for line in _head(path):
         if _begins_with_number(line):
             return _header(before, blanks="," not in line)
         before.append(line)
@@ -120,14 +115,18 @@ def has_columns(path: Path, names: Sequence[str]) -> bool:
 
 
 def is_bare_table(path: Path, columns: int) -> bool:
-    """Whether a file is a table of numbers with so many columns, judged by its first line that is not a comment."""
+    """Whether a file is a table of numbers with so many columns, judged by its first line that begins with one."""
+    first = next((line for line in _head(path) if _begins_with_number(line)), None)
+    return first is not None and len(_fields(first, "," not in first)) == columns
+
+
+def _head(path: Path) -> list[str]:
+    """The first lines of a text file; none for no file or no text."""
     try:
         with path.open("rb") as file:
-            lines = file.read(_HEAD_BYTES).decode("utf-8-sig").splitlines()
-    except (OSError, UnicodeDecodeError):
-        return False
-    first = next((line for line in lines if _begins_with_number(line)), "")
-    return len(_fields(first, "," not in first)) == columns if first else False
+            return file.read(_HEAD_BYTES).decode("utf-8-sig", errors="replace").splitlines()
+    except OSError:
+        return []
 
 
 def _begins_with_number(line: str) -> bool:
@@ -140,7 +139,12 @@ def _begins_with_number(line: str) -> bool:
 
 
 def _fields(line: str, blanks: bool) -> list[str]:
-    return line.split() if blanks else [field.strip() for field in next(csv.reader([line]))]
+    if blanks:
+        return line.split()
+    try:
+        return [field.strip() for field in next(csv.reader([line]))]
+    except csv.Error:  # a field of more than 131072 characters: it will not be a number either way
+        return line.split(",")
 
 
 def _header(lines: list[str], blanks: bool) -> tuple[str, ...]:

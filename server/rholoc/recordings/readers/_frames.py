@@ -1,4 +1,4 @@
-"""What readers share: videos with tables of times, images by lists, files by name, a folder's own description."""
+"""What readers share: videos with tables of times, images by lists, files by name."""
 
 from __future__ import annotations
 
