@@ -4,56 +4,133 @@ import { call, get, path } from "../shared/api.js";
 import { ask, fill, h } from "../shared/dom.js";
 import { action, empty, field, loading, nameField, skeletons } from "./parts.js";
 
-const FIGURES = [["width", "Width, px"], ["height", "Height, px"], ["fx", "fx, px"], ["fy", "fy, px"], ["cx", "cx, px"], ["cy", "cy, px"]];
+const FIGURES = [
+  ["width", "Width, px"],
+  ["height", "Height, px"],
+  ["fx", "fx, px"],
+  ["fy", "fy, px"],
+  ["cx", "cx, px"],
+  ["cy", "cy, px"],
+];
 
 export async function showCameras(main, _, signal) {
   const list = h("ul", { class: "cards", "aria-label": "Cameras" }, skeletons(3, "camera-card"));
   const reload = () => loading(list, async () => fillList(list, await get("v1/cameras", { signal }), reload), signal);
-  fill(main, h("div", { class: "stack" },
-    h("div", { class: "row spread" }, h("h1", {}, "Cameras"), action("Add a camera", () => edit(null, reload), "primary")),
-    h("p", { class: "muted" }, "A camera's intrinsics under a name. ", h("code", {}, "rholoc camera calibrate"), " finds them from a filmed board."),
-    list));
+  fill(
+    main,
+    h(
+      "div",
+      { class: "stack" },
+      h(
+        "div",
+        { class: "row spread" },
+        h("h1", {}, "Cameras"),
+        action("Add a camera", () => edit(null, reload), "primary"),
+      ),
+      h(
+        "p",
+        { class: "muted" },
+        "A camera's intrinsics under a name. ",
+        h("code", {}, "rholoc camera calibrate"),
+        " finds them from a filmed board.",
+      ),
+      list,
+    ),
+  );
   await reload();
 }
 
 function fillList(list, { cameras, unreadable }, reload) {
-  const broken = Object.entries(unreadable).map(([name, why]) => h("li", { class: "notice bad" }, h("strong", {}, name), ": ", why));
+  const broken = Object.entries(unreadable).map(([name, why]) =>
+    h("li", { class: "notice bad" }, h("strong", {}, name), ": ", why),
+  );
   if (!cameras.length && !broken.length) {
     fill(list, h("li", { class: "whole-row" }, empty("No cameras yet", "Frames of the map's own camera need none.")));
     return;
   }
-  fill(list, cameras.map((camera) => card(camera, reload)), broken);
+  fill(
+    list,
+    cameras.map((camera) => card(camera, reload)),
+    broken,
+  );
 }
 
 function card(camera, reload) {
   const { rms_px: rms } = camera.calibration;
-  return h("li", { class: "card stack" },
+  return h(
+    "li",
+    { class: "card stack" },
     h("h2", {}, camera.name),
-    h("p", { class: "mono" }, `${camera.width} × ${camera.height}`, h("br"), `f ${camera.fx.toFixed(1)}, ${camera.fy.toFixed(1)}`, h("br"), `c ${camera.cx.toFixed(1)}, ${camera.cy.toFixed(1)}`),
-    h("p", { class: "muted small" }, camera.distortion.length ? `distortion ${camera.distortion.map((v) => v.toPrecision(3)).join(", ")}` : "no distortion", typeof rms === "number" && ` · off by ${rms.toFixed(2)} px`),
-    h("div", { class: "row" }, action("Change", () => edit(camera, reload)), action("Delete", () => remove(camera, reload), "danger")));
+    h(
+      "p",
+      { class: "mono" },
+      `${camera.width} × ${camera.height}`,
+      h("br"),
+      `f ${camera.fx.toFixed(1)}, ${camera.fy.toFixed(1)}`,
+      h("br"),
+      `c ${camera.cx.toFixed(1)}, ${camera.cy.toFixed(1)}`,
+    ),
+    h(
+      "p",
+      { class: "muted small" },
+      camera.distortion.length
+        ? `distortion ${camera.distortion.map((v) => v.toPrecision(3)).join(", ")}`
+        : "no distortion",
+      typeof rms === "number" && ` · off by ${rms.toFixed(2)} px`,
+    ),
+    h(
+      "div",
+      { class: "row" },
+      action("Change", () => edit(camera, reload)),
+      action("Delete", () => remove(camera, reload), "danger"),
+    ),
+  );
 }
 
 async function edit(camera, reload) {
   const name = nameField(camera?.name);
   name.readOnly = camera !== null;
-  const distortion = h("input", { name: "distortion", value: camera?.distortion.join(", ") ?? "", autocomplete: "off" });
-  const figures = FIGURES.map(([key, text]) => field(text, h("input", { name: key, type: "number", step: "any", min: 0, required: true, value: camera?.[key] ?? "" })));
-  const done = await ask(camera ? "Change the camera" : "Add a camera",
-    [field("Name", name), h("div", { class: "form" }, figures), field("Distortion k1, k2, p1, p2, k3", distortion, "empty: none")],
-    h("button", { class: "primary" }, "Store"), (form) => store(form, camera));
+  const distortion = h("input", {
+    name: "distortion",
+    value: camera?.distortion.join(", ") ?? "",
+    autocomplete: "off",
+  });
+  const figures = FIGURES.map(([key, text]) =>
+    field(
+      text,
+      h("input", { name: key, type: "number", step: "any", min: 0, required: true, value: camera?.[key] ?? "" }),
+    ),
+  );
+  const done = await ask(
+    camera ? "Change the camera" : "Add a camera",
+    [
+      field("Name", name),
+      h("div", { class: "form" }, figures),
+      field("Distortion k1, k2, p1, p2, k3", distortion, "empty: none"),
+    ],
+    h("button", { class: "primary" }, "Store"),
+    (form) => store(form, camera),
+  );
   if (done) await reload();
 }
 
 function store(form, camera) {
   const body = Object.fromEntries(FIGURES.map(([key]) => [key, Number(form.get(key))]));
-  body.distortion = form.get("distortion").split(/[\s,]+/).filter(Boolean).map(Number);
+  body.distortion = form
+    .get("distortion")
+    .split(/[\s,]+/)
+    .filter(Boolean)
+    .map(Number);
   if (camera && FIGURES.every(([key]) => body[key] === camera[key])) body.calibration = camera.calibration;
   return call("PUT", path`v1/cameras/${form.get("name")}`, { body });
 }
 
 async function remove(camera, reload) {
-  const done = await ask("Delete the camera?", h("p", {}, camera.name, ". Maps that were made with it keep it."),
-    h("button", { class: "danger primary" }, "Delete"), () => call("DELETE", path`v1/cameras/${camera.name}`));
+  const done = await ask(
+    "Delete the camera?",
+    h("p", {}, camera.name, ". Maps that were made with it keep it."),
+    h("button", { class: "danger primary" }, "Delete"),
+    () => call("DELETE", path`v1/cameras/${camera.name}`),
+  );
   if (done) await reload();
 }

@@ -4,7 +4,12 @@ export { length } from "./scene.js";
 
 const UNITS = ["bytes", "kB", "MB", "GB"];
 const RELATIVE = new Intl.RelativeTimeFormat("en", { numeric: "auto" });
-const SPANS = [["day", 86400], ["hour", 3600], ["minute", 60], ["second", 1]];
+const SPANS = [
+  ["day", 86400],
+  ["hour", 3600],
+  ["minute", 60],
+  ["second", 1],
+];
 
 /** 416937 → "417 kB" */
 export function bytes(count) {
@@ -25,7 +30,9 @@ export function ago(seconds) {
 /** An ISO time, or seconds since the epoch → local date and time. */
 export function when(time) {
   const date = new Date(typeof time === "number" ? time * 1000 : time);
-  return Number.isNaN(date.getTime()) ? String(time) : date.toLocaleString("en-GB", { dateStyle: "medium", timeStyle: "short" });
+  return Number.isNaN(date.getTime())
+    ? String(time)
+    : date.toLocaleString("en-GB", { dateStyle: "medium", timeStyle: "short" });
 }
 
 /** Seconds → "2 min 5 s" */

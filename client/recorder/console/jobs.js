@@ -6,7 +6,17 @@ import { followJob } from "../record/job.js";
 import { ago, duration, when } from "./format.js";
 import { action, empty, facts, loading, skeletons, stateBadge } from "./parts.js";
 
-const STAGES = ["received", "read", "keyframes", "features", "poses", "observations", "densities", "report", "published"];
+const STAGES = [
+  "received",
+  "read",
+  "keyframes",
+  "features",
+  "poses",
+  "observations",
+  "densities",
+  "report",
+  "published",
+];
 const LOOK_MS = 2000;
 const ENDED = ["published", "failed", "cancelled"];
 
@@ -22,8 +32,20 @@ async function watchAll(list, signal) {
     const { jobs } = await get("v1/jobs", { signal });
     const now = JSON.stringify(jobs);
     if (now !== before) {
-      fill(list, jobs.length ? jobs.map(row) : h("li", {}, empty("No jobs yet", "A job makes a map of each recording that is uploaded.",
-        h("a", { class: "button primary", href: "#/recordings" }, "Upload a recording"))));
+      fill(
+        list,
+        jobs.length
+          ? jobs.map(row)
+          : h(
+              "li",
+              {},
+              empty(
+                "No jobs yet",
+                "A job makes a map of each recording that is uploaded.",
+                h("a", { class: "button primary", href: "#/recordings" }, "Upload a recording"),
+              ),
+            ),
+      );
       before = now;
       list.removeAttribute("aria-busy");
     }
@@ -33,12 +55,18 @@ async function watchAll(list, signal) {
 }
 
 function row(job) {
-  return h("li", { class: "card stack" },
-    h("div", { class: "row spread" },
+  return h(
+    "li",
+    { class: "card stack" },
+    h(
+      "div",
+      { class: "row spread" },
       h("h2", {}, h("a", { href: `#/jobs/${job.id}` }, job.map)),
-      h("span", { class: "row" }, stateBadge(job.state), h("span", { class: "muted small" }, ago(job.created)))),
+      h("span", { class: "row" }, stateBadge(job.state), h("span", { class: "muted small" }, ago(job.created))),
+    ),
     bar(job),
-    h("p", { class: "muted small" }, job.error?.message ?? job.message));
+    h("p", { class: "muted small" }, job.error?.message ?? job.message),
+  );
 }
 
 const bar = (job) => h("progress", { max: 1, value: job.progress, "aria-label": `Progress of ${job.map}` });
@@ -59,21 +87,38 @@ export async function showJob(main, id, signal) {
 function overview(job) {
   const again = () => dispatchEvent(new HashChangeEvent("hashchange"));
   return [
-    h("div", { class: "row spread" },
+    h(
+      "div",
+      { class: "row spread" },
       h("h1", {}, "Map ", job.map),
-      h("div", { class: "row" },
+      h(
+        "div",
+        { class: "row" },
         !ENDED.includes(job.state) && action("Cancel", () => call("DELETE", path`v1/jobs/${job.id}`), "danger"),
-        ["failed", "cancelled"].includes(job.state) && action("Try again", async () => {
-          await call("POST", path`v1/jobs/${job.id}/retry`);
-          again();
-        }),
-        job.state === "published" && h("a", { class: "button primary", href: `#/maps/${encodeURIComponent(job.map)}` }, "To the map"))),
-    h("div", { class: "card stack" },
+        ["failed", "cancelled"].includes(job.state) &&
+          action("Try again", async () => {
+            await call("POST", path`v1/jobs/${job.id}/retry`);
+            again();
+          }),
+        job.state === "published" &&
+          h("a", { class: "button primary", href: `#/maps/${encodeURIComponent(job.map)}` }, "To the map"),
+      ),
+    ),
+    h(
+      "div",
+      { class: "card stack" },
       h("div", { class: "row" }, stateBadge(job.state), h("span", { role: "status" }, job.message)),
       bar(job),
-      stages(job)),
+      stages(job),
+    ),
     job.warnings.map((warning) => h("p", { class: "notice warn" }, warning)),
-    job.error && h("div", { class: "notice bad", role: "alert" }, h("p", {}, h("strong", {}, job.error.message)), h("p", {}, job.error.hint)),
+    job.error &&
+      h(
+        "div",
+        { class: "notice bad", role: "alert" },
+        h("p", {}, h("strong", {}, job.error.message)),
+        h("p", {}, job.error.hint),
+      ),
     facts([
       ["Queued", when(job.created)],
       ["Took", job.started && job.ended ? duration(job.ended - job.started) : null],
@@ -81,12 +126,26 @@ function overview(job) {
       ["Recording", h("code", {}, job.recording)],
     ]),
     h("h2", {}, "Log"),
-    job.log.length ? h("pre", { tabindex: 0, role: "log", "aria-label": "Log" }, job.log.join("\n")) : h("p", { class: "muted" }, "Nothing yet."),
+    job.log.length
+      ? h("pre", { tabindex: 0, role: "log", "aria-label": "Log" }, job.log.join("\n"))
+      : h("p", { class: "muted" }, "Nothing yet."),
   ];
 }
 
 function stages(job) {
   const at = STAGES.indexOf(job.stage);
-  return h("ol", { class: "stages" }, STAGES.map((stage, i) =>
-    h("li", { class: i < at || job.state === "published" ? "done" : i === at ? "now" : "", "aria-current": i === at ? "step" : null }, stage)));
+  return h(
+    "ol",
+    { class: "stages" },
+    STAGES.map((stage, i) =>
+      h(
+        "li",
+        {
+          class: i < at || job.state === "published" ? "done" : i === at ? "now" : "",
+          "aria-current": i === at ? "step" : null,
+        },
+        stage,
+      ),
+    ),
+  );
 }

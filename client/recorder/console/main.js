@@ -27,7 +27,9 @@ async function show() {
   const { signal } = shown;
   const main = document.getElementById("content");
   const where = location.hash.slice(1).replace(/^\/?$/, "/maps");
-  const found = ROUTES.map(([pattern, title, view]) => ({ title, view, match: where.match(pattern) })).find(({ match }) => match);
+  const found = ROUTES.map(([pattern, title, view]) => ({ title, view, match: where.match(pattern) })).find(
+    ({ match }) => match,
+  );
   for (const link of document.querySelectorAll("nav a")) {
     const part = link.getAttribute("href").replace("#", "");
     if (where === part || where.startsWith(`${part}/`)) {

@@ -19,14 +19,21 @@ export async function showMap(main, name, signal) {
   const scene = new SceneView(`Landmarks and walk of the map ${name}`);
   signal.addEventListener("abort", () => scene.dispose());
   const about = h("div", { class: "stack" }, skeletons(1, "panel"));
-  const picture = h("div", { class: "report-picture", tabindex: 0, role: "group", "aria-label": "Coverage" }, skeletons(1, "fill"));
+  const picture = h(
+    "div",
+    { class: "report-picture", tabindex: 0, role: "group", "aria-label": "Coverage" },
+    skeletons(1, "fill"),
+  );
   fill(
     main,
-    h("div", { class: "stack" },
+    h(
+      "div",
+      { class: "stack" },
       h("div", { class: "row spread" }, h("h1", {}, name), actions(name)),
       h("div", { class: "map-columns" }, scene.element, about),
       h("h2", {}, "Where it works"),
-      picture),
+      picture,
+    ),
   );
   const address = path`v1/maps/${name}`;
   const map = await get(address, { signal }); // a map that is gone is told instead of the page
@@ -44,7 +51,10 @@ export async function showScene(view, map, signal) {
 }
 
 async function fillPicture(place, address, name, signal) {
-  const picture = h("img", { alt: `Coverage of ${name} by position and heading, and its held-out errors`, src: await objectUrl(`${address}/report.png`, { signal }) });
+  const picture = h("img", {
+    alt: `Coverage of ${name} by position and heading, and its held-out errors`,
+    src: await objectUrl(`${address}/report.png`, { signal }),
+  });
   signal.addEventListener("abort", () => URL.revokeObjectURL(picture.src));
   fill(place, picture);
 }
@@ -52,11 +62,17 @@ async function fillPicture(place, address, name, signal) {
 function fillAbout(place, map, { report }) {
   const metric = map.scale === "metric";
   const heldOut = report.held_out;
-  const advice = [report.coaching ?? []].flat().flatMap((section) => section.advice ?? []).map(({ text }) => text);
+  const advice = [report.coaching ?? []]
+    .flat()
+    .flatMap((section) => section.advice ?? [])
+    .map(({ text }) => text);
   fill(
     place,
-    !metric && h("p", { class: "notice warn" }, "Nothing measured fixed this map's unit of length: positions are not metres."),
-    h("section", { class: "card stack" },
+    !metric &&
+      h("p", { class: "notice warn" }, "Nothing measured fixed this map's unit of length: positions are not metres."),
+    h(
+      "section",
+      { class: "card stack" },
       h("h2", {}, "What it is"),
       facts([
         ["Landmarks", count(map.landmarks)],
@@ -66,8 +82,11 @@ function fillAbout(place, map, { report }) {
         ["Made", when(map.created)],
         ["Version", `${map.version}, of map ${map.id.slice(0, 8)}`],
         ["Camera", `${map.camera.width} × ${map.camera.height}, f ${map.camera.fx.toFixed(0)} px`],
-      ])),
-    h("section", { class: "card stack" },
+      ]),
+    ),
+    h(
+      "section",
+      { class: "card stack" },
       h("h2", {}, "How good it is"),
       heldOut?.frames
         ? facts([
@@ -78,7 +97,15 @@ function fillAbout(place, map, { report }) {
           ])
         : h("p", { class: "muted" }, "No frames were held out of it."),
       facts([["Landmark uncertainty", measured(report.landmark_sigma_median_m, (value) => length(value, metric))]]),
-      advice.length > 0 && [h("h3", {}, "On the next walk"), h("ul", {}, advice.map((text) => h("li", {}, text)))]),
+      advice.length > 0 && [
+        h("h3", {}, "On the next walk"),
+        h(
+          "ul",
+          {},
+          advice.map((text) => h("li", {}, text)),
+        ),
+      ],
+    ),
     h("section", { class: "card stack" }, h("h2", {}, "Learned from"), sources(map)),
     map.waypoints.length > 0 && h("section", { class: "card stack" }, h("h2", {}, "Waypoints"), waypoints(map, metric)),
     h("section", { class: "card stack" }, h("h2", {}, "Take it away"), downloads(map.name)),
@@ -89,49 +116,110 @@ function fillAbout(place, map, { report }) {
 const measured = (value, show) => (Number.isFinite(value) ? show(value) : null);
 
 function sources({ name, sources: all }) {
-  return h("ul", { class: "plain" }, all.map((source) =>
-    h("li", { class: "row spread" },
-      h("span", {}, String(source.name ?? source.id), " ", h("span", { class: "muted small" }, `${source.frames ?? "?"} frames${source.poses ? `, poses ${source.poses}` : ""}`)),
-      all.length > 1 && action("Forget", () => forget(name, source), "danger"))));
+  return h(
+    "ul",
+    { class: "plain" },
+    all.map((source) =>
+      h(
+        "li",
+        { class: "row spread" },
+        h(
+          "span",
+          {},
+          String(source.name ?? source.id),
+          " ",
+          h(
+            "span",
+            { class: "muted small" },
+            `${source.frames ?? "?"} frames${source.poses ? `, poses ${source.poses}` : ""}`,
+          ),
+        ),
+        all.length > 1 && action("Forget", () => forget(name, source), "danger"),
+      ),
+    ),
+  );
 }
 
 function waypoints(map, metric) {
-  return h("div", { class: "scroll", tabindex: 0, role: "group", "aria-label": "Waypoints" }, h("table", {},
-    h("thead", {}, h("tr", {}, ["Name", "x, y, z", "Off by"].map((text) => h("th", { scope: "col" }, text)))),
-    h("tbody", {}, map.waypoints.map(({ name, position, residual_m: residual }) =>
-      h("tr", {}, h("td", {}, name), h("td", { class: "mono" }, position.map((v) => v.toFixed(2)).join(", ")), h("td", {}, residual === null ? "–" : length(residual, metric)))))));
+  return h(
+    "div",
+    { class: "scroll", tabindex: 0, role: "group", "aria-label": "Waypoints" },
+    h(
+      "table",
+      {},
+      h(
+        "thead",
+        {},
+        h(
+          "tr",
+          {},
+          ["Name", "x, y, z", "Off by"].map((text) => h("th", { scope: "col" }, text)),
+        ),
+      ),
+      h(
+        "tbody",
+        {},
+        map.waypoints.map(({ name, position, residual_m: residual }) =>
+          h(
+            "tr",
+            {},
+            h("td", {}, name),
+            h("td", { class: "mono" }, position.map((v) => v.toFixed(2)).join(", ")),
+            h("td", {}, residual === null ? "–" : length(residual, metric)),
+          ),
+        ),
+      ),
+    ),
+  );
 }
 
 function downloads(name) {
-  const format = h("select", { "aria-label": "Format" }, FORMATS.map(([value, text]) => h("option", { value }, text)));
-  return h("div", { class: "row" }, format, action("Download", () => {
-    const [value, , suffix] = FORMATS.find(([one]) => one === format.value);
-    const saved = suffix === "csv" && value !== "csv" ? `${name}-${value}.csv` : `${name}.${suffix}`;
-    return download(path`v1/maps/${name}/download`, saved, { query: { format: value } });
-  }));
+  const format = h(
+    "select",
+    { "aria-label": "Format" },
+    FORMATS.map(([value, text]) => h("option", { value }, text)),
+  );
+  return h(
+    "div",
+    { class: "row" },
+    format,
+    action("Download", () => {
+      const [value, , suffix] = FORMATS.find(([one]) => one === format.value);
+      const saved = suffix === "csv" && value !== "csv" ? `${name}-${value}.csv` : `${name}.${suffix}`;
+      return download(path`v1/maps/${name}/download`, saved, { query: { format: value } });
+    }),
+  );
 }
 
 function actions(name) {
-  return h("div", { class: "row" },
+  return h(
+    "div",
+    { class: "row" },
     h("a", { class: "button primary", href: `#/try/${encodeURIComponent(name)}` }, "Try it"),
     action("Update", () => update(name)),
     action("Merge", () => merge(name)),
     action("Rename", () => rename(name)),
-    action("Delete", () => remove(name), "danger"));
+    action("Delete", () => remove(name), "danger"),
+  );
 }
 
 const go = (name) => (location.hash = `#/maps/${encodeURIComponent(name)}`);
 
 async function rename(name) {
   const input = nameField(name);
-  const done = await ask("Rename the map", field("Name", input), h("button", { class: "primary" }, "Rename"),
-    () => call("PATCH", path`v1/maps/${name}`, { body: { name: input.value } }));
+  const done = await ask("Rename the map", field("Name", input), h("button", { class: "primary" }, "Rename"), () =>
+    call("PATCH", path`v1/maps/${name}`, { body: { name: input.value } }),
+  );
   if (done) go(input.value);
 }
 
 async function remove(name) {
-  const done = await ask("Delete the map?", h("p", {}, "The map ", h("strong", {}, name), " is deleted for good. Recordings are kept."),
-    h("button", { class: "danger primary" }, "Delete"), () => call("DELETE", path`v1/maps/${name}`));
+  const done = await ask(
+    "Delete the map?",
+    h("p", {}, "The map ", h("strong", {}, name), " is deleted for good. Recordings are kept."),
+    h("button", { class: "danger primary" }, "Delete"),
+    () => call("DELETE", path`v1/maps/${name}`),
+  );
   if (done) location.hash = "#/maps";
 }
 
@@ -141,12 +229,22 @@ async function merge(name) {
     tell("There is no other map to merge with.", "warn");
     return;
   }
-  const other = h("select", { name: "other" }, others.map((map) => h("option", {}, map.name)));
+  const other = h(
+    "select",
+    { name: "other" },
+    others.map((map) => h("option", {}, map.name)),
+  );
   const into = nameField(`${name}-merged`);
-  const done = await ask("Merge with another map",
-    [h("p", { class: "muted" }, "The other map comes into this one's frame. They must overlap."), field("Other map", other), field("Name of the merged map", into)],
+  const done = await ask(
+    "Merge with another map",
+    [
+      h("p", { class: "muted" }, "The other map comes into this one's frame. They must overlap."),
+      field("Other map", other),
+      field("Name of the merged map", into),
+    ],
     h("button", { class: "primary" }, "Merge"),
-    () => call("POST", path`v1/maps/${name}/merge`, { body: { other: other.value, into: into.value } }));
+    () => call("POST", path`v1/maps/${name}/merge`, { body: { other: other.value, into: into.value } }),
+  );
   if (done) go(into.value);
 }
 
@@ -157,18 +255,35 @@ async function update(name) {
     location.hash = "#/recordings";
     return;
   }
-  const chosen = h("select", { name: "recording" }, recordings.map((one) =>
-    h("option", { value: one.id }, `${one.files[0]}${one.files.length > 1 ? ` and ${one.files.length - 1} more` : ""}, ${when(one.created)}`)));
+  const chosen = h(
+    "select",
+    { name: "recording" },
+    recordings.map((one) =>
+      h(
+        "option",
+        { value: one.id },
+        `${one.files[0]}${one.files.length > 1 ? ` and ${one.files.length - 1} more` : ""}, ${when(one.created)}`,
+      ),
+    ),
+  );
   let job;
-  const done = await ask("Learn a further recording", field("Recording", chosen), h("button", { class: "primary" }, "Update"), async () => {
-    job = await call("POST", path`v1/maps/${name}/update`, { body: { recording: chosen.value } });
-  });
+  const done = await ask(
+    "Learn a further recording",
+    field("Recording", chosen),
+    h("button", { class: "primary" }, "Update"),
+    async () => {
+      job = await call("POST", path`v1/maps/${name}/update`, { body: { recording: chosen.value } });
+    },
+  );
   if (done) location.hash = `#/jobs/${job.id}`;
 }
 
 async function forget(name, source) {
-  const done = await ask("Forget a recording?", h("p", {}, "What the map learned from ", h("strong", {}, String(source.name)), " is taken out of it."),
+  const done = await ask(
+    "Forget a recording?",
+    h("p", {}, "What the map learned from ", h("strong", {}, String(source.name)), " is taken out of it."),
     h("button", { class: "danger primary" }, "Forget"),
-    () => call("POST", path`v1/maps/${name}/forget`, { body: { source: source.id ?? source.name } }));
+    () => call("POST", path`v1/maps/${name}/forget`, { body: { source: source.id ?? source.name } }),
+  );
   if (done) dispatchEvent(new HashChangeEvent("hashchange"));
 }

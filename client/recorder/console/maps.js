@@ -11,24 +11,47 @@ export async function showMaps(main, _, signal) {
   const upload = action("Upload a map", () => uploadMap(reload));
   fill(
     main,
-    h("div", { class: "stack" },
-      h("div", { class: "row spread" }, h("h1", {}, "Maps"), h("div", { class: "row" }, upload, h("a", { class: "button primary", href: "record" }, "Record a walk"))),
-      list),
+    h(
+      "div",
+      { class: "stack" },
+      h(
+        "div",
+        { class: "row spread" },
+        h("h1", {}, "Maps"),
+        h("div", { class: "row" }, upload, h("a", { class: "button primary", href: "record" }, "Record a walk")),
+      ),
+      list,
+    ),
   );
   await reload();
 }
 
 async function fillList(list, signal) {
   const { maps, unreadable } = await get("v1/maps", { signal });
-  const broken = Object.entries(unreadable).map(([name, why]) => h("li", { class: "notice bad" }, h("strong", {}, name), ": ", why));
+  const broken = Object.entries(unreadable).map(([name, why]) =>
+    h("li", { class: "notice bad" }, h("strong", {}, name), ": ", why),
+  );
   if (!maps.length && !broken.length) {
-    fill(list, h("li", { class: "whole-row" },
-      empty("No maps yet", "One walk through a room with a phone makes a map.",
-        h("a", { class: "button primary", href: "record" }, "Record a walk"),
-        h("a", { class: "button", href: "#/recordings" }, "Upload a recording"))));
+    fill(
+      list,
+      h(
+        "li",
+        { class: "whole-row" },
+        empty(
+          "No maps yet",
+          "One walk through a room with a phone makes a map.",
+          h("a", { class: "button primary", href: "record" }, "Record a walk"),
+          h("a", { class: "button", href: "#/recordings" }, "Upload a recording"),
+        ),
+      ),
+    );
     return;
   }
-  fill(list, maps.map((map) => card(map, signal)), broken);
+  fill(
+    list,
+    maps.map((map) => card(map, signal)),
+    broken,
+  );
 }
 
 function card(map, signal) {
@@ -39,7 +62,9 @@ function card(map, signal) {
       picture.src = address;
     })
     .catch(() => picture.classList.add("missing"));
-  return h("li", { class: "card map-card" },
+  return h(
+    "li",
+    { class: "card map-card" },
     h("div", { class: "picture" }, picture),
     h("h2", {}, h("a", { href: `#/maps/${encodeURIComponent(map.name)}` }, map.name)),
     facts([
@@ -47,20 +72,31 @@ function card(map, signal) {
       ["Size", `${count(map.landmarks)} landmarks, ${bytes(map.size_bytes)}`],
       ["Made", when(map.created)],
     ]),
-    h("div", { class: "row" },
+    h(
+      "div",
+      { class: "row" },
       map.scale === "arbitrary" && h("span", { class: "badge warn" }, "no unit of length"),
       !map.upright && h("span", { class: "badge warn" }, "not upright"),
       h("span", { class: "badge" }, `version ${map.version}`),
-      h("span", { class: "badge" }, map.features)));
+      h("span", { class: "badge" }, map.features),
+    ),
+  );
 }
 
 async function uploadMap(reload) {
   const file = h("input", { type: "file", name: "file", accept: ".rho,.csv", required: true });
   const name = nameField();
   file.addEventListener("change", () => (name.value ||= file.files[0]?.name.replace(/\.(rho|csv)$/, "") ?? ""));
-  const done = await ask("Upload a map", [field("File (.rho or .csv)", file), field("Name", name)],
+  const done = await ask(
+    "Upload a map",
+    [field("File (.rho or .csv)", file), field("Name", name)],
     h("button", { class: "primary" }, "Upload"),
-    (form) => call("PUT", path`v1/maps/${form.get("name")}`, { body: file.files[0], headers: { "Content-Type": "application/octet-stream" } }));
+    (form) =>
+      call("PUT", path`v1/maps/${form.get("name")}`, {
+        body: file.files[0],
+        headers: { "Content-Type": "application/octet-stream" },
+      }),
+  );
   if (done) {
     tell("The map is uploaded.");
     await reload();

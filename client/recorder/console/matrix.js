@@ -26,7 +26,9 @@ export function lookAt(eye, target) {
 
 /** A point in clip coordinates: x and y from -1 to 1 within the picture, and w, positive in front of the camera. */
 export function project(matrix, [x, y, z]) {
-  const [cx, cy, , w] = [0, 1, 2, 3].map((row) => matrix[row] * x + matrix[4 + row] * y + matrix[8 + row] * z + matrix[12 + row]);
+  const [cx, cy, , w] = [0, 1, 2, 3].map(
+    (row) => matrix[row] * x + matrix[4 + row] * y + matrix[8 + row] * z + matrix[12 + row],
+  );
   return [cx / w, cy / w, w];
 }
 

@@ -11,9 +11,12 @@ export function problem(error, again) {
     { class: "notice bad stack", role: "alert" },
     h("p", {}, h("strong", {}, error.summary ?? error.message)),
     error.hint && h("p", {}, error.hint),
-    h("div", { class: "row" },
+    h(
+      "div",
+      { class: "row" },
       again && h("button", { type: "button", onclick: again }, "Try again"),
-      error.status === 404 && h("a", { class: "button", href: "#/maps" }, "To the maps")),
+      error.status === 404 && h("a", { class: "button", href: "#/maps" }, "To the maps"),
+    ),
   );
 }
 
@@ -28,7 +31,11 @@ export async function loading(element, load, signal) {
   try {
     await load();
   } catch (error) {
-    if (!signal.aborted) fill(element, problem(error, () => loading(element, load, signal)));
+    if (!signal.aborted)
+      fill(
+        element,
+        problem(error, () => loading(element, load, signal)),
+      );
   } finally {
     element.removeAttribute("aria-busy");
   }
@@ -37,12 +44,22 @@ export async function loading(element, load, signal) {
 /** Names and figures beside each other. */
 export function facts(pairs) {
   const rows = pairs.filter(([, figure]) => figure !== null && figure !== undefined);
-  return h("dl", { class: "facts" }, rows.map(([name, figure]) => [h("dt", {}, name), h("dd", {}, figure)]));
+  return h(
+    "dl",
+    { class: "facts" },
+    rows.map(([name, figure]) => [h("dt", {}, name), h("dd", {}, figure)]),
+  );
 }
 
 /** What is said when there is nothing yet. */
 export function empty(title, text, ...actions) {
-  return h("div", { class: "empty" }, h("h2", {}, title), h("p", { class: "muted" }, text), h("div", { class: "row" }, actions));
+  return h(
+    "div",
+    { class: "empty" },
+    h("h2", {}, title),
+    h("p", { class: "muted" }, text),
+    h("div", { class: "row" }, actions),
+  );
 }
 
 /** A job's state as a badge. */
@@ -79,5 +96,12 @@ export function field(text, input, note) {
 
 /** The field of a map's name. */
 export const nameField = (value = "") =>
-  h("input", { name: "name", value, required: true, maxlength: 64, pattern: "[A-Za-z0-9_][A-Za-z0-9._\\-]*", autocomplete: "off",
-    title: "letters, digits, '.', '_' and '-'; the first a letter, a digit or '_'" });
+  h("input", {
+    name: "name",
+    value,
+    required: true,
+    maxlength: 64,
+    pattern: "[A-Za-z0-9_][A-Za-z0-9._\\-]*",
+    autocomplete: "off",
+    title: "letters, digits, '.', '_' and '-'; the first a letter, a digit or '_'",
+  });

@@ -26,7 +26,8 @@ const POINT_SHADER = `
     colour = t < 0.5 ? mix(sure, middle, 2.0 * t) : mix(middle, unsure, 2.0 * t - 1.0);
   }`;
 const POINT_COLOUR = "precision mediump float; varying vec3 colour; void main() { gl_FragColor = vec4(colour, 1.0); }";
-const LINE_SHADER = "attribute vec3 point; uniform mat4 matrix; void main() { gl_Position = matrix * vec4(point, 1.0); }";
+const LINE_SHADER =
+  "attribute vec3 point; uniform mat4 matrix; void main() { gl_Position = matrix * vec4(point, 1.0); }";
 const LINE_COLOUR = "precision mediump float; uniform vec4 colour; void main() { gl_FragColor = colour; }";
 
 /** The numbers of `/v1/maps/{map}/scene`. */
@@ -55,7 +56,9 @@ export class SceneView {
     this.home = this.view;
     this.gl = this.canvas.getContext("webgl", { alpha: false, antialias: false, powerPreference: "low-power" });
     if (!this.gl) {
-      this.element.append(h("p", { class: "notice warn" }, "This browser has no WebGL, so the map cannot be drawn in 3-D."));
+      this.element.append(
+        h("p", { class: "notice warn" }, "This browser has no WebGL, so the map cannot be drawn in 3-D."),
+      );
       return;
     }
     this.points = program(this.gl, POINT_SHADER, POINT_COLOUR);
@@ -63,10 +66,13 @@ export class SceneView {
     this.observer = new ResizeObserver(() => this.redraw());
     this.observer.observe(this.canvas);
     this.scheme = matchMedia("(prefers-color-scheme: dark)");
-    this.scheme.addEventListener("change", (this.recolour = () => {
-      this.colours = {};
-      this.redraw();
-    }));
+    this.scheme.addEventListener(
+      "change",
+      (this.recolour = () => {
+        this.colours = {};
+        this.redraw();
+      }),
+    );
     this.canvas.addEventListener("webglcontextlost", (event) => event.preventDefault());
     this.canvas.addEventListener("webglcontextrestored", () => location.reload());
     listen(this);
@@ -193,7 +199,9 @@ export class SceneView {
   draw() {
     const { gl, canvas } = this;
     const ratio = Math.min(devicePixelRatio, 2);
-    const [width, height] = [canvas.clientWidth, canvas.clientHeight].map((value) => Math.max(1, Math.round(value * ratio)));
+    const [width, height] = [canvas.clientWidth, canvas.clientHeight].map((value) =>
+      Math.max(1, Math.round(value * ratio)),
+    );
     if (canvas.width !== width || canvas.height !== height) Object.assign(canvas, { width, height });
     const matrix = this.matrix(width / height);
     gl.viewport(0, 0, width, height);
@@ -261,7 +269,10 @@ function listen(scene) {
   const { canvas } = scene;
   const fingers = new Map();
   const keys = {
-    ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1],
+    ArrowLeft: [-1, 0],
+    ArrowRight: [1, 0],
+    ArrowUp: [0, 1],
+    ArrowDown: [0, -1],
   };
   canvas.addEventListener("pointerdown", (event) => {
     canvas.setPointerCapture(event.pointerId);
@@ -273,7 +284,9 @@ function listen(scene) {
   canvas.addEventListener("pointermove", (event) => {
     const before = fingers.get(event.pointerId);
     if (!before) return;
-    const [dx, dy] = [event.clientX - before.clientX, event.clientY - before.clientY].map((v) => v / canvas.clientHeight);
+    const [dx, dy] = [event.clientX - before.clientX, event.clientY - before.clientY].map(
+      (v) => v / canvas.clientHeight,
+    );
     const others = [...fingers.values()].filter((one) => one.pointerId !== event.pointerId);
     if (others.length) {
       const apart = (one) => Math.hypot(one.clientX - others[0].clientX, one.clientY - others[0].clientY) || 1;
@@ -284,10 +297,14 @@ function listen(scene) {
     fingers.set(event.pointerId, event);
   });
   canvas.addEventListener("contextmenu", (event) => event.preventDefault());
-  canvas.addEventListener("wheel", (event) => {
-    event.preventDefault();
-    scene.zoom(Math.exp(Math.max(-100, Math.min(100, event.deltaY)) * 0.002));
-  }, { passive: false });
+  canvas.addEventListener(
+    "wheel",
+    (event) => {
+      event.preventDefault();
+      scene.zoom(Math.exp(Math.max(-100, Math.min(100, event.deltaY)) * 0.002));
+    },
+    { passive: false },
+  );
   canvas.addEventListener("keydown", (event) => {
     const [x, y] = keys[event.key] ?? [0, 0];
     if (x || y) event.shiftKey ? scene.pan(0.05 * x, 0.05 * y) : scene.turn(0.1 * x, 0.1 * y);
@@ -304,7 +321,8 @@ function walk(views) {
   const lines = [];
   for (let i = STRIDE_VIEW; i < views.length; i += STRIDE_VIEW) {
     const before = i - STRIDE_VIEW;
-    if (views[i + 6] === views[before + 6]) lines.push(...views.subarray(before, before + 3), ...views.subarray(i, i + 3));
+    if (views[i + 6] === views[before + 6])
+      lines.push(...views.subarray(before, before + 3), ...views.subarray(i, i + 3));
   }
   return lines;
 }
@@ -312,7 +330,9 @@ function walk(views) {
 /** A grid of square metres, at the height of the lowest landmarks. */
 function floor(landmarks) {
   if (!landmarks.length) return [];
-  const [[west, east], [south, north], [z]] = [0, 1, 2].map((axis) => quantiles(landmarks, axis, SHOWN).map(Math.round));
+  const [[west, east], [south, north], [z]] = [0, 1, 2].map((axis) =>
+    quantiles(landmarks, axis, SHOWN).map(Math.round),
+  );
   if ((east - west) * (north - south) > MAX_FLOOR) return [];
   const lines = [];
   for (let x = west; x <= east; x++) lines.push(x, south, z, x, north, z);
@@ -388,5 +408,8 @@ function program(gl, ...sources) {
 
 function resolved(element, token) {
   element.style.color = `var(${token})`;
-  return getComputedStyle(element).color.match(/[\d.]+/g).slice(0, 3).map((part) => part / 255);
+  return getComputedStyle(element)
+    .color.match(/[\d.]+/g)
+    .slice(0, 3)
+    .map((part) => part / 255);
 }

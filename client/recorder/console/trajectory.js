@@ -15,7 +15,8 @@ export function readTrajectory(text) {
   const rows = lines.filter(Boolean).map((line, i) => {
     const values = line.split(",");
     const row = Object.fromEntries(NEEDED.map((name) => [name, Number(values[names.indexOf(name)])]));
-    if (!Object.values(row).every(Number.isFinite)) throw new Error(`Line ${i + 2} is not made of numbers: ${line.slice(0, MAX_SAID)}`);
+    if (!Object.values(row).every(Number.isFinite))
+      throw new Error(`Line ${i + 2} is not made of numbers: ${line.slice(0, MAX_SAID)}`);
     return row;
   });
   if (!rows.length) throw new Error("The trajectory has no rows.");

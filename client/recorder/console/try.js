@@ -25,7 +25,14 @@ const FIELD_OF_VIEW = " fov"; // no camera has a name with a space
 export async function showTry(main, name, signal) {
   const { maps } = await get("v1/maps", { signal });
   if (!maps.length) {
-    fill(main, empty("No map to try", "Make one of a walk first.", h("a", { class: "button primary", href: "record" }, "Record a walk")));
+    fill(
+      main,
+      empty(
+        "No map to try",
+        "Make one of a walk first.",
+        h("a", { class: "button primary", href: "record" }, "Record a walk"),
+      ),
+    );
     return;
   }
   const { cameras } = await get("v1/cameras", { signal });
@@ -40,7 +47,13 @@ class Trial {
   constructor(map, signal) {
     Object.assign(this, { map, signal, ends: [] });
     this.scene = new SceneView(`The map ${map.name} and the pose that was found`);
-    this.picture = h("canvas", { class: "frame", width: 640, height: 480, role: "img", "aria-label": "No picture yet" });
+    this.picture = h("canvas", {
+      class: "frame",
+      width: 640,
+      height: 480,
+      role: "img",
+      "aria-label": "No picture yet",
+    });
     this.answer = h("div", { class: "answer", role: "status" }, h("p", { class: "muted" }, "The pose appears here."));
     this.intrinsics = h("select", { name: "camera" });
     this.degrees = h("input", { type: "number", min: 20, max: 150, step: "any", value: 65 });
@@ -59,7 +72,12 @@ class Trial {
   /** Localize one picture (a canvas, an image or a video of a size) and show where it is. */
   async localize(blob, source, prior) {
     const query = { ...this.options(source.width), ...prior, dof: this.rolls.checked ? 6 : 5, with_matches: true };
-    const found = await call("POST", path`v1/maps/${this.map.name}/localize`, { body: blob, headers: { "Content-Type": blob.type }, query, signal: this.signal });
+    const found = await call("POST", path`v1/maps/${this.map.name}/localize`, {
+      body: blob,
+      headers: { "Content-Type": blob.type },
+      query,
+      signal: this.signal,
+    });
     this.draw(source, found);
     this.scene.showPose(found.pose?.T_map_camera ?? null, found.localized ? found.agreeing.landmarks : []);
     return found;
@@ -86,21 +104,38 @@ class Trial {
       context.arc(u, v, radius, 0, 2 * Math.PI);
       context.stroke();
     }
-    picture.setAttribute("aria-label", found.localized ? `The picture with ${found.inliers} features that the map recognised` : "The picture; it has no pose");
+    picture.setAttribute(
+      "aria-label",
+      found.localized
+        ? `The picture with ${found.inliers} features that the map recognised`
+        : "The picture; it has no pose",
+    );
   }
 
   tell(found, extra) {
     const { pose, confidence } = found;
     const metric = found.scale === "metric";
-    const sigma = found.covariance && Math.sqrt((found.covariance[0][0] + found.covariance[1][1] + found.covariance[2][2]) / 3);
+    const sigma =
+      found.covariance && Math.sqrt((found.covariance[0][0] + found.covariance[1][1] + found.covariance[2][2]) / 3);
     fill(
       this.answer,
-      h("div", { class: "row" },
+      h(
+        "div",
+        { class: "row" },
         h("span", { class: ["badge", found.localized ? "good" : "warn"] }, found.localized ? "localized" : "no pose"),
-        h("label", { class: "confidence" }, `confidence ${Math.round(100 * confidence)} %`, h("meter", { min: 0, max: 1, low: 0.5, high: 0.8, optimum: 1, value: confidence }))),
+        h(
+          "label",
+          { class: "confidence" },
+          `confidence ${Math.round(100 * confidence)} %`,
+          h("meter", { min: 0, max: 1, low: 0.5, high: 0.8, optimum: 1, value: confidence }),
+        ),
+      ),
       !found.localized && h("p", {}, WHY[found.reason] ?? found.reason),
       facts([
-        ["Position", pose ? pose.position.map((value) => value.toFixed(2)).join(", ") + (metric ? " m" : " units") : "–"],
+        [
+          "Position",
+          pose ? pose.position.map((value) => value.toFixed(2)).join(", ") + (metric ? " m" : " units") : "–",
+        ],
         ["Heading", pose ? pose.heading.map((value) => value.toFixed(2)).join(", ") : "–"],
         ["Off by about", sigma ? length(sigma, metric) : "–"],
         ["Matches", `${found.inliers} of ${found.matches} agree`],
@@ -111,31 +146,59 @@ class Trial {
 
   fail(error) {
     if (this.signal.aborted) return;
-    const mismatch = error.code === "invalid_camera" && "Choose a stored camera, or the field of view.";
-    fill(this.answer, problem(mismatch ? { ...error, summary: error.summary, hint: mismatch } : error));
+    const mismatch = error.code === "invalid_camera";
+    const hint = mismatch ? "Choose a stored camera, or the field of view." : error.hint;
+    fill(this.answer, problem({ summary: error.summary ?? error.message, hint }));
   }
 }
 
 function layout(trial, maps, cameras) {
-  const choice = h("select", { onchange: () => (location.hash = `#/try/${encodeURIComponent(choice.value)}`) }, maps.map(({ name }) => h("option", { selected: name === trial.map.name }, name)));
+  const choice = h(
+    "select",
+    { onchange: () => (location.hash = `#/try/${encodeURIComponent(choice.value)}`) },
+    maps.map(({ name }) => h("option", { selected: name === trial.map.name }, name)),
+  );
   const degrees = field("Horizontal field of view, °", trial.degrees);
   degrees.hidden = true;
-  fill(trial.intrinsics,
+  fill(
+    trial.intrinsics,
     h("option", { value: OWN_CAMERA }, "the map's own camera"),
     cameras.map(({ name }) => h("option", { value: name }, name)),
-    h("option", { value: FIELD_OF_VIEW }, "by its field of view"));
+    h("option", { value: FIELD_OF_VIEW }, "by its field of view"),
+  );
   trial.intrinsics.addEventListener("change", () => (degrees.hidden = trial.intrinsics.value !== FIELD_OF_VIEW));
-  return h("div", { class: "stack" },
+  return h(
+    "div",
+    { class: "stack" },
     h("div", { class: "row spread" }, h("h1", {}, "Try it"), field("Map", choice)),
-    h("div", { class: "try-columns" },
+    h(
+      "div",
+      { class: "try-columns" },
       h("div", { class: "stack" }, dropZone(trial), sources(trial)),
-      h("div", { class: "stack" }, trial.scene.element, trial.answer)),
-    h("details", { class: "card" }, h("summary", {}, "Camera options"),
-      h("div", { class: "form" }, field("Intrinsics", trial.intrinsics), degrees, h("label", { class: "check" }, trial.rolls, "hand-held: the camera may roll"))));
+      h("div", { class: "stack" }, trial.scene.element, trial.answer),
+    ),
+    h(
+      "details",
+      { class: "card" },
+      h("summary", {}, "Camera options"),
+      h(
+        "div",
+        { class: "form" },
+        field("Intrinsics", trial.intrinsics),
+        degrees,
+        h("label", { class: "check" }, trial.rolls, "hand-held: the camera may roll"),
+      ),
+    ),
+  );
 }
 
 function dropZone(trial) {
-  const zone = h("div", { class: "drop" }, trial.picture, h("p", { class: "drop-hint muted" }, "Drop a picture or a trajectory (CSV) here"));
+  const zone = h(
+    "div",
+    { class: "drop" },
+    trial.picture,
+    h("p", { class: "drop-hint muted" }, "Drop a picture or a trajectory (CSV) here"),
+  );
   zone.addEventListener("dragover", (event) => {
     event.preventDefault();
     zone.classList.add("over");
@@ -150,15 +213,28 @@ function dropZone(trial) {
 }
 
 function sources(trial) {
-  const input = h("input", { type: "file", accept: "image/*,.csv", class: "visually-hidden", "aria-label": "Picture or trajectory", onchange: () => {
-    if (input.files.length) takeFile(trial, input.files[0]);
-    input.value = "";
-  } });
+  const input = h("input", {
+    type: "file",
+    accept: "image/*,.csv",
+    class: "visually-hidden",
+    "aria-label": "Picture or trajectory",
+    onchange: () => {
+      if (input.files.length) takeFile(trial, input.files[0]);
+      input.value = "";
+    },
+  });
   trial.player = h("div", { class: "row", hidden: true });
-  trial.cameraButton = h("button", { type: "button", onclick: () => (trial.ends.length ? trial.stop() : filmOrSay(trial)) }, "Use the camera");
-  return h("div", { class: "stack" },
+  trial.cameraButton = h(
+    "button",
+    { type: "button", onclick: () => (trial.ends.length ? trial.stop() : filmOrSay(trial)) },
+    "Use the camera",
+  );
+  return h(
+    "div",
+    { class: "stack" },
     h("div", { class: "row" }, h("label", { class: "button file" }, "Choose a file", input), trial.cameraButton),
-    trial.player);
+    trial.player,
+  );
 }
 
 async function takeFile(trial, file) {
@@ -204,10 +280,14 @@ async function film(trial) {
   if (!navigator.mediaDevices) throw new Error("The camera needs HTTPS: start the server with rholoc serve --tls.");
   let stream;
   try {
-    stream = await navigator.mediaDevices.getUserMedia({ video: { width: { ideal: CAMERA_WIDTH }, facingMode: "environment" } });
+    stream = await navigator.mediaDevices.getUserMedia({
+      video: { width: { ideal: CAMERA_WIDTH }, facingMode: "environment" },
+    });
   } catch (error) {
     const refused = error.name === "NotAllowedError";
-    throw new Error(refused ? "The camera was refused. Allow it in the browser's settings for this page." : "No camera was found.");
+    throw new Error(
+      refused ? "The camera was refused. Allow it in the browser's settings for this page." : "No camera was found.",
+    );
   }
   const video = h("video", { playsinline: true, muted: true });
   let filming = true;
@@ -252,7 +332,10 @@ function play(trial, poses) {
   let since = performance.now();
   const show = () => {
     const time = Number(slider.value);
-    const at = Math.max(0, poses.findLastIndex((pose) => pose.time <= time));
+    const at = Math.max(
+      0,
+      poses.findLastIndex((pose) => pose.time <= time),
+    );
     clock.textContent = `${(time - first).toFixed(1)} s`;
     trial.scene.showPose(poses[at].T);
   };
@@ -285,6 +368,12 @@ function play(trial, poses) {
   trial.scene.showTrail(poses.map(({ position }) => position));
   fill(trial.player, button, slider, clock);
   trial.player.hidden = false;
-  fill(trial.answer, facts([["Trajectory", `${poses.length} poses`], ["Lasts", `${(last - first).toFixed(1)} s`]]));
+  fill(
+    trial.answer,
+    facts([
+      ["Trajectory", `${poses.length} poses`],
+      ["Lasts", `${(last - first).toFixed(1)} s`],
+    ]),
+  );
   start();
 }

@@ -105,7 +105,13 @@ export function askForKey(error) {
       [
         h("p", {}, error.message),
         h("label", {}, "Key", field),
-        h("p", { class: "small muted" }, "It is kept in this browser. Whoever runs the server makes keys with ", h("code", {}, "rholoc key create"), "."),
+        h(
+          "p",
+          { class: "small muted" },
+          "It is kept in this browser. Whoever runs the server makes keys with ",
+          h("code", {}, "rholoc key create"),
+          ".",
+        ),
       ],
       h("button", { class: "primary" }, "Use this key"),
       async (form) => localStorage.setItem(KEY, form.get("key").trim()),
