@@ -207,6 +207,8 @@ REFUSED: list[tuple[str, Callable[[Path], Path], str, str]] = [
     ("JSON that is none", written("spectacular", "data.jsonl", "{]\n{}\n"), "invalid_recording", "data.jsonl, line 1 is not JSON"),
     ("JSON of another form", written("spectacular", "data.jsonl", '{"frames": 3}\n'), "invalid_recording", "line 1 is not of the known form"),
     ("NaN in JSON", replaced("spectacular", "data.jsonl", '"time": 1000.0}', '"time": NaN}'), "invalid_recording", "is not of the known form"),
+    ("intrinsics of another form", replaced("spectacular", "data.jsonl", '"cameraParameters": {"focalLengthX": 60.0, "focalLengthY": 61.0, "principalPointX": 31.5, "principalPointY": 23.5}', '"cameraParameters": "none"'), "invalid_recording", "is not of the known form"),
+    ("an image of infinite width", replaced("nerfstudio", "transforms.json", '"w": 64', '"w": Infinity'), "invalid_camera", "w is not a number"),
     ("JSON too deep", written("nerfstudio", "transforms.json", DEEP), "invalid_recording", "not JSON"),
     ("a calibration of nothing", written("spectacular", "calibration.json", '{"cameras": []}'), "invalid_camera", "describes no camera"),
     ("a focal length of zero", replaced("spectacular", "calibration.json", '"focalLengthX": 60.0', '"focalLengthX": 0.0'), "invalid_camera", "focal length is positive"),

@@ -29,6 +29,7 @@ from rholoc.recordings.recording import GivenPoses, Recording, RecordingFormat, 
 _FILE = "transforms.json"
 _PINHOLE = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "PERSPECTIVE")
 _ROTATION_TOLERANCE = 1e-2
+_LARGEST = 1e9
 _INTRINSICS = ("fl_x", "fl_y", "cx", "cy")
 
 
@@ -99,11 +100,13 @@ def _number(values: dict[str, Any], name: str) -> float:
     """A number, NaN where there is none.
 
     Raises:
-        InvalidCamera: it is something else.
+        InvalidCamera: it is something else, or far too large.
     """
-    value = values.get(name, math.nan)
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise InvalidCamera(f"{_FILE}: {name} is not a number.")
+    if name not in values:
+        return math.nan
+    value = values[name]
+    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < _LARGEST:
+        raise InvalidCamera(f"{_FILE}: {name} is not a number that a camera can have.")
     return float(value)
 
 

@@ -100,8 +100,8 @@ def _take(log: _Log, value: dict[str, Any]) -> None:
         first = next((frame for frame in value["frames"] if frame.get("cameraInd", 0) == 0), None)
         if first is not None:
             time = float(first.get("time", value.get("time")))
-            if not np.isfinite(time):
-                raise ValueError("not finite")
+            if not np.isfinite(time) or not isinstance(first.get("cameraParameters") or {}, dict):
+                raise ValueError("not a frame")
             log.frames.append((time, first))
 
 
