@@ -6,7 +6,7 @@ import os
 import shutil
 import socket
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import closing, suppress
 
 import cv2
@@ -40,13 +40,16 @@ def launch(playwright: Playwright) -> Callable[..., Browser]:
 
 @pytest.fixture(scope="session")
 def fake_camera(launch: Callable[..., Browser], tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Browser]:
-    """Starts a Chromium whose camera shows pictures (H, W, 3), 30 a second, over and over."""
+    """Starts a Chromium whose camera shows pictures (H, W, 3) BGR, so many a second, over and over."""
 
-    def start(pictures: Iterator[ByteArray] | list[ByteArray]) -> Browser:
-        film = tmp_path_factory.mktemp("camera") / "film.mjpeg"
+    def start(pictures: Iterable[ByteArray], fps: int = 30) -> Browser:
+        film = tmp_path_factory.mktemp("camera") / "film.y4m"
         with film.open("wb") as file:
-            for picture in pictures:
-                file.write(cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, 92])[1].tobytes())
+            for number, picture in enumerate(pictures):
+                height, width = picture.shape[:2]
+                if number == 0:
+                    file.write(f"YUV4MPEG2 W{width} H{height} F{fps}:1 Ip A1:1 C420\n".encode())
+                file.write(b"FRAME\n" + cv2.cvtColor(picture, cv2.COLOR_BGR2YUV_I420).tobytes())
         return launch(
             "--use-fake-device-for-media-stream",
             "--use-fake-ui-for-media-stream",
