@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -88,6 +89,27 @@ def test_collinear_waypoints_are_refused_before_any_work() -> None:
 def test_the_imus_way_needs_an_imu() -> None:
     with pytest.raises(InvalidRecording, match="without an IMU"):
         estimate_trajectory(_recording(_wall()), PoseMethod.INERTIAL)
+
+
+def test_a_rolling_shutter_is_corrected_before_structure_from_motion(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The image moves left by 180 px/s: rows above the middle were read earlier, further to the right than they are."""
+    noise = np.random.default_rng(0).integers(0, 255, (240, 560, 3), dtype=np.uint8)
+    wall = cv2.GaussianBlur(noise, (0, 0), 2)
+    recording = _recording([wall[:, 6 * k : 6 * k + 320].copy() for k in range(40)])
+    handed_over: list[FloatArray] = []
+
+    def stop(function: object, features: list[FeatureSet], *_: object, **__: object) -> None:
+        handed_over.append(features[1].pixels)
+        raise MappingFailed("far enough")
+
+    monkeypatch.setattr("rholoc.trajectory.estimate.run_in_child", stop)
+    for readout_s in (None, 0.015):
+        with pytest.raises(MappingFailed, match="far enough"):
+            estimate_trajectory(replace(recording, readout_s=readout_s), PoseMethod.VISUAL)
+    as_read, at_once = handed_over
+    late_s = ((as_read[:, 1] + 0.5) / 240 - 0.5) * 0.015
+    np.testing.assert_allclose(at_once[:, 0] - as_read[:, 0], 180 * late_s, atol=0.1)
+    np.testing.assert_allclose(at_once[:, 1], as_read[:, 1], atol=0.1)
 
 
 def _walk(count: int) -> FloatArray:
