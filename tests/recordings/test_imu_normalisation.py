@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from rholoc.errors import InvalidRecording
 from rholoc.geometry import FloatArray
-from rholoc.recordings import WarningKind
+from rholoc.recordings import GivenPoses, WarningKind
 from rholoc.recordings.imu_normalisation import (
     ImuConvention,
     Samples,
@@ -104,11 +104,15 @@ def test_poses_tell_the_sign() -> None:
     assert force_points_up(imu, TIMES, R_map_camera) is None
     assert force_points_up(replace(mounted, includes_gravity=False), TIMES, R_map_camera) is None
     assert force_points_up(mounted, TIMES + 100, R_map_camera) is None
-    assert with_sign_by_poses(mounted, TIMES, R_map_camera) == (mounted, ())
+    T_map_camera = np.tile(np.eye(4), (len(TIMES), 1, 1))
+    T_map_camera[:, :3, :3] = R_map_camera
+    poses = GivenPoses(TIMES[300] > TIMES, T_map_camera)
+    assert with_sign_by_poses(mounted, TIMES, poses) == (mounted, ())
     turned = replace(mounted, acceleration=-mounted.acceleration)
-    back, warnings = with_sign_by_poses(turned, TIMES, R_map_camera)
+    back, warnings = with_sign_by_poses(turned, TIMES, poses)
     np.testing.assert_array_equal(back.acceleration, mounted.acceleration)
     assert kinds(warnings) == [WarningKind.SIGN]
+    assert with_sign_by_poses(turned, TIMES, None) == (turned, ())
 
 
 def test_sensors_with_times_of_their_own_come_to_the_gyroscopes() -> None:

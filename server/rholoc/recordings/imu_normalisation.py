@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from rholoc.errors import InvalidRecording
 from rholoc.geometry import FloatArray, IntArray
-from rholoc.recordings.recording import Imu, RecordingWarning, WarningKind
+from rholoc.recordings.recording import GivenPoses, Imu, RecordingWarning, WarningKind
 
 STANDARD_GRAVITY = 9.80665  # m/s²
 MIN_RATE_HZ = 25.0  # the paper's floor
@@ -48,6 +48,11 @@ class Samples:
 
     times: FloatArray
     values: FloatArray
+
+    @classmethod
+    def from_rows(cls, rows: FloatArray) -> Samples:
+        """From rows (M, 4) of time, x, y, z."""
+        return cls(rows[:, 0], rows[:, 1:])
 
 
 @dataclass(frozen=True)
@@ -228,10 +233,10 @@ def force_points_up(imu: Imu, times: FloatArray, R_map_camera: FloatArray) -> bo
 
 
 def with_sign_by_poses(
-    imu: Imu, times: FloatArray, R_map_camera: FloatArray
+    imu: Imu, times: FloatArray, poses: GivenPoses | None
 ) -> tuple[Imu, tuple[RecordingWarning, ...]]:
-    """The IMU with its acceleration turned round where upright poses show it to have Apple's sign."""
-    if force_points_up(imu, times, R_map_camera) is not False:
+    """The IMU with its acceleration turned round where upright poses at ``times`` (N,) show it to have Apple's sign."""
+    if poses is None or force_points_up(imu, times[poses.known], poses.T_map_camera[poses.known, :3, :3]) is not False:
         return imu, ()
     text = "The acceleration points down at rest, against its format; it was turned round."
     return replace(imu, acceleration=-imu.acceleration), (RecordingWarning(WarningKind.SIGN, text),)

@@ -6,15 +6,35 @@ device on its side, as its images are: x right, y up, looking along −z. ARKit'
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 
 from rholoc.geometry import FloatArray
+from rholoc.recordings.logged_table import read_logged_table
+from rholoc.recordings.pose_table import PoseTable, match_poses, poses_from_rows
+from rholoc.recordings.recording import FrameSource, GivenPoses
 
 R_LANDSCAPE_CAMERA_IMU: FloatArray = np.array([[0.0, -1, 0], [-1, 0, 0], [0, 0, -1]])  # images as ARKit has them
 R_PORTRAIT_CAMERA_IMU: FloatArray = np.diag([1.0, -1, -1])  # images turned upright
 
 _T_MAP_ARKIT: FloatArray = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
 _R_ARKIT_OPENCV: FloatArray = np.diag([1.0, -1, -1, 1])
+
+
+def read_arkit_poses(path: Path, frames: FrameSource, start_s: float = 0.0) -> GivenPoses | None:
+    """ARKit's poses of frames from a table without header, ``time, x, y, z, qw, qx, qy, qz``; times count from
+    ``start_s``. None where there is no such file.
+
+    Raises:
+        InvalidRecording: the table is broken.
+        InvalidTrajectory: a pose is, or none belongs to a frame.
+    """
+    if not path.is_file():
+        return None
+    rows = read_logged_table(path).numbered(0, 1, 2, 3, 5, 6, 7, 4)
+    T_map_camera = z_up(opencv_camera(poses_from_rows(rows[:, 1:], path.name)))
+    return match_poses(PoseTable(rows[:, 0] - start_s, T_map_camera), frames)
 
 
 def z_up(T_arkit_camera: FloatArray) -> FloatArray:

@@ -23,8 +23,7 @@ from rholoc.recordings.imu_normalisation import (
     with_sign_by_poses,
 )
 from rholoc.recordings.logged_table import is_bare_table, read_logged_table
-from rholoc.recordings.pose_table import PoseTable, match_poses, poses_from_rows
-from rholoc.recordings.readers._apple import R_PORTRAIT_CAMERA_IMU, opencv_camera, z_up
+from rholoc.recordings.readers._apple import R_PORTRAIT_CAMERA_IMU, read_arkit_poses
 from rholoc.recordings.readers._frames import require_video, timed_video
 from rholoc.recordings.recording import Recording, RecordingFormat
 
@@ -49,22 +48,15 @@ def read(folder: Path) -> Recording:
     """
     phone = _phone(folder)
     times = read_logged_table(phone / "frames.csv").numbered(0)[:, 0]
-    start = times[0]
+    start = float(times[0])
     timed = timed_video(require_video(phone, "frames"), times - start, "frames.csv")
-    felt = read_logged_table(phone / "accelerometer.csv").numbered(0, 1, 2, 3)
-    turned = read_logged_table(_gyroscope(phone)).numbered(0, 1, 2, 3)
-    imu, warnings = normalise_imu(
-        Samples(felt[:, 0], felt[:, 1:]), Samples(turned[:, 0], turned[:, 1:]), ImuConvention(), R_PORTRAIT_CAMERA_IMU
+    poses = read_arkit_poses(phone / "arkit.csv", timed.frames, start)
+    felt, turned = (
+        Samples.from_rows(read_logged_table(path).numbered(0, 1, 2, 3))
+        for path in (phone / "accelerometer.csv", _gyroscope(phone))
     )
-    poses = None
-    arkit = phone / "arkit.csv"
-    if arkit.is_file():
-        rows = read_logged_table(arkit).numbered(0, 1, 2, 3, 5, 6, 7, 4)
-        table = PoseTable(rows[:, 0] - start, z_up(opencv_camera(poses_from_rows(rows[:, 1:], arkit.name))))
-        poses = match_poses(table, timed.frames)
-        known = poses.T_map_camera[poses.known]
-        imu, sign_warnings = with_sign_by_poses(imu, timed.frames.times[poses.known], known[:, :3, :3])
-        warnings += sign_warnings
+    imu, imu_warnings = normalise_imu(felt, turned, ImuConvention(), R_PORTRAIT_CAMERA_IMU)
+    imu, sign_warnings = with_sign_by_poses(imu, timed.frames.times, poses)
     return Recording(
         name=folder.resolve().name,
         path=folder,
@@ -72,7 +64,7 @@ def read(folder: Path) -> Recording:
         imu=imu,
         poses=poses,
         format=RecordingFormat.ADVIO,
-        warnings=(*timed.warnings, *warnings),
+        warnings=(*timed.warnings, *imu_warnings, *sign_warnings),
     )
 
 

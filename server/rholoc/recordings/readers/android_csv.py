@@ -44,11 +44,9 @@ def read(folder: Path) -> Recording:
         timed = timed_video(video, times, "frames.csv")
     else:
         timed = timed_images([listed_file(folder, name) for name in table.text("filename")], times)
-    felt = read_logged_table(folder / "accelerometer.csv").named(*_ACCELEROMETER)
-    turned = read_logged_table(folder / "gyroscope.csv").named(*_GYROSCOPE)
-    imu, imu_warnings = normalise_imu(
-        Samples(felt[:, 0], felt[:, 1:]), Samples(turned[:, 0], turned[:, 1:]), ImuConvention(time_unit="ns")
-    )
+    felt = Samples.from_rows(read_logged_table(folder / "accelerometer.csv").named(*_ACCELEROMETER))
+    turned = Samples.from_rows(read_logged_table(folder / "gyroscope.csv").named(*_GYROSCOPE))
+    imu, imu_warnings = normalise_imu(felt, turned, ImuConvention(time_unit="ns"))
     return Recording(
         name=folder.resolve().name,
         path=folder,

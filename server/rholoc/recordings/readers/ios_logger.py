@@ -16,8 +16,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
-
 from rholoc.geometry import FloatArray
 from rholoc.recordings.imu_normalisation import (
     ImuConvention,
@@ -29,11 +27,9 @@ from rholoc.recordings.imu_normalisation import (
 )
 from rholoc.recordings.logged_table import is_bare_table, read_logged_table
 from rholoc.recordings.missing_images import MissingImages
-from rholoc.recordings.pose_table import PoseTable, match_poses, poses_from_rows
-from rholoc.recordings.readers._apple import R_LANDSCAPE_CAMERA_IMU, opencv_camera, z_up
+from rholoc.recordings.readers._apple import R_LANDSCAPE_CAMERA_IMU, read_arkit_poses
 from rholoc.recordings.readers._frames import TimedFrames, find_video, timed_video
 from rholoc.recordings.recording import (
-    GivenPoses,
     Imu,
     Recording,
     RecordingFormat,
@@ -62,12 +58,9 @@ def read(folder: Path) -> Recording:
     times, unit_warnings = frame_times_s(table.numbered(0)[:, 0], "s")
     timed = _frames(folder, times)
     intrinsics = table.numbered(2, 3, 4, 5)[timed.rows] if len(table.rows[0]) == 6 else None
-    poses = _poses(folder / "ARposes.txt", timed)
+    poses = read_arkit_poses(folder / "ARposes.txt", timed.frames)
     imu, imu_warnings = _imu(folder)
-    if poses is not None:
-        known = poses.T_map_camera[poses.known]
-        imu, sign_warnings = with_sign_by_poses(imu, timed.frames.times[poses.known], known[:, :3, :3])
-        imu_warnings += sign_warnings
+    imu, sign_warnings = with_sign_by_poses(imu, timed.frames.times, poses)
     return Recording(
         name=folder.resolve().name,
         path=folder,
@@ -76,7 +69,7 @@ def read(folder: Path) -> Recording:
         poses=poses,
         format=RecordingFormat.IOS_LOGGER,
         frame_intrinsics=intrinsics,
-        warnings=(*unit_warnings, *timed.warnings, *imu_warnings),
+        warnings=(*unit_warnings, *timed.warnings, *imu_warnings, *sign_warnings),
     )
 
 
@@ -89,25 +82,16 @@ def _frames(folder: Path, times: FloatArray) -> TimedFrames:
     return TimedFrames(MissingImages(times[rows], rows), rows, (warning, *found))
 
 
-def _poses(path: Path, timed: TimedFrames) -> GivenPoses | None:
-    if not path.is_file():
-        return None
-    rows = read_logged_table(path).numbered(0, 1, 2, 3, 5, 6, 7, 4)
-    T_map_camera = z_up(opencv_camera(poses_from_rows(rows[:, 1:], path.name)))
-    return match_poses(PoseTable(rows[:, 0], T_map_camera), timed.frames)
-
-
 def _imu(folder: Path) -> tuple[Imu, tuple[RecordingWarning, ...]]:
     fused = folder / "MotARH.txt"
     says = ImuConvention(in_g=True, apple_sign=True)
     if fused.is_file():
         rows = read_logged_table(fused).numbered(*range(10))
         felt = Samples(rows[:, 0], rows[:, 4:7] + rows[:, 7:10])
-        turned = Samples(rows[:, 0], rows[:, 1:4])
+        turned = Samples.from_rows(rows[:, :4])
     else:
-        accelerometer, gyroscope = (
-            read_logged_table(folder / name).numbered(0, 1, 2, 3) for name in ("Accel.txt", "Gyro.txt")
+        felt, turned = (
+            Samples.from_rows(read_logged_table(folder / name).numbered(0, 1, 2, 3))
+            for name in ("Accel.txt", "Gyro.txt")
         )
-        felt = Samples(accelerometer[:, 0], np.ascontiguousarray(accelerometer[:, 1:]))
-        turned = Samples(gyroscope[:, 0], np.ascontiguousarray(gyroscope[:, 1:]))
     return normalise_imu(felt, turned, says, R_LANDSCAPE_CAMERA_IMU)

@@ -45,11 +45,9 @@ def read(folder: Path) -> Recording:
     name = gyroscope.name.removesuffix(_GYROSCOPE).lower()
     video = find_video(gyroscope.parent, name) or require_video(folder, name)
     timed = timed_video(video, times, times_csv.name)
-    felt = read_logged_table(_sibling(gyroscope, _ACCELEROMETER)).numbered(0, 1, 2, 3)
-    turned = read_logged_table(gyroscope).numbered(0, 1, 2, 3)
-    imu, imu_warnings = normalise_imu(
-        Samples(felt[:, 3], felt[:, :3]), Samples(turned[:, 3], turned[:, :3]), ImuConvention(time_unit="ns")
-    )
+    felt = Samples.from_rows(read_logged_table(_sibling(gyroscope, _ACCELEROMETER)).numbered(3, 0, 1, 2))
+    turned = Samples.from_rows(read_logged_table(gyroscope).numbered(3, 0, 1, 2))
+    imu, imu_warnings = normalise_imu(felt, turned, ImuConvention(time_unit="ns"))
     return Recording(
         name=folder.resolve().name,
         path=folder,

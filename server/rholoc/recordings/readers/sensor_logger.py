@@ -20,7 +20,6 @@ from pathlib import Path
 import numpy as np
 
 from rholoc.errors import InvalidRecording
-from rholoc.geometry import FloatArray
 from rholoc.recordings.image import IMAGE_SUFFIXES
 from rholoc.recordings.image_folder import number_in_name
 from rholoc.recordings.imu_normalisation import ImuConvention, Samples, interpolated, normalise_imu
@@ -94,8 +93,7 @@ def _acceleration(folder: Path) -> tuple[Samples, bool]:
 
 
 def _samples(path: Path) -> Samples:
-    rows: FloatArray = read_logged_table(path).named(*_COLUMNS)
-    return Samples(rows[:, 0], rows[:, 1:])
+    return Samples.from_rows(read_logged_table(path).named(*_COLUMNS))
 
 
 def _apple_sign(folder: Path) -> bool:

@@ -111,8 +111,7 @@ def _imu(log: _Log, R_camera_imu: FloatArray | None) -> tuple[Imu | None, tuple[
         return None, ()
     # Lines of several sensors are written as they arrive; those of one may be out of order.
     felt, turned = (rows[np.argsort(rows[:, 0], kind="stable")] for rows in (felt, turned))
-    samples = Samples(felt[:, 0], felt[:, 1:]), Samples(turned[:, 0], turned[:, 1:])
-    return normalise_imu(*samples, ImuConvention(), R_camera_imu)
+    return normalise_imu(Samples.from_rows(felt), Samples.from_rows(turned), ImuConvention(), R_camera_imu)
 
 
 def _calibration(path: Path) -> dict[str, Any] | None:

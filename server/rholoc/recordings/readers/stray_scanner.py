@@ -47,7 +47,8 @@ def read(folder: Path) -> Recording:
     odometry = read_logged_table(folder / "odometry.csv")
     timed = timed_video(require_video(folder, "rgb"), odometry.named("timestamp")[:, 0], "odometry.csv")
     T_map_camera = z_up(poses_from_rows(odometry.named(*_POSES)[timed.rows], "odometry.csv"))
-    imu, imu_warnings = _imu(folder / "imu.csv", timed.frames.times, T_map_camera[:, :3, :3])
+    poses = GivenPoses(np.ones(len(T_map_camera), dtype=np.bool_), T_map_camera)
+    imu, imu_warnings = _imu(folder / "imu.csv", timed.frames.times, poses)
     per_frame = _logged_intrinsics(odometry, timed.rows)
     return Recording(
         name=folder.resolve().name,
@@ -55,21 +56,21 @@ def read(folder: Path) -> Recording:
         frames=timed.frames,
         camera=_camera(folder / "camera_matrix.csv", timed.frames.size),
         imu=imu,
-        poses=GivenPoses(np.ones(len(T_map_camera), dtype=np.bool_), T_map_camera),
+        poses=poses,
         format=RecordingFormat.STRAY_SCANNER,
         frame_intrinsics=per_frame,
         warnings=(*timed.warnings, *imu_warnings),
     )
 
 
-def _imu(path: Path, times: FloatArray, R_map_camera: FloatArray) -> tuple[Imu | None, tuple[RecordingWarning, ...]]:
+def _imu(path: Path, times: FloatArray, poses: GivenPoses) -> tuple[Imu | None, tuple[RecordingWarning, ...]]:
     if not path.is_file():
         return None, ()
     rows = read_logged_table(path).named(*_IMU)
     says = ImuConvention(in_g=True, apple_sign=True)
     felt, turned = Samples(rows[:, 0], rows[:, 1:4]), Samples(rows[:, 0], rows[:, 4:7])
     imu, warnings = normalise_imu(felt, turned, says, R_LANDSCAPE_CAMERA_IMU)
-    imu, sign_warnings = with_sign_by_poses(imu, times, R_map_camera)
+    imu, sign_warnings = with_sign_by_poses(imu, times, poses)
     return imu, (*warnings, *sign_warnings)
 
 
