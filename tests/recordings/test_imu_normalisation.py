@@ -60,19 +60,18 @@ def test_degrees_that_no_hand_turns_by_are_degrees_without_gravity_too() -> None
     assert kinds(warnings) == [WarningKind.GYROSCOPE_UNIT]
 
 
-def test_a_gyroscope_that_is_said_to_be_in_degrees_and_is_not() -> None:
-    imu, warnings = normalised(says=ImuConvention(in_degrees=True))
-    np.testing.assert_allclose(imu.angular_velocity, RATE)
-    assert kinds(warnings) == [WarningKind.GYROSCOPE_UNIT]
+def test_a_gyroscope_with_the_wrong_sign_is_not_in_degrees() -> None:
+    imu, warnings = normalised(rate=-RATE)
+    np.testing.assert_array_equal(imu.angular_velocity, -RATE)
+    assert warnings == ()
 
 
-def test_at_rest_units_are_as_the_format_says() -> None:
+def test_at_rest_nothing_shows_degrees() -> None:
     rest = np.tile([0.0, 0.0, phone.GRAVITY], (400, 1))
     tremor = 0.01 * np.sin(np.arange(1200)).reshape(400, 3)
-    for in_degrees in (False, True):
-        imu, warnings = normalised(felt=rest, rate=tremor, says=ImuConvention(in_degrees=in_degrees))
-        np.testing.assert_allclose(imu.angular_velocity, np.radians(tremor) if in_degrees else tremor)
-        assert warnings == ()
+    imu, warnings = normalised(felt=rest, rate=tremor)
+    np.testing.assert_array_equal(imu.angular_velocity, tremor)
+    assert warnings == ()
 
 
 @pytest.mark.parametrize("said", [False, True])

@@ -39,7 +39,7 @@ _FASTEST_TURN = 12.0  # rad/s that a walking hand does not exceed in one row of 
 _TURN_WINDOW_S = 0.4
 _TOLD_TURN = 0.05  # rad that gravity must turn between two windows to tell anything …
 _FEWEST_TURNS = 5  # … this often
-_DISTINCTLY = 2.0  # times better, for one unit of angle to be told from the other
+_DISTINCTLY = 3.0  # times better, for degrees to be believed; a wrong sign alone makes 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,14 +64,12 @@ class ImuConvention:
         in_g: the acceleration is in multiples of standard gravity, not m/s².
         includes_gravity: it includes gravity's reaction.
         apple_sign: it is negative: at rest it reads −1 g upwards, as CoreMotion does.
-        in_degrees: the gyroscope is in degrees a second.
     """
 
     time_unit: str = "s"
     in_g: bool = False
     includes_gravity: bool = True
     apple_sign: bool = False
-    in_degrees: bool = False
 
 
 def normalise_imu(
@@ -103,12 +101,9 @@ def normalise_imu(
     warnings += _convention_warnings(says, measured)
     factor = (STANDARD_GRAVITY if measured.in_g else 1.0) * (-1 if measured.apple_sign else 1)
     felt = replace(felt, values=felt.values * factor)
-    if measure_degrees(felt, turned, measured):
-        if not says.in_degrees:
-            warnings.append(RecordingWarning(WarningKind.GYROSCOPE_UNIT, "The gyroscope is in degrees a second."))
+    if is_in_degrees(turned, felt if measured.includes_gravity else None):
+        warnings.append(RecordingWarning(WarningKind.GYROSCOPE_UNIT, "The gyroscope is in degrees a second."))
         turned = replace(turned, values=np.radians(turned.values))
-    elif says.in_degrees:
-        warnings.append(RecordingWarning(WarningKind.GYROSCOPE_UNIT, "The gyroscope is in radians a second."))
     times, acceleration, rate = _merged(felt, turned)
     return Imu(times, acceleration, rate, measured.includes_gravity, R_camera_imu), tuple(warnings)
 
@@ -198,25 +193,24 @@ def measure_acceleration(values: FloatArray, says: ImuConvention) -> ImuConventi
     return replace(says, in_g=True, includes_gravity=True) if _is_one(median) else says
 
 
-def measure_degrees(felt: Samples, turned: Samples, says: ImuConvention) -> bool:
-    """Whether the gyroscope's values are degrees: too fast for a hand, or gravity turns as they say only as degrees."""
+def is_in_degrees(turned: Samples, felt: Samples | None) -> bool:
+    """Whether the gyroscope's values are degrees, not radians: too fast for a hand, or gravity, where the accelerations
+    ``felt`` include it, turns as they say only as degrees."""
     if len(turned.values) < _FEWEST_TO_MEASURE:
-        return says.in_degrees
+        return False
     if np.percentile(np.linalg.norm(turned.values, axis=1), 95) > _FASTEST_TURN:
         return True
-    if not says.includes_gravity:
-        return says.in_degrees
+    if felt is None:
+        return False
     down, turns = _gravity_turns(felt, turned)
     told = np.linalg.norm(down[1:] - down[:-1], axis=1) > _TOLD_TURN
     if told.sum() < _FEWEST_TURNS:
-        return says.in_degrees
+        return False
     as_radians, as_degrees = (
         float(np.median(np.linalg.norm(Rotation.from_rotvec(-turn).apply(down[:-1][told]) - down[1:][told], axis=1)))
         for turn in (turns[told], np.radians(turns[told]))
     )
-    if max(as_radians, as_degrees) < _DISTINCTLY * min(as_radians, as_degrees):
-        return says.in_degrees
-    return as_degrees < as_radians
+    return as_radians > _DISTINCTLY * as_degrees
 
 
 def force_points_up(imu: Imu, times: FloatArray, R_map_camera: FloatArray) -> bool | None:
