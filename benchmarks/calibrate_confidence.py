@@ -1,11 +1,12 @@
 """Fit and check the confidence of answers (rholoc.localization.confidence) on recordings.
 
-    python benchmarks/calibrate_confidence.py MAP.rho FRAMES --camera fx,fy,cx,cy --frames 100:400 --every 3 \
+    python benchmarks/calibrate_confidence.py MAP.rho... FRAMES --camera fx,fy,cx,cy --frames 100:400 --every 3 \
         --other VIDEO_OR_FOLDER --other VIDEO_OR_FOLDER --plot reliability.png
 
 Queries are the frames, whole and with only some of their features (frames that are easy say nothing about doubt), and
 frames of other rooms, which are all wrong. Every other frame is for fitting, the rest for checking. Prints the weights
 that fit best and, for the weights in use, a reliability table and the share of other rooms' frames that are refused.
+Several maps of the same frames share their weights, as all kinds of features with one metric do.
 """
 
 from __future__ import annotations
@@ -33,6 +34,7 @@ SHARES = (1.0, 0.4, 0.2, 0.1, 0.05, 0.03)  # of a frame's features that are kept
 RIGHT_M, RIGHT_RAD = 0.10, np.deg2rad(5.0)
 OTHER_ROOM_FRAMES = 60
 RIDGE = 0.01
+THRESHOLDS = (0.3, 0.5, 0.7, 0.8, 0.9)
 
 
 @dataclass(frozen=True)
@@ -99,6 +101,13 @@ def other_cases(localizer: Localizer, path: Path) -> Iterator[Case]:
         yield Case(inputs, confidence_of(found, metric) if found else 0.0, False, True, True, number % 2 == 0)
 
 
+def all_cases(localizer: Localizer, args: argparse.Namespace) -> Iterator[Case]:
+    """Frames of the map's room and of the others."""
+    yield from own_cases(localizer, args)
+    for path in args.other:
+        yield from other_cases(localizer, path)
+
+
 def fit(cases: list[Case]) -> FloatArray:
     """The logistic's intercept and weights (4,), by likelihood with a little ridge."""
     X = np.array([[1.0, *case.inputs] for case in cases])
@@ -137,7 +146,7 @@ def plot(rows: list[tuple[str, int, float, float]], path: Path) -> None:
 def main() -> None:
     """Run the benchmark."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("map", type=Path)
+    parser.add_argument("map", type=Path, nargs="+")
     parser.add_argument("recording", type=Path)
     parser.add_argument("--camera")
     parser.add_argument("--frames")
@@ -145,22 +154,18 @@ def main() -> None:
     parser.add_argument("--other", type=Path, action="append", default=[])
     parser.add_argument("--plot", type=Path)
     args = parser.parse_args()
-    localizer = Localizer(load_map(args.map), min_confidence=0.0)
-    cases = list(own_cases(localizer, args))
-    cases += [case for path in args.other for case in other_cases(localizer, path)]
-    checked = [case for case in cases if not case.fitted]
+    cases = [case for path in args.map for case in all_cases(Localizer(load_map(path), min_confidence=0.0), args)]
     print("intercept and weights that fit best:", np.round(fit([case for case in cases if case.fitted]), 2))
     print("confidence  answers  said  right")
-    rows = reliability(checked)
+    rows = reliability([case for case in cases if not case.fitted])
     for name, count, said, was in rows:
         print(f"{name:10}  {count:7}  {said:.2f}  {was:.2f}")
+    print("threshold  other rooms refused  good answers kept")
     other = np.array([case.confidence for case in cases if case.other_room])
     good = np.array([case.confidence for case in cases if case.whole and case.right])
-    for threshold in (0.3, 0.5, 0.7):
+    for threshold in THRESHOLDS:
         refused = f"{(other < threshold).mean():.3f}" if len(other) else "–"
-        print(
-            f"threshold {threshold}: other rooms refused {refused}, good answers kept {(good >= threshold).mean():.3f}"
-        )
+        print(f"{threshold:9}  {refused:>19}  {(good >= threshold).mean():17.3f}")
     if args.plot:
         plot(rows, args.plot)
 

@@ -39,12 +39,12 @@ def localize(
     camera: options.Camera = None,
     dof: Annotated[int, typer.Option(min=5, max=6, help="5: the camera does not roll; 6: roll is estimated too.")] = 5,
     min_confidence: Annotated[
-        float, typer.Option(min=0.0, max=1.0, help="Poses of lower confidence are not given out.")
-    ] = 0.5,
+        float | None, typer.Option(min=0.0, max=1.0, help="Poses of lower confidence are not given out.")
+    ] = None,
     as_json: options.Json = False,
 ) -> None:
     """Localize frames in a map and write the trajectory (Table 6). Frames without a pose get no row."""
-    from rholoc.localization import Dof, Localizer
+    from rholoc.localization import MIN_CONFIDENCE, Dof, Localizer
     from rholoc.maps import load_map, write_trajectory_csv
     from rholoc.recordings import read_recording
 
@@ -53,7 +53,7 @@ def localize(
     map_ = load_map(map_file)
     recording = read_recording(source, camera=options.named_camera(camera), frames=frames)
     used_camera = _camera(recording, map_.info)
-    localizer = Localizer(map_, min_confidence)
+    localizer = Localizer(map_, MIN_CONFIDENCE if min_confidence is None else min_confidence)
     count = len(recording.frames.times)
     start_s = time.perf_counter()
     with frame_progress("localizing", count) as advance:

@@ -12,7 +12,7 @@ from rholoc.errors import InvalidDescriptors
 from rholoc.features import Extractor, get_extractor
 from rholoc.geometry import FloatArray, Pose
 from rholoc.localization.ascent import upright
-from rholoc.localization.confidence import confidence_of
+from rholoc.localization.confidence import MIN_CONFIDENCE, confidence_of
 from rholoc.localization.map_index import MapIndex
 from rholoc.localization.matches import Matches
 from rholoc.localization.seeds import Place, minimal_samples, vote_for_places
@@ -81,7 +81,7 @@ class Localizer:
         options: how hard to look.
     """
 
-    def __init__(self, map_: Map, min_confidence: float = 0.5, options: SearchOptions | None = None) -> None:
+    def __init__(self, map_: Map, min_confidence: float = MIN_CONFIDENCE, options: SearchOptions | None = None) -> None:
         self.map = map_
         self.min_confidence = min_confidence
         self.options = options or SearchOptions()

@@ -14,7 +14,7 @@ from rholoc.localization.matches import Matches
 from rholoc.localization.tensor_ascent import ascend_tensors
 from rholoc.localization.types import Dof, Query
 
-_SEARCH_RADII_PX = (14.0, 7.0)
+_SEARCH_RADII_PX = (14.0, 5.0)
 FINAL_TOLERANCE_PX = 4.0
 _MIN_MATCHES = 6
 

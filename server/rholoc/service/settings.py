@@ -10,6 +10,7 @@ from pydantic import Field, SecretStr
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
 from rholoc.jobs import Limits
+from rholoc.localization import MIN_CONFIDENCE
 from rholoc.service.guard import KeyPolicy
 
 
@@ -43,7 +44,9 @@ class Settings(BaseSettings):
     queue_length: int = Field(
         default=16, ge=0, description="How many more frames may wait; beyond, the answer is `busy`."
     )
-    min_confidence: float = Field(default=0.5, ge=0, le=1, description="Poses of lower confidence are not given out.")
+    min_confidence: float = Field(
+        default=MIN_CONFIDENCE, ge=0, le=1, description="Poses of lower confidence are not given out."
+    )
     default_deadline_ms: float = Field(default=5000, gt=0, description="The deadline of requests that name none.")
     max_image_pixels: int = Field(default=50_000_000, ge=1, description="The most pixels an image may claim to have.")
     max_features: int = Field(default=20_000, ge=1, description="The most features a descriptor set may hold.")
