@@ -1,40 +1,71 @@
-"""Frame poses of a real hand-held walk from its images and four measured waypoints, against its true poses."""
+"""Frame poses of a real hand-held walk from its images and four waypoints in order, against its true poses."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from rholoc.geometry import pose_matrix
-from rholoc.recordings import Waypoint, read_recording
+from rholoc.geometry import ByteArray, FloatArray, IntArray, pose_matrix
+from rholoc.recordings import FrameSource, Waypoint, read_recording
 from rholoc.trajectory import PoseMethod, Scale, estimate_trajectory
 
 _WAYPOINT_FRAMES = (424, 700, 772, 976)  # the far ends of the walk, along it and across: they fix its rotation
 _CAMERA = "525.505,525.505,320,240"
+_INTERVAL_S = 0.2
+
+
+@dataclass(frozen=True, eq=False)
+class _Pausing:
+    """Frames of another source, with some rows shown for two seconds, as if the camera had paused there."""
+
+    source: FrameSource
+    pauses: tuple[int, ...]
+
+    @property
+    def times(self) -> FloatArray:
+        return np.arange(len(self._rows)) * _INTERVAL_S
+
+    @property
+    def numbers(self) -> IntArray:
+        return self.source.numbers[self._rows]
+
+    @property
+    def size(self) -> tuple[int, int]:
+        return self.source.size
+
+    def images(self, rows: Sequence[int]) -> Iterator[ByteArray]:
+        wanted = [int(self._rows[row]) for row in rows]
+        distinct = sorted(set(wanted))
+        shown = dict(zip(distinct, self.source.images(distinct), strict=True))
+        return (shown[row] for row in wanted)
+
+    @property
+    def _rows(self) -> IntArray:
+        counts = np.ones(len(self.source.times), dtype=np.int64)
+        counts[list(self.pauses)] = round(2 / _INTERVAL_S)
+        return np.repeat(np.arange(len(counts)), counts)
 
 
 @pytest.mark.real
 @pytest.mark.slow
-@pytest.mark.timeout(300)
-def test_redkitchen_is_placed_from_images_and_four_waypoints(real_data: Path) -> None:
+@pytest.mark.timeout(600)
+def test_redkitchen_is_placed_from_images_and_four_waypoints_in_order(real_data: Path) -> None:
     table = np.loadtxt(real_data / "redkitchen" / "poses.txt")
     truth = {int(row[0]): row[1:] for row in table}
     recording = read_recording(real_data / "redkitchen", camera=_CAMERA, frames="400:1000:6")
     numbers = recording.frames.numbers
-    rows = [int(np.flatnonzero(numbers == number)[0]) for number in _WAYPOINT_FRAMES]
-    waypoints = tuple(
-        Waypoint(f"W{n}", float(recording.frames.times[row]), tuple(truth[n][:3]))
-        for n, row in zip(_WAYPOINT_FRAMES, rows, strict=True)
-    )
-    recording = replace(recording, poses=None, waypoints=waypoints)
+    frames = _Pausing(recording.frames, tuple(int(np.flatnonzero(numbers == n)[0]) for n in _WAYPOINT_FRAMES))
+    waypoints = tuple(Waypoint(f"W{n}", float("nan"), tuple(truth[n][:3])) for n in _WAYPOINT_FRAMES)
+    recording = replace(recording, frames=frames, poses=None, waypoints=waypoints)
 
     trajectory = estimate_trajectory(recording, PoseMethod.VISUAL)
 
-    true = np.array([truth[int(numbers[row])] for row in trajectory.rows])
+    true = np.array([truth[int(frames.numbers[row])] for row in trajectory.rows])
     T = pose_matrix(Rotation.from_quat(true[:, 3:]).as_matrix(), true[:, :3])
     position_cm = 100 * np.linalg.norm(trajectory.T_map_camera[:, :3, 3] - T[:, :3, 3], axis=1)
     turned = Rotation.from_matrix(np.swapaxes(trajectory.T_map_camera[:, :3, :3], 1, 2) @ T[:, :3, :3])
@@ -43,6 +74,10 @@ def test_redkitchen_is_placed_from_images_and_four_waypoints(real_data: Path) ->
     assert trajectory.scale is Scale.METRIC
     assert not trajectory.upright  # this camera rolls, and nothing measured gravity
     assert trajectory.report["frames"] >= 0.95 * trajectory.report["keyframes"] >= 60
+    taken = [
+        int(frames.numbers[np.abs(frames.times - t).argmin()]) for t in trajectory.report["waypoint_times_s"].values()
+    ]
+    assert taken == list(_WAYPOINT_FRAMES)
     assert max(trajectory.report["waypoint_residuals_m"].values()) < 0.05
     assert np.median(position_cm) < 2.0
     assert np.percentile(position_cm, 90) < 4.0

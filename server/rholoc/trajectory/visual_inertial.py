@@ -62,7 +62,8 @@ def align_inertially(
     axes, is multiplied by hat functions whose corners are keyframes. Integrated by parts, the second derivative of a
     path becomes the difference of two mean velocities: neither velocities nor a differentiated path are needed. What
     remains is linear in the scale s, gravity g, l and the accelerometer's bias. Uncertainties are those of a jackknife
-    over blocks of time, for neighbouring hats err alike.
+    over blocks of time, for neighbouring hats err alike; they do not see that noise of the cameras makes the scale too
+    small, by its share of the accelerations' variance.
 
     None where IMU and poses have too little time in common.
     """
