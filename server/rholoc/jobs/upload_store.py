@@ -175,23 +175,23 @@ class UploadStore:
         return Upload(upload_id, entry.size_bytes, entry.size_bytes, job=job)
 
     def _check_start(self, upload_id: str, path: Path) -> None:
-        with path.open("rb") as file:
-            start = file.read(START_BYTES)
-        try:
-            check_file_start(path.name, start)
-        except RholocError:
-            self._remove(upload_id)
-            raise
+        with path.open("rb") as file, self._removing_if_refused(upload_id):
+            check_file_start(path.name, file.read(START_BYTES))
 
     def _check_whole(self, upload_id: str, plan: _Plan) -> None:
         path = self._folder(upload_id) / plan.file_name
         self._check_start(upload_id, path)
         if path.suffix.lower() == ZIP_SUFFIX:
-            try:
+            with self._removing_if_refused(upload_id):
                 check_archive(path)
-            except RholocError:
-                self._remove(upload_id)
-                raise
+
+    @contextmanager
+    def _removing_if_refused(self, upload_id: str) -> Iterator[None]:
+        try:
+            yield
+        except RholocError:
+            self._remove(upload_id)
+            raise
 
     def _remove(self, upload_id: str) -> None:
         shutil.rmtree(self._folder(upload_id), ignore_errors=True)
