@@ -197,13 +197,16 @@ def test_waypoints_and_intrinsics_may_be_added_to_any_format(tmp_path: Path) -> 
     waypoints = [Waypoint(f"W{i}", phone.START_S + 0.3 * i, (i, i * i, 1.5)) for i in range(3)]
     write_waypoints_csv(folder / "waypoints.csv", waypoints)
     camera = Camera(2 * 64, 2 * 48, 120, 120, 63.5, 47.5)
-    write_camera_json(folder / "camera.json", CameraFile(camera, R_camera_imu=phone.R_PORTRAIT_CAMERA_IMU))
+    write_camera_json(
+        folder / "camera.json", CameraFile(camera, R_camera_imu=phone.R_PORTRAIT_CAMERA_IMU, readout_s=0.02)
+    )
     recording = read_recording(folder)
     assert recording.format is RecordingFormat.OPENCAMERA_SENSORS
     assert [waypoint.name for waypoint in recording.waypoints] == ["W0", "W1", "W2"]
     assert recording.camera == Camera(64, 48, 60, 60, 31.5, 23.5)
     assert recording.imu is not None
     np.testing.assert_array_equal(recording.imu.R_camera_imu, phone.R_PORTRAIT_CAMERA_IMU)
+    assert recording.readout_s == 0.02
 
 
 def test_fisheye_intrinsics_are_left_aside_and_told(tmp_path: Path) -> None:

@@ -78,12 +78,14 @@ def read_folder(folder: Path) -> Recording:
 
 
 def _with_additions(recording: Recording, folder: Path) -> Recording:
-    """The recording with the intrinsics, mounting and waypoints that its operator put beside it."""
+    """The recording with the intrinsics, mounting, read-out time and waypoints that its operator put beside it."""
     description = own.read_description(folder)
     if description.camera is not None and 0 not in recording.frames.size:
         recording = replace(recording, camera=description.camera.fitted(*recording.frames.size))
     if description.R_camera_imu is not None and recording.imu is not None:
         recording = replace(recording, imu=replace(recording.imu, R_camera_imu=description.R_camera_imu))
+    if description.readout_s is not None:
+        recording = replace(recording, readout_s=description.readout_s)
     waypoints_csv = folder / "waypoints.csv"
     if waypoints_csv.is_file():
         recording = replace(recording, waypoints=read_waypoints_csv(waypoints_csv, recording.frames))
