@@ -68,7 +68,9 @@ def test_waypoints_before_the_imu_and_the_imu_beside_them() -> None:
     assert evidence.gyro is not None
     beside = compare_with_inertial(times, found, waypoints, imu, evidence.gyro)
     assert 0.005 < beside["rms_m"] < 0.3
-    in_feet = tuple(replace(w, position=tuple(3.28 * x for x in w.position)) for w in waypoints)
+    in_feet = tuple(
+        Waypoint(w.name, w.time, (3.28 * x, 3.28 * y, 3.28 * z)) for w in waypoints for x, y, z in [w.position]
+    )
     doubtful = frame_of_waypoints(times, own, [in_feet], evidence.alignment)
     assert any("accelerometer says that the walk is 0.3" in doubt for doubt in doubtful.doubts)
 
