@@ -444,15 +444,13 @@ class JobList(_Out):
     jobs: list[JobOut]
 
 
+_RECORDING = {"id": _RECORDING_ID, "files": ["walk.mp4"], "size_bytes": 60_000_000, "created": 1767607200.0}
+
+
 class RecordingOut(_Out):
     """A stored recording."""
 
-    model_config = ConfigDict(
-        frozen=True,
-        json_schema_extra={
-            "example": {"id": _RECORDING_ID, "files": ["walk.mp4"], "size_bytes": 60_000_000, "created": 1767607200.0}
-        },
-    )
+    model_config = ConfigDict(frozen=True, json_schema_extra={"example": _RECORDING})
 
     id: str
     files: list[str]
@@ -462,6 +460,8 @@ class RecordingOut(_Out):
 
 class RecordingList(_Out):
     """All stored recordings, the newest first."""
+
+    model_config = ConfigDict(frozen=True, json_schema_extra={"example": {"recordings": [_RECORDING]}})
 
     recordings: list[RecordingOut]
 
