@@ -26,7 +26,8 @@ _SEQUENTIAL_INLIERS = 20
 _LOOP_INLIERS = 50
 _THREADS = 2
 MIN_PLACED = 0.7  # the share of the keyframes that must be placed
-_MAX_DISAGREEMENT = 0.02  # of the median depth, between two reconstructions that count as the same
+_MAX_DISAGREEMENT = 0.02  # of the median depth, between two reconstructions that count as the same …
+_MAX_DISAGREEMENT_OF_MOST = 0.04  # … and of nine in ten of their keyframes: a part may be wrong, the rest right
 _MAX_DISAGREEMENT_DEG = 2.0
 _PAIRS_SHARE = 0.4  # of the time that matching takes, for honest fractions
 _SEEDS = (1, 2)
@@ -111,7 +112,7 @@ def structure_from_motion(
             break
     if full is None or placed < MIN_PLACED * len(features):
         raise MappingFailed(f"{placed} of {len(features)} keyframes could be placed.", _ADVICE)
-    trusted, why, distance, angle_deg = _agreement(full, half, alternate)
+    trusted, why, distance, angle_deg = agreement(full, half, alternate)
     calibration = None
     if camera is None:
         other_focal = None if half is None else float(half.parameters[0])
@@ -165,21 +166,28 @@ def _reconstruct_some(
     return reconstruct(camera, camera_is_known, [places[i] for i in some], kept, _SEEDS[1])
 
 
-def _agreement(
-    full: Reconstruction, half: Reconstruction | None, alternate: IntArray
-) -> tuple[bool, str, float, float]:
+def agreement(full: Reconstruction, half: Reconstruction | None, alternate: IntArray) -> tuple[bool, str, float, float]:
+    """Whether a reconstruction and one from the ``alternate`` keyframes alone are the same, but for frame and scale.
+
+    Also one line on it, the median distance as a share of the median depth, and the median angle in degrees.
+    """
     both = np.zeros(0, np.int64) if half is None else np.intersect1d(full.placed, alternate[half.placed])
     if half is None or len(both) < max(3, MIN_PLACED * len(alternate)):
         return False, f"Only {len(both)} of {len(alternate)} keyframes could be checked.", float("nan"), float("nan")
     a = full.T_world_camera[np.searchsorted(full.placed, both)]
     b = half.T_world_camera[np.searchsorted(alternate[half.placed], both)]
     aligned = align_poses(b, a).poses(b)
-    distance = float(np.median(np.linalg.norm(aligned[:, :3, 3] - a[:, :3, 3], axis=1))) / full.median_depth
+    apart = np.linalg.norm(aligned[:, :3, 3] - a[:, :3, 3], axis=1) / full.median_depth
+    distance, of_most = float(np.median(apart)), float(np.percentile(apart, 90))
     turned = np.swapaxes(aligned[:, :3, :3], 1, 2) @ a[:, :3, :3]
     angle_deg = float(np.median(rotation_angles_deg(turned)))
-    trusted = distance <= _MAX_DISAGREEMENT and angle_deg <= _MAX_DISAGREEMENT_DEG
+    close = distance <= _MAX_DISAGREEMENT and of_most <= _MAX_DISAGREEMENT_OF_MOST
+    trusted = close and angle_deg <= _MAX_DISAGREEMENT_DEG
     verb = "agree" if trusted else "disagree"
-    why = f"Two reconstructions {verb}: {distance:.1%} of the median depth and {angle_deg:.1f}° apart."
+    why = (
+        f"Two reconstructions {verb}: {distance:.1%} of the median depth and {angle_deg:.1f}° apart, "
+        f"nine in ten keyframes within {of_most:.1%}."
+    )
     return trusted, why, distance, angle_deg
 
 
