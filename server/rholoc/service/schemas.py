@@ -444,7 +444,7 @@ class JobList(_Out):
     jobs: list[JobOut]
 
 
-_RECORDING = {"id": _RECORDING_ID, "files": ["walk.mp4"], "size_bytes": 60_000_000, "created": 1767607200.0}
+_RECORDING: JsonDict = {"id": _RECORDING_ID, "files": ["walk.mp4"], "size_bytes": 60_000_000, "created": 1767607200.0}
 
 
 class RecordingOut(_Out):
