@@ -304,9 +304,15 @@ def test_a_full_phone_ends_the_recording_and_keeps_what_came_before(running, pho
     page.get_by_role("button", name="Record", exact=True).click()
     expect(page.get_by_text("this phone has no room left")).to_be_visible(timeout=LONG_MS)
     expect(page.locator(".facts")).to_contain_text(re.compile(r"Length0:0[1-9]"))
-    page.goto(f"{running.url}/record")
-    expect(page.get_by_text("This phone has little room left")).to_be_visible()
+    page.get_by_role("link", name="Later").click()
     expect(page.get_by_role("link", name="Look at it")).to_be_visible()
+
+
+def test_little_room_is_told_beforehand(running, phone):
+    page = phone(running.url)
+    page.add_init_script("navigator.storage.estimate = async () => ({quota: 3e8, usage: 2e8})")
+    page.reload()
+    expect(page.get_by_text("This phone has little room left: 100 MB")).to_be_visible()
 
 
 def test_a_reload_in_mid_recording_keeps_what_came_before(running, phone):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import io
+import re
 import zipfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -269,9 +270,16 @@ def test_two_waypoints_of_one_name_are_told(run):
 
 
 def test_all_that_the_recorder_is_made_of_is_kept_for_use_without_a_connection():
+    page = (MODULES / "record" / "index.html").read_text(encoding="utf-8")
+    made_of = {MODULES / name for name in re.findall(r'(?:href|src)="web/([^"]+)"', page)}
+    modules = [path for path in made_of if path.suffix == ".js"]
+    while modules:
+        module = modules.pop()
+        imports = re.findall(r'from "(\.[^"]+)"', module.read_text(encoding="utf-8"))
+        found = {(module.parent / name).resolve() for name in imports} - made_of
+        made_of |= found
+        modules += found
     worker = (MODULES / "record" / "service-worker.js").read_text(encoding="utf-8")
-    made_of = [path for folder in ("record", "shared") for path in (MODULES / folder).rglob("*") if path.is_file()]
-    names = {str(path.relative_to(MODULES)) for path in made_of}
-    not_kept = {"record/index.html", "record/service-worker.js", "record/icon-512.png", "record/icon-maskable-512.png"}
-    listed = {line.strip(' ",') for line in worker.splitlines() if line.startswith('  "')}
-    assert listed == names - not_kept
+    listed = re.findall(r'^  "([^"]+)",$', worker, re.MULTILINE)
+    assert sorted(listed) == listed
+    assert set(listed) == {str(path.relative_to(MODULES)) for path in made_of}

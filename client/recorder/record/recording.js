@@ -4,7 +4,6 @@ import { videoName } from "./camera.js";
 import { clockTimes } from "./clock.js";
 import { frameTimes } from "./container.js";
 import { R_camera_imu } from "./motion.js";
-import { State } from "./store.js";
 import { cameraJson, framesCsv, imuCsv, waypointsCsv } from "./tables.js";
 import { complete, FEWEST } from "./waypoints.js";
 import { crc32, zip } from "./zip.js";
@@ -16,12 +15,18 @@ export function videoOf(recording, parts) {
   return new Blob(parts.map((part) => part.video), { type: recording.type });
 }
 
-/**
- * The recording's description with its tables settled: `files`, a text each, and the checksum of the video. All times are
- * seconds after the first frame.
- */
-export async function sealed(recording, parts) {
-  const video = videoOf(recording, parts);
+/** The ZIP file of a recording: the same bytes each time, as long as its description and parts are the same. */
+export async function archive(recording, parts) {
+  const video = { name: videoName(recording.type), blob: videoOf(recording, parts), crc: await checksum(parts.map((part) => part.video)) };
+  const texts = Object.entries(await tables(recording, parts, video.blob)).map(([name, text]) => {
+    const bytes = new TextEncoder().encode(text);
+    return { name, blob: new Blob([bytes]), crc: crc32(bytes) };
+  });
+  return zip([video, ...texts], new Date(recording.created));
+}
+
+/** The files beside the video, by name. All times are seconds after the first frame. */
+async function tables(recording, parts, video) {
   const recorded = await frameTimes(video);
   const seen = parts.flatMap((part) => part.frames);
   const times = recorded && clockTimes(recorded, seen, recording.started);
@@ -32,23 +37,12 @@ export async function sealed(recording, parts) {
     ...waypoint,
     time: Math.min(Math.max(time - origin, 0), last),
   }));
-  const files = {
+  return {
     ...(times && { "frames.csv": framesCsv(times.map((time) => time - origin)) }),
     ...(rows.length && { "imu.csv": imuCsv(rows) }),
     ...(waypoints.length >= FEWEST && { "waypoints.csv": waypointsCsv(waypoints) }),
     "camera.json": cameraJson({ R_camera_imu: recording.facesAway ? R_camera_imu(recording.screenAngle) : null }),
   };
-  return { ...recording, state: State.SEALED, files, videoCrc: await checksum(parts.map((part) => part.video)) };
-}
-
-/** The ZIP file of a sealed recording: the same bytes each time. */
-export function archive(recording, parts) {
-  const texts = Object.entries(recording.files).map(([name, text]) => {
-    const bytes = new TextEncoder().encode(text);
-    return { name, blob: new Blob([bytes]), crc: crc32(bytes) };
-  });
-  const video = { name: videoName(recording.type), blob: videoOf(recording, parts), crc: recording.videoCrc };
-  return zip([video, ...texts], new Date(recording.created));
 }
 
 async function checksum(blobs) {

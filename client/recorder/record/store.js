@@ -5,7 +5,7 @@
 export const State = Object.freeze({
   RECORDING: "recording", // parts are still coming; after a reload: broken off, and as good as stopped
   STOPPED: "stopped", // for review; waypoints may change
-  SEALED: "sealed", // its ZIP file is settled and being uploaded
+  SENDING: "sending", // it does not change any more, and is being uploaded
   UPLOADED: "uploaded", // the server has it; its parts are gone
 });
 
@@ -40,9 +40,13 @@ export class Store {
     return done(this.table("recordings").get(id));
   }
 
-  /** Keep a description in place of the one with its id. */
+  /** Keep a description in place of the one with its id; without room for it that one stands. Gives back the new one. */
   async save(recording) {
-    await this.write((table) => table("recordings").put(recording));
+    try {
+      await this.write((table) => table("recordings").put(recording));
+    } catch (error) {
+      if (!(error instanceof StorageFull)) throw error;
+    }
     return recording;
   }
 
@@ -57,6 +61,11 @@ export class Store {
   /** A recording's parts, in order. */
   parts(id) {
     return done(this.table("parts").getAll(IDBKeyRange.bound([id], [id, []])));
+  }
+
+  /** Remove one part of a recording. */
+  async removePart(id, index) {
+    await this.write((table) => table("parts").delete([id, index]));
   }
 
   /** Remove a recording's parts, and keep its description. */

@@ -13,6 +13,7 @@ export const Ending = Object.freeze({
   TURNED: "turned", // the picture changed its shape
   FULL: "full", // no room
   CAMERA: "camera", // the camera went away
+  BROKEN: "broken", // the page was closed or reloaded
 });
 
 /** What is told of an ending that nobody asked for. */
@@ -20,6 +21,7 @@ export const ENDINGS = {
   [Ending.HIDDEN]: "Recording ended when you left this page: a phone shuts the camera off then. What came before is kept.",
   [Ending.TURNED]: "Recording ended when the phone was turned: a recording has one shape. What came before is kept.",
   [Ending.FULL]: "Recording ended because this phone has no room left. What came before is kept.",
+  [Ending.BROKEN]: "Recording broke off. What came before is kept.",
   [Ending.CAMERA]: "Recording ended because the camera went away. What came before is kept.",
 };
 
@@ -29,6 +31,7 @@ export class Take {
   #index = 0;
   #writing = Promise.resolve();
   #ending = Ending.STOPPED;
+  #last = {}; // what the recording was before its last part
   #cleanUp = [];
 
   constructor(store, recording, { stream, video, sensors }) {
@@ -79,17 +82,23 @@ export class Take {
     this.#writing = this.#writing.then(() => this.#write(part, elapsed));
   }
 
-  /** Keep a part, unless an earlier one could not be kept: a video has no gaps. */
+  /**
+   * Keep a part, unless an earlier one could not be kept: a video has no gaps. The last part that there was room for
+   * makes room for the description.
+   */
   async #write(part, duration) {
     if (this.#ending === Ending.FULL) return;
-    const bytes = this.recording.bytes + part.video.size;
-    const recording = { ...this.recording, type: this.recorder.mimeType, duration, bytes };
+    const { id, duration: before, bytes } = this.recording;
+    const grown = { type: this.recorder.mimeType, duration, bytes: bytes + part.video.size };
     try {
-      await this.store.add(recording, part);
-      this.recording = recording;
+      await this.store.add({ ...this.recording, ...grown }, part);
+      Object.assign(this.recording, grown);
+      this.#last = { duration: before, bytes };
     } catch {
       this.stop(Ending.FULL);
       this.#ending = Ending.FULL;
+      await this.store.removePart(id, part.index - 1);
+      Object.assign(this.recording, this.#last);
     }
   }
 

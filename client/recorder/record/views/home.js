@@ -58,7 +58,7 @@ function card(recording, store) {
   const [badge, kind, action, address] = {
     [State.RECORDING]: ["broken off", "warn", "Look at it", `#/review/${id}`],
     [State.STOPPED]: ["not sent", "warn", "Look at it", `#/review/${id}`],
-    [State.SEALED]: ["not sent yet", "warn", "Go on sending", `#/send/${id}`],
+    [State.SENDING]: ["not sent yet", "warn", "Go on sending", `#/send/${id}`],
     [State.UPLOADED]: ["sent", "good", "See its job", `#/send/${id}`],
   }[state];
   const item = h(

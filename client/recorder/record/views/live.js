@@ -138,7 +138,7 @@ class Live {
   async end(recording) {
     const lights = this.#lights;
     const kept = { ...recording, waypoints: this.#marks, darkest: lights.length ? Math.min(...lights) : null };
-    await this.store.save(kept).catch(() => {}); // without room the description of the last part stands
+    await this.store.save(kept);
     location.hash = `#/review/${recording.id}`;
   }
 
@@ -184,7 +184,7 @@ class Live {
     this.showImu(imuHz);
     if (this.#light !== null) this.lightBadge.textContent = `Light ${percent(this.#light)}`;
     if (this.#take) {
-      this.#lights.push(this.#light);
+      if (this.#light !== null) this.#lights.push(this.#light);
       this.curve.show(this.#lights);
       const { elapsed, recording } = this.#take;
       this.time.textContent = `${duration(elapsed)} · ${size(recording.bytes)}`;

@@ -3,9 +3,9 @@
 import { fill, h } from "../../shared/dom.js";
 import { DARKEST, LEAST_RATE_HZ } from "../coaching.js";
 import { rate } from "../motion.js";
-import { archive, sealed, SHORTEST_S, videoOf } from "../recording.js";
+import { archive, SHORTEST_S, videoOf } from "../recording.js";
 import { State } from "../store.js";
-import { ENDINGS } from "../take.js";
+import { Ending, ENDINGS } from "../take.js";
 import { problem } from "../waypoints.js";
 import { cameraField } from "./camera_field.js";
 import { mapNameField } from "./map_name.js";
@@ -16,13 +16,14 @@ import { duration, moment, percent, size } from "./words.js";
 export async function reviewView({ content, store, id }) {
   let recording = await store.recording(id);
   if (!recording || ![State.RECORDING, State.STOPPED].includes(recording.state)) return void (location.hash = "#/");
+  if (recording.state === State.RECORDING) recording = await store.save({ ...recording, state: State.STOPPED, ending: Ending.BROKEN });
   const parts = await store.parts(id);
   const address = URL.createObjectURL(videoOf(recording, parts));
   const imuHz = rate(parts.flatMap((part) => part.imu.map((row) => row[0])));
   const doubts = h("ul", { class: "stack doubts" });
   const tooShort = recording.duration < SHORTEST_S;
   const keep = async (changes) => {
-    recording = await store.save({ ...recording, ...changes, state: State.STOPPED });
+    recording = await store.save({ ...recording, ...changes });
     showDoubts();
   };
 
@@ -30,20 +31,15 @@ export async function reviewView({ content, store, id }) {
     fill(doubts, doubtsOf(recording, imuHz).map((text) => h("li", { class: "notice warn" }, text)));
   }
 
-  async function seal() {
-    return store.save(await sealed(recording, parts));
-  }
-
   async function send(event) {
     event.preventDefault();
     event.submitter.disabled = true;
-    await seal();
+    await store.save({ ...recording, state: State.SENDING });
     location.hash = `#/send/${id}`;
   }
 
   async function saveFile() {
-    const settled = await sealed(recording, parts);
-    const file = URL.createObjectURL(archive(settled, parts));
+    const file = URL.createObjectURL(await archive(recording, parts));
     h("a", { href: file, download: `${recording.map}.zip` }).click();
     setTimeout(() => URL.revokeObjectURL(file), 60_000);
   }
@@ -88,12 +84,11 @@ export async function reviewView({ content, store, id }) {
 
 function doubtsOf(recording, imuHz) {
   return [
-    recording.state === State.RECORDING && "Recording broke off. What came before is kept.",
     ENDINGS[recording.ending],
     imuHz === 0
       ? "No motion sensors: the map's scale comes from measured points alone."
       : imuHz < LEAST_RATE_HZ && `The motion sensors reported ${Math.round(imuHz)} times a second; ${LEAST_RATE_HZ} are needed.`,
-    recording.darkest !== null && recording.darkest < DARKEST && "Parts of it are dark. The map may have gaps there.",
+    Number.isFinite(recording.darkest) && recording.darkest < DARKEST && "Parts of it are dark. The map may have gaps there.",
     problem(recording.waypoints),
   ].filter(Boolean);
 }

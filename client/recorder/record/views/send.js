@@ -22,7 +22,7 @@ const STAGES = {
 /** Upload, going on where an earlier try stood; then the job, stage by stage. */
 export async function sendView({ content, store, id }) {
   const recording = await store.recording(id);
-  if (!recording || ![State.SEALED, State.UPLOADED].includes(recording.state)) return void (location.hash = "#/");
+  if (!recording) return void (location.hash = "#/");
   const page = new SendPage(recording);
   fill(content, page.element);
   const leaving = new AbortController();
@@ -33,14 +33,14 @@ export async function sendView({ content, store, id }) {
 }
 
 async function run(page, store, recording, signal) {
-  if (recording.state === State.SEALED) recording = await send(page, store, recording, signal);
+  if (recording.state !== State.UPLOADED) recording = await send(page, store, recording, signal);
   page.sent();
   page.ended(await followJob(recording.job, (job) => page.jobChanged(job), signal));
 }
 
 /** The description of the uploaded recording, whose parts are not needed any more. */
 async function send(page, store, recording, signal) {
-  const file = archive(recording, await store.parts(recording.id));
+  const file = await archive(recording, await store.parts(recording.id));
   const hear = async ({ sent, location, waiting }) => {
     if (sent !== undefined) page.sending(sent, file.size);
     if (waiting) page.waiting(waiting);
@@ -49,7 +49,7 @@ async function send(page, store, recording, signal) {
   const { map, kind = "build", camera } = recording;
   const metadata = { filename: `${map}.zip`, map, kind, ...(camera && { camera }) };
   const job = await upload(file, { metadata, location: recording.location ?? null, hear, signal });
-  const uploaded = { ...recording, state: State.UPLOADED, job, files: null };
+  const uploaded = { ...recording, state: State.UPLOADED, job };
   await store.dropParts(uploaded);
   return uploaded;
 }
