@@ -117,7 +117,9 @@ def test_an_admin_may_delete(locked, keys, picture_world):
         {"Sec-Fetch-Site": "same-site", "Sec-Fetch-Mode": "cors"},
         {"Origin": "https://elsewhere.example"},
         {"Origin": "null"},
+        {"Origin": "http://["},
         {"Host": "elsewhere.example"},
+        {"Host": "["},
     ],
 )
 def test_other_sites_are_refused(service, headers):

@@ -134,15 +134,23 @@ def check_same_site(method: str, headers: Headers, local_only: bool) -> None:
         CrossSite: another site sent it.
     """
     host, origin, site = headers.get("host", ""), headers.get("origin"), headers.get("sec-fetch-site")
-    if local_only and not _is_loopback(urlsplit(f"//{host}").hostname or ""):
+    if local_only and not _is_loopback(_host_name(host)):
         raise CrossSite(f"This server does not answer to the name {host[:64]}.", "Ask it as localhost.")
     if site is not None:
         followed = method in _READING and headers.get("sec-fetch-mode") == "navigate"
         foreign = site not in ("same-origin", "none") and not followed
     else:
-        foreign = origin is not None and urlsplit(origin).netloc != host
+        foreign = origin is not None and origin.partition("://")[2] != host
     if foreign:
         raise CrossSite("Another site may not use this server from a browser.", "Open the server's own page.")
+
+
+def _host_name(host: str) -> str:
+    """The name or address in a ``Host`` header, without its port; empty where it has none."""
+    try:
+        return urlsplit(f"//{host}").hostname or ""
+    except ValueError:
+        return ""
 
 
 def _is_loopback(host: str) -> bool:
