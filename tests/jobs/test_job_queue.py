@@ -82,7 +82,7 @@ def test_only_the_latest_worker_holds_a_job(tmp_path: Path, site: Site) -> None:
     second, _ = table.take_up(job.id, workflow)
     assert (table.holds(first), table.holds(second)) == (False, True)
     assert not table.begin_publishing(first)
-    table.publish(first, [])
+    assert not table.publish(first, [])
     table.note(first, Stage.POSES, 0.5, "of the first")
     assert (table.get(job.id).state, table.get(job.id).message) == (JobState.RUNNING, "waiting for a worker")
     site.queue.cancel(job.id)

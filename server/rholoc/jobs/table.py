@@ -210,15 +210,19 @@ class JobTable:
         """From here on the job cannot be cancelled. False if the lease was lost before."""
         return self._update(lease, stage=Stage.PUBLISHED, message="publishing the map")
 
-    def publish(self, lease: Lease, warnings: Sequence[str]) -> None:
-        """Note that the job's map is published, and why it is not to be trusted where that is so."""
+    def publish(self, lease: Lease, warnings: Sequence[str]) -> bool:
+        """Note that the job's map is published, and why it is not to be trusted where that is so.
+
+        Returns:
+            Whether the lease was still good; else nothing is noted.
+        """
         lines = [*(f"warning: {warning}" for warning in warnings), "published"]
         values = {"stage": Stage.PUBLISHED, "progress": 1.0, "warnings": list(warnings)}
-        self._end(lease, JobState.PUBLISHED, "published", lines, **values)
+        return self._end(lease, JobState.PUBLISHED, "published", lines, **values)
 
-    def fail(self, lease: Lease, failure: Failure) -> None:
-        """Note why the job failed."""
-        self._end(
+    def fail(self, lease: Lease, failure: Failure) -> bool:
+        """Note why the job failed. Returns as :meth:`publish` does."""
+        return self._end(
             lease,
             JobState.FAILED,
             failure.message,
@@ -228,11 +232,11 @@ class JobTable:
             error_hint=failure.hint,
         )
 
-    def _end(self, lease: Lease, state: JobState, message: str, lines: Sequence[str], **values: Any) -> None:
+    def _end(self, lease: Lease, state: JobState, message: str, lines: Sequence[str], **values: Any) -> bool:
         with self._engine.begin() as connection:
             log = connection.execute(sa.select(jobs_table.c.log).where(*_held(lease))).scalar()
             if log is None:
-                return
+                return False
             connection.execute(
                 jobs_table.update()
                 .where(*_held(lease))
@@ -244,6 +248,7 @@ class JobTable:
                     **values,
                 )
             )
+            return True
 
     def _update(self, lease: Lease, **values: Any) -> bool:
         with self._engine.begin() as connection:

@@ -154,11 +154,11 @@ class Worker:
         published = failure or DBOS.run_step({"name": "publish"}, self._publish, lease, work)
         if isinstance(published, Failure):
             _log.warning("job %s failed: %s", lease.job, published.message)
-            self._jobs.fail(lease, published)
+            ended = self._jobs.fail(lease, published)
         else:
-            self._jobs.publish(lease, published)
-        # Last: were the worker killed before the end was noted, the next one finds the map that was published.
-        shutil.rmtree(self._work_dir(lease), ignore_errors=True)
+            ended = self._jobs.publish(lease, published)
+        if ended:  # else another worker has the job, and needs the map that was built
+            shutil.rmtree(self._work_dir(lease), ignore_errors=True)
 
     def _too_often(self, lease: Lease) -> Failure | None:
         if lease.attempt <= _MAX_ATTEMPTS:
