@@ -14,6 +14,7 @@ from fake_pipeline import Control
 from rholoc.jobs import Job, JobQueue, JobState, RecordingStore
 
 _HERE = Path(__file__).parent
+_KILL_TIMEOUT_S = 60.0
 _TIMEOUT_S = 120.0  # only a stuck test takes so long, or a busy machine
 
 
@@ -59,7 +60,7 @@ class Site:
         for number, points in enumerate(plans):
             content = "kill at" + "".join(f" {point}," for point in points)
             jobs.append(self.submit(content.encode(), f"room-{number}"))
-        until(lambda: self._have_ended(jobs), _TIMEOUT_S * (1 + sum(map(len, plans)) / 5))
+        until(lambda: self._have_ended(jobs), _TIMEOUT_S + _KILL_TIMEOUT_S * sum(map(len, plans)))
         return [self.queue.get(job.id) for job in jobs]
 
     def _have_ended(self, jobs: list[Job]) -> bool:

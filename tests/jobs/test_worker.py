@@ -41,7 +41,7 @@ def test_a_recording_becomes_a_published_map(busy_site: Site) -> None:
         "published",
     ]
     assert len(MapLibrary(busy_site.maps_dir).get("happy")) == 1
-    assert not list((busy_site.data_dir / "work").iterdir())
+    until(lambda: not list((busy_site.data_dir / "work").iterdir()))
 
 
 @pytest.mark.parametrize(
