@@ -16,9 +16,19 @@ from rholoc.trajectory.two_view import VerifiedPair
 
 _FEWEST_MATCHES = 20
 _ENOUGH = 0.7  # of the keyframes; where fewer are placed, another first pair is tried
-# The angle in degrees between the first pair's rays and its inliers: at first those that make a firm start, then those
-# that a narrow view or a walk that mostly turns can offer.
-_FIRST_PAIRS = ((16.0, 100), (4.0, 50))
+
+
+@dataclass(frozen=True)
+class _Parallax:
+    """How much parallax is asked for: degrees between the rays of the first pair, its inliers, degrees of any point."""
+
+    first_deg: float
+    first_inliers: int
+    least_deg: float
+
+
+# At first what makes a firm start, then what a narrow view can offer, then what a walk that mostly turns can.
+_PARALLAXES = (_Parallax(16.0, 100, 1.5), _Parallax(4.0, 50, 1.5), _Parallax(1.5, 50, 0.5))
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,9 +76,8 @@ def reconstruct(
     with tempfile.TemporaryDirectory(prefix="rholoc-sfm-") as folder:
         database = Path(folder) / "database.db"
         _write_database(database, camera, pixels, pairs)
-        for angle_deg, inliers in _FIRST_PAIRS:
-            options = _options(camera_is_known, seed)
-            options.mapper.init_min_tri_angle, options.mapper.init_min_num_inliers = angle_deg, inliers
+        for parallax in _PARALLAXES:
+            options = _options(camera_is_known, parallax, seed)
             found = _largest(database, Path(folder), options, told)
             if found is not None and (model is None or found.num_reg_images() > model.num_reg_images()):
                 model = found
@@ -96,12 +105,16 @@ def _largest(
     return largest if largest is not None and largest.num_points3D() > 0 else None
 
 
-def _options(camera_is_known: bool, seed: int) -> pycolmap.IncrementalPipelineOptions:
+def _options(camera_is_known: bool, parallax: _Parallax, seed: int) -> pycolmap.IncrementalPipelineOptions:
     options = pycolmap.IncrementalPipelineOptions()
     options.min_num_matches = _FEWEST_MATCHES
     options.multiple_models = False
     options.min_model_size = 3
     options.extract_colors = False
+    options.mapper.init_min_tri_angle = parallax.first_deg
+    options.mapper.init_min_num_inliers = parallax.first_inliers
+    options.mapper.filter_min_tri_angle = parallax.least_deg
+    options.triangulation.min_angle = parallax.least_deg
     options.num_threads = 1
     options.random_seed = seed
     options.mapper.random_seed = seed
