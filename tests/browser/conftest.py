@@ -12,14 +12,15 @@ from contextlib import closing, suppress
 import cv2
 import numpy as np
 import pytest
-from playwright.sync_api import Browser, Playwright, sync_playwright
+from playwright.sync_api import Browser, Playwright, expect, sync_playwright
 
 from rholoc.geometry import ByteArray
 
 
 @pytest.fixture(scope="session")
 def playwright() -> Iterator[Playwright]:
-    """Playwright itself."""
+    """Playwright itself; what a busy machine shows late is waited for."""
+    expect.set_options(timeout=30_000)
     with sync_playwright() as playwright:
         yield playwright
 

@@ -150,7 +150,6 @@ def test_a_walk_recorded_in_a_browser_becomes_a_map_that_a_second_walk_is_found_
     permissions = ["camera", "accelerometer", "gyroscope", "magnetometer"]
     page = browser.new_context(viewport={"width": 390, "height": 844}, permissions=permissions).new_page()
     page.set_default_timeout(LONG_MS)
-    expect.set_options(timeout=LONG_MS)
     page.goto(f"{line.url}/record")
     page.get_by_label("Name of the map").fill("hall")
     marked = record_with_waypoints(page, pictures)
@@ -164,7 +163,8 @@ def test_a_walk_recorded_in_a_browser_becomes_a_map_that_a_second_walk_is_found_
     expect(page.get_by_text("The server cannot be reached.")).to_be_visible()
     page.reload()
     line.mend()
-    expect(page.get_by_role("heading", name=re.compile("The map is ready|No map came of it"))).to_be_visible()
+    ended = page.get_by_role("heading", name=re.compile("The map is ready|No map came of it"))
+    expect(ended).to_be_visible(timeout=LONG_MS)
     assert page.get_by_role("alert").filter(visible=True).all_inner_texts() == []
     page.get_by_role("link", name="See the map").click()
     expect(page.get_by_role("heading", name="hall")).to_be_visible()
