@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -12,33 +11,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from rholoc.calibration import Board, BoardKind
-from rholoc.geometry import ByteArray, Camera, FloatArray, IntArray, pose_matrix
+from rholoc.geometry import ByteArray, Camera, FloatArray, pose_matrix
+from rholoc.recordings import MemoryFrames
 
 _SAMPLES = 2  # a pixel's side
 _TEXELS = 40  # a square's side
-
-
-@dataclass(frozen=True, eq=False)
-class Pictures:
-    """Images as a source of frames."""
-
-    pictures: list[ByteArray]
-
-    @property
-    def times(self) -> FloatArray:
-        return np.arange(len(self.pictures)) / 30.0
-
-    @property
-    def numbers(self) -> IntArray:
-        return np.arange(len(self.pictures))
-
-    @property
-    def size(self) -> tuple[int, int]:
-        height, width = self.pictures[0].shape[:2]
-        return width, height
-
-    def images(self, rows: Sequence[int]) -> Iterator[ByteArray]:
-        return (self.pictures[row] for row in rows)
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,9 +80,9 @@ def studio() -> type[Studio]:
 
 
 @pytest.fixture(scope="session")
-def as_frames() -> type[Pictures]:
+def as_frames() -> type[MemoryFrames]:
     """Makes sources of frames."""
-    return Pictures
+    return MemoryFrames
 
 
 @pytest.fixture(scope="session")

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -14,8 +13,8 @@ from scipy.spatial.transform import Rotation
 
 from rholoc.errors import InvalidRecording, InvalidWaypoints, MappingFailed
 from rholoc.features import Channel, FeatureSet
-from rholoc.geometry import ByteArray, Camera, FloatArray, IntArray, pose_matrix
-from rholoc.recordings import GivenPoses, Recording, Waypoint
+from rholoc.geometry import ByteArray, Camera, FloatArray, pose_matrix
+from rholoc.recordings import GivenPoses, MemoryFrames, Recording, Waypoint
 from rholoc.trajectory import PoseMethod, Scale, estimate_trajectory
 from rholoc.trajectory.alignment import align_poses, rotation_angles_deg
 from rholoc.trajectory.visual import structure_from_motion
@@ -23,29 +22,8 @@ from rholoc.trajectory.visual import structure_from_motion
 _CAMERA = Camera(640, 480, 500.0, 500.0, 319.5, 239.5, (-0.1, 0.02, 0.0, 0.0))
 
 
-@dataclass(frozen=True, eq=False)
-class _Frames:
-    pictures: list[ByteArray]
-
-    @property
-    def times(self) -> FloatArray:
-        return np.arange(len(self.pictures)) / 30.0
-
-    @property
-    def numbers(self) -> IntArray:
-        return np.arange(len(self.pictures))
-
-    @property
-    def size(self) -> tuple[int, int]:
-        height, width = self.pictures[0].shape[:2]
-        return width, height
-
-    def images(self, rows: Sequence[int]) -> Iterator[ByteArray]:
-        return (self.pictures[row] for row in rows)
-
-
 def _recording(pictures: list[ByteArray], poses: GivenPoses | None = None) -> Recording:
-    return Recording("walk", Path("walk"), _Frames(pictures), Camera(160, 120, 120, 120, 80, 60), poses=poses)
+    return Recording("walk", Path("walk"), MemoryFrames(pictures), Camera(160, 120, 120, 120, 80, 60), poses=poses)
 
 
 def _wall(count: int = 40) -> list[ByteArray]:

@@ -4,39 +4,17 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 
 import cv2
 import numpy as np
 import pytest
 
 from rholoc.errors import Cancelled, InvalidRecording, MappingFailed
-from rholoc.geometry import ByteArray, FloatArray, IntArray
 from rholoc.progress import ProgressListener, Stage, silent
+from rholoc.recordings import MemoryFrames
 from rholoc.trajectory.child import run_in_child
 from rholoc.trajectory.keyframes import choose_keyframes, measure_motion
 from rholoc.trajectory.loops import sequential_pairs
-
-
-@dataclass(frozen=True, eq=False)
-class _Pictures:
-    pictures: list[ByteArray]
-
-    @property
-    def times(self) -> FloatArray:
-        return np.arange(len(self.pictures)) / 30.0
-
-    @property
-    def numbers(self) -> IntArray:
-        return np.arange(len(self.pictures))
-
-    @property
-    def size(self) -> tuple[int, int]:
-        return self.pictures[0].shape[1], self.pictures[0].shape[0]
-
-    def images(self, rows: Sequence[int]) -> Iterator[ByteArray]:
-        return (self.pictures[row] for row in rows)
 
 
 def test_keyframes_are_sharp_and_evenly_spaced_in_motion() -> None:
@@ -75,7 +53,7 @@ def test_sharpness_tells_motion_blur() -> None:
     wall = cv2.GaussianBlur(rng.integers(0, 255, (240, 400, 3), dtype=np.uint8), (0, 0), 1.5)
     pictures = [wall[:, 3 * k : 3 * k + 320] for k in range(12)]
     pictures[5] = cv2.blur(pictures[5], (9, 1))
-    motion, sharpness = measure_motion(_Pictures(pictures))
+    motion, sharpness = measure_motion(MemoryFrames(pictures))
     assert sharpness[5] < 0.5 * np.delete(sharpness, 5).min()
     assert motion[1:5] == pytest.approx(3 / 320, abs=0.002)
 

@@ -8,6 +8,7 @@ from rholoc.recordings.description import describe_recording
 from rholoc.recordings.frames_table import read_frames_csv, write_frames_csv
 from rholoc.recordings.image import decode_image, read_image
 from rholoc.recordings.imu_table import read_imu_csv, write_imu_csv
+from rholoc.recordings.memory_frames import MemoryFrames
 from rholoc.recordings.pose_table import PoseTable, read_pose_table
 from rholoc.recordings.reader import read_recording
 from rholoc.recordings.recording import (
@@ -35,6 +36,7 @@ __all__ = [
     "GivenPoses",
     "Imu",
     "Look",
+    "MemoryFrames",
     "PoseTable",
     "Recording",
     "RecordingFormat",

@@ -1,0 +1,43 @@
+"""Frames that are in memory already."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from rholoc.geometry import ByteArray, FloatArray, IntArray
+
+
+@dataclass(frozen=True, eq=False)
+class MemoryFrames:
+    """Pictures of one size at hand as a :class:`FrameSource`, numbered from 0.
+
+    Attributes:
+        pictures: (H, W, 3) BGR or (H, W) grey each.
+        frames_per_second: the first is at 0 s.
+    """
+
+    pictures: Sequence[ByteArray]
+    frames_per_second: float = 30.0
+
+    @property
+    def times(self) -> FloatArray:
+        """(N,) seconds."""
+        return np.arange(len(self.pictures)) / self.frames_per_second
+
+    @property
+    def numbers(self) -> IntArray:
+        """(N,) 0..N-1."""
+        return np.arange(len(self.pictures))
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height, pixels."""
+        height, width = self.pictures[0].shape[:2]
+        return width, height
+
+    def images(self, rows: Sequence[int]) -> Iterator[ByteArray]:
+        """The pictures of the given rows."""
+        return (self.pictures[row] for row in rows)
