@@ -17,15 +17,15 @@ from playwright.sync_api import Browser, Playwright, expect, sync_playwright
 from rholoc.geometry import ByteArray
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def playwright() -> Iterator[Playwright]:
-    """Playwright itself; what a busy machine shows late is waited for."""
+    """Playwright itself, gone with the module: its event loop would be in others' way. Slow pages are waited for."""
     expect.set_options(timeout=30_000)
     with sync_playwright() as playwright:
         yield playwright
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def launch(playwright: Playwright) -> Callable[..., Browser]:
     """Starts Chromium with further command line arguments; the caller closes it."""
     executable = shutil.which("chromium")
@@ -39,7 +39,7 @@ def launch(playwright: Playwright) -> Callable[..., Browser]:
     )
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def fake_camera(launch: Callable[..., Browser], tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Browser]:
     """Starts a Chromium whose camera shows pictures (H, W, 3) BGR, so many a second, over and over."""
 
@@ -61,7 +61,7 @@ def fake_camera(launch: Callable[..., Browser], tmp_path_factory: pytest.TempPat
     return start
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def phone_browser(fake_camera: Callable[..., Browser]) -> Iterator[Browser]:
     """A Chromium whose camera pans over a textured wall."""
     rng = np.random.default_rng(0)

@@ -28,7 +28,9 @@ def post(service, path, body):
 
 def uploaded(service, **fields):
     fields = {"map": "west", **fields}
-    return httpx.post(service.url + "/v1/recordings", files={"file": ("walk.mp4", b"x")}, data=fields, timeout=30)
+    return httpx.post(
+        service.url + "/v1/recordings", files={"file": ("walk.mp4", b"\0\0\0\x18ftypmp42")}, data=fields, timeout=30
+    )
 
 
 def test_maps_are_merged_and_forget(learner):
