@@ -12,6 +12,7 @@ from rholoc.recordings import Imu
 from rholoc.trajectory.alignment import align_poses
 from rholoc.trajectory.gyro_guard import GyroGuard
 from rholoc.trajectory.imu_evidence import weigh_imu
+from rholoc.trajectory.two_view import VerifiedPair
 from rholoc.trajectory.visual import structure_from_motion
 
 _CAMERA = Camera(640, 480, 400.0, 400.0, 319.5, 239.5)
@@ -91,3 +92,32 @@ def test_the_gyroscope_keeps_walls_that_look_alike_apart() -> None:
     evidence = weigh_imu(times, model.T_world_camera, _imu())
     assert evidence.kept.all()
     assert not evidence.doubts
+
+
+def _pair(first: int, second: int, times: FloatArray, turned: float, quarters: int = 0) -> VerifiedPair:
+    """Matches of a poster that both saw, or of that which hangs ``quarters`` further; its rotation ``turned`` off."""
+    rng = np.random.default_rng(first)
+    poster = np.column_stack([np.full(60, 3.0), rng.uniform(-1, 1, (60, 2))])  # metres before who looks along x
+    T_map_camera = _turning(times[[first, second]])
+    facing = Rotation.from_euler("z", 2 * np.pi * times[first] / _SECONDS)
+    copies = Rotation.from_euler("z", 90 * quarters, degrees=True)
+    inside = [
+        (points - T[:3, 3]) @ T[:3, :3]
+        for points, T in zip((facing.apply(poster), (copies * facing).apply(poster)), T_map_camera, strict=True)
+    ]
+    seen = np.array([p[:, :2] / p[:, 2:] for p in inside]) + rng.normal(0, 0.001, (2, 60, 2))
+    R_second_first = T_map_camera[1, :3, :3].T @ T_map_camera[0, :3, :3]
+    wrong = Rotation.from_rotvec([0, turned, 0]).as_matrix() @ R_second_first
+    return VerifiedPair(first, second, np.zeros((60, 2), np.int64), 60, wrong, seen, None)
+
+
+def test_a_pair_is_judged_by_its_matches_and_not_by_a_rotation_that_a_plane_leaves_open() -> None:
+    times = np.linspace(0, _SECONDS * 0.97, _KEYFRAMES)
+    sequential = [_pair(k, k + 1, times, 0.0) for k in range(_KEYFRAMES - 1)]
+    right = _pair(3, 7, times, np.radians(25))
+    look_alike = _pair(3, 14, times, np.radians(-80), quarters=1)
+
+    kept, loops = GyroGuard(times, _imu()).keep(sequential, [right, look_alike])
+
+    assert kept == sequential
+    assert loops == [right]

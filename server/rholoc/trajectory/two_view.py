@@ -24,7 +24,8 @@ class VerifiedPair:
         first, second: keyframe numbers.
         matches: (M, 2) feature numbers, the inliers.
         candidates: how many matches there were before verification.
-        R_second_first: (3, 3).
+        R_second_first: (3, 3), the likeliest: where the matches are of one plane, there are others.
+        seen: (2, M, 2) where the two saw the matches, on the image plane at unit distance.
         geometry: COLMAP's own record of it.
     """
 
@@ -33,6 +34,7 @@ class VerifiedPair:
     matches: IntArray
     candidates: int
     R_second_first: FloatArray
+    seen: FloatArray
     geometry: Any
 
 
@@ -84,4 +86,6 @@ def verify(
     if len(found.inlier_matches) < fewest or found.cam2_from_cam1 is None:
         return None
     R = np.asarray(found.cam2_from_cam1.rotation.matrix())
-    return VerifiedPair(*pair, np.asarray(found.inlier_matches).astype(np.int64), len(matches), R, found)
+    inliers = np.asarray(found.inlier_matches).astype(np.int64)
+    seen = np.stack([camera.cam_from_img(pixels[i][inliers[:, i]]) for i in (0, 1)])
+    return VerifiedPair(*pair, inliers, len(matches), R, seen, found)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pycolmap
@@ -159,7 +159,7 @@ def _reconstruct_some(
 ) -> Reconstruction | None:
     number = {int(keyframe): i for i, keyframe in enumerate(some)}
     kept = [
-        VerifiedPair(number[p.first], number[p.second], p.matches, p.candidates, p.R_second_first, p.geometry)
+        replace(p, first=number[p.first], second=number[p.second])
         for p in pairs
         if p.first in number and p.second in number
     ]
