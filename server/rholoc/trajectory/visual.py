@@ -21,7 +21,7 @@ from rholoc.trajectory.structure_from_motion import Reconstruction, reconstruct
 from rholoc.trajectory.two_view import VerifiedPair, verify
 
 _OVERLAP = 8  # keyframes that each is matched with in sequence
-_LOOPS_EACH = 6
+_LOOPS_EACH = 4
 _SEQUENTIAL_INLIERS = 20
 _LOOP_INLIERS = 50
 _THREADS = 2
