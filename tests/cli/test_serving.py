@@ -12,6 +12,7 @@ from pathlib import Path
 import httpx
 import pytest
 
+from rholoc.cli.serve import listening_socket
 from rholoc.cli.server_process import running_server
 from rholoc.errors import RholocError
 
@@ -89,3 +90,11 @@ def test_ctrl_c_ends_serve_and_worker_in_order(tmp_path: Path) -> None:
             process.kill()
         assert process.returncode in (0, 130)
         assert "Traceback" not in rest
+
+
+def test_an_answer_is_not_held_back_until_it_is_acknowledged() -> None:
+    with listening_socket("127.0.0.1", 0) as listener:
+        with socket.create_connection(listener.getsockname()):
+            connection, _ = listener.accept()
+        with connection:
+            assert connection.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
