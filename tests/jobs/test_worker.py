@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import multiprocessing
+import subprocess
+import sys
 import time
 import uuid
 from pathlib import Path
@@ -170,3 +172,22 @@ def test_a_full_disk_is_told(busy_site: Site, tmp_path: Path) -> None:
     failure = run_build(FakePipeline(busy_site.control), task, silent)
     assert (failure.code, failure.message) == ("storage_full", "The disk is full; nothing that was stored is changed.")
     assert not task.map_file.exists()
+
+
+_SIGNALLED_ON_THE_WAY = """
+import signal, sys, threading
+from pathlib import Path
+from rholoc.jobs import run_worker
+
+class Stop(threading.Event):
+    def wait(self, timeout=None):
+        with self._cond:
+            signal.raise_signal(signal.SIGINT)
+        return super().wait(timeout)
+
+run_worker(Path(sys.argv[1]) / "data", Path(sys.argv[1]) / "maps", stop=Stop())
+"""
+
+
+def test_a_signal_that_comes_as_the_worker_begins_to_wait_stops_it(tmp_path: Path) -> None:
+    subprocess.run([sys.executable, "-c", _SIGNALLED_ON_THE_WAY, str(tmp_path)], check=True, timeout=60)

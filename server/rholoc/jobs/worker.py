@@ -286,7 +286,8 @@ def run_worker(
     stop = stop or threading.Event()
 
     def ask_to_stop(_signal: int, _frame: FrameType | None) -> None:
-        stop.set()
+        # Not in the handler itself: the main thread may hold the event's lock, on its way into the wait below.
+        threading.Thread(target=stop.set).start()
 
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, ask_to_stop)
