@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from rholoc.geometry import Camera, FloatArray
-from rholoc.localization.ascent import Evidence, Optimum, ascend, covariance_at
+from rholoc.localization.ascent import Evidence, Optimum, ascend, covariance_at, sharpen
 from rholoc.localization.map_index import MapIndex
 from rholoc.localization.matches import Matches
 from rholoc.localization.tensor_ascent import ascend_tensors
@@ -73,6 +73,19 @@ def climb(
     return ascend_tensors(index.tensors, matches, evidence, T_map_camera, tolerances_px, dof)
 
 
+def settle(
+    index: MapIndex,
+    matches: Matches,
+    evidence: Evidence,
+    T_map_camera: FloatArray,
+    tolerances_px: tuple[float, ...],
+    dof: Dof,
+) -> Optimum:
+    """The ascent from a pose (4, 4) to the end, its last steps sharpened where the densities are ``ray``."""
+    optimum = climb(index, matches, evidence, T_map_camera, tolerances_px, dof)
+    return sharpen(evidence, optimum, tolerances_px[-1], dof) if index.tensors is None else optimum
+
+
 def verify(
     index: MapIndex, query: Query, rays: FloatArray, T_map_camera: FloatArray, first_radius_px: float = 0.0
 ) -> Verified | None:
@@ -87,7 +100,7 @@ def verify(
         if len(matches) < _MIN_MATCHES:
             return None
         evidence = evidence_of(index, matches, rays, query.camera)
-        optimum = climb(index, matches, evidence, T, (radius, radius / 2, FINAL_TOLERANCE_PX), query.dof)
+        optimum = settle(index, matches, evidence, T, (radius, radius / 2, FINAL_TOLERANCE_PX), query.dof)
         T, found = (
             optimum.T_map_camera,
             Verified(optimum, matches, evidence, query.features.pixels[matches.detections], by_chance),
