@@ -5,8 +5,8 @@ the camera frame the transverse offset of landmark m from the ray is e = Eᵀ R_
 basis across the ray, so that d² = |e|² and Gauss–Newton applies: each match weighs 1 / ((ε + ρ) r²) while ρ > 0.
 
 That draws hardest at the density's edge, which is right on the way: a match there may yet come in. At the end it costs
-accuracy: real errors have long tails, and the tail would decide. The last steps therefore climb Σ log(ε_f + ρ_f⁴): ρ⁴ is
-a polynomial too, its peak is where ρ's is, and its edge is soft.
+accuracy: real errors have long tails, and the tail would decide. The last steps therefore climb Σ log(ε_f + ρ_f⁴): ρ⁴
+is a polynomial too, its peak is where ρ's is, and its edge is soft.
 """
 
 from __future__ import annotations
