@@ -87,7 +87,7 @@ class _Files:
 
 def demo(
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Where everything goes.")] = Path("demo-output"),
-    seconds: Annotated[float, typer.Option(min=5, max=120, help="The length of each walk.")] = 30.0,
+    seconds: Annotated[float, typer.Option(min=30, max=120, help="The length of each walk: 30, or longer.")] = 30.0,
     every: Annotated[int, typer.Option(min=1, help="Localize every so many frames of the second walk.")] = 3,
     seed: Seed = 0,
     leave_open: Annotated[
