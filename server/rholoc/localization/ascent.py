@@ -127,13 +127,19 @@ def ascend(
             T = moved(T, step, Dof.FREE)
             if np.abs(step).max() < 1e-5:
                 break
-    density = densities(evidence, T[None], tolerances_px[-1])[0]
-    return Optimum(T, float(np.log1p(density / evidence.epsilon).sum()), density)
+    return _optimum_at(evidence, T, tolerances_px[-1])
 
 
-def sharpen(evidence: Evidence, optimum: Optimum, tolerance_px: float, dof: Dof) -> Optimum:
-    """The last steps from an optimum: among the matches that agree with it, the nearest decide."""
-    return ascend(evidence, optimum.T_map_camera, (tolerance_px,), dof, iterations=5, power=_SHARP)
+def sharpen(evidence: Evidence, optimum: Optimum, among: IntArray, tolerance_px: float, dof: Dof) -> Optimum:
+    """The last steps from an optimum, by the matches (K,) ``among`` alone, of which the nearest decide."""
+    some = evidence.take(among)
+    T = ascend(some, optimum.T_map_camera, (tolerance_px,), dof, iterations=5, power=_SHARP).T_map_camera
+    return _optimum_at(evidence, T, tolerance_px)
+
+
+def _optimum_at(evidence: Evidence, T_map_camera: FloatArray, tolerance_px: float) -> Optimum:
+    density = densities(evidence, T_map_camera[None], tolerance_px)[0]
+    return Optimum(T_map_camera, float(np.log1p(density / evidence.epsilon).sum()), density)
 
 
 def covariance_at(evidence: Evidence, optimum: Optimum, tolerance_px: float) -> FloatArray:

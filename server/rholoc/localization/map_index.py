@@ -64,6 +64,13 @@ class MapIndex:
         """π_f: which features may be seen from ``position`` (3,)."""
         return self.presence.allows(self.landmarks, position)
 
+    def seen_alike(self, landmarks: IntArray, views: int) -> BoolArray:
+        """Which features (F,) were seen by those ``views`` that saw most of some landmarks (M,): as from there."""
+        votes = self.visibility @ np.bincount(landmarks, minlength=len(self.map)).astype(np.float32)
+        seen = np.zeros(len(self.map), dtype=bool)
+        seen[self.visibility[np.argsort(-votes, kind="stable")[:views]].indices] = True
+        return seen
+
     def match_everywhere(self, features: FeatureSet) -> Matches:
         """Matches of a query's features with the whole map, each feature standing by its first descriptor."""
         return self._matches(self._everywhere, self._medoids, features, mutual=False)

@@ -17,6 +17,7 @@ from rholoc.localization.types import Dof, Query
 _SEARCH_RADII_PX = (14.0, 5.0)
 FINAL_TOLERANCE_PX = 4.0
 _MIN_MATCHES = 6
+_VIEWS_ALIKE = 10
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,9 +82,19 @@ def settle(
     tolerances_px: tuple[float, ...],
     dof: Dof,
 ) -> Optimum:
-    """The ascent from a pose (4, 4) to the end, its last steps sharpened where the densities are ``ray``."""
+    """The ascent from a pose (4, 4) to the end, its last steps sharpened where the densities are ``ray``.
+
+    What was seen from elsewhere looks otherwise from here, and is found less exactly. It helps to find a pose, and to
+    believe it; the last steps go by the landmarks that were seen from hereabouts too.
+    """
     optimum = climb(index, matches, evidence, T_map_camera, tolerances_px, dof)
-    return sharpen(evidence, optimum, tolerances_px[-1], dof) if index.tensors is None else optimum
+    if index.tensors is not None:
+        return optimum
+    agreeing = optimum.density > 0
+    alike = index.seen_alike(matches.landmarks[agreeing], _VIEWS_ALIKE)[matches.landmarks]
+    if (agreeing & alike).sum() < _MIN_MATCHES:
+        return optimum
+    return sharpen(evidence, optimum, np.flatnonzero(alike), tolerances_px[-1], dof)
 
 
 def verify(
