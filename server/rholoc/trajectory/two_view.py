@@ -87,5 +87,5 @@ def verify(
         return None
     R = np.asarray(found.cam2_from_cam1.rotation.matrix())
     inliers = np.asarray(found.inlier_matches).astype(np.int64)
-    seen = np.stack([camera.cam_from_img(pixels[i][inliers[:, i]]) for i in (0, 1)])
+    seen = np.array([camera.cam_from_img(pixels[i][inliers[:, i]]) for i in (0, 1)])
     return VerifiedPair(*pair, inliers, len(matches), R, seen, found)
