@@ -140,3 +140,9 @@ def test_rooms_and_pictures_follow_from_their_seed(scene: Scene) -> None:
     pictures = [render_view(small, CAMERA, pose, Light.DIM, seed) for seed in (1, 1, 2)]
     assert np.array_equal(pictures[0], pictures[1])
     assert not np.array_equal(pictures[0], pictures[2])
+
+
+def test_some_rows_are_those_of_the_whole_picture(renderer: Renderer) -> None:
+    pose = Pose.from_heading(np.array([1.2, 0.8, 1.4]), np.array([0.7, 0.6, -0.1]))
+    whole = renderer.radiance(PHONE_CAMERA, [pose])
+    np.testing.assert_array_equal(renderer.radiance(PHONE_CAMERA, [pose], (100, 124)), whole[100:124])

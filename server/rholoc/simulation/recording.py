@@ -30,6 +30,7 @@ _METER_INTERVAL_S = 0.25
 _METER_SIZE = (80, 60)
 _METER_INERTIA_S = 0.5  # how slowly the camera follows the light
 _PREFETCH_FRAMES = 4
+_ROWS_AT_ONCE = 24  # of a rolling shutter, drawn as if read in one moment
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,6 +71,7 @@ def simulate_recording(
     scene: Scene | None = None,
     camera: Camera = PHONE_CAMERA,
     imu_time_offset_s: float = 0.0,
+    readout_s: float = 0.0,
     progress: Callable[[float], None] = _report_nothing,
 ) -> SimulatedRecording:
     """Walk through a room with a phone and write what it records into the folder ``out``.
@@ -83,6 +85,9 @@ def simulate_recording(
         seconds: the recording's length; less than a whole walk takes ends on the way, and without ``waypoints.csv``
             where it ends before the third.
         scene: another room than the test site of ``seed``.
+        imu_time_offset_s: how much later than the camera's the IMU's clock is.
+        readout_s: how long a rolling shutter takes from the first row to the last; the frame's time is that of the
+            middle row. Noted in ``camera.json``, as phones do that log it.
         progress: hears the fraction that is done; may raise to stop.
 
     Raises:
@@ -100,9 +105,11 @@ def simulate_recording(
         write_waypoints_csv(out / "waypoints.csv", waypoints)
     else:
         (out / "waypoints.csv").unlink(missing_ok=True)
-    write_camera_json(out / "camera.json", CameraFile(camera=camera, R_camera_imu=R_CAMERA_IMU))
+    description = CameraFile(camera=camera, R_camera_imu=R_CAMERA_IMU, readout_s=readout_s or None)
+    write_camera_json(out / "camera.json", description)
     _write_truth(out / "truth.csv", times, T_map_camera)
-    _write_video(out / "video.mp4", _film(walk, times, camera, light, seed, scene), camera, fps, len(times), progress)
+    film = _film(walk, times, camera, light, seed, scene, readout_s)
+    _write_video(out / "video.mp4", film, camera, fps, len(times), progress)
     return SimulatedRecording(out, walk, light, camera, times, T_map_camera)
 
 
@@ -126,7 +133,7 @@ def _lit_renderer(scene: Scene, light: Light) -> tuple[Renderer, float]:
 
 
 def _film(
-    walk: Walk, times: FloatArray, camera: Camera, light: Light, seed: int, scene: Scene | None
+    walk: Walk, times: FloatArray, camera: Camera, light: Light, seed: int, scene: Scene | None, readout_s: float
 ) -> Iterator[ByteArray]:
     """The frames (H, W, 3) in order, drawn by as many threads as there are cores; NumPy and OpenCV run in parallel."""
     renderer, white = _lit_renderer(_test_site(seed) if scene is None else scene, light)
@@ -135,9 +142,13 @@ def _film(
     def frame(i: int) -> ByteArray:
         exposure: Exposure = expose(gains[i], white)
         within = (np.arange(len(SAMPLES)) + 0.5) / len(SAMPLES) - 0.5
-        radiance = renderer.radiance(camera, walk.poses(times[i] + exposure.seconds * within))
+        moments = times[i] + exposure.seconds * within
+        parts = [
+            renderer.radiance(camera, walk.poses(moments + late_s), rows)
+            for rows, late_s in _read_out(camera.height, readout_s)
+        ]
         rng = np.random.default_rng([seed, walk.number, list(Light).index(light), 3, i])
-        return develop(radiance, exposure, rng)
+        return develop(np.concatenate(parts), exposure, rng)
 
     threads = os.cpu_count() or 1
     with ThreadPoolExecutor(threads) as pool:
@@ -152,6 +163,14 @@ def _film(
         finally:
             for future in waiting:
                 future.cancel()
+
+
+def _read_out(height: int, readout_s: float) -> list[tuple[tuple[int, int], float]]:
+    """The rows that are read at once, from the first to before the last, and how much later than the middle row."""
+    if readout_s == 0:
+        return [((0, height), 0.0)]
+    parts = [(top, min(top + _ROWS_AT_ONCE, height)) for top in range(0, height, _ROWS_AT_ONCE)]
+    return [((top, bottom), ((top + bottom) / 2 / height - 0.5) * readout_s) for top, bottom in parts]
 
 
 def _metered(renderer: Renderer, walk: Walk, camera: Camera, times: FloatArray) -> FloatArray:

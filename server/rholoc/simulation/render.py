@@ -88,6 +88,32 @@ class Surface:
     points: FloatArray
 
 
+@dataclass(frozen=True)
+class _Rows:
+    """Some rows of a camera's image, which are a pinhole camera's image too."""
+
+    camera: Camera
+    top: int
+    height: int
+
+    @property
+    def width(self) -> int:
+        return self.camera.width
+
+    @property
+    def focal_px(self) -> tuple[float, float]:
+        return self.camera.fx, self.camera.fy
+
+    @property
+    def centre_px(self) -> tuple[float, float]:
+        return self.camera.cx, self.camera.cy - self.top
+
+    @property
+    def inverse_matrix(self) -> FloatArray:
+        (fx, fy), (cx, cy) = self.focal_px, self.centre_px
+        return np.array([[1 / fx, 0, -cx / fx], [0, 1 / fy, -cy / fy], [0, 0, 1]])
+
+
 class Renderer:
     """Draws a scene whose faces look like ``paints``, one image per face of ``scene.faces``.
 
@@ -106,22 +132,25 @@ class Renderer:
         self._texels = np.array([[paint.shape[1], paint.shape[0]] for paint in paints], dtype=np.float64)
         self._frames = np.array([np.column_stack([f.right, f.down, f.origin]) for f in self._faces])
 
-    def radiance(self, camera: Camera, poses: Sequence[Pose]) -> ByteArray:
+    def radiance(self, camera: Camera, poses: Sequence[Pose], rows: tuple[int, int] | None = None) -> ByteArray:
         """The picture (H, W, 3): the mean of one sample per pixel at each pose.
 
         ``poses`` are the camera's along the exposure; the samples' places within the pixel cycle through
-        ``SAMPLES``.
+        ``SAMPLES``. ``rows``, from the first to before the last, are all that is drawn.
         """
+        top, bottom = rows or (0, camera.height)
+        part = _Rows(camera, top, bottom - top)
         order = self._paint_order(poses[len(poses) // 2].position)
-        total = np.zeros((camera.height, camera.width, 3), np.uint16)
+        total = np.zeros((part.height, part.width, 3), np.uint16)
         for i, pose in enumerate(poses):
-            total += self._sample(camera, pose, order, SAMPLES[i % len(SAMPLES)], _LEVEL_DITHER[i % len(SAMPLES)])
+            total += self._sample(part, pose, order, SAMPLES[i % len(SAMPLES)], _LEVEL_DITHER[i % len(SAMPLES)])
         half = len(poses) // 2
         return np.asarray(((total + half) // len(poses)).astype(np.uint8))
 
     def surface(self, camera: Camera, pose: Pose) -> Surface:
         """The visible surface at the pixels' centres."""
-        ids = self._identify(camera, pose, self._paint_order(pose.position), (0.0, 0.0))[0]
+        whole = _Rows(camera, 0, camera.height)
+        ids = self._identify(whole, pose, self._paint_order(pose.position), (0.0, 0.0))[0]
         T = pose.inverse()
         normals = self._normals @ T[:3, :3].T
         offsets = np.einsum("fk,fk->f", normals, self._corners[:, 0] @ T[:3, :3].T + T[:3, 3])
@@ -140,23 +169,20 @@ class Renderer:
         return [f for f in order if facing[f]]
 
     def _identify(
-        self, camera: Camera, pose: Pose, order: list[int], shift: tuple[float, float]
+        self, part: _Rows, pose: Pose, order: list[int], shift: tuple[float, float]
     ) -> tuple[IntArray, dict[int, tuple[int, int, int, int]]]:
         """The face at each pixel (H, W), sampled ``shift`` from the centres, and the painted faces' bounds."""
         T = pose.inverse()
         corners = self._corners[order] @ T[:3, :3].T + T[:3, 3]
-        seen = _may_be_seen(camera, corners)
-        ids = np.zeros((camera.height, camera.width), np.int16)
+        seen = _may_be_seen(part, corners)
+        ids = np.zeros((part.height, part.width), np.int16)
         bounds = {}
         for f, polygon in zip(np.array(order)[seen].tolist(), corners[seen], strict=True):
             clipped = _clip_near(polygon)
             if len(clipped) < 3:
                 continue
-            pixels = clipped[:, :2] / clipped[:, 2:] * (camera.fx, camera.fy) + (
-                camera.cx - shift[0],
-                camera.cy - shift[1],
-            )
-            spans = _spans(pixels, camera.width, camera.height)
+            pixels = clipped[:, :2] / clipped[:, 2:] * part.focal_px + np.subtract(part.centre_px, shift)
+            spans = _spans(pixels, part.width, part.height)
             if spans is None:
                 continue
             top, left, right = spans
@@ -168,22 +194,23 @@ class Renderer:
         return ids, bounds
 
     def _sample(
-        self, camera: Camera, pose: Pose, order: list[int], shift: tuple[float, float], dither: float
+        self, part: _Rows, pose: Pose, order: list[int], shift: tuple[float, float], dither: float
     ) -> ByteArray:
         """One sample per pixel: (H, W, 3)."""
-        ids, bounds = self._identify(camera, pose, order, shift)
+        ids, bounds = self._identify(part, pose, order, shift)
         map_x = np.zeros(ids.shape, np.float32)
         map_y = np.zeros(ids.shape, np.float32)
         T = pose.inverse()
         visible = np.flatnonzero(np.bincount(ids.ravel(), minlength=len(self._faces)))
-        K_inverse = np.linalg.inv(camera.matrix)
         for f in visible.tolist():
             if f not in bounds:
                 continue
             y0, y1, x0, x1 = bounds[f]
             plane_to_camera = T[:3, :3] @ self._frames[f]
             plane_to_camera[:, 2] += T[:3, 3]
-            H = np.linalg.inv(plane_to_camera) @ K_inverse  # pixel → (a, b, 1) up to scale; the scale is 1 / depth
+            H = (
+                np.linalg.inv(plane_to_camera) @ part.inverse_matrix
+            )  # pixel → (a, b, 1) up to scale; the scale is 1 / depth
             H[:2] *= self._texels[f][:, None]
             u = np.arange(x0, x1) + shift[0]
             v = np.arange(y0, y1) + shift[1]
@@ -224,11 +251,12 @@ def _corners(face: Face) -> FloatArray:
     return face.points(a, b)
 
 
-def _may_be_seen(camera: Camera, polygons: FloatArray) -> BoolArray:
+def _may_be_seen(part: _Rows, polygons: FloatArray) -> BoolArray:
     """(F,): whether polygons (F, N, 3) in the camera frame are not wholly beyond one side of the view."""
     x, y, z = np.moveaxis(polygons, 2, 0)
-    left, right = -(camera.cx + 1) / camera.fx, (camera.width - camera.cx) / camera.fx
-    top, bottom = -(camera.cy + 1) / camera.fy, (camera.height - camera.cy) / camera.fy
+    (fx, fy), (cx, cy) = part.focal_px, part.centre_px
+    left, right = -(cx + 1) / fx, (part.width - cx) / fx
+    top, bottom = -(cy + 1) / fy, (part.height - cy) / fy
     sides = (z < _NEAR_M, x < left * z, x > right * z, y < top * z, y > bottom * z)
     return np.asarray(~np.any([side.all(axis=1) for side in sides], axis=0))
 
