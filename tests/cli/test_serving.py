@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import socket
@@ -73,6 +74,44 @@ def test_a_port_that_is_taken_is_one_line(tmp_path: Path) -> None:
     assert done.returncode == 1
     assert done.stderr.count("\n") == 1
     assert f"127.0.0.1:{port}" in done.stderr
+
+
+def test_folders_that_cannot_be_used_are_one_line(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("a file where a folder should be")
+    (tmp_path / "damaged").mkdir()
+    (tmp_path / "damaged" / "jobs.sqlite").write_text("no database")
+    for maps, data, named in (("file", "data", "file"), ("maps", "file", "file"), ("maps", "damaged", "jobs.sqlite")):
+        command = [sys.executable, "-m", "rholoc", "serve", "--port", "0", "--no-worker"]
+        done = subprocess.run(
+            [*command, "--maps", tmp_path / maps, "--data", tmp_path / data],
+            capture_output=True,
+            text=True,
+            timeout=60,
+            check=False,
+        )
+        assert done.returncode == 1
+        assert done.stderr.count("\n") == 1
+        assert named in done.stderr
+
+
+def test_after_its_first_line_a_server_writes_json(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "rholoc", "serve", "--port", "0"]
+    process = subprocess.Popen(
+        [*command, "--maps", tmp_path / "maps", "--data", tmp_path / "data"],
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    assert process.stderr is not None
+    try:
+        assert "Serving the maps" in process.stderr.readline()
+        begun = json.loads(process.stderr.readline())  # the worker beside it
+        process.send_signal(signal.SIGTERM)
+        _, rest = process.communicate(timeout=60)
+    finally:
+        process.kill()
+    assert (begun["logger"], begun["level"]) == ("rholoc.jobs", "info")
+    assert all("event" in json.loads(line) for line in rest.splitlines())
 
 
 def test_ctrl_c_ends_serve_and_worker_in_order(tmp_path: Path) -> None:

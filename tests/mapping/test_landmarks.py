@@ -97,3 +97,14 @@ def test_neighbours_are_near_in_time_or_alike(walked: Views) -> None:
     pairs = neighbour_pairs(walked)
     assert (pairs[:, 0] < pairs[:, 1]).all()
     assert {(0, 1), (10, 15)} <= set(map(tuple, pairs.tolist()))
+
+
+def test_where_nothing_is_tracked_there_are_no_landmarks(walked: Views) -> None:
+    none = triangulate(walked, np.full(len(walked.features), -1))
+    for landmarks in (none, extend_and_merge(walked, none, Metric.HAMMING), select_stable(walked, none, 500)):
+        assert len(landmarks) == 0
+        assert len(landmarks.labels) == len(walked.features)
+
+    untriangulated = np.full(len(walked.features), -1)
+    untriangulated[0] = 0  # seen once: no landmark either
+    assert len(triangulate(walked, untriangulated)) == 0

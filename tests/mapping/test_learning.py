@@ -185,6 +185,22 @@ def test_a_recording_of_another_room_is_refused(walks: Walks, another_room: Any,
     assert_untouched(walks.map_, before)
 
 
+def test_a_recording_that_is_too_short_is_not_taken_for_one_of_another_place(walks: Walks) -> None:
+    with pytest.raises(MappingFailed, match=r"shows the place of the map in 3 frames; 5 are the least"):
+        update_map(walks.map_, walk_of(walks.room, 2, walks.poses[:3]))
+
+
+def test_a_camera_at_rest_adds_nothing_new_and_fails_nothing(walks: Walks, monkeypatch: pytest.MonkeyPatch) -> None:
+    resting = [walks.poses[0]] * 12
+    monkeypatch.setattr(learning, "get_extractor", lambda _name: SeesPoints(walks.room, {3: resting}))
+    trajectory = with_poses(walk_of(walks.room, 3, resting), resting, Similarity.identity())
+    with pytest.raises(MappingFailed, match="different views"):
+        update_map(walks.map_, trajectory)
+    monkeypatch.setattr(learning, "choose_views", lambda T, **_: (np.arange(len(T)), np.zeros(0, np.int64)))
+    updated = update_map(walks.map_, walk_of(walks.room, 3, resting))
+    assert len(updated) == len(walks.map_)
+
+
 def test_a_trajectory_of_wrong_scale_is_refused_and_told_by_how_much(walks: Walks) -> None:
     stretched = with_poses(walks.recording, walks.poses, Similarity(1.5, np.eye(3), np.zeros(3)))
     with pytest.raises(MappingFailed, match=r"disagree: \d+ cm .* units of length differ by 3\d%"):

@@ -433,3 +433,9 @@ def test_damaged_zip_files_are_told(own: Path, tmp_path: Path) -> None:
         path.write_bytes(data)
         with pytest.raises(InvalidRecording, match="not a whole ZIP"):
             read_recording(path)
+
+
+def test_a_zip_file_without_a_recording_is_called_as_its_user_calls_it(tmp_path: Path) -> None:
+    zipfile.ZipFile(tmp_path / "monday.zip", "w").close()
+    with pytest.raises(InvalidRecording, match=r"^The file monday.zip is empty\."):
+        read_recording(tmp_path / "monday.zip")

@@ -439,6 +439,14 @@ def test_a_map_file_that_rots_on_disk_is_named(serve, picture_world):
     assert [one["name"] for one in answer["maps"]] == ["good"]
     assert list(answer["unreadable"]) == ["rotten"]
     refused(httpx.get(running.url + "/v1/maps/rotten"), 422, "invalid_map")
+    picture = {"content": picture_world.png(), "headers": {"Content-Type": "image/png"}}
+    assert httpx.post(running.url + "/v1/localize?maps=all&dof=6", **picture).json()["map"] == "good"
+    refused(httpx.post(running.url + "/v1/localize?maps=good,rotten&dof=6", **picture), 422, "invalid_map")
+
+
+def test_a_map_that_is_none_is_called_by_the_name_it_was_sent_as(service):
+    refused(httpx.put(service.url + "/v1/maps/hall", content=b"rot"), 422, "invalid_map")
+    assert httpx.put(service.url + "/v1/maps/hall", content=b"rot").json()["message"].startswith("hall.rho ")
 
 
 def test_random_bytes_in_every_body_are_refused(service):

@@ -10,7 +10,7 @@ import structlog
 from rholoc import __version__
 from rholoc.jobs.database import open_database
 from rholoc.jobs.table import WorkerTable
-from rholoc.service.logs import configure_logs
+from rholoc.logs import configure_logs
 
 _NO_WORKER = "no worker is running; jobs wait for one"
 

@@ -48,21 +48,28 @@ def serve(
     import uvicorn
 
     from rholoc.jobs import JobQueue
+    from rholoc.logs import configure_process_logs
     from rholoc.service import create_app
     from rholoc.service.guard import keys_needed
     from rholoc.service.keys import KeyStore
 
-    if settings.jobs_database is not None:
-        JobQueue(settings.data_dir, settings.jobs_database).close()  # told here, in one line, if it cannot be reached
+    for folder in (settings.maps_dir, settings.data_dir):
+        folder.mkdir(parents=True, exist_ok=True)
+    JobQueue(settings.data_dir, settings.jobs_database).close()  # told here, in one line, if it cannot be used
     with listening_socket(settings.host, settings.port) as listener:
         config = uvicorn.Config(
-            create_app(settings), log_level="warning", backlog=_BACKLOG, timeout_graceful_shutdown=_SHUTDOWN_S
+            create_app(settings),
+            log_level="warning",
+            log_config=None,
+            backlog=_BACKLOG,
+            timeout_graceful_shutdown=_SHUTDOWN_S,
         )
         port = listener.getsockname()[1]
         where = f"http://{settings.host}:{port}"
         if tls:
             config.ssl_certfile, where = _https(settings, port)
         server = uvicorn.Server(config)
+        configure_process_logs()
         print_notice(f"Serving the maps of {settings.maps_dir} at {where} (the API: /docs).")
         if keys_needed(settings.keys, settings.host) and not KeyStore(settings.data_dir).keys():
             print_notice("It asks for API keys, and there is none yet: rholoc key create NAME --scope admin")
@@ -90,7 +97,9 @@ def _https(settings: Settings, port: int) -> tuple[Path, str]:
 def worker(maps: Maps = None, data: Data = None) -> None:
     """Work on mapping jobs, apart from the server. Any number of workers share the queue."""
     from rholoc.jobs import run_worker
+    from rholoc.logs import configure_process_logs
 
+    configure_process_logs()
     settings = service_settings(maps_dir=maps, data_dir=data)
     print_notice(f"Working on the jobs of {settings.data_dir}; maps go to {settings.maps_dir}.")
     run_worker(settings.data_dir, settings.maps_dir, settings.jobs_database, limits=settings.job_limits)

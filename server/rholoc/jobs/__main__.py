@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import json
-import logging
 import sys
 import threading
 from pathlib import Path
 
 from rholoc.jobs.build_process import Limits
 from rholoc.jobs.worker import run_worker
+from rholoc.logs import configure_process_logs
 
 
 def main() -> None:
     """Work until the server closes the pipe, on purpose or by dying."""
-    logging.basicConfig(level=logging.INFO, format="%(asctime)s %(name)s %(levelname)s %(message)s")
+    configure_process_logs()
     data_dir, maps_dir, database_url, *limits = json.loads(sys.stdin.buffer.readline())
     stop = threading.Event()
     threading.Thread(target=_wait_for_end, args=(stop,), daemon=True).start()

@@ -9,10 +9,10 @@ from typing import Any
 
 import sqlalchemy as sa
 from dbos import DBOS
-from sqlalchemy.exc import OperationalError
+from sqlalchemy.exc import DatabaseError, OperationalError
 from sqlalchemy.schema import CreateColumn, CreateTable
 
-from rholoc.errors import InvalidInput
+from rholoc.errors import Conflict, InvalidInput
 from rholoc.jobs.disk import storage_full, telling_full_disk
 
 _BUSY_TIMEOUT_MS = 30_000
@@ -61,6 +61,7 @@ def open_database(data_dir: Path, database_url: str | None = None) -> sa.Engine:
     Raises:
         StorageFull: the disk is full.
         InvalidInput: the URL is none, or there is no such database to connect to.
+        Conflict: the file is there, and no SQLite database.
     """
     with telling_full_disk():
         Path(data_dir).mkdir(parents=True, exist_ok=True)
@@ -73,13 +74,25 @@ def open_database(data_dir: Path, database_url: str | None = None) -> sa.Engine:
         sa.event.listen(engine, "connect", _prepare_sqlite)
     else:
         _check_connection(engine)
-    with telling_full_database():
+    with telling_full_database(), _telling_no_database(url):
         DBOS.migrate(url.render_as_string(hide_password=False))
         with engine.begin() as connection:
             for table in _metadata.sorted_tables:
                 connection.execute(CreateTable(table, if_not_exists=True))
                 _add_missing_columns(connection, table)
     return engine
+
+
+@contextmanager
+def _telling_no_database(url: sa.URL) -> Iterator[None]:
+    try:
+        yield
+    except DatabaseError as error:
+        if "not a database" not in str(error):
+            raise
+        raise Conflict(
+            f"{url.database} is damaged, or no database of jobs.", "Move it away; a new one is made in its place."
+        ) from error
 
 
 def _add_missing_columns(connection: sa.Connection, table: sa.Table) -> None:

@@ -65,8 +65,8 @@ class Landmarks:
 
     def keep(self, kept: BoolArray) -> Landmarks:
         """Only the landmarks where ``kept`` (F,) holds, renumbered."""
-        number = np.where(kept, np.cumsum(kept) - 1, -1)
-        labels = np.where(self.labels >= 0, number[self.labels], -1)
+        number = np.append(np.where(kept, np.cumsum(kept) - 1, -1), -1)  # of no landmark, -1, too
+        labels = number[self.labels]
         return Landmarks(self.information[kept], self.eta[kept], labels, self.positions[kept], self.covariances[kept])
 
 
@@ -117,6 +117,8 @@ def estimate_information(
 
 def extend_and_merge(views: Views, landmarks: Landmarks, metric: Metric) -> Landmarks:
     """Find further observations where each landmark should appear, merge landmarks that are one, triangulate again."""
+    if len(landmarks) == 0:
+        return landmarks
     labels = landmarks.labels.copy()
     medoids = np.array(
         [rows[0] for rows in representative_rows(views, landmarks.labels, len(landmarks), metric, most=1)],

@@ -189,6 +189,11 @@ def _localize(
 
 def _enough(found: Found, what: str) -> Found:
     if len(found.rows) < max(MIN_FOUND, _MIN_SHARE * found.tried):
+        if 2 * len(found.rows) >= found.tried:
+            raise MappingFailed(
+                f"{what} shows the place of the map in {len(found.rows)} frames; {MIN_FOUND} are the least.",
+                "Give a longer recording; the map is unchanged.",
+            )
         raise _elsewhere(len(found.rows), found.tried, what)
     return found
 

@@ -82,6 +82,17 @@ class MapLibrary:
         files = [file for file in self.folder.glob(f"*{SUFFIX}") if file.is_file()]
         return sorted(file.stem for file in files if is_name(file.stem) and file.stem != _ALL)
 
+    def readable(self) -> list[str]:
+        """The names of those maps, sorted, whose files are maps; they are in memory from then on."""
+        return [name for name in self.names() if self._is_readable(name)]
+
+    def _is_readable(self, name: str) -> bool:
+        try:
+            self.get(name)
+        except (UnknownMap, InvalidMap):
+            return False
+        return True
+
     def path(self, name: str) -> Path:
         """Where the map of that name is kept, whether there is one or not.
 

@@ -61,8 +61,12 @@ def map_to_bytes(map_: Map) -> bytes:
     return bytes(save(arrays, metadata))
 
 
-def load_map(path: Path) -> Map:
+def load_map(path: Path, called: str | None = None) -> Map:
     """Read a map. The file is mapped while it is read and not needed afterwards, so it may be overwritten at any time.
+
+    Args:
+        path: the file.
+        called: what errors call it, if not by its own name.
 
     Raises:
         UnknownMap: there is no such file.
@@ -70,19 +74,20 @@ def load_map(path: Path) -> Map:
     """
     if not path.is_file():
         raise UnknownMap(f"There is no map {path}.", "Check the path.")
+    called = called or path.name
     try:
         with safe_open(path, framework="numpy") as file:
             metadata = file.metadata() or {}
-            _check_format(path, metadata)
+            _check_format(called, metadata)
             arrays = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
     except (SafetensorError, OSError, ValueError, TypeError, KeyError, AttributeError) as error:
-        raise InvalidMap(f"{path.name} is corrupt, truncated, or not a map: {error}.", _HINT) from error
+        raise InvalidMap(f"{called} is corrupt, truncated, or not a map: {error}.", _HINT) from error
     info = metadata.get("info", "")
     if metadata.get("checksum") != _checksum(info, arrays):
-        raise InvalidMap(f"{path.name} is corrupt: its checksum does not match its content.", _HINT)
+        raise InvalidMap(f"{called} is corrupt: its checksum does not match its content.", _HINT)
     missing = [name for name in ARRAY_NAMES if name not in arrays]
     if missing:
-        raise InvalidMap(f"{path.name} has no {', '.join(missing)}.", _HINT)
+        raise InvalidMap(f"{called} has no {', '.join(missing)}.", _HINT)
     map_ = Map(
         info=info_from_json(info),
         **{name: arrays[name] for name in ARRAY_NAMES},
@@ -92,13 +97,13 @@ def load_map(path: Path) -> Map:
     return map_
 
 
-def _check_format(path: Path, metadata: Mapping[str, str]) -> None:
+def _check_format(called: str, metadata: Mapping[str, str]) -> None:
     if metadata.get("format") != FORMAT:
-        raise InvalidMap(f"{path.name} is not a map of rholoc.", "Give a .rho file.")
+        raise InvalidMap(f"{called} is not a map of rholoc.", "Give a .rho file.")
     version = metadata.get("format_version", "")
     if version != str(FORMAT_VERSION):
         raise InvalidMap(
-            f"{path.name} is of format version {version}; this rholoc reads {FORMAT_VERSION}.", "Update rholoc."
+            f"{called} is of format version {version}; this rholoc reads {FORMAT_VERSION}.", "Update rholoc."
         )
 
 

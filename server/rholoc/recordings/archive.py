@@ -16,6 +16,7 @@ from rholoc.errors import InvalidRecording, StorageFull, TooLarge
 DEFAULT_MAX_BYTES = 8 * 2**30  # unpacked
 MAX_FILES = 100_000
 MAX_RATIO = 200.0  # unpacked to packed; tables of numbers reach 20, bombs 1000
+_PACK_AGAIN = "Pack the recording's own files, and nothing else."
 _RATIO_FREE_BYTES = 2**20  # below this size a ratio says nothing
 
 _IGNORED = ("__MACOSX", ".DS_Store", "Thumbs.db")
@@ -78,10 +79,12 @@ def _check(entries: list[zipfile.ZipInfo], archive: Path, max_bytes: int) -> Non
     for entry in entries:
         path = PurePosixPath(entry.filename.replace("\\", "/"))
         if path.is_absolute() or ".." in path.parts or ":" in path.parts[0] if path.parts else True:
-            raise InvalidRecording(f"{archive.name} holds a file outside its folder: '{entry.filename}'.")
+            raise InvalidRecording(f"{archive.name} holds a file outside its folder: '{entry.filename}'.", _PACK_AGAIN)
         kind = stat.S_IFMT(entry.external_attr >> 16)
         if kind not in (0, stat.S_IFREG, stat.S_IFDIR):
-            raise InvalidRecording(f"{archive.name} holds '{entry.filename}', which is a link or device, not a file.")
+            raise InvalidRecording(
+                f"{archive.name} holds '{entry.filename}', which is a link or device, not a file.", _PACK_AGAIN
+            )
         if entry.file_size > _RATIO_FREE_BYTES and entry.file_size > MAX_RATIO * entry.compress_size:
             raise TooLarge(
                 f"{archive.name}: '{entry.filename}' is packed suspiciously tightly.", "Pack it uncompressed."

@@ -84,6 +84,12 @@ def _read_zip(path: Path, workdir: Path | None, max_unpacked_bytes: int) -> Reco
     folder = Path(tempfile.mkdtemp(prefix="rholoc-recording-", dir=workdir))
     try:
         recording = replace(read_folder(unpack(path, folder, max_unpacked_bytes)), name=path.stem)
+    except InvalidRecording as error:
+        shutil.rmtree(folder, ignore_errors=True)
+        # Our folder's name says nothing to who sent the file.
+        raise InvalidRecording(
+            error.message.replace(f"folder {folder.name}", f"file {path.name}"), error.hint
+        ) from error
     except BaseException:
         shutil.rmtree(folder, ignore_errors=True)
         raise

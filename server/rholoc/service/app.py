@@ -15,6 +15,7 @@ from starlette.exceptions import HTTPException
 from rholoc import __version__
 from rholoc.errors import RholocError
 from rholoc.jobs import EmbeddedWorker, JobQueue, RecordingStore, UploadStore
+from rholoc.logs import configure_logs
 from rholoc.maps import CameraLibrary, MapLibrary
 from rholoc.service import web
 from rholoc.service.compute import ComputePool
@@ -32,7 +33,6 @@ from rholoc.service.guard import Guard, SecurityHeaders
 from rholoc.service.housekeeping import keep_house
 from rholoc.service.keys import KeyStore
 from rholoc.service.localizers import Localizers
-from rholoc.service.logs import configure_logs
 from rholoc.service.metrics import Metered, Metrics
 from rholoc.service.middleware import RequestBoundary
 from rholoc.service.openapi import install

@@ -84,7 +84,7 @@ def structure_from_motion(
     Raises:
         MappingFailed: fewer than 70 % of the keyframes could be placed.
     """
-    pycolmap.logging.minloglevel = 2
+    pycolmap.logging.minloglevel = 3  # what fails is told by the error raised
     pycolmap.set_random_seed(_SEEDS[0])
     if len(features) < 2:
         raise MappingFailed("The camera did not move.", "Walk through the room while recording.")

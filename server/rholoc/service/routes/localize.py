@@ -148,7 +148,7 @@ async def localize_in_maps(
     """Asks every map and gives the surest answer, with the map's name."""
     names = list(dict.fromkeys(name.strip() for name in maps.split(",")))
     if names == ["all"]:
-        names = service.library.names()
+        names = await run_in_threadpool(service.library.readable)
         if not names:
             raise UnknownMap("There is no map yet.", "Upload one, or a recording.")
     return await _localize(names, request, service, options)

@@ -335,7 +335,7 @@ def _camera(camera: Camera) -> CameraIn:
 def _publish(library: MapLibrary, name: str, arrived: Path) -> None:
     """Put a file into the library, if this service can localize in it."""
     table = is_coefficient_table(arrived)
-    map_ = read_coefficient_table(arrived, f"{name}.csv") if table else load_map(arrived)
+    map_ = read_coefficient_table(arrived, f"{name}.csv") if table else load_map(arrived, f"{name}.rho")
     hint = "Build the map with one of this version's extractors."
     try:
         extractor = get_extractor(map_.info.features)
