@@ -2,7 +2,7 @@
 
 import { call, get, path } from "../shared/api.js";
 import { ask, fill, h } from "../shared/dom.js";
-import { action, empty, field, loading, nameField, skeletons } from "./parts.js";
+import { action, empty, field, loading, nameField, page, skeletons } from "./parts.js";
 
 const FIGURES = [
   ["width", "Width, px"],
@@ -18,15 +18,9 @@ export async function showCameras(main, _, signal) {
   const reload = () => loading(list, async () => fillList(list, await get("v1/cameras", { signal }), reload), signal);
   fill(
     main,
-    h(
-      "div",
-      { class: "stack" },
-      h(
-        "div",
-        { class: "row spread" },
-        h("h1", {}, "Cameras"),
-        action("Add a camera", () => edit(null, reload), "primary"),
-      ),
+    page(
+      "Cameras",
+      action("Add a camera", () => edit(null, reload), "primary"),
       h(
         "p",
         { class: "muted" },

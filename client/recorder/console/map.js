@@ -3,7 +3,7 @@
 import { call, download, get, objectUrl, path, request } from "../shared/api.js";
 import { ask, fill, h } from "../shared/dom.js";
 import { bytes, count, length, when } from "./format.js";
-import { action, facts, field, loading, nameField, skeletons, tell } from "./parts.js";
+import { action, facts, field, loading, nameField, page, skeletons, tell } from "./parts.js";
 import { SceneView, readScene } from "./scene.js";
 
 const FORMATS = [
@@ -26,10 +26,9 @@ export async function showMap(main, name, signal) {
   );
   fill(
     main,
-    h(
-      "div",
-      { class: "stack" },
-      h("div", { class: "row spread" }, h("h1", {}, name), actions(name)),
+    page(
+      name,
+      actions(name),
       h("div", { class: "map-columns" }, scene.element, about),
       h("h2", {}, "Where it works"),
       picture,

@@ -3,7 +3,7 @@
 import { call, get, objectUrl, path } from "../shared/api.js";
 import { ask, fill, h } from "../shared/dom.js";
 import { bytes, count, length, when } from "./format.js";
-import { action, empty, facts, field, loading, nameField, skeletons, tell } from "./parts.js";
+import { action, empty, facts, field, loading, nameField, page, skeletons, tell } from "./parts.js";
 
 export async function showMaps(main, _, signal) {
   const list = h("ul", { class: "cards", "aria-label": "Maps" }, skeletons(3, "map-card"));
@@ -11,15 +11,9 @@ export async function showMaps(main, _, signal) {
   const upload = action("Upload a map", () => uploadMap(reload));
   fill(
     main,
-    h(
-      "div",
-      { class: "stack" },
-      h(
-        "div",
-        { class: "row spread" },
-        h("h1", {}, "Maps"),
-        h("div", { class: "row" }, upload, h("a", { class: "button primary", href: "record" }, "Record a walk")),
-      ),
+    page(
+      "Maps",
+      h("div", { class: "row" }, upload, h("a", { class: "button primary", href: "record" }, "Record a walk")),
       list,
     ),
   );

@@ -4,6 +4,11 @@ import { fill, h } from "../shared/dom.js";
 
 const STATES = { published: "good", failed: "bad", cancelled: "warn" };
 
+/** A page: its heading with what stands beside it, and its content. */
+export function page(heading, beside, ...content) {
+  return h("div", { class: "stack" }, h("div", { class: "row spread" }, h("h1", {}, heading), beside), content);
+}
+
 /** An error with what to do about it, and a button to try again. */
 export function problem(error, again) {
   return h(

@@ -4,7 +4,7 @@ import { call, get, path } from "../shared/api.js";
 import { ask, fill, h } from "../shared/dom.js";
 import { upload } from "../record/upload.js";
 import { bytes, when } from "./format.js";
-import { action, empty, field, loading, nameField, skeletons, tell } from "./parts.js";
+import { action, empty, field, loading, nameField, page, skeletons, tell } from "./parts.js";
 
 export async function showRecordings(main, _, signal) {
   const list = h("div", {}, skeletons(3, "line"));
@@ -12,15 +12,9 @@ export async function showRecordings(main, _, signal) {
     loading(list, async () => fillList(list, await get("v1/recordings", { signal }), reload), signal);
   fill(
     main,
-    h(
-      "div",
-      { class: "stack" },
-      h(
-        "div",
-        { class: "row spread" },
-        h("h1", {}, "Recordings"),
-        h("a", { class: "button", href: "record" }, "Record a walk"),
-      ),
+    page(
+      "Recordings",
+      h("a", { class: "button", href: "record" }, "Record a walk"),
       uploadForm(signal),
       h("h2", {}, "Kept here"),
       list,

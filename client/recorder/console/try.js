@@ -4,7 +4,7 @@ import { call, get, path } from "../shared/api.js";
 import { fill, h } from "../shared/dom.js";
 import { length } from "./format.js";
 import { showScene } from "./map.js";
-import { empty, facts, field, problem } from "./parts.js";
+import { empty, facts, field, page, problem } from "./parts.js";
 import { SceneView } from "./scene.js";
 import { readTrajectory } from "./trajectory.js";
 
@@ -167,10 +167,9 @@ function layout(trial, maps, cameras) {
     h("option", { value: FIELD_OF_VIEW }, "by its field of view"),
   );
   trial.intrinsics.addEventListener("change", () => (degrees.hidden = trial.intrinsics.value !== FIELD_OF_VIEW));
-  return h(
-    "div",
-    { class: "stack" },
-    h("div", { class: "row spread" }, h("h1", {}, "Try it"), field("Map", choice)),
+  return page(
+    "Try it",
+    field("Map", choice),
     h(
       "div",
       { class: "try-columns" },
