@@ -18,12 +18,12 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from rholoc.evaluation import rigid_alignment
+from rholoc.evaluation import rigid_alignment, trajectory_errors
 from rholoc.geometry import FloatArray
 from rholoc.recordings import Recording, read_recording
 from rholoc.simulation import simulate_recording
 from rholoc.trajectory import PoseMethod, estimate_trajectory
-from rholoc.trajectory.alignment import rotation_angles_deg, umeyama
+from rholoc.trajectory.alignment import umeyama
 
 
 def in_map_frame(recording: Recording, truth: FloatArray) -> dict[str, float | int | bool]:
@@ -49,8 +49,8 @@ def by_imu_alone(recording: Recording, truth: FloatArray) -> dict[str, float | i
 
 
 def errors(T_map_camera: FloatArray, truth: FloatArray) -> dict[str, float]:
-    distance_cm = 100 * np.linalg.norm(T_map_camera[:, :3, 3] - truth[:, :3, 3], axis=1)
-    angle_deg = rotation_angles_deg(np.swapaxes(T_map_camera[:, :3, :3], 1, 2) @ truth[:, :3, :3])
+    found = trajectory_errors(T_map_camera, truth)
+    distance_cm, angle_deg = 100 * found.position_m, np.degrees(found.rotation_rad)
     return {
         "median_cm": float(np.median(distance_cm)),
         "worst_cm": float(distance_cm.max()),

@@ -60,20 +60,19 @@ def test_a_server_that_cannot_start_is_told_with_its_log(tmp_path: Path) -> None
         pytest.fail("it started")
 
 
+def fails_in_one_line(maps: Path, data: Path, port: str = "0") -> str:
+    """The line in which ``rholoc serve`` says why it does not start."""
+    command = [sys.executable, "-m", "rholoc", "serve", "--port", port, "--no-worker", "--maps", maps, "--data", data]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 1
+    assert done.stderr.count("\n") == 1
+    return done.stderr
+
+
 def test_a_port_that_is_taken_is_one_line(tmp_path: Path) -> None:
     with socket.create_server(("127.0.0.1", 0)) as listener:
         port = str(listener.getsockname()[1])
-        command = [sys.executable, "-m", "rholoc", "serve", "--port", port, "--no-worker"]
-        done = subprocess.run(
-            [*command, "--maps", tmp_path / "maps", "--data", tmp_path / "data"],
-            capture_output=True,
-            text=True,
-            timeout=60,
-            check=False,
-        )
-    assert done.returncode == 1
-    assert done.stderr.count("\n") == 1
-    assert f"127.0.0.1:{port}" in done.stderr
+        assert f"127.0.0.1:{port}" in fails_in_one_line(tmp_path / "maps", tmp_path / "data", port)
 
 
 def test_folders_that_cannot_be_used_are_one_line(tmp_path: Path) -> None:
@@ -81,17 +80,7 @@ def test_folders_that_cannot_be_used_are_one_line(tmp_path: Path) -> None:
     (tmp_path / "damaged").mkdir()
     (tmp_path / "damaged" / "jobs.sqlite").write_text("no database")
     for maps, data, named in (("file", "data", "file"), ("maps", "file", "file"), ("maps", "damaged", "jobs.sqlite")):
-        command = [sys.executable, "-m", "rholoc", "serve", "--port", "0", "--no-worker"]
-        done = subprocess.run(
-            [*command, "--maps", tmp_path / maps, "--data", tmp_path / data],
-            capture_output=True,
-            text=True,
-            timeout=60,
-            check=False,
-        )
-        assert done.returncode == 1
-        assert done.stderr.count("\n") == 1
-        assert named in done.stderr
+        assert named in fails_in_one_line(tmp_path / maps, tmp_path / data)
 
 
 def test_after_its_first_line_a_server_writes_json(tmp_path: Path) -> None:

@@ -53,9 +53,8 @@ def serve(
     from rholoc.service.guard import keys_needed
     from rholoc.service.keys import KeyStore
 
-    for folder in (settings.maps_dir, settings.data_dir):
-        folder.mkdir(parents=True, exist_ok=True)
-    JobQueue(settings.data_dir, settings.jobs_database).close()  # told here, in one line, if it cannot be used
+    settings.maps_dir.mkdir(parents=True, exist_ok=True)  # told here, in one line, if they cannot be used
+    JobQueue(settings.data_dir, settings.jobs_database).close()
     with listening_socket(settings.host, settings.port) as listener:
         config = uvicorn.Config(
             create_app(settings),

@@ -19,7 +19,7 @@ from rholoc.geometry import Camera, FloatArray, pose_matrix
 from rholoc.localization import Query
 from rholoc.localization.map_index import MapIndex
 from rholoc.localization.matches import Matches
-from rholoc.localization.verification import FINAL_TOLERANCE_PX, evidence_of, settle
+from rholoc.localization.verification import FINAL_TOLERANCE_PX, climb, evidence_of, settle
 
 _FEWEST_MATCHES = 4
 _DISTINCT_CHANCE = 0.3
@@ -87,7 +87,8 @@ def refine_by_density(
         rays: (N, 3) of all the query's features, camera frame.
     """
     evidence = evidence_of(index, matches, rays, query.camera)
-    return settle(index, matches, evidence, T_map_camera, _ASCENT_PX, query.dof).T_map_camera
+    optimum = climb(index, matches, evidence, T_map_camera, _ASCENT_PX, query.dof)
+    return settle(index, matches, evidence, optimum, query.dof).T_map_camera
 
 
 def _solve_cv2(pixels: FloatArray, points: FloatArray, camera: Camera, options: RansacOptions) -> FloatArray | None:

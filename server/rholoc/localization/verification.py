@@ -74,27 +74,19 @@ def climb(
     return ascend_tensors(index.tensors, matches, evidence, T_map_camera, tolerances_px, dof)
 
 
-def settle(
-    index: MapIndex,
-    matches: Matches,
-    evidence: Evidence,
-    T_map_camera: FloatArray,
-    tolerances_px: tuple[float, ...],
-    dof: Dof,
-) -> Optimum:
-    """The ascent from a pose (4, 4) to the end, its last steps sharpened where the densities are ``ray``.
+def settle(index: MapIndex, matches: Matches, evidence: Evidence, optimum: Optimum, dof: Dof) -> Optimum:
+    """The last steps of an ascent that ended at ``FINAL_TOLERANCE_PX``, sharpened; ``tensor`` densities need none.
 
     What was seen from elsewhere looks otherwise from here, and is found less exactly. It helps to find a pose, and to
     believe it; the last steps go by the landmarks that were seen from hereabouts too.
     """
-    optimum = climb(index, matches, evidence, T_map_camera, tolerances_px, dof)
     if index.tensors is not None:
         return optimum
     agreeing = optimum.density > 0
     alike = index.seen_alike(matches.landmarks[agreeing], _VIEWS_ALIKE)[matches.landmarks]
     if (agreeing & alike).sum() < _MIN_MATCHES:
         return optimum
-    return sharpen(evidence, optimum, np.flatnonzero(alike), tolerances_px[-1], dof)
+    return sharpen(evidence, optimum, np.flatnonzero(alike), FINAL_TOLERANCE_PX, dof)
 
 
 def verify(
@@ -111,7 +103,9 @@ def verify(
         if len(matches) < _MIN_MATCHES:
             return None
         evidence = evidence_of(index, matches, rays, query.camera)
-        optimum = settle(index, matches, evidence, T, (radius, radius / 2, FINAL_TOLERANCE_PX), query.dof)
+        tolerances_px = (radius, radius / 2, FINAL_TOLERANCE_PX)
+        optimum = climb(index, matches, evidence, T, tolerances_px, query.dof)
+        optimum = settle(index, matches, evidence, optimum, query.dof)
         T, found = (
             optimum.T_map_camera,
             Verified(optimum, matches, evidence, query.features.pixels[matches.detections], by_chance),

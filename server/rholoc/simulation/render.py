@@ -202,15 +202,15 @@ class Renderer:
         map_y = np.zeros(ids.shape, np.float32)
         T = pose.inverse()
         visible = np.flatnonzero(np.bincount(ids.ravel(), minlength=len(self._faces)))
+        K_inverse = part.inverse_matrix
         for f in visible.tolist():
             if f not in bounds:
                 continue
             y0, y1, x0, x1 = bounds[f]
             plane_to_camera = T[:3, :3] @ self._frames[f]
             plane_to_camera[:, 2] += T[:3, 3]
-            H = (
-                np.linalg.inv(plane_to_camera) @ part.inverse_matrix
-            )  # pixel → (a, b, 1) up to scale; the scale is 1 / depth
+            # pixel → (a, b, 1) up to scale; the scale is 1 / depth
+            H = np.linalg.inv(plane_to_camera) @ K_inverse
             H[:2] *= self._texels[f][:, None]
             u = np.arange(x0, x1) + shift[0]
             v = np.arange(y0, y1) + shift[1]
