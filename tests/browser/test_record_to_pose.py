@@ -29,7 +29,7 @@ CALM = 0.4  # of the turning: the camera is slow
 FPS = 6  # of the camera: fewer keyframes, a sooner map
 SIGNATURE = (16, 12)
 POINTS = (0.1, 0.35, 0.65, 0.9)  # shares of the film: where points are marked, which are not on one line
-QUERY_S = 1.5  # of the second walk
+QUERY_S = 5.5  # of the second walk: between the points marked, beyond which an error of their times grows
 LONG_MS = 150_000
 
 
