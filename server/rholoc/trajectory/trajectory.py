@@ -40,6 +40,9 @@ class Trajectory:
         report: figures for people, JSON-serialisable: waypoint residuals, reprojection error, frames placed, …
         rolling_shutter: how the image moves in these frames while they are read; None where that is not known, or they
             are read at once.
+        covariances: (K, 6, 6) of each frame's pose in the map frame: rows x, y, z (m), then the rotation about the
+            map's x, y, z axes (rad, a small rotation applied from the left). It holds all that makes the frame's pose
+            uncertain, what it shares with its neighbours too. None where that is not known.
     """
 
     rows: IntArray
@@ -50,3 +53,4 @@ class Trajectory:
     upright: bool
     report: dict[str, Any] = field(default_factory=dict)
     rolling_shutter: RollingShutter | None = None
+    covariances: FloatArray | None = None
