@@ -35,9 +35,9 @@ def measure(path: Path, camera: str, start: int, stop: int, choice: str) -> str:
     error_cm = 100 * np.linalg.norm(aligned[:, :3, 3] - truth[:, :3, 3], axis=1)
     angle_deg = rotation_angles_deg(np.swapaxes(aligned[:, :3, :3], 1, 2) @ truth[:, :3, :3])
     return (
-        f"{choice:>6} {found.report['frames']:4}/{found.report['keyframes']:<4} {np.median(error_cm):9.2f}"
-        f" {error_cm.max():9.2f} {np.median(angle_deg):10.2f}  {found.report['trusted']!s:7} {seconds:6.0f}"
-        f"  {found.report['why']}"
+        f"{choice:>6} {found.report.frames:4}/{found.report.keyframes:<4} {np.median(error_cm):9.2f}"
+        f" {error_cm.max():9.2f} {np.median(angle_deg):10.2f}  {found.report.trusted!s:7} {seconds:6.0f}"
+        f"  {found.report.why}"
     )
 
 

@@ -30,7 +30,7 @@ def in_map_frame(recording: Recording, truth: FloatArray) -> dict[str, float | i
     """Errors of the keyframes as they stand."""
     found = estimate_trajectory(recording, PoseMethod.VISUAL_INERTIAL)
     T, true = found.T_map_camera, truth[found.rows]
-    return {"keyframes": len(T), "trusted": found.report["trusted"], **errors(T, true)}
+    return {"keyframes": len(T), "trusted": found.report.trusted, **errors(T, true)}
 
 
 def by_imu_alone(recording: Recording, truth: FloatArray) -> dict[str, float | int | bool]:
@@ -41,7 +41,7 @@ def by_imu_alone(recording: Recording, truth: FloatArray) -> dict[str, float | i
     turned = Rotation.from_matrix(true[:, :3, :3] @ np.swapaxes(T[:, :3, :3], 1, 2)).mean()
     return {
         "keyframes": len(T),
-        "trusted": found.report["trusted"],
+        "trusted": found.report.trusted,
         "scale_error_percent": 100 * (1 / free.scale - 1),
         "vertical_error_deg": float(np.degrees(np.arccos(np.clip(turned.as_matrix()[2, 2], -1, 1)))),
         **errors(rigid_alignment(T, true) @ T, true),

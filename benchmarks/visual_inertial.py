@@ -78,11 +78,11 @@ def video(path: Path, truth: Path) -> None:
     turned = own @ similarity.rotation.T
     rigid = turned - turned.mean(axis=0) + true.mean(axis=0)
     error_cm = 100 * np.linalg.norm(rigid - true, axis=1)
-    print(f"frames placed            {found.report['frames']} of {found.report['keyframes']} keyframes")
+    print(f"frames placed            {found.report.frames} of {found.report.keyframes} keyframes")
     print(f"rigid alignment, rms     {np.sqrt(np.mean(error_cm**2)):.2f} cm, worst {error_cm.max():.2f} cm")
-    sigma = found.report["imu"]["scale_sigma"]
+    sigma = found.report.imu.scale_sigma
     print(f"scale                    {1 / similarity.scale:.4f}, said to be good to {sigma:.1%}")
-    print(f"trusted                  {found.report['trusted']}: {found.report['why']}")
+    print(f"trusted                  {found.report.trusted}: {found.report.why}")
 
 
 def main() -> None:

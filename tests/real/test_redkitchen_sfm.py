@@ -70,15 +70,15 @@ def test_redkitchen_is_placed_from_images_and_four_waypoints_in_order(real_data:
     position_cm = 100 * np.linalg.norm(trajectory.T_map_camera[:, :3, 3] - T[:, :3, 3], axis=1)
     turned = Rotation.from_matrix(np.swapaxes(trajectory.T_map_camera[:, :3, :3], 1, 2) @ T[:, :3, :3])
     angle_deg = np.degrees(turned.magnitude())
-    assert trajectory.report["trusted"], trajectory.report["why"]
+    assert trajectory.report.trusted, trajectory.report.why
     assert trajectory.scale is Scale.METRIC
     assert not trajectory.upright  # this camera rolls, and nothing measured gravity
-    assert trajectory.report["frames"] >= 0.95 * trajectory.report["keyframes"] >= 60
+    assert trajectory.report.frames >= 0.95 * trajectory.report.keyframes >= 60
     taken = [
-        int(frames.numbers[np.abs(frames.times - t).argmin()]) for t in trajectory.report["waypoint_times_s"].values()
+        int(frames.numbers[np.abs(frames.times - t).argmin()]) for t in trajectory.report.waypoint_times_s.values()
     ]
     assert taken == list(_WAYPOINT_FRAMES)
-    assert max(trajectory.report["waypoint_residuals_m"].values()) < 0.05
+    assert max(trajectory.report.waypoint_residuals_m.values()) < 0.05
     assert np.median(position_cm) < 2.0
     assert np.percentile(position_cm, 90) < 4.0
     assert np.median(angle_deg) < 2.0

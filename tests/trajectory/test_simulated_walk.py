@@ -132,13 +132,13 @@ def test_a_recording_with_waypoints_in_order_and_an_imu_of_unknown_mounting(monk
     found = estimate.estimate_trajectory(recording, PoseMethod.VISUAL_INERTIAL)
 
     error_m = np.linalg.norm(found.T_map_camera[:, :3, 3] - truth[found.rows, :3, 3], axis=1)
-    assert found.report["trusted"], found.report["why"]
-    assert found.report["frames"] == len(found.rows) >= 55
+    assert found.report.trusted, found.report.why
+    assert found.report.frames == len(found.rows) >= 55
     assert np.median(error_m) < 0.015
     assert error_m.max() < 0.05
-    taken = list(found.report["waypoint_times_s"].values())
+    taken = list(found.report.waypoint_times_s.values())
     np.testing.assert_allclose(taken, walk.pause_times, atol=0.4)
-    assert list(found.report["waypoint_times_s"]) == ["START", "W1", "W2", "W3", "E"]
-    assert found.report["imu"]["time_offset_s"] == pytest.approx(_DELAY_S, abs=0.005)
-    assert found.report["inertial"]["rms_m"] < 0.3
+    assert list(found.report.waypoint_times_s) == ["START", "W1", "W2", "W3", "E"]
+    assert found.report.imu.time_offset_s == pytest.approx(_DELAY_S, abs=0.005)
+    assert found.report.inertial.rms_m < 0.3
     assert found.upright

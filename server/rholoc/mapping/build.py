@@ -96,7 +96,7 @@ def build_map(
         map_ = fit_map_tensors(map_, options.degree, progress)
     progress(Stage.DENSITIES, 1.0, f"{len(map_.descriptors)} descriptors")
     report = map_report(map_, held_out if options.report else HeldOut.none(), progress)
-    report["trajectories"] = [walk.trajectory.report for walk in walks]
+    report["trajectories"] = [walk.trajectory.report.to_json() for walk in walks]
     report["coaching"] = [
         coach(walk.recording, seen, walk.trajectory.times, walk.trajectory.T_map_camera)
         for walk, seen in zip(walks, looks, strict=True)
@@ -214,9 +214,9 @@ def _source(walk: _Walk, options: BuildOptions) -> dict[str, Any]:
 
 
 def _waypoint(waypoint: Any, walk: _Walk) -> dict[str, Any]:
-    residuals = walk.trajectory.report.get("waypoint_residuals_m", {})
+    residuals = walk.trajectory.report.waypoint_residuals_m or {}
     return {
         "name": waypoint.name,
         "position": list(waypoint.position),
-        "residual_m": residuals.get(waypoint.name) if isinstance(residuals, dict) else None,
+        "residual_m": residuals.get(waypoint.name),
     }

@@ -10,6 +10,7 @@ from rholoc.errors import InvalidCamera, InvalidRecording, InvalidWaypoints, Map
 from rholoc.geometry import Camera, FloatArray, IntArray
 from rholoc.progress import ProgressListener, Stage, silent
 from rholoc.recordings import Imu, Recording, Waypoint, check_waypoints_fix_frame
+from rholoc.reports import TrajectoryReport, report_to_json
 from rholoc.trajectory.child import run_in_child
 from rholoc.trajectory.gyro_guard import GyroGuard
 from rholoc.trajectory.imu_evidence import compare_with_inertial, weigh_imu
@@ -61,13 +62,7 @@ def _given(recording: Recording) -> Trajectory:
         raise InvalidRecording(f"{len(rows)} frames of the recording have a pose; too few for a map.", hint)
     T_map_camera = recording.poses.T_map_camera[rows]
     upright, up = _is_upright(T_map_camera[:, :3, :3])
-    report = {
-        "method": PoseMethod.GIVEN.value,
-        "frames": len(rows),
-        "trusted": True,
-        "why": "The poses were given.",
-        "up": up,
-    }
+    report = TrajectoryReport(PoseMethod.GIVEN.value, len(rows), why="The poses were given.", up=up)
     scale = Scale.METRIC if recording.poses.metric else Scale.ARBITRARY
     return Trajectory(
         rows, recording.frames.times[rows], T_map_camera, _known_camera(recording), scale, upright, report
@@ -99,13 +94,13 @@ def _inertial(recording: Recording, progress: ProgressListener) -> Trajectory:
         raise MappingFailed(f"{len(rows)} keyframes lie between the waypoints.", _MOVE)
     poses = integrate_between_waypoints(recording.imu, waypoints, times)
     progress(Stage.POSES, 1.0, "the IMU was integrated")
-    report = {
-        "method": PoseMethod.INERTIAL.value,
-        "frames": len(rows),
-        "waypoint_times_s": {waypoint.name: waypoint.time for waypoint in waypoints},
-        "trusted": False,
-        "why": "Integrated from the IMU alone; nothing checks it between the waypoints.",
-    }
+    report = TrajectoryReport(
+        PoseMethod.INERTIAL.value,
+        len(rows),
+        trusted=False,
+        why="Integrated from the IMU alone; nothing checks it between the waypoints.",
+        waypoint_times_s={waypoint.name: waypoint.time for waypoint in waypoints},
+    )
     return Trajectory(rows, times, poses, camera, Scale.METRIC, True, report)
 
 
@@ -163,7 +158,8 @@ def _visual(recording: Recording, method: PoseMethod, progress: ProgressListener
     report["why"] = " ".join(doubts) or visual.why
     progress(Stage.POSES, 1.0, f"{len(rows)} frames placed")
     shutter = None if shutter is None else shutter.take(kept)
-    return Trajectory(rows, times, T, visual.camera, frame.scale, frame.upright, report, shutter)
+    typed = TrajectoryReport.from_json(report_to_json(report))
+    return Trajectory(rows, times, T, visual.camera, frame.scale, frame.upright, typed, shutter)
 
 
 def _keyframes(

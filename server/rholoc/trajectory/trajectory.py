@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from enum import StrEnum
-from typing import Any
 
 from rholoc.geometry import Camera, FloatArray, IntArray
+from rholoc.reports import TrajectoryReport
 from rholoc.trajectory.rolling_shutter import RollingShutter
 
 
@@ -37,7 +37,7 @@ class Trajectory:
         camera: the intrinsics that belong to these poses.
         scale: whether lengths are metres.
         upright: whether the map's z axis is known to point up.
-        report: figures for people, JSON-serialisable: waypoint residuals, reprojection error, frames placed, …
+        report: figures for people: waypoint residuals, reprojection error, frames placed, …
         rolling_shutter: how the image moves in these frames while they are read; None where that is not known, or they
             are read at once.
         covariances: (K, 6, 6) of each frame's pose in the map frame: rows x, y, z (m), then the rotation about the
@@ -51,6 +51,6 @@ class Trajectory:
     camera: Camera
     scale: Scale
     upright: bool
-    report: dict[str, Any] = field(default_factory=dict)
+    report: TrajectoryReport
     rolling_shutter: RollingShutter | None = None
     covariances: FloatArray | None = None

@@ -1,0 +1,54 @@
+"""Reports to JSON and back."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import MISSING, fields, is_dataclass
+from functools import cache
+from typing import Any, TypeVar, cast
+
+import numpy as np
+from pydantic import TypeAdapter
+
+Report = TypeVar("Report")
+
+
+def report_to_json(value: Any) -> Any:
+    """A report, or a part of one, as what ``json.dumps`` takes.
+
+    Members that are None are left out, unless they have no default: those are null. NumPy's numbers become Python's,
+    numbers that are not finite become null.
+    """
+    match value:
+        case _ if is_dataclass(value) and not isinstance(value, type):
+            members = {field: getattr(value, field.name) for field in fields(value)}
+            return {
+                field.name: report_to_json(member)
+                for field, member in members.items()
+                if member is not None or (field.default is MISSING and field.default_factory is MISSING)
+            }
+        case dict():
+            return {str(key): report_to_json(member) for key, member in value.items()}
+        case list() | tuple():
+            return [report_to_json(member) for member in value]
+        case np.ndarray() | np.generic():
+            return report_to_json(value.tolist())
+        case float() if not math.isfinite(value):
+            return None
+        case _:
+            return value
+
+
+def report_from_json(kind: type[Report], value: Any) -> Report:
+    """The report that :func:`report_to_json` made JSON of; members that are not known are left out.
+
+    Raises:
+        ValueError: a member is missing or of another type; names it.
+    """
+    report: Report = _adapter(cast("Any", kind)).validate_python(value)
+    return report
+
+
+@cache
+def _adapter(kind: Any) -> TypeAdapter[Any]:
+    return TypeAdapter(kind)

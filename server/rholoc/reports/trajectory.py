@@ -1,0 +1,148 @@
+"""What a trajectory reports about itself."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+from rholoc.reports.json import report_from_json, report_to_json
+
+
+@dataclass(frozen=True)
+class CalibrationReport:
+    """Intrinsics that were estimated from the walk itself.
+
+    Attributes:
+        focal_px: the focal length.
+        focal_sigma_px: its standard deviation.
+        centre_sigma_px: that of the principal point; None where it was not observable.
+        observable: whether the walk fixes the focal length.
+        why: one line on how well the intrinsics are known.
+    """
+
+    focal_px: float
+    focal_sigma_px: float
+    centre_sigma_px: float | None
+    observable: bool
+    why: str
+
+
+@dataclass(frozen=True)
+class ImuReport:
+    """How the IMU relates to the camera, and what its accelerometer measured.
+
+    Attributes:
+        not_observable: what could not be found out, and why.
+        time_offset_s: what to add to a frame's time to get the IMU's.
+        time_offset_sigma_s: its standard deviation.
+        gyro_bias_rad_per_s: (3,).
+        gyro_bias_sigma_rad_per_s: its standard deviation.
+        R_camera_imu: (3, 3) the mounting.
+        R_camera_imu_contradicts_recording: whether the recording stated another mounting.
+        mounting_sigma_deg: the mounting's standard deviation.
+        rotation_residual_deg: how far camera and gyroscope turn apart from keyframe to keyframe, median.
+        frames_contradicted: frames that were dropped because the gyroscope contradicts their rotation.
+        scale_sigma: the relative standard deviation of the scale.
+        up_sigma_deg: the standard deviation of the upward direction.
+        accelerometer_bias_m_s2: (3,).
+        lever_m: (3,) the IMU's place in the camera's axes.
+        acceleration_residual_m_s2: the accelerations' median residual.
+    """
+
+    not_observable: dict[str, str] = field(default_factory=dict)
+    time_offset_s: float | None = None
+    time_offset_sigma_s: float | None = None
+    gyro_bias_rad_per_s: tuple[float, ...] | None = None
+    gyro_bias_sigma_rad_per_s: float | None = None
+    R_camera_imu: tuple[tuple[float, ...], ...] | None = None
+    R_camera_imu_contradicts_recording: bool | None = None
+    mounting_sigma_deg: float | None = None
+    rotation_residual_deg: float | None = None
+    frames_contradicted: int | None = None
+    scale_sigma: float | None = None
+    up_sigma_deg: float | None = None
+    accelerometer_bias_m_s2: tuple[float, ...] | None = None
+    lever_m: tuple[float, ...] | None = None
+    acceleration_residual_m_s2: float | None = None
+
+
+@dataclass(frozen=True)
+class InertialComparison:
+    """How far the IMU integrated between waypoints is from the trajectory.
+
+    Attributes:
+        why: one line on why there is no comparison, where there is none.
+        frames: how many were compared.
+        rms_m: the root mean square distance.
+        worst_m: the greatest distance.
+        worst_time_s: when that was.
+    """
+
+    why: str | None = None
+    frames: int | None = None
+    rms_m: float | None = None
+    worst_m: float | None = None
+    worst_time_s: float | None = None
+
+
+@dataclass(frozen=True)
+class TrajectoryReport:
+    """What a trajectory reports about itself. Figures that a method does not produce are None.
+
+    Attributes:
+        method: a value of :class:`rholoc.trajectory.PoseMethod`.
+        frames: how many frames have a pose.
+        trusted: whether every check passed.
+        why: one line: which checks failed, or why the poses are trusted.
+        up: one line on what fixes the upward direction.
+        scale: one line on what fixes the scale.
+        keyframes: how many were to be placed.
+        landmarks: points of the reconstruction.
+        reprojection_error_px: their mean.
+        loop_pairs: pairs of keyframes, far apart in time, that show the same place.
+        pairs_contradicted_by_gyroscope: pairs that were dropped.
+        disagreement_of_depth: between two reconstructions, as a share of the median distance of the landmarks.
+        disagreement_deg: of the rotations of the same two.
+        camera: the intrinsics, where they were estimated.
+        imu: the IMU's figures, or one line on why there are none.
+        inertial: the comparison with the integrated IMU.
+        waypoints_tilt_deg: between the waypoints' z axis and the measured upward direction.
+        waypoint_times_s: when the camera was at each waypoint, by name.
+        waypoint_residuals_m: how far the trajectory misses each waypoint; None for one that was left out.
+        waypoint_mistake: one line on a waypoint that contradicts all others.
+    """
+
+    method: str
+    frames: int = 0
+    trusted: bool = True
+    why: str = ""
+    up: str | None = None
+    scale: str | None = None
+    keyframes: int | None = None
+    landmarks: int | None = None
+    reprojection_error_px: float | None = None
+    loop_pairs: int | None = None
+    pairs_contradicted_by_gyroscope: int | None = None
+    disagreement_of_depth: float | None = None
+    disagreement_deg: float | None = None
+    camera: CalibrationReport | None = None
+    imu: ImuReport | str | None = None
+    inertial: InertialComparison | None = None
+    waypoints_tilt_deg: float | None = None
+    waypoint_times_s: dict[str, float] | None = None
+    waypoint_residuals_m: dict[str, float | None] | None = None
+    waypoint_mistake: str | None = None
+
+    def to_json(self) -> dict[str, Any]:
+        """As a map's file keeps it."""
+        members: dict[str, Any] = report_to_json(self)
+        return members
+
+    @classmethod
+    def from_json(cls, members: dict[str, Any]) -> TrajectoryReport:
+        """What :meth:`to_json` wrote, by this version or an earlier one.
+
+        Raises:
+            ValueError: a member is of another type; names it.
+        """
+        return report_from_json(cls, members)
