@@ -1,12 +1,9 @@
-"""What the IMU adds to the cameras, on recordings whose true poses are known.
+"""What the IMU adds to the cameras: scale, gravity and delay found again on a walk whose poses are known.
 
-    python benchmarks/visual_inertial.py --phone IPHONE_FOLDER
-    python benchmarks/visual_inertial.py --video EUROC_FOLDER --truth groundtruth_cam0.txt
+    python benchmarks/visual_inertial.py IPHONE_FOLDER
 
-``--phone``: an iOS logger's folder with poses. Its path is turned by an unknown rotation, scaled by an unknown factor
-and shifted in time by 0–80 ms; prints how well scale, gravity and shift come back, with gravity in the acceleration and
-without. ``--video``: frame poses by structure from motion and IMU, from nothing but the recording; prints their errors
-after a rigid alignment to the truth (time in ns, x y z qx qy qz qw a row), which does not mend a wrong scale.
+An iOS logger's folder with poses. Its path is turned by an unknown rotation, scaled by an unknown factor and shifted in
+time by 0–80 ms; prints how well scale, gravity and shift come back, with gravity in the acceleration and without.
 """
 
 from __future__ import annotations
@@ -20,8 +17,6 @@ from scipy.spatial.transform import Rotation
 
 from rholoc.geometry import pose_matrix
 from rholoc.recordings import Imu, read_recording
-from rholoc.trajectory import PoseMethod, estimate_trajectory
-from rholoc.trajectory.alignment import umeyama
 from rholoc.trajectory.imu_evidence import weigh_imu
 
 SHIFTS_S = (0.0, 0.02, 0.04, 0.06, 0.08)
@@ -67,35 +62,10 @@ def phone(path: Path) -> None:
             )
 
 
-def video(path: Path, truth: Path) -> None:
-    recording = replace(read_recording(path), poses=None)
-    found = estimate_trajectory(recording, PoseMethod.VISUAL_INERTIAL)
-    table = np.loadtxt(truth)
-    times = table[:, 0] * 1e-9
-    true = np.column_stack([np.interp(found.times, times, column) for column in table[:, 1:4].T])
-    own = found.T_map_camera[:, :3, 3]
-    similarity = umeyama(own, true)
-    turned = own @ similarity.rotation.T
-    rigid = turned - turned.mean(axis=0) + true.mean(axis=0)
-    error_cm = 100 * np.linalg.norm(rigid - true, axis=1)
-    print(f"frames placed            {found.report.frames} of {found.report.keyframes} keyframes")
-    print(f"rigid alignment, rms     {np.sqrt(np.mean(error_cm**2)):.2f} cm, worst {error_cm.max():.2f} cm")
-    sigma = found.report.imu.scale_sigma
-    print(f"scale                    {1 / similarity.scale:.4f}, said to be good to {sigma:.1%}")
-    print(f"trusted                  {found.report.trusted}: {found.report.why}")
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--phone", type=Path)
-    parser.add_argument("--video", type=Path)
-    parser.add_argument("--truth", type=Path, help="a file in the video's folder, or its path")
-    arguments = parser.parse_args()
-    if arguments.phone:
-        phone(arguments.phone)
-    if arguments.video:
-        truth = arguments.truth
-        video(arguments.video, truth if truth.exists() else arguments.video / truth)
+    parser.add_argument("folder", type=Path)
+    phone(parser.parse_args().folder)
 
 
 if __name__ == "__main__":
