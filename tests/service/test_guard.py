@@ -8,7 +8,7 @@ import httpx
 import pytest
 
 from rholoc.errors import Conflict, InvalidName, NotFound
-from rholoc.service.guard import KeyPolicy, keys_needed, needed_scope
+from rholoc.service.guard import KeyPolicy, keys_needed
 from rholoc.service.keys import KeyStore, Scope
 from rholoc_client import Client, Forbidden, Unauthorized
 
@@ -57,26 +57,6 @@ def test_keys_are_asked_for_where_others_can_reach_the_server():
     assert all(keys_needed(KeyPolicy.AUTO, host) for host in ("0.0.0.0", "::", "192.168.1.4", "rho.example"))
     assert keys_needed(KeyPolicy.ALWAYS, "127.0.0.1")
     assert not keys_needed(KeyPolicy.NEVER, "0.0.0.0")
-
-
-@pytest.mark.parametrize(
-    ("method", "path", "scope"),
-    [
-        ("GET", "/", None),
-        ("GET", "/web/shared/api.js", None),
-        ("GET", "/healthz", None),
-        ("GET", "/metrics", Scope.READ),
-        ("GET", "/v1/maps", Scope.READ),
-        ("POST", "/v1/localize", Scope.LOCALIZE),
-        ("POST", "/v1/maps/room/localize", Scope.LOCALIZE),
-        ("PUT", "/v1/maps/room", Scope.MAP),
-        ("PATCH", "/v1/recordings/1", Scope.MAP),
-        ("DELETE", "/v1/jobs/1", Scope.MAP),
-        ("DELETE", "/v1/maps/room", Scope.ADMIN),
-    ],
-)
-def test_what_a_request_needs(method, path, scope):
-    assert needed_scope(method, path) is scope
 
 
 def test_without_a_good_key_nothing_is_told(locked, keys):

@@ -74,6 +74,7 @@ def create_app(settings: Settings | None = None) -> FastAPI:
         description=_DESCRIPTION,
         lifespan=lifespan,
         redirect_slashes=False,
+        openapi_url=None,
         docs_url=None,
         redoc_url=None,
     )
@@ -82,7 +83,8 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     web.install(app)
     for kind in (RholocError, ValidationError, RequestValidationError, HTTPException, OSError):
         app.add_exception_handler(kind, _answer_error)
-    app.add_middleware(Guard, keys=KeyStore(settings.data_dir), policy=settings.keys, host=settings.host)
+    keys = KeyStore(settings.data_dir)
+    app.add_middleware(Guard, routes=app.routes, keys=keys, policy=settings.keys, host=settings.host)
     app.add_middleware(Tus)
     app.add_middleware(RequestBoundary)
     app.add_middleware(SecurityHeaders)
@@ -132,6 +134,7 @@ def _known(error: Exception) -> RholocError | None:
         if error.status_code == 404:
             return UnknownRoute("There is nothing at this path.", "See /docs for the routes.")
         if error.status_code == 405:
-            return MethodNotAllowed("This route does not take this method.", "See /docs for the routes.")
+            allowed = (error.headers or {}).get("Allow", "").split(", ")
+            return MethodNotAllowed("This route does not take this method.", "See /docs for the routes.", allowed)
         return InvalidRequest(str(error.detail), "See /docs for what this route takes.")
     return as_rholoc_error(error)

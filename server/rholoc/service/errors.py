@@ -6,7 +6,7 @@ Every error of :mod:`rholoc.errors` has a status here; what HTTP itself adds is 
 from __future__ import annotations
 
 import errno
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 from pydantic import ValidationError
@@ -37,6 +37,10 @@ class MethodNotAllowed(HttpError):
     """The route exists, but not with this method."""
 
     code = "method_not_allowed"
+
+    def __init__(self, message: str, hint: str = "", allowed: Iterable[str] = ()) -> None:
+        super().__init__(message, hint)
+        self.allowed = tuple(sorted(allowed))
 
 
 class UnsupportedMediaType(HttpError):
@@ -148,9 +152,12 @@ def error_body(error: RholocError, request_id: str) -> dict[str, str]:
 
 
 def error_headers(error: RholocError) -> dict[str, str]:
-    """``Retry-After`` in whole seconds where trying again may help; what to prove oneself with; which tus is spoken."""
+    """``Retry-After`` in whole seconds where trying again may help; what to prove oneself with; which methods and which
+    version of tus are spoken."""
     if isinstance(error, Busy):
         return {"Retry-After": str(max(1, round(error.retry_after_s)))}
     if isinstance(error, UnsupportedVersion):
         return {"Tus-Version": TUS_VERSION, "Tus-Resumable": TUS_VERSION}
+    if isinstance(error, MethodNotAllowed):
+        return {"Allow": ", ".join(error.allowed)}
     return {"WWW-Authenticate": "Bearer"} if isinstance(error, Unauthorized) else {}

@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import ipaddress
+from collections.abc import Sequence
 from enum import StrEnum
 from urllib.parse import urlsplit
 
 from starlette.datastructures import Headers, MutableHeaders
+from starlette.routing import BaseRoute
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from rholoc.service import web
-from rholoc.service.errors import CrossSite, Forbidden, Unauthorized
+from rholoc.service.access import Access, find_route, forbidden, grant, route_access, undeclared
+from rholoc.service.errors import CrossSite, MethodNotAllowed, Unauthorized, UnknownRoute
 from rholoc.service.keys import KeyStore
 from rholoc.service.keys import Scope as KeyScope
 
-_OPEN_PATHS = frozenset({*web.PAGES, "/healthz", "/readyz", "/openapi.json"})
 _READING = ("GET", "HEAD", "OPTIONS")
 _KEY_HINT = "Make one on the server with rholoc key create, and send it as Authorization: Bearer KEY."
 
@@ -60,17 +61,22 @@ class SecurityHeaders:
 
 
 class Guard:
-    """ASGI middleware that lets in or raises.
+    """ASGI middleware that lets in or raises, before any of the body is read.
+
+    It finds the route that a request is for, and what that route declares decides. Nothing passes that has no route, so
+    whatever is added to the application without a declaration stays closed.
 
     Args:
         app: what is guarded.
+        routes: the application's.
         keys: the keys there are.
         policy: when a request needs one.
         host: the address that the server listens on.
     """
 
-    def __init__(self, app: ASGIApp, keys: KeyStore, policy: KeyPolicy, host: str) -> None:
+    def __init__(self, app: ASGIApp, routes: Sequence[BaseRoute], keys: KeyStore, policy: KeyPolicy, host: str) -> None:
         self._app = app
+        self._routes = route_access(routes)
         self._keys = keys
         self._keys_needed = keys_needed(policy, host)
         self._local_only = policy is KeyPolicy.AUTO and not self._keys_needed
@@ -80,17 +86,29 @@ class Guard:
 
         Raises:
             CrossSite: another site sent it.
-            Unauthorized, Forbidden: it needs a key, or one that allows more.
+            Unauthorized, Forbidden: it needs a key, or one that allows more, or nobody may use the route.
+            UnknownRoute, MethodNotAllowed: no route takes it; who may not read anything is not told so.
         """
         if scope["type"] == "http":
             headers = Headers(scope=scope)
             check_same_site(scope["method"], headers, self._local_only)
-            wanted = needed_scope(scope["method"], scope["path"])
-            if self._keys_needed and wanted is not None:
-                self._check_key(headers.get("authorization", ""), wanted)
+            found = find_route(self._routes, scope)
+            access = Access(KeyScope.READ) if found.route is None else found.route.access
+            if access is None:
+                raise undeclared()
+            if access.scope is not None:
+                grant(scope, self._check_key(headers.get("authorization", ""), access.scope))
+            if found.route is None and found.methods:
+                hint = "The answer's header Allow names those that it takes."
+                raise MethodNotAllowed("This route does not take this method.", hint, found.methods)
+            if found.route is None:
+                raise UnknownRoute("There is nothing at this path.", "See /docs for the routes.")
         await self._app(scope, receive, send)
 
-    def _check_key(self, authorization: str, wanted: KeyScope) -> None:
+    def _check_key(self, authorization: str, needed: KeyScope) -> KeyScope:
+        """What the request may do, which is at least ``needed``."""
+        if not self._keys_needed:
+            return KeyScope.ADMIN
         kind, _, secret = authorization.partition(" ")
         if kind.lower() != "bearer" or not secret.strip():
             raise Unauthorized("This server asks for an API key.", _KEY_HINT)
@@ -99,29 +117,14 @@ class Guard:
             raise Unauthorized("This API key is not known, or was revoked.", _KEY_HINT)
         if key.expired:
             raise Unauthorized("This API key has expired.", _KEY_HINT)
-        if not key.scope.allows(wanted):
-            raise Forbidden(
-                f"This API key may not do that: its scope is {key.scope}, and {wanted} is needed.",
-                "Use a key of that scope.",
-            )
+        if not key.scope.allows(needed):
+            raise forbidden(key.scope, needed)
+        return key.scope
 
 
 def keys_needed(policy: KeyPolicy, host: str) -> bool:
     """Whether a server that listens on ``host`` asks for keys."""
     return policy is KeyPolicy.ALWAYS or (policy is KeyPolicy.AUTO and not _is_loopback(host))
-
-
-def needed_scope(method: str, path: str) -> KeyScope | None:
-    """The scope that a request needs, or None for what is open to all: the page itself and the health checks."""
-    if path in _OPEN_PATHS or path.startswith(f"{web.PREFIX}/"):
-        return None
-    if method in _READING:
-        return KeyScope.READ
-    if path.endswith("/localize"):
-        return KeyScope.LOCALIZE
-    if method == "DELETE" and path.startswith("/v1/maps/"):
-        return KeyScope.ADMIN
-    return KeyScope.MAP
 
 
 def check_same_site(method: str, headers: Headers, local_only: bool) -> None:

@@ -6,10 +6,12 @@ from typing import Any
 
 from fastapi import FastAPI
 from fastapi.openapi.utils import get_openapi
+from fastapi.responses import JSONResponse
 from pydantic import BaseModel
 from pydantic.json_schema import models_json_schema
 
 from rholoc.errors import RholocError
+from rholoc.service.access import OPEN
 from rholoc.service.errors import status_of
 from rholoc.service.schemas import DescriptorQuery, ErrorAnswer, LocalizeOptions
 
@@ -63,3 +65,7 @@ def install(app: FastAPI) -> None:
         return app.openapi_schema
 
     app.openapi = openapi  # type: ignore[method-assign]
+
+    @app.get("/openapi.json", include_in_schema=False, dependencies=[OPEN])
+    async def document() -> JSONResponse:
+        return JSONResponse(app.openapi())

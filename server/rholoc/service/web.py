@@ -10,6 +10,8 @@ from pathlib import Path
 from fastapi import FastAPI, Request, Response
 from starlette.staticfiles import StaticFiles
 
+from rholoc.service.access import OPEN
+
 PREFIX = "/web"
 PAGES = {"/": "index.html", "/record": "record/index.html", "/docs": "docs.html"}
 _SWAGGER_UI = ("fastapi_offline", "static")  # the package that has its files
@@ -35,14 +37,24 @@ class _PageFiles(StaticFiles):
 
 
 def install(app: FastAPI) -> None:
-    """Serve the page's files with the app."""
+    """Serve the page's files with the app, to everyone."""
     for suffix, kind in _TYPES.items():
         mimetypes.add_type(kind, suffix)  # what the operating system says of them differs
     files = _PageFiles(directory=web_folder())
-    app.mount(f"{PREFIX}/swagger", _PageFiles(packages=[_SWAGGER_UI]))
-    app.mount(PREFIX, files)
-    for path, name in PAGES.items():
-        app.add_api_route(path, _page(files, name), methods=["GET", "HEAD"], include_in_schema=False)
+    served = {
+        f"{PREFIX}/swagger/{{file:path}}": _file(_PageFiles(packages=[_SWAGGER_UI])),
+        f"{PREFIX}/{{file:path}}": _file(files),
+        **{path: _page(files, name) for path, name in PAGES.items()},
+    }
+    for path, answer in served.items():
+        app.add_api_route(path, answer, methods=["GET", "HEAD"], include_in_schema=False, dependencies=[OPEN])
+
+
+def _file(files: StaticFiles) -> Callable[[Request], Awaitable[Response]]:
+    async def file(request: Request) -> Response:
+        return await files.get_response(os.path.normpath(request.path_params["file"]), request.scope)
+
+    return file
 
 
 def _page(files: StaticFiles, name: str) -> Callable[[Request], Awaitable[Response]]:

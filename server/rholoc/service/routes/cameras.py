@@ -8,6 +8,7 @@ from starlette.concurrency import run_in_threadpool
 from rholoc.errors import InvalidCamera, InvalidInput, InvalidName, RholocError, StorageFull, UnknownCamera
 from rholoc.geometry import Camera
 from rholoc.maps import CameraLibrary, CameraProfile
+from rholoc.service.access import NEEDS_MAP, NEEDS_READ
 from rholoc.service.errors import InvalidRequest
 from rholoc.service.openapi import failures
 from rholoc.service.schemas import CameraList, CameraProfileIn, CameraProfileOut
@@ -16,14 +17,17 @@ from rholoc.service.state import Service
 router = APIRouter(prefix="/v1/cameras", tags=["cameras"])
 
 
-@router.get("", summary="All cameras")
+@router.get("", dependencies=[NEEDS_READ], summary="All cameras")
 async def list_cameras(service: Service) -> CameraList:
     """The stored cameras by name; files that are not cameras are named apart."""
     return await run_in_threadpool(_list, service.cameras)
 
 
 @router.get(
-    "/{camera}", summary="One camera", responses=failures(UnknownCamera, InvalidName, InvalidCamera, InvalidRequest)
+    "/{camera}",
+    dependencies=[NEEDS_READ],
+    summary="One camera",
+    responses=failures(UnknownCamera, InvalidName, InvalidCamera, InvalidRequest),
 )
 async def get_camera(camera: str, service: Service) -> CameraProfileOut:
     """Its intrinsics, and how good they are known to be."""
@@ -32,6 +36,7 @@ async def get_camera(camera: str, service: Service) -> CameraProfileOut:
 
 @router.put(
     "/{camera}",
+    dependencies=[NEEDS_MAP],
     summary="Store a camera",
     responses={
         **failures(InvalidName, InvalidCamera, InvalidInput, InvalidRequest, StorageFull),
@@ -48,7 +53,13 @@ async def put_camera(camera: str, given: CameraProfileIn, service: Service, resp
     return _out(camera, profile)
 
 
-@router.delete("/{camera}", status_code=204, summary="Delete a camera", responses=failures(UnknownCamera, InvalidName))
+@router.delete(
+    "/{camera}",
+    dependencies=[NEEDS_MAP],
+    status_code=204,
+    summary="Delete a camera",
+    responses=failures(UnknownCamera, InvalidName),
+)
 async def delete_camera(camera: str, service: Service) -> None:
     """For good; maps that were made with it keep it."""
     await run_in_threadpool(service.cameras.delete, camera)

@@ -9,6 +9,7 @@ from fastapi import APIRouter, Response
 from starlette.concurrency import run_in_threadpool
 
 from rholoc import __version__
+from rholoc.service.access import NEEDS_READ, OPEN
 from rholoc.service.metrics import METRICS_TYPE
 from rholoc.service.openapi import BINARY
 from rholoc.service.schemas import Health, Readiness
@@ -18,13 +19,15 @@ router = APIRouter(tags=["service"])
 _OK = "ok"
 
 
-@router.get("/healthz", summary="Whether the process answers")
+@router.get("/healthz", dependencies=[OPEN], summary="Whether the process answers")
 async def healthz() -> Health:
     """Always 200 while the process runs."""
     return Health(status=_OK, version=__version__)
 
 
-@router.get("/readyz", summary="Whether the service can do its work", responses={503: {"model": Readiness}})
+@router.get(
+    "/readyz", dependencies=[OPEN], summary="Whether the service can do its work", responses={503: {"model": Readiness}}
+)
 async def readyz(service: Service, response: Response) -> Readiness:
     """200 when maps can be read, uploads stored, jobs queued and frames localized; else 503 and what is not ready.
 
@@ -38,6 +41,7 @@ async def readyz(service: Service, response: Response) -> Readiness:
 
 @router.get(
     "/metrics",
+    dependencies=[NEEDS_READ],
     summary="Metrics for Prometheus",
     response_class=Response,
     responses={200: {"description": "Text.", "content": {METRICS_TYPE: {"schema": BINARY}}}},

@@ -14,6 +14,7 @@ from starlette.concurrency import run_in_threadpool
 
 from rholoc.errors import Conflict, UnknownJob
 from rholoc.jobs import Job
+from rholoc.service.access import NEEDS_MAP, NEEDS_READ
 from rholoc.service.errors import InvalidRequest
 from rholoc.service.openapi import failures
 from rholoc.service.schemas import JobError, JobList, JobOut
@@ -49,14 +50,14 @@ def job_out(job: Job) -> JobOut:
     )
 
 
-@router.get("", summary="All jobs, the newest first")
+@router.get("", dependencies=[NEEDS_READ], summary="All jobs, the newest first")
 async def list_jobs(service: Service) -> JobList:
     """Every job that the service knows of."""
     jobs = await run_in_threadpool(service.jobs.list)
     return JobList(jobs=[job_out(job) for job in sorted(jobs, key=lambda job: job.created, reverse=True)])
 
 
-@router.get("/{job}", summary="One job", responses=failures(InvalidRequest, UnknownJob))
+@router.get("/{job}", dependencies=[NEEDS_READ], summary="One job", responses=failures(InvalidRequest, UnknownJob))
 async def get_job(job: str, service: Service) -> JobOut:
     """Its state, stage and progress; why it failed, if it did."""
     return job_out(await run_in_threadpool(service.jobs.get, job))
@@ -64,6 +65,7 @@ async def get_job(job: str, service: Service) -> JobOut:
 
 @router.get(
     "/{job}/events",
+    dependencies=[NEEDS_READ],
     summary="A job, whenever it changes",
     response_class=Response,
     responses={
@@ -121,7 +123,9 @@ async def _events(job_id: str, service: State, last_id: str | None) -> AsyncIter
         quiet_s += _LOOK_EVERY_S
 
 
-@router.delete("/{job}", summary="Cancel a job", responses=failures(InvalidRequest, UnknownJob, Conflict))
+@router.delete(
+    "/{job}", dependencies=[NEEDS_MAP], summary="Cancel a job", responses=failures(InvalidRequest, UnknownJob, Conflict)
+)
 async def cancel_job(job: str, service: Service) -> JobOut:
     """The recording is kept; the job can be tried again."""
     await run_in_threadpool(service.jobs.cancel, job)
@@ -129,7 +133,11 @@ async def cancel_job(job: str, service: Service) -> JobOut:
 
 
 @router.post(
-    "/{job}/retry", status_code=202, summary="Try a job again", responses=failures(InvalidRequest, UnknownJob, Conflict)
+    "/{job}/retry",
+    dependencies=[NEEDS_MAP],
+    status_code=202,
+    summary="Try a job again",
+    responses=failures(InvalidRequest, UnknownJob, Conflict),
 )
 async def retry_job(job: str, service: Service) -> JobOut:
     """Queue a failed or cancelled job again, with the recording that was kept."""

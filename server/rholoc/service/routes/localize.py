@@ -20,6 +20,7 @@ from rholoc.errors import (
     UnknownCamera,
     UnknownMap,
 )
+from rholoc.service.access import NEEDS_LOCALIZE
 from rholoc.service.bodies import media_type, read_body, read_multipart
 from rholoc.service.errors import InvalidRequest, UnsupportedMediaType
 from rholoc.service.localize import Stopwatch, localize_frame
@@ -125,7 +126,11 @@ Options = Annotated[OptionParameters, Depends()]
 
 
 @router.post(
-    "/maps/{map_name}/localize", summary="Where a frame was taken, in one map", responses=_FAILURES, openapi_extra=_BODY
+    "/maps/{map_name}/localize",
+    dependencies=[NEEDS_LOCALIZE],
+    summary="Where a frame was taken, in one map",
+    responses=_FAILURES,
+    openapi_extra=_BODY,
 )
 async def localize_in_map(map_name: str, request: Request, service: Service, options: Options) -> LocalizationOut:
     """Send a JPEG or PNG as it is, with options in the query; or multipart, with an `image` and a JSON `request`; or a
@@ -135,6 +140,7 @@ async def localize_in_map(map_name: str, request: Request, service: Service, opt
 
 @router.post(
     "/localize",
+    dependencies=[NEEDS_LOCALIZE],
     summary="Where a frame was taken, in the best of several maps",
     responses=_FAILURES,
     openapi_extra=_BODY,

@@ -44,6 +44,7 @@ from rholoc.maps import (
 )
 from rholoc.maps.preview import preview_png
 from rholoc.maps.report_picture import report_png
+from rholoc.service.access import NEEDS_ADMIN, NEEDS_MAP, NEEDS_READ
 from rholoc.service.bodies import save_body
 from rholoc.service.errors import InvalidRequest
 from rholoc.service.openapi import BINARY, failures, request_body
@@ -67,13 +68,13 @@ router = APIRouter(prefix="/v1/maps", tags=["maps"])
 _FAILURES = (UnknownMap, InvalidName, InvalidMap)
 
 
-@router.get("", summary="All maps")
+@router.get("", dependencies=[NEEDS_READ], summary="All maps")
 async def list_maps(service: Service) -> MapList:
     """The maps by name; files that are not maps are named apart."""
     return await run_in_threadpool(_list, service.library)
 
 
-@router.get("/{map_name}", summary="One map", responses=failures(*_FAILURES))
+@router.get("/{map_name}", dependencies=[NEEDS_READ], summary="One map", responses=failures(*_FAILURES))
 async def get_map(map_name: str, service: Service) -> MapDetail:
     """What the map says of itself."""
     return await run_in_threadpool(_detail, service.library, map_name)
@@ -81,6 +82,7 @@ async def get_map(map_name: str, service: Service) -> MapDetail:
 
 @router.put(
     "/{map_name}",
+    dependencies=[NEEDS_MAP],
     summary="Upload a map",
     responses={
         **failures(InvalidName, InvalidMap, TooLarge, StorageFull),
@@ -105,7 +107,12 @@ async def put_map(map_name: str, request: Request, service: Service, response: R
     return await run_in_threadpool(_detail, service.library, map_name)
 
 
-@router.patch("/{map_name}", summary="Rename a map", responses=failures(*_FAILURES, Conflict, InvalidRequest))
+@router.patch(
+    "/{map_name}",
+    dependencies=[NEEDS_MAP],
+    summary="Rename a map",
+    responses=failures(*_FAILURES, Conflict, InvalidRequest),
+)
 async def patch_map(map_name: str, change: MapPatch, service: Service) -> MapDetail:
     """The new name must be free."""
     check_map_name(change.name)
@@ -115,7 +122,13 @@ async def patch_map(map_name: str, change: MapPatch, service: Service) -> MapDet
     return await run_in_threadpool(_detail, service.library, change.name)
 
 
-@router.delete("/{map_name}", status_code=204, summary="Delete a map", responses=failures(UnknownMap, InvalidName))
+@router.delete(
+    "/{map_name}",
+    dependencies=[NEEDS_ADMIN],
+    status_code=204,
+    summary="Delete a map",
+    responses=failures(UnknownMap, InvalidName),
+)
 async def delete_map(map_name: str, service: Service) -> None:
     """For good. Requests that are being answered end on it."""
     await run_in_threadpool(service.library.delete, map_name)
@@ -124,6 +137,7 @@ async def delete_map(map_name: str, service: Service) -> None:
 
 @router.get(
     "/{map_name}/download",
+    dependencies=[NEEDS_READ],
     summary="Take a map away",
     response_class=Response,
     responses={
@@ -160,7 +174,12 @@ async def download_map(
     return StreamingResponse(pieces, headers=headers, media_type=format.media_type)
 
 
-@router.get("/{map_name}/report", summary="A map's own quality report", responses=failures(*_FAILURES))
+@router.get(
+    "/{map_name}/report",
+    dependencies=[NEEDS_READ],
+    summary="A map's own quality report",
+    responses=failures(*_FAILURES),
+)
 async def get_report(map_name: str, service: Service) -> MapReport:
     """What the map found out about itself while it was built: held-out frames localized, coverage, residuals."""
     info = (await run_in_threadpool(service.library.get, map_name)).info
@@ -169,6 +188,7 @@ async def get_report(map_name: str, service: Service) -> MapReport:
 
 @router.get(
     "/{map_name}/report.png",
+    dependencies=[NEEDS_READ],
     summary="A map's own quality report as a picture",
     response_class=Response,
     responses={
@@ -184,6 +204,7 @@ async def get_report_picture(map_name: str, service: Service) -> Response:
 
 @router.post(
     "/{map_name}/update",
+    dependencies=[NEEDS_MAP],
     status_code=202,
     summary="Learn a recording into a map",
     responses=failures(
@@ -203,6 +224,7 @@ async def update_map(map_name: str, wanted: UpdateIn, service: Service, response
 
 @router.post(
     "/{map_name}/merge",
+    dependencies=[NEEDS_MAP],
     summary="Merge another map into a map's frame",
     responses=failures(*_FAILURES, InvalidInput, InvalidRequest, MappingFailed, Conflict, Busy, StorageFull),
 )
@@ -218,6 +240,7 @@ async def merge_map(map_name: str, wanted: MergeIn, service: Service) -> MapDeta
 
 @router.post(
     "/{map_name}/forget",
+    dependencies=[NEEDS_MAP],
     summary="Forget a recording",
     responses=failures(*_FAILURES, InvalidInput, InvalidRequest, Conflict, Busy, StorageFull),
 )
@@ -231,6 +254,7 @@ async def forget_source(map_name: str, wanted: ForgetIn, service: Service) -> Ma
 
 @router.get(
     "/{map_name}/scene",
+    dependencies=[NEEDS_READ],
     summary="A map for a 3-D view",
     response_class=Response,
     responses={
@@ -247,6 +271,7 @@ async def get_scene(map_name: str, service: Service) -> Response:
 
 @router.get(
     "/{map_name}/preview.png",
+    dependencies=[NEEDS_READ],
     summary="A map from above",
     response_class=Response,
     responses={

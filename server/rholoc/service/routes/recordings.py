@@ -19,6 +19,7 @@ from rholoc.recordings import (
     check_file_name,
     check_file_start,
 )
+from rholoc.service.access import NEEDS_MAP, NEEDS_READ
 from rholoc.service.bodies import media_type, read_multipart
 from rholoc.service.errors import InvalidRequest, UnsupportedMediaType, UnsupportedVersion
 from rholoc.service.intake import UPLOAD_FAILURES, RecordingFields, checked_options
@@ -64,7 +65,7 @@ def _form_schema() -> dict[str, Any]:
     return {"type": "object", "required": ["file", "map"], "properties": {**files, **inlined}}
 
 
-@router.get("", summary="All recordings")
+@router.get("", dependencies=[NEEDS_READ], summary="All recordings")
 async def list_recordings(service: Service) -> RecordingList:
     """Those that are stored whole, the newest first."""
     entries = await run_in_threadpool(service.recordings.list)
@@ -78,6 +79,7 @@ async def list_recordings(service: Service) -> RecordingList:
 
 @router.post(
     "",
+    dependencies=[NEEDS_MAP],
     status_code=202,
     response_model=RecordingAccepted,
     summary="Upload a recording and map it",

@@ -11,6 +11,7 @@ from starlette.requests import ClientDisconnect
 
 from rholoc.errors import Conflict, InvalidRecording, StorageFull, TooLarge, UnknownRecording
 from rholoc.service import tus
+from rholoc.service.access import NEEDS_MAP, NEEDS_READ
 from rholoc.service.bodies import limited_stream, media_type, read_body
 from rholoc.service.errors import ChecksumMismatch, InvalidRequest, UnsupportedMediaType, UnsupportedVersion
 from rholoc.service.intake import RecordingFields, checked_options
@@ -23,8 +24,8 @@ _PIECE_BYTES = 2**20  # written at once
 _FILE_NAME = "filename"
 
 
-@router.options("", status_code=204, summary="What resumable uploads can do here")
-@router.options("/{recording}", status_code=204, include_in_schema=False)
+@router.options("", dependencies=[NEEDS_READ], status_code=204, summary="What resumable uploads can do here")
+@router.options("/{recording}", dependencies=[NEEDS_READ], status_code=204, include_in_schema=False)
 async def upload_abilities(service: Service) -> Response:
     """tus 1.0: version, extensions, checksums, and the largest upload, in headers."""
     return Response(status_code=204, headers=tus.abilities(service.settings.max_upload_bytes))
@@ -52,6 +53,7 @@ async def begin_upload(request: Request, service: State) -> Response:
 
 @router.head(
     "/{recording}",
+    dependencies=[NEEDS_READ],
     summary="Where an upload stands",
     response_class=Response,
     responses=failures(InvalidRequest, InvalidRecording, UnknownRecording, TooLarge, StorageFull, UnsupportedVersion),
@@ -65,6 +67,7 @@ async def upload_standing(recording: str, service: Service) -> Response:
 
 @router.patch(
     "/{recording}",
+    dependencies=[NEEDS_MAP],
     status_code=204,
     summary="Go on with an upload",
     responses=failures(
@@ -109,6 +112,7 @@ async def continue_upload(
 
 @router.delete(
     "/{recording}",
+    dependencies=[NEEDS_MAP],
     status_code=204,
     summary="Delete a recording, or give up its upload",
     responses=failures(InvalidRequest, UnknownRecording, Conflict, UnsupportedVersion),

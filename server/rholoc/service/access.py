@@ -1,0 +1,138 @@
+"""Which key scope a route needs: each route declares it, and OpenAPI shows it.
+
+A route is added with ``dependencies=[NEEDS_READ]``, or another of the constants below. The guard reads the declaration
+and checks the key before any of the body is read; a route that declares nothing is refused to everyone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Annotated
+
+from fastapi import Request, Security
+from fastapi.params import Security as SecurityParameter
+from fastapi.routing import RouteContext, iter_route_contexts
+from fastapi.security import HTTPAuthorizationCredentials, HTTPBearer, SecurityScopes
+from starlette.routing import BaseRoute, Match
+from starlette.types import Scope as RequestScope
+
+from rholoc.service.errors import Forbidden
+from rholoc.service.keys import Scope
+
+_GRANTED = "granted"  # where the guard leaves what the request's key allows
+_bearer = HTTPBearer(
+    scheme_name="ApiKey",
+    description="A key from `rholoc key create`. A server that listens on its own machine alone needs none.",
+    auto_error=False,
+)
+
+
+def grant(request_scope: RequestScope, scope: Scope) -> None:
+    """Note what a request may do."""
+    request_scope.setdefault("state", {})[_GRANTED] = scope
+
+
+def forbidden(held: Scope, needed: Scope) -> Forbidden:
+    """The error of a key whose scope is too small."""
+    return Forbidden(
+        f"This API key may not do that: its scope is {held}, and {needed} is needed.", "Use a key of that scope."
+    )
+
+
+def check_granted(
+    request: Request, needed: SecurityScopes, _key: Annotated[HTTPAuthorizationCredentials | None, Security(_bearer)]
+) -> None:
+    """The dependency of every route that needs a key: whatever runs was let in by the guard for its own scopes.
+
+    Raises:
+        Forbidden: it was not.
+    """
+    held: Scope | None = getattr(request.state, _GRANTED, None)
+    for scope in map(Scope, needed.scopes):
+        if held is None or not held.allows(scope):
+            raise forbidden(held, scope) if held else undeclared()
+
+
+def allow_everyone() -> None:
+    """The dependency of a route that needs no key."""
+
+
+NEEDS_READ = Security(check_granted, scopes=[Scope.READ])
+NEEDS_LOCALIZE = Security(check_granted, scopes=[Scope.LOCALIZE])
+NEEDS_MAP = Security(check_granted, scopes=[Scope.MAP])
+NEEDS_ADMIN = Security(check_granted, scopes=[Scope.ADMIN])
+OPEN = Security(allow_everyone)
+
+
+def undeclared() -> Forbidden:
+    """The error of a route without a declaration: a mistake in the service, and harmless."""
+    return Forbidden("This route does not declare who may use it.", "Report this to whoever runs the service.")
+
+
+@dataclass(frozen=True)
+class Access:
+    """Who may use a route.
+
+    Attributes:
+        scope: what a key must allow; None where no key is needed.
+    """
+
+    scope: Scope | None
+
+
+@dataclass(frozen=True)
+class RouteAccess:
+    """A route and who may use it.
+
+    Attributes:
+        path: as in OpenAPI, with ``{parameters}``.
+        methods: those that the route takes.
+        access: None where the route declares nothing.
+    """
+
+    path: str
+    methods: frozenset[str]
+    access: Access | None
+    context: RouteContext
+
+
+@dataclass(frozen=True)
+class FoundRoute:
+    """What the router will do with a request.
+
+    Attributes:
+        route: the route that takes it, or None.
+        methods: what the path's routes take, where none takes the request's method; empty where no route has the path.
+    """
+
+    route: RouteAccess | None
+    methods: frozenset[str] = frozenset()
+
+
+def route_access(routes: Sequence[BaseRoute]) -> list[RouteAccess]:
+    """All routes, also those of included routers, in the order in which they are tried."""
+    return [
+        RouteAccess(context.path or "", frozenset(context.methods or ()), _declared(context), context)
+        for context in iter_route_contexts(routes)
+    ]
+
+
+def find_route(routes: Sequence[RouteAccess], request_scope: RequestScope) -> FoundRoute:
+    """The first route that takes a request's path and method."""
+    methods: frozenset[str] = frozenset()
+    for route in routes:
+        match, _ = route.context.matches(request_scope)
+        if match is Match.FULL:
+            return FoundRoute(route)
+        if match is Match.PARTIAL:
+            methods |= route.methods
+    return FoundRoute(None, methods)
+
+
+def _declared(context: RouteContext) -> Access | None:
+    declared = [one for one in getattr(context, "dependencies", ()) if isinstance(one, SecurityParameter)]
+    scopes = [Scope(scope) for one in declared if one.dependency is check_granted for scope in one.scopes or ()]
+    if scopes:
+        return Access(max(scopes, key=list(Scope).index))
+    return Access(None) if any(one.dependency is allow_everyone for one in declared) else None

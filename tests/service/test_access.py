@@ -1,0 +1,153 @@
+"""Every route declares who may use it, the guard holds it to that, and the README and OpenAPI say the same."""
+
+from __future__ import annotations
+
+import asyncio
+import re
+import socket
+from pathlib import Path
+
+import httpx
+import pytest
+from fastapi import Request
+
+from rholoc.service import Settings, create_app
+from rholoc.service.access import OPEN, find_route, route_access
+from rholoc.service.guard import KeyPolicy
+from rholoc.service.keys import KeyStore, Scope
+
+README = (Path(__file__).parents[2] / "server" / "README.md").read_text(encoding="utf-8")
+ROUTES = route_access(create_app(Settings()).routes)
+REQUESTS = [(method, route) for route in ROUTES for method in sorted(route.methods)]
+NAMES = {
+    route.path: re.sub(r"{[^}]*}", "localize", route.path) for route in ROUTES
+}  # a name that is a path's last word
+
+
+def name_of(request) -> str:
+    return f"{request[0]} {request[1].path}"
+
+
+@pytest.fixture(scope="module")
+def locked(serve):
+    return serve(keys=KeyPolicy.ALWAYS)
+
+
+@pytest.fixture(scope="module")
+def secrets(locked):
+    """Headers by what they hold: a key of each scope, none, one that was revoked, one that has expired."""
+    store = KeyStore(locked.settings.data_dir)
+    keys = {scope: store.create(scope, scope) for scope in Scope}
+    keys["revoked"] = store.create("revoked", Scope.ADMIN)
+    keys["expired"] = store.create("expired", Scope.ADMIN, lifetime_s=0)
+    store.revoke("revoked")
+    headers = {held: {"Authorization": f"Bearer {secret}"} for held, secret in keys.items()}
+    return {**headers, "none": {}}
+
+
+@pytest.fixture(scope="module")
+def http(locked):
+    with httpx.Client(base_url=locked.url, timeout=20) as client:
+        yield client
+
+
+def test_every_route_declares_who_may_use_it():
+    assert len(ROUTES) > 30
+    assert [route.path for route in ROUTES if route.access is None] == []
+
+
+@pytest.mark.parametrize("request_", REQUESTS, ids=map(name_of, REQUESTS))
+def test_a_route_takes_the_keys_of_its_scope_and_no_other(request_, http, secrets):
+    method, route = request_
+    for held, headers in secrets.items():
+        answer = http.request(method, NAMES[route.path], headers=headers)
+        if route.access.scope is None:
+            expected = None
+        elif held not in list(Scope):
+            expected = 401
+        else:
+            expected = None if held.allows(route.access.scope) else 403
+        refused = answer.status_code if answer.status_code in (401, 403) else None
+        assert refused == expected, (held, answer.status_code)
+
+
+def test_a_key_that_localizes_changes_no_map_or_camera_called_localize(http, secrets):
+    for method, path in (
+        ("PUT", "/v1/maps/localize"),
+        ("DELETE", "/v1/maps/localize"),
+        ("PUT", "/v1/cameras/localize"),
+    ):
+        assert http.request(method, path, headers=secrets[Scope.LOCALIZE]).status_code == 403
+    assert http.delete("/v1/maps/localize", headers=secrets[Scope.MAP]).status_code == 403
+
+
+def test_the_readme_shows_what_the_code_declares():
+    section = README.split("## Routes\n", 1)[1].split("\nNames of maps", 1)[0]
+    documented = dict(re.findall(r"^\| `(\w+ \S+)` \| `?(\w+)`? \|", section, re.MULTILINE))
+    declared = {name_of(one): str(one[1].access.scope or "open") for one in REQUESTS}
+    assert documented == {name: declared[name] for name in documented}
+    hidden = declared.keys() - documented.keys()
+    assert {declared[name] for name in hidden if "/v1/" not in name} == {"open"}
+    assert {name for name in hidden if "/v1/" in name} == {"OPTIONS /v1/recordings/{recording}"}
+
+
+def test_openapi_shows_the_scopes():
+    document = create_app(Settings()).openapi()
+    shown = {
+        f"{method.upper()} {path}": [scope for one in operation.get("security", []) for scope in one["ApiKey"]]
+        for path, item in document["paths"].items()
+        for method, operation in item.items()
+    }
+    declared = {name_of(one): [one[1].access.scope] if one[1].access.scope else [] for one in REQUESTS}
+    assert shown == {name: declared[name] for name in shown}
+    assert document["components"]["securitySchemes"]["ApiKey"]["scheme"] == "bearer"
+
+
+@pytest.mark.parametrize("policy", [KeyPolicy.NEVER, KeyPolicy.ALWAYS])
+def test_a_route_that_declares_nothing_is_closed(policy):
+    app = create_app(Settings(keys=policy))
+
+    async def endpoint(request: Request) -> None:
+        raise AssertionError("reached")
+
+    app.get("/undeclared")(endpoint)
+    app.add_route("/plain", endpoint)
+    app.mount("/mounted", app)
+    transport = httpx.ASGITransport(app)
+
+    async def ask():
+        async with httpx.AsyncClient(transport=transport, base_url="http://localhost") as client:
+            return [(await client.get(path)).status_code for path in ("/undeclared", "/plain", "/mounted/healthz")]
+
+    assert asyncio.run(ask()) == [403, 403, 403]
+
+
+def test_an_open_route_that_is_added_is_open():
+    app = create_app(Settings(keys=KeyPolicy.ALWAYS))
+
+    @app.get("/open", dependencies=[OPEN])
+    async def endpoint() -> None: ...
+
+    scope = {"type": "http", "method": "GET", "path": "/open", "headers": []}
+    assert find_route(route_access(app.routes), scope).route.access.scope is None
+
+
+def test_without_a_key_unknown_paths_and_methods_look_like_the_known(http, secrets):
+    for method, path in (("GET", "/v1/nothing"), ("DELETE", "/v1/maps"), ("BREW", "/v1/maps"), ("POST", "/healthz")):
+        assert http.request(method, path).json()["code"] == "unauthorized"
+    reader = secrets[Scope.READ]
+    assert http.get("/v1/nothing", headers=reader).json()["code"] == "unknown_route"
+    refused = http.delete("/v1/maps", headers=reader)
+    assert (refused.status_code, refused.headers["Allow"]) == (405, "GET")
+    assert http.patch("/v1/maps/room/scene", headers=reader).headers["Allow"] == "GET"
+
+
+def test_a_method_that_is_overridden_needs_the_scope_of_what_it_becomes(http, secrets):
+    headers = {**secrets[Scope.MAP], "Tus-Resumable": "1.0.0", "X-HTTP-Method-Override": "DELETE"}
+    assert http.post("/v1/maps/localize", headers=headers).status_code == 403
+
+
+def test_the_key_is_judged_before_the_body_arrives(locked):
+    with socket.create_connection(locked.address, timeout=10) as connection:
+        connection.sendall(b"PUT /v1/maps/localize HTTP/1.1\r\nHost: localhost\r\nContent-Length: 1000000\r\n\r\n")
+        assert connection.recv(64).startswith(b"HTTP/1.1 401")
