@@ -6,11 +6,8 @@ import shutil
 import signal
 import time
 import webbrowser
-from collections.abc import Callable, Iterator
-from concurrent.futures import Future, ProcessPoolExecutor
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from dataclasses import asdict, dataclass
-from multiprocessing import get_context
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -27,7 +24,7 @@ from rholoc.cli.console import (
 )
 from rholoc.cli.evaluate import evaluation_rows
 from rholoc.cli.localize import trajectory_table
-from rholoc.cli.server_process import RunningServer, running_server
+from rholoc.cli.server_process import RunningServer, in_background, interruptible, running_server
 from rholoc.cli.simulate import Seed
 from rholoc.errors import RholocError
 
@@ -96,21 +93,31 @@ def demo(
     as_json: Annotated[bool, typer.Option("--json", help="Print the figures as JSON.")] = False,
 ) -> None:
     """Simulate two walks, map the first through the server, localize the second over HTTP, print the errors."""
+    files = _Files(out)
+    with interruptible():
+        files.clear()
+        _run(files, seconds, every, seed, leave_open, as_json)
+
+
+def _run(files: _Files, seconds: float, every: int, seed: int, leave_open: bool, as_json: bool) -> None:
+    from rholoc.simulation import simulate_recording
     from rholoc_client import Client, RholocClientError
 
     start_s = time.perf_counter()
-    files = _Files(out)
-    files.clear()
+    first, second = files.recordings / "walk-1", files.recordings / "walk-2"
     with fraction_progress("simulating walk 1") as progress:
-        first = _simulate(files, 1, seconds, seed, progress)
+        simulate_recording(first, walk=1, seconds=seconds, seed=seed, progress=progress)
+    _put_truth_apart(first, files)
     with (
-        _in_background(_simulate, files, 2, seconds, seed) as second,
+        in_background("simulate", second, "--walk", 2, "--seconds", seconds, "--seed", seed) as second_is_simulated,
         running_server(files.maps, files.data, files.log) as server,
     ):
         try:
             with Client(server.url, timeout_s=60.0) as client:
                 build_s = _map(client, first)
-                table, frame_ms = _localize(client, second.result(), every)
+                second_is_simulated()
+                _put_truth_apart(second, files)
+                table, frame_ms = _localize(client, second, every)
         except RholocClientError as error:
             raise RholocError(str(error), f"The server's log is {files.log}.") from error
         figures = _figures(files, table, every, frame_ms, build_s, start_s)
@@ -119,24 +126,10 @@ def demo(
             _stay(server)
 
 
-@contextmanager
-def _in_background(work: Callable[..., Path], *arguments: object) -> Iterator[Future[Path]]:
-    """Do some work in a process of its own: mapping leaves most of a second core idle."""
-    with ProcessPoolExecutor(1, get_context("spawn")) as pool:
-        yield pool.submit(work, *arguments)
-
-
-def _simulate(
-    files: _Files, number: int, seconds: float, seed: int, progress: Callable[[float], None] = lambda _: None
-) -> Path:
-    """Write the recording of a walk; returns its folder, which does not hold the truth."""
-    from rholoc.simulation import simulate_recording
-
-    folder = files.recordings / f"walk-{number}"
-    recording = simulate_recording(folder, walk=number, seconds=seconds, seed=seed, progress=progress)
-    recording.truth.rename(files.truth / f"{folder.name}.csv")
-    print_notice(f"simulated walk {number}: {len(recording.times)} frames, IMU, waypoints")
-    return folder
+def _put_truth_apart(recording: Path, files: _Files) -> None:
+    """What is uploaded does not hold the true poses."""
+    (recording / "truth.csv").rename(files.truth / f"{recording.name}.csv")
+    print_notice(f"simulated {recording.name}: video, IMU, waypoints")
 
 
 def _map(client: Client, recording: Path) -> float:

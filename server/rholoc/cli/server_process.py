@@ -1,13 +1,14 @@
-"""A server as a user would start it, that cannot outlive whoever started it."""
+"""Processes beside a command, that do not outlive it: a server as a user would start it, work in the background."""
 
 from __future__ import annotations
 
+import os
 import signal
 import socket
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,8 +17,10 @@ from types import FrameType
 from rholoc.errors import RholocError
 
 _START_TIMEOUT_S = 60.0
-_STOP_TIMEOUT_S = 30.0
+_STOP_TIMEOUT_S = 3.0  # then what is left of the server and its workers is killed
 _POLL_S = 0.1
+_STAT_PARENT = 1  # field of /proc/PID/stat after the process's name
+_INTERRUPTS = (signal.SIGINT, signal.SIGTERM)
 
 
 @dataclass(frozen=True)
@@ -32,6 +35,8 @@ class RunningServer:
 def running_server(maps_dir: Path, data_dir: Path, log: Path) -> Iterator[RunningServer]:
     """``rholoc serve`` with its worker on a free port of this machine; stopped at the end, whatever happens.
 
+    A job that it is working on is given up. Call it under :func:`interruptible`, or SIGTERM leaves the server behind.
+
     Raises:
         RholocError: it does not answer.
     """
@@ -39,7 +44,7 @@ def running_server(maps_dir: Path, data_dir: Path, log: Path) -> Iterator[Runnin
     server = RunningServer(f"http://127.0.0.1:{port}", log)
     command = [sys.executable, "-m", "rholoc", "serve", "--host", "127.0.0.1", "--port", str(port)]
     command += ["--maps", str(maps_dir), "--data", str(data_dir)]
-    with log.open("wb") as output, _terminated_as_interrupted():
+    with log.open("wb") as output:
         # In a session of its own: Ctrl-C comes to us alone, and we stop the server in order.
         process = subprocess.Popen(command, stdout=output, stderr=subprocess.STDOUT, start_new_session=True)
         try:
@@ -47,6 +52,52 @@ def running_server(maps_dir: Path, data_dir: Path, log: Path) -> Iterator[Runnin
             yield server
         finally:
             _stop(process)
+
+
+@contextmanager
+def interruptible() -> Iterator[None]:
+    """While it lasts, the first SIGINT or SIGTERM ends this process by way of every ``finally``; later ones wait.
+
+    Python leaves SIGTERM to the system, and SIGINT too where whoever started it had that ignored.
+    """
+
+    def interrupt(_signal: int, _frame: FrameType | None) -> None:
+        for number in _INTERRUPTS:
+            signal.signal(number, signal.SIG_IGN)
+        raise KeyboardInterrupt
+
+    before = {number: signal.signal(number, interrupt) for number in _INTERRUPTS}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+@contextmanager
+def in_background(*command: object) -> Iterator[Callable[[], None]]:
+    """A ``rholoc`` command in a process of its own, killed when the block is left; yields what waits for its end.
+
+    Raises:
+        RholocError: by the call of what is yielded: the command failed.
+    """
+    arguments = [sys.executable, "-m", "rholoc", *map(str, command)]
+    # In a session of its own: Ctrl-C comes to us alone.
+    process = subprocess.Popen(
+        arguments, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, start_new_session=True, text=True
+    )
+
+    def wait() -> None:
+        _, errors = process.communicate()
+        if process.returncode:
+            last = next(reversed(errors.splitlines()), "It ended unexpectedly; it may need more memory.")
+            raise RholocError(f"rholoc {command[0]} failed in the background.", last)
+
+    try:
+        yield wait
+    finally:
+        process.kill()
+        process.communicate()
 
 
 def _wait_until_it_answers(process: subprocess.Popen[bytes], server: RunningServer) -> None:
@@ -62,26 +113,30 @@ def _wait_until_it_answers(process: subprocess.Popen[bytes], server: RunningServ
 
 
 def _stop(process: subprocess.Popen[bytes]) -> None:
+    """End a server in order if it is quick about it, and leave none of its workers behind."""
     process.terminate()
-    try:
+    with suppress(subprocess.TimeoutExpired):
         process.wait(_STOP_TIMEOUT_S)
-    except subprocess.TimeoutExpired:
-        process.kill()
-        process.wait()
+        return
+    left = _descendants(process.pid)  # asked while the server lives: it is what holds them together
+    process.kill()  # first, or it would start its worker again
+    for pid in left:
+        with suppress(ProcessLookupError):
+            os.kill(pid, signal.SIGKILL)
+    process.wait()
 
 
-@contextmanager
-def _terminated_as_interrupted() -> Iterator[None]:
-    """While it lasts, SIGTERM ends this process as Ctrl-C does: by way of every ``finally``."""
-
-    def interrupt(_signal: int, _frame: FrameType | None) -> None:
-        raise KeyboardInterrupt
-
-    before = signal.signal(signal.SIGTERM, interrupt)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)
+def _descendants(pid: int) -> list[int]:
+    """The processes that a process started, and those that they did; none where the system does not tell."""
+    children: dict[int, list[int]] = {}
+    for file in Path("/proc").glob("[0-9]*/stat"):
+        with suppress(OSError):  # it has ended
+            fields = file.read_text(encoding="utf-8", errors="replace").rsplit(")", 1)[1].split()
+            children.setdefault(int(fields[_STAT_PARENT]), []).append(int(file.parent.name))
+    found = list(children.get(pid, ()))
+    for one in found:  # which grows meanwhile
+        found += children.get(one, ())
+    return found
 
 
 def _free_port() -> int:

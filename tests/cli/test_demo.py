@@ -1,0 +1,112 @@
+"""``rholoc demo`` as a process, and what it says of a map."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+import uuid
+from pathlib import Path
+
+import pytest
+
+from rholoc.simulation import PHONE_CAMERA, simulate_recording
+
+_MARK = "RHOLOC_TEST_MARK"
+_ENDS_WITHIN_S = 5.0
+_STARTS_WITHIN_S = 200.0
+
+# The demo, but for its first walk, which is there already: rendering it takes longest.
+_DEMO = """
+import shutil, sys
+import rholoc.simulation
+from rholoc.cli import main
+walk, out = sys.argv[1:]
+if walk:
+    rholoc.simulation.simulate_recording = lambda folder, **_: shutil.copytree(walk, folder)
+sys.argv = ["rholoc", "demo", "--out", out]
+main()
+"""
+
+
+class Demo:
+    """A running demo; every process that it starts inherits a mark in its environment."""
+
+    def __init__(self, folder: Path, walk: Path | None) -> None:
+        self._mark = f"{_MARK}={uuid.uuid4().hex}"
+        self._errors = folder / "errors.txt"
+        name, _, value = self._mark.partition("=")
+        with self._errors.open("wb") as errors:
+            self.process = subprocess.Popen(
+                [sys.executable, "-c", _DEMO, str(walk or ""), str(folder / "demo")],
+                env={**os.environ, name: value},
+                stdout=subprocess.DEVNULL,
+                stderr=errors,
+                start_new_session=True,
+            )
+        self.walk = folder / "demo" / "recordings" / "walk-1"
+
+    @property
+    def said(self) -> str:
+        """What it has said so far."""
+        return self._errors.read_text()
+
+    def processes(self) -> set[int]:
+        """The processes that carry the mark and have not ended."""
+        found = set()
+        for file in Path("/proc").glob("[0-9]*/environ"):
+            try:
+                if self._mark.encode() in file.read_bytes().split(b"\0"):
+                    found.add(int(file.parent.name))
+            except OSError:  # another user's, or it has ended
+                continue
+        return found
+
+    def reach(self, stage: str) -> None:
+        """Wait until the demo is in a stage."""
+        deadline = time.monotonic() + _STARTS_WITHIN_S
+        while not self._is_in(stage):
+            assert time.monotonic() < deadline, self.said
+            assert self.process.poll() is None, self.said
+            time.sleep(0.1)
+
+    def _is_in(self, stage: str) -> bool:
+        return self.walk.exists() if stage == "simulating" else stage in self.said
+
+
+@pytest.fixture(scope="module")
+def walk(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A short walk, quickly drawn."""
+    folder = tmp_path_factory.mktemp("walk") / "walk"
+    simulate_recording(folder, seconds=8.0, fps=6.0, camera=PHONE_CAMERA.resized(320, 240))
+    return folder
+
+
+@pytest.mark.skipif(not Path("/proc/self/environ").exists(), reason="processes are found by way of /proc")
+@pytest.mark.parametrize(
+    ("stage", "number"),
+    [
+        ("simulating", signal.SIGTERM),
+        ("simulating", signal.SIGINT),
+        ("simulated walk-1", signal.SIGTERM),
+        ("features", signal.SIGTERM),
+        ("features", signal.SIGINT),
+    ],
+)
+def test_a_demo_that_is_stopped_leaves_no_process_behind(
+    stage: str, number: signal.Signals, walk: Path, tmp_path: Path
+) -> None:
+    demo = Demo(tmp_path, None if stage == "simulating" else walk)
+    try:
+        demo.reach(stage)
+        assert demo.process.pid in demo.processes()
+        demo.process.send_signal(number)
+        assert demo.process.wait(_ENDS_WITHIN_S) == 130
+        assert not demo.processes()
+        assert "Traceback" not in demo.said
+    finally:
+        for pid in demo.processes():
+            os.kill(pid, signal.SIGKILL)
+        demo.process.wait()
