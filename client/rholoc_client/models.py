@@ -122,7 +122,16 @@ class Localization:
 
 @dataclass(frozen=True)
 class MapSummary:
-    """A map of the service. ``camera`` has the intrinsics of its first recording."""
+    """A map of the service.
+
+    Attributes:
+        camera: the intrinsics of its first recording.
+        trusted: whether the frame poses that it was built on passed every check; None where that is not known.
+        trust_reason: why it is trusted, or which checks failed.
+        expected_error_m: how far its poses are expected to be from the truth, root mean square; None where unknown.
+        consistency_m: the median distance at which frames of the same walk are localized from where the walk has them:
+            how well the map agrees with itself, not how right it is.
+    """
 
     name: str
     id: str
@@ -136,6 +145,10 @@ class MapSummary:
     views: int
     size_bytes: int
     camera: Camera
+    trusted: bool | None = None
+    trust_reason: str = ""
+    expected_error_m: float | None = None
+    consistency_m: float | None = None
 
 
 @dataclass(frozen=True)
@@ -171,6 +184,11 @@ class Job:
     started: float | None
     ended: float | None
     attempts: int
+
+    @property
+    def trusted(self) -> bool | None:
+        """Whether the map that it published is to be trusted, ``warnings`` say why not; None before that."""
+        return not self.warnings if self.state == "published" else None
 
     @property
     def has_ended(self) -> bool:
@@ -210,7 +228,7 @@ def parse_localization(answer: Mapping[str, Any]) -> Localization:
 
 def parse_map(answer: Mapping[str, Any]) -> MapSummary:
     """The JSON of a map → :class:`MapSummary`."""
-    plain = {name: answer[name] for name in MapSummary.__dataclass_fields__ if name != "camera"}
+    plain = {name: answer[name] for name in MapSummary.__dataclass_fields__ if name in answer and name != "camera"}
     return MapSummary(**plain, camera=_camera(answer["camera"]))
 
 

@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 from rholoc import __version__
-from rholoc.cli import cameras, compare, demo, evaluate, keys, localize, maps, recordings, serve, simulate
+from rholoc.cli import cameras, compare, demo, evaluate, jobs, keys, localize, maps, recordings, serve, simulate
 from rholoc.cli.console import print_error
 from rholoc.errors import RholocError
 
@@ -34,6 +34,7 @@ app.add_typer(maps.app, name="map")
 app.add_typer(cameras.app, name="camera")
 app.add_typer(recordings.app, name="recording")
 app.add_typer(keys.app, name="key")
+app.add_typer(jobs.app, name="job")
 app.command()(localize.localize)
 app.command()(evaluate.evaluate)
 app.command()(compare.compare)

@@ -7,9 +7,9 @@ import signal
 import time
 import webbrowser
 from contextlib import suppress
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 import typer
@@ -24,6 +24,7 @@ from rholoc.cli.console import (
 )
 from rholoc.cli.evaluate import evaluation_rows
 from rholoc.cli.localize import trajectory_table
+from rholoc.cli.maps import trust_line
 from rholoc.cli.server_process import RunningServer, in_background, interruptible, running_server
 from rholoc.cli.simulate import Seed
 from rholoc.errors import RholocError
@@ -31,7 +32,7 @@ from rholoc.errors import RholocError
 if TYPE_CHECKING:
     from rholoc.evaluation import Evaluation
     from rholoc.maps import TrajectoryTable
-    from rholoc_client import Client
+    from rholoc_client import Client, Job, MapSummary
 
 MAP_NAME = "testsite"
 _JPEG_QUALITY = 95
@@ -114,13 +115,18 @@ def _run(files: _Files, seconds: float, every: int, seed: int, leave_open: bool,
     ):
         try:
             with Client(server.url, timeout_s=60.0) as client:
-                build_s = _map(client, first)
+                map_start_s = time.perf_counter()
+                job = _map(client, first)
+                build_s = time.perf_counter() - map_start_s
                 second_is_simulated()
                 _put_truth_apart(second, files)
                 table, frame_ms = _localize(client, second, every)
+                published = client.map(MAP_NAME)
         except RholocClientError as error:
             raise RholocError(str(error), f"The server's log is {files.log}.") from error
-        figures = _figures(files, table, every, frame_ms, build_s, start_s)
+        evaluation, median_ms = _evaluation(files, table, every), float(np.median(frame_ms))
+        total_s = time.perf_counter() - start_s
+        figures = _Figures(evaluation, published, job.warnings, median_ms, build_s, total_s)
         _print(figures, files, as_json)
         if leave_open:
             _stay(server)
@@ -132,13 +138,11 @@ def _put_truth_apart(recording: Path, files: _Files) -> None:
     print_notice(f"simulated {recording.name}: video, IMU, waypoints")
 
 
-def _map(client: Client, recording: Path) -> float:
-    """Upload a recording and wait until its map is published; returns how many seconds that took."""
-    start_s = time.perf_counter()
+def _map(client: Client, recording: Path) -> Job:
+    """Upload a recording and wait until its map is published."""
     job = client.upload_recording(recording, MAP_NAME)
     with job_progress() as progress:
-        client.wait_for_job(job.id, poll_s=0.5, progress=progress)
-    return time.perf_counter() - start_s
+        return client.wait_for_job(job.id, poll_s=0.5, progress=progress)
 
 
 def _localize(client: Client, recording: Path, every: int) -> tuple[TrajectoryTable, list[float]]:
@@ -165,17 +169,40 @@ def _localize(client: Client, recording: Path, every: int) -> tuple[TrajectoryTa
 
 @dataclass(frozen=True)
 class _Figures:
+    """What the demo measured.
+
+    Attributes:
+        evaluation: of the second walk, against the truth.
+        map: what the server says of the map.
+        warnings: why the job says that the map is not to be trusted.
+        median_ms: of a frame, over HTTP.
+        build_s: from the upload to the published map.
+        total_s: of the whole demo.
+    """
+
     evaluation: Evaluation
+    map: MapSummary
+    warnings: tuple[str, ...]
     median_ms: float
-    map_bytes: int
-    landmarks: int
     build_s: float
     total_s: float
 
+    def as_dict(self) -> dict[str, Any]:
+        """The figures by name, JSON-serialisable."""
+        return self.evaluation.as_dict() | {
+            "trusted": self.map.trusted,
+            "trust_reason": self.map.trust_reason,
+            "expected_error_m": self.map.expected_error_m,
+            "warnings": list(self.warnings),
+            "map_bytes": self.map.size_bytes,
+            "landmarks": self.map.landmarks,
+            "median_ms": round(self.median_ms, 1),
+            "build_s": round(self.build_s, 1),
+            "total_s": round(self.total_s, 1),
+        }
 
-def _figures(
-    files: _Files, table: TrajectoryTable, every: int, frame_ms: list[float], build_s: float, start_s: float
-) -> _Figures:
+
+def _evaluation(files: _Files, table: TrajectoryTable, every: int) -> Evaluation:
     """Compare with the truth, and write the trajectory and the top view."""
     from rholoc.evaluation import evaluate, pair_poses, read_frame_poses, trajectory_errors
     from rholoc.evaluation.plots import plot_top_view, save_figure
@@ -184,29 +211,25 @@ def _figures(
     write_trajectory_csv(files.trajectory, table)
     truth = read_frame_poses(files.truth / "walk-2.csv")
     pairs = pair_poses(read_frame_poses(files.trajectory), truth, slice(0, None, every))
-    evaluation = evaluate(trajectory_errors(pairs.estimated, pairs.truth))
-    map_file = files.maps / f"{MAP_NAME}.rho"
-    map_ = load_map(map_file)
+    map_ = load_map(files.maps / f"{MAP_NAME}.rho")
     waypoints = [(str(point["name"]), np.asarray(point["position"])) for point in map_.info.waypoints]
     save_figure(plot_top_view(pairs.estimated, pairs.truth, map_.landmarks, waypoints, _TITLE), files.top_view)
-    return _Figures(
-        evaluation,
-        float(np.median(frame_ms)),
-        map_file.stat().st_size,
-        len(map_),
-        build_s,
-        time.perf_counter() - start_s,
-    )
+    return evaluate(trajectory_errors(pairs.estimated, pairs.truth))
 
 
 def _print(figures: _Figures, files: _Files, as_json: bool) -> None:
+    for warning in figures.warnings:
+        print_notice(f"warning: {warning}")
     if as_json:
-        rest = {name: round(value, 1) for name, value in asdict(figures).items() if name != "evaluation"}
-        print_json(figures.evaluation.as_dict() | rest)
+        print_json(figures.as_dict())
         return
+    expected_m = figures.map.expected_error_m
     rows = evaluation_rows(figures.evaluation) | {
+        "the map's expected error": "unknown" if expected_m is None else f"{100 * expected_m:.2f} cm (rms)",
+        "trusted": trust_line(figures.map.trusted, figures.map.trust_reason),
         "time a frame": f"{figures.median_ms:.0f} ms (median, over HTTP)",
-        "map": f"{figures.map_bytes / 1000:.0f} kB, {figures.landmarks} landmarks, built in {figures.build_s:.0f} s",
+        "map": f"{figures.map.size_bytes / 1000:.0f} kB, {figures.map.landmarks} landmarks, "
+        f"built in {figures.build_s:.0f} s",
         "whole demo": f"{figures.total_s:.0f} s",
     }
     print_figures(_TITLE, rows)

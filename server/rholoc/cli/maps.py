@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -10,8 +11,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from rholoc.cli import options
-from rholoc.cli.console import print_figures, print_json, print_notice, stage_progress
-from rholoc.errors import InvalidInput
+from rholoc.cli.console import output, print_error, print_figures, print_json, print_notice, stage_progress
+from rholoc.errors import InvalidInput, RholocError
 
 if TYPE_CHECKING:
     from rholoc.maps import Map
@@ -70,6 +71,54 @@ def build(
         map_ = build_map(read, build_options, progress)
     save_map(map_, target)
     _print_map(map_, target, as_json)
+
+
+@app.command("list")
+def list_maps(
+    maps: Annotated[
+        Path | None,
+        typer.Argument(metavar="DIR", help="The folder of maps; default: RHOLOC_MAPS_DIR or maps."),
+    ] = None,
+    as_json: options.Json = False,
+) -> None:
+    """Show the maps of a folder, whether they are to be trusted, and how wrong they expect to be."""
+    from rholoc.maps import MapLibrary, trust_of
+
+    folder = maps or Path(os.environ.get(options.MAPS_VARIABLE, options.DEFAULT_MAPS))
+    library = MapLibrary(folder)
+    rows: list[dict[str, Any]] = []
+    for name in library.names():
+        try:
+            map_ = library.get(name)
+        except RholocError as error:
+            print_error(error.message, error.hint)
+            continue
+        trust = trust_of(map_.info)
+        rows.append(
+            {
+                "name": name,
+                "version": map_.info.version,
+                "landmarks": len(map_),
+                "views": len(map_.view_times),
+                "trusted": trust.trusted,
+                "trust_reason": trust.reason,
+            }
+        )
+    if as_json:
+        print_json(rows)
+        return
+    if not rows:
+        print_notice(f"There are no maps in {folder}.")
+    for row in rows:
+        trusted = trust_line(row["trusted"], row["trust_reason"])
+        line = f"{row['name']}: {row['landmarks']} landmarks, {row['views']} views, trusted: {trusted}"
+        output.print(line, markup=False, soft_wrap=True)
+
+
+def trust_line(trusted: bool | None, reason: str) -> str:
+    """Whether a map is to be trusted, and why (not), for people."""
+    word = {True: "yes", False: "no", None: "unknown"}[trusted]
+    return f"{word}. {reason}".strip() if reason else word
 
 
 @app.command()

@@ -101,3 +101,8 @@ class Job:
     started: float | None
     ended: float | None
     attempts: int
+
+    @property
+    def trusted(self) -> bool | None:
+        """Whether the map that it published is to be trusted; None before that."""
+        return not self.warnings if self.state is JobState.PUBLISHED else None

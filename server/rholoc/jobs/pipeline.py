@@ -10,7 +10,7 @@ from typing import Protocol
 from rholoc.errors import InvalidMap, UnknownMap
 from rholoc.jobs.job import JobKind, JobOptions
 from rholoc.mapping import BuildOptions, UpdateOptions, build_map, update_map
-from rholoc.maps import CameraLibrary, Map, MapLibrary, load_map, save_map
+from rholoc.maps import CameraLibrary, Map, MapLibrary, load_map, save_map, trust_of
 from rholoc.progress import ProgressListener, Stage
 from rholoc.recordings import Recording, read_recording
 
@@ -82,8 +82,7 @@ class MappingPipeline:
         map_ = load_map(task.map_file)
         if _updates(task):
             library.replace(task.map_name, map_)
-            return ()
-        if _published_id(library, task.map_name) != map_.info.id:
+        elif _published_id(library, task.map_name) != map_.info.id:
             library.put_file(task.map_name, task.map_file)
         return _doubts(map_)
 
@@ -105,8 +104,8 @@ def _updated(task: MappingTask, recording: Recording, progress: ProgressListener
 
 def _doubts(map_: Map) -> tuple[str, ...]:
     """Why the frame poses that a map was built on are not trusted, where they are not."""
-    reports = map_.info.report.get("trajectories", [])
-    return tuple(f"The frame poses are not trusted: {one['why']}" for one in reports if not one.get("trusted", True))
+    trust = trust_of(map_.info)
+    return tuple(f"The frame poses are not trusted: {why}" for why in trust.reasons if trust.trusted is False)
 
 
 def _published_id(library: MapLibrary, name: str) -> str | None:

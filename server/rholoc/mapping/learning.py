@@ -148,6 +148,7 @@ def _aligned_walk(localizer: Localizer, recording: Recording, method: PoseMethod
     own = trajectory.T_map_camera[views]
     alignment = align_to_found(own, found, metric, recording.name)
     figures = {"frames_tried": found.tried, "frames_found": len(found.rows), **alignment_figures(alignment)}
+    figures |= {"trusted": trajectory.report.trusted, "why": trajectory.report.why}
     return _Walk(
         trajectory.camera,
         trajectory.times[views],

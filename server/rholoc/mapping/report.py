@@ -1,4 +1,4 @@
-"""What a map finds out about itself: frames that were held out while it was built, localized in it."""
+"""What a map finds out about itself; how consistent it is: frames held out while it was built, localized in it."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ class HeldOut:
 
 
 def map_report(map_: Map, held_out: HeldOut, progress: ProgressListener) -> dict[str, Any]:
-    """The report: statistics of the landmarks, coverage, and the errors of frames held out (DESIGN, section 3).
+    """The report: statistics of the landmarks, coverage, and how consistent frames held out are with the map.
 
-    Errors are against the trajectory's own poses, so they tell how well the map agrees with itself; they do not see
-    an error of the trajectory as a whole.
+    Those are compared with the trajectory's own poses. That is consistency, not truth: it does not see an error of the
+    trajectory, which map and frames share.
     """
     report = map_statistics(map_)
     if held_out.frames:
@@ -70,7 +70,9 @@ def _held_out_errors(map_: Map, held_out: HeldOut, progress: ProgressListener) -
         answer = localizer.localize(Query(features, camera, Dof.FREE))
         errors.append(None if answer.pose is None else _error(answer.pose.T_map_camera, T_map_camera))
         confidences.append(answer.confidence)
-        progress(Stage.REPORT, (done + 1) / len(frames), f"{done + 1} of {len(frames)} frames held out")
+        progress(
+            Stage.REPORT, (done + 1) / len(frames), f"{done + 1} of {len(frames)} frames held out, for consistency"
+        )
     return _error_statistics(errors, confidences)
 
 

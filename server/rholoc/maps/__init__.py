@@ -18,6 +18,7 @@ from rholoc.maps.trajectory_table import (
     view_trajectory,
     write_trajectory_csv,
 )
+from rholoc.maps.trust import Trust, trust_of
 from rholoc.maps.validation import validate_map
 
 __all__ = [
@@ -31,6 +32,7 @@ __all__ = [
     "MapStat",
     "ObservationTable",
     "TrajectoryTable",
+    "Trust",
     "check_map_name",
     "coefficient_table",
     "coverage_of",
@@ -47,6 +49,7 @@ __all__ = [
     "read_trajectory_csv",
     "save_map",
     "trajectory_csv",
+    "trust_of",
     "validate_map",
     "view_trajectory",
     "write_coefficient_table",

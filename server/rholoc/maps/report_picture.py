@@ -44,14 +44,14 @@ _LEAST_ERROR = 1e-4  # where the logarithmic error scale ends
 
 @dataclass(frozen=True, eq=False)
 class _HeldOut:
-    """Errors in metres of N frames held out, infinite where there was no pose, and their confidences."""
+    """Distances in metres of N frames held out from where their walk has them, infinite where there was no pose, and their confidences."""
 
     errors_m: FloatArray
     confidences: FloatArray
 
 
 def report_png(map_: Map, title: str = "") -> bytes:
-    """The report on a map as a PNG: coverage by position and heading, errors held out, landmarks."""
+    """The report on a map as a PNG: coverage by position and heading, consistency, landmarks."""
     figure = Figure(figsize=(_SIZE_PX[0] / _DPI, _SIZE_PX[1] / _DPI), dpi=_DPI, facecolor="white")
     FigureCanvasAgg(figure)
     figure.set_layout_engine("constrained", w_pad=0.12, h_pad=0.12)
@@ -188,7 +188,12 @@ def _caption(map_: Map, coverage: Coverage) -> str:
 
 def _plot_errors(axes: Axes, report: dict[str, Any], unit: str, factor: float) -> None:
     """How large a share of the frames is at most so wrong."""
-    _panel(axes, "Error of frames held out", f"position error, {unit}", "share of the frames")
+    _panel(
+        axes,
+        "Consistency: frames of the same walk, held out",
+        f"from the walk's own position, {unit}",
+        "share of the frames",
+    )
     held_out = _held_out(report)
     if held_out is None:
         _say(axes, _quantiles(report, unit, factor))
@@ -232,7 +237,7 @@ def _quantiles(report: dict[str, Any], unit: str, factor: float) -> str:
 
 def _plot_confidences(axes: Axes, held_out: _HeldOut | None, unit: str, factor: float) -> None:
     """What the answers said of themselves."""
-    _panel(axes, "… and their confidence", f"position error, {unit}", "confidence")
+    _panel(axes, "… and their confidence", f"from the walk's own position, {unit}", "confidence")
     if held_out is None:
         _say(axes, _NO_FRAMES)
         return

@@ -270,7 +270,10 @@ _SUMMARY: JsonDict = {
     "landmarks": 5120,
     "views": 60,
     "size_bytes": 480_000,
+    "trusted": True,
+    "trust_reason": "Two reconstructions agree.",
     "expected_error_m": 0.014,
+    "consistency_m": 0.006,
     "camera": _CAMERA,
 }
 
@@ -291,8 +294,16 @@ class MapSummary(_Out):
     landmarks: int = Field(description="how many features it holds")
     views: int = Field(description="how many keyframes it was seen from")
     size_bytes: int
+    trusted: bool | None = Field(
+        description="whether the frame poses that it was built on passed every check; null where it does not say"
+    )
+    trust_reason: str = Field(description="why it is trusted, or which checks failed")
     expected_error_m: float | None = Field(
-        description="the median error of the frames that were held out of it, m; null where none were"
+        description="how far its poses are expected to be from the truth, root mean square, m; null where unknown"
+    )
+    consistency_m: float | None = Field(
+        description="how far from where the walk has them frames of it, left out of the map, are localized, median, m: "
+        "how well it agrees with itself, not how right it is; null where none were left out"
     )
     camera: CameraIn
 
@@ -407,6 +418,7 @@ _JOB: JsonDict = {
     "message": "31 of 60 keyframes placed",
     "log": ["60 keyframes chosen"],
     "warnings": [],
+    "trusted": None,
     "error": None,
     "created": 1767607200.0,
     "started": 1767607201.5,
@@ -429,6 +441,9 @@ class JobOut(_Out):
     message: str
     log: list[str]
     warnings: list[str] = Field(description="why its published map is not to be trusted, where that is so")
+    trusted: bool | None = Field(
+        description="whether its published map is to be trusted, `warnings` say why not; null before it is published"
+    )
     error: JobError | None
     created: float = Field(description="s since the epoch")
     started: float | None

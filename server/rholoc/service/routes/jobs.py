@@ -42,6 +42,7 @@ def job_out(job: Job) -> JobOut:
         message=job.message,
         log=list(job.log),
         warnings=list(job.warnings),
+        trusted=job.trusted,
         error=error,
         created=job.created,
         started=job.started,

@@ -41,6 +41,7 @@ from rholoc.maps import (
     load_map,
     map_to_scene,
     read_coefficient_table,
+    trust_of,
 )
 from rholoc.maps.preview import preview_png
 from rholoc.maps.report_picture import report_png
@@ -181,7 +182,8 @@ async def download_map(
     responses=failures(*_FAILURES),
 )
 async def get_report(map_name: str, service: Service) -> MapReport:
-    """What the map found out about itself while it was built: held-out frames localized, coverage, residuals."""
+    """What the map found out about itself while it was built: coverage, residuals, and how consistent it is:
+    frames of the same walk, held out, localized in it."""
     info = (await run_in_threadpool(service.library.get, map_name)).info
     return MapReport(map=map_name, map_id=info.id, map_version=info.version, report=info.report)
 
@@ -197,7 +199,7 @@ async def get_report(map_name: str, service: Service) -> MapReport:
     },
 )
 async def get_report_picture(map_name: str, service: Service) -> Response:
-    """Coverage by position and heading, errors of frames held out, what the landmarks are worth."""
+    """Coverage by position and heading, how consistent frames held out are with it, what the landmarks are worth."""
     map_ = await run_in_threadpool(service.library.get, map_name)
     return Response(await service.compute.run(lambda: report_png(map_, map_name)), media_type="image/png")
 
@@ -312,6 +314,7 @@ def _list(library: MapLibrary) -> MapList:
 def _summary(library: MapLibrary, name: str) -> dict[str, object]:
     map_ = library.get(name)
     info = map_.info
+    trust = trust_of(info)
     return {
         "name": name,
         "id": info.id,
@@ -324,16 +327,19 @@ def _summary(library: MapLibrary, name: str) -> dict[str, object]:
         "landmarks": len(map_),
         "views": len(map_.view_times),
         "size_bytes": library.stat(name).size_bytes,
-        "expected_error_m": _expected_error_m(info),
+        "trusted": trust.trusted,
+        "trust_reason": trust.reason,
+        "expected_error_m": _metres(info, "expected_error", "rms_m"),
+        "consistency_m": _metres(info, "held_out", "median_m"),
         "camera": _camera(info.camera),
     }
 
 
-def _expected_error_m(info: MapInfo) -> float | None:
-    """What the report says; it came with the file, and may say anything."""
-    held_out = info.report.get("held_out")
-    median = held_out.get("median_m") if isinstance(held_out, dict) else None
-    return float(median) if info.metric and isinstance(median, int | float) and math.isfinite(median) else None
+def _metres(info: MapInfo, section: str, name: str) -> float | None:
+    """A length of a metric map's report; the report came with the file, and may say anything."""
+    figures = info.report.get(section)
+    value = figures.get(name) if isinstance(figures, dict) else None
+    return float(value) if info.metric and isinstance(value, int | float) and math.isfinite(value) else None
 
 
 def _detail(library: MapLibrary, name: str) -> MapDetail:

@@ -1,0 +1,51 @@
+"""``rholoc job``: what a server's mapping jobs came to."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from typing import TYPE_CHECKING
+
+import typer
+
+from rholoc.cli.console import output, print_json, print_notice
+from rholoc.cli.maps import trust_line
+from rholoc.cli.options import Json
+from rholoc.cli.serve import Data, service_settings
+
+if TYPE_CHECKING:
+    from rholoc.jobs import Job
+
+app = typer.Typer(help="See what a server's mapping jobs came to.", no_args_is_help=True)
+
+
+@app.callback()
+def _group() -> None:
+    pass
+
+
+@app.command("list")
+def list_jobs(data: Data = None, as_json: Json = False) -> None:
+    """Show all jobs, the newest first, and whether their maps are to be trusted."""
+    from rholoc.jobs import JobQueue
+
+    settings = service_settings(data_dir=data)
+    queue = JobQueue(settings.data_dir, settings.jobs_database)
+    try:
+        jobs = sorted(queue.list(), key=lambda job: job.created, reverse=True)
+    finally:
+        queue.close()
+    if as_json:
+        print_json([asdict(job) | {"trusted": job.trusted} for job in jobs])
+        return
+    if not jobs:
+        print_notice("There are no jobs.")
+    for job in jobs:
+        output.print(f"{job.id}: {job.map_name}, {_outcome(job)}", markup=False, soft_wrap=True)
+
+
+def _outcome(job: Job) -> str:
+    if job.error_message is not None:
+        return f"{job.state}: {job.error_message}"
+    if job.trusted is not None:
+        return f"{job.state}, trusted: {trust_line(job.trusted, ' '.join(job.warnings))}"
+    return f"{job.state}, {job.stage}"
