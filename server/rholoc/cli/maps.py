@@ -310,7 +310,7 @@ def _flat(values: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, An
         if isinstance(value, dict):
             yield from _flat(value, f"{name}.")
         else:
-            yield name, value
+            yield name.replace("held_out.", "consistency."), value
 
 
 def _shown(value: Any) -> str:

@@ -44,7 +44,7 @@ _LEAST_ERROR = 1e-4  # where the logarithmic error scale ends
 
 @dataclass(frozen=True, eq=False)
 class _HeldOut:
-    """Distances in metres of N frames held out from where their walk has them, infinite where there was no pose, and their confidences."""
+    """Metres between N frames held out and where their walk has them, infinite without a pose; their confidences."""
 
     errors_m: FloatArray
     confidences: FloatArray
@@ -190,7 +190,7 @@ def _plot_errors(axes: Axes, report: dict[str, Any], unit: str, factor: float) -
     """How large a share of the frames is at most so wrong."""
     _panel(
         axes,
-        "Consistency: frames of the same walk, held out",
+        "Consistency of frames of the walk",
         f"from the walk's own position, {unit}",
         "share of the frames",
     )
