@@ -195,7 +195,7 @@ def localize(map_: Map, recording: Recording) -> list[Localization]:
 def errors_of_views(map_: Map, times: FloatArray, T_map_camera: FloatArray) -> FloatArray:
     """How far (K,) metres the map's own views are from where the camera truly was."""
     rows = np.abs(times - map_.view_times[:, None]).argmin(axis=1)
-    return np.asarray(np.linalg.norm(map_.view_poses[:, :3] - T_map_camera[rows, :3, 3], axis=1))
+    return np.asarray(np.linalg.norm(map_.view_positions - T_map_camera[rows, :3, 3], axis=1))
 
 
 def expected_error_cm(map_: Map) -> float | None:

@@ -15,7 +15,6 @@ import time
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from rholoc.features import FeatureSet
 from rholoc.geometry import Camera, Pose
@@ -61,10 +60,8 @@ def building(rooms: int) -> Map:
         pixels = CAMERA.project((mine - pose.position) @ pose.R_map_camera)
         seen.append(first + np.flatnonzero(CAMERA.contains(pixels)))
     n = len(points)
-    covariances = np.zeros((n, 6), np.float32)
-    covariances[:, [0, 3, 5]] = 0.005**2
+    covariances = np.tile(np.float32(0.005**2) * np.eye(3, dtype=np.float32), (n, 1, 1))
     info = MapInfo("0" * 32, 1, DensityKind.RAY, "gray", True, True, "2026-01-01T00:00:00+00:00", CAMERA)
-    quaternions = Rotation.from_matrix(np.array([pose.R_map_camera for pose in poses])).as_quat()
     return Map(
         info=info,
         channels=np.zeros(n, np.uint8),
@@ -73,9 +70,9 @@ def building(rooms: int) -> Map:
         descriptors=rng.integers(0, 256, (n, 32), dtype=np.uint8),
         descriptor_features=np.arange(n, dtype=np.int32),
         view_times=np.arange(len(poses), dtype=np.float64),
-        view_poses=np.column_stack([[pose.position for pose in poses], quaternions]).astype(np.float32),
-        view_offsets=np.cumsum([0, *map(len, seen)]).astype(np.int32),
-        view_features=np.concatenate(seen).astype(np.int32),
+        T_map_camera=np.array([pose.T_map_camera for pose in poses]),
+        observation_views=np.repeat(np.arange(len(poses)), [*map(len, seen)]).astype(np.int32),
+        observation_features=np.concatenate(seen).astype(np.int32),
     )
 
 
@@ -94,9 +91,8 @@ def query(map_: Map, truth: Pose, rng: np.random.Generator) -> FeatureSet:
 
 
 def beside(view: np.ndarray) -> Pose:
-    """A pose a little to the side of a view (7,): position and quaternion."""
-    heading = Rotation.from_quat(view[3:]).as_matrix()[:, 2]
-    return Pose.from_heading(view[:3] + np.array([0.15, 0.1, 0.05]), heading)
+    """A pose a little to the side of a view (4, 4)."""
+    return Pose.from_heading(view[:3, 3] + np.array([0.15, 0.1, 0.05]), view[:3, 2])
 
 
 def main() -> None:
@@ -114,7 +110,7 @@ def main() -> None:
         begun = time.perf_counter()
         localizer = Localizer(map_)
         rng = np.random.default_rng(5)
-        chosen = map_.view_poses[:: max(1, len(map_.view_poses) // QUERIES)][:QUERIES].astype(np.float64)
+        chosen = map_.T_map_camera[:: max(1, len(map_.view_times) // QUERIES)][:QUERIES]
         truths = [beside(pose) for pose in chosen]
         localizer.localize(Query(query(map_, truths[0], rng), CAMERA, Dof.FREE))
         index_s = time.perf_counter() - begun

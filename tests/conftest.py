@@ -18,7 +18,7 @@ import pytest
 import uvicorn
 
 from rholoc.features import FeatureSet, Metric, get_extractor
-from rholoc.geometry import ByteArray, Camera, FloatArray, Pose
+from rholoc.geometry import ByteArray, Camera, FloatArray, Pose, poses_from_rows
 from rholoc.mapping.assembly import assemble
 from rholoc.mapping.landmarks import select_stable, triangulate
 from rholoc.mapping.memory import source_camera, with_landmarks
@@ -75,8 +75,7 @@ def picture_world() -> PictureWorld:
     features = get_extractor("gray").extract(image)
     n, views = len(features), 4
     landmarks = pose.position + rng.uniform(2, 5, (n, 1)) * (camera.rays(features.pixels) @ pose.R_map_camera.T)
-    covariances = np.zeros((n, 6), np.float32)
-    covariances[:, [0, 3, 5]] = 0.002**2
+    covariances = np.tile(np.float32(0.002**2) * np.eye(3, dtype=np.float32), (n, 1, 1))
     sideways = np.linspace(-0.1, 0.1, views)[:, None] * pose.R_map_camera[:, 0]
     positions = pose.position + sideways
     info = MapInfo(
@@ -100,9 +99,11 @@ def picture_world() -> PictureWorld:
         descriptors=features.descriptors,
         descriptor_features=np.arange(n, dtype=np.int32),
         view_times=np.arange(views, dtype=np.float64),
-        view_poses=np.column_stack([positions, np.tile(pose.quaternion_xyzw, (views, 1))]).astype(np.float32),
-        view_offsets=np.arange(0, n * views + 1, n, dtype=np.int32),
-        view_features=np.tile(np.arange(n, dtype=np.int32), views),
+        T_map_camera=poses_from_rows(
+            np.column_stack([positions, np.tile(pose.quaternion_xyzw, (views, 1))]).astype(np.float32)
+        ),
+        observation_views=np.repeat(np.arange(views, dtype=np.int32), n),
+        observation_features=np.tile(np.arange(n, dtype=np.int32), views),
     )
     return PictureWorld(image, camera, pose, map_)
 

@@ -57,9 +57,9 @@ def test_a_map_is_exported_beside_itself(rholoc: Run, file: Path, to: str, name:
 def test_the_exported_trajectory_is_that_of_the_views(rholoc: Run, file: Path, hall: Map) -> None:
     assert rholoc("export", file, "--to", "trajectory")[0] == 0
     table = read_trajectory_csv(file.with_name("hall-trajectory.csv"))
-    np.testing.assert_allclose(table.positions, hall.view_poses[:, :3], atol=1e-5)
+    np.testing.assert_allclose(table.positions, hall.view_positions, atol=1e-5)
     np.testing.assert_array_equal(table.times, hall.view_times)
-    assert table.inliers.sum() == len(hall.view_features)
+    assert table.inliers.sum() == len(hall.observation_features)
 
 
 @pytest.mark.parametrize("kind", list(DensityKind))

@@ -137,13 +137,13 @@ def tiny_map(trusted: bool = True) -> Map:
         info=info,
         channels=np.zeros(1, np.uint8),
         landmarks=np.ones((1, 3), np.float32),
-        covariances=np.array([[1, 0, 0, 1, 0, 1]], np.float32) * 1e-4,
+        covariances=np.eye(3, dtype=np.float32)[None] * np.float32(1e-4),
         descriptors=np.zeros((1, 32), np.uint8),
         descriptor_features=np.zeros(1, np.int32),
         view_times=np.zeros(1),
-        view_poses=np.array([[0, 0, 0, 0, 0, 0, 1]], np.float32),
-        view_offsets=np.array([0, 1], np.int32),
-        view_features=np.zeros(1, np.int32),
+        T_map_camera=np.eye(4)[None],
+        observation_views=np.zeros(1, np.int32),
+        observation_features=np.zeros(1, np.int32),
     )
 
 

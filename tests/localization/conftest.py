@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 
 from rholoc.features import Metric
 from rholoc.localization import Localizer
@@ -25,18 +24,17 @@ def room_map(point_room: Any) -> Map:
     landmarks = select_stable(views, triangulate(views, link_observations(views, Metric.HAMMING)), 500)
     rows = representative_rows(views, landmarks.labels, len(landmarks), Metric.HAMMING, 1)
     observed = landmarks.observed_rows
-    upper = np.triu_indices(3)
     return Map(
         info=MapInfo("0" * 32, 1, DensityKind.RAY, "gray", True, True, "2026-01-01T00:00:00Z", point_room.camera),
         channels=np.zeros(len(landmarks), np.uint8),
         landmarks=landmarks.positions.astype(np.float32),
-        covariances=landmarks.covariances[:, upper[0], upper[1]].astype(np.float32),
+        covariances=landmarks.covariances.astype(np.float32),
         descriptors=views.features.descriptors[np.concatenate(rows)],
         descriptor_features=np.arange(len(landmarks), dtype=np.int32),
         view_times=views.times,
-        view_poses=np.column_stack([views.positions, Rotation.from_matrix(T[:, :3, :3]).as_quat()]).astype(np.float32),
-        view_offsets=np.searchsorted(views.view_of[observed], np.arange(61)).astype(np.int32),
-        view_features=landmarks.labels[observed].astype(np.int32),
+        T_map_camera=T,
+        observation_views=views.view_of[observed].astype(np.int32),
+        observation_features=landmarks.labels[observed].astype(np.int32),
     )
 
 

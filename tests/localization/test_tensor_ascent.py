@@ -5,14 +5,12 @@ The layers forbid localization to import mapping; its tests may, as only a fitte
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from rholoc.errors import InvalidMap
 from rholoc.geometry import FloatArray, Pose, pose_matrix
 from rholoc.localization import Dof, Localizer, Query
 from rholoc.localization.ascent import Evidence
@@ -21,7 +19,7 @@ from rholoc.localization.matches import Matches
 from rholoc.localization.tensor_ascent import TensorIndex, ascend_tensors, tensor_gradient
 from rholoc.localization.verification import evidence_of
 from rholoc.mapping.tensor_fit import fit_map_tensors
-from rholoc.maps import Map, map_to_bytes
+from rholoc.maps import Map
 
 
 @pytest.fixture(scope="module")
@@ -139,22 +137,3 @@ def test_features_speak_only_where_a_density_is_valid(tensor_localizer: Localize
     stayed = ascend_tensors(index, nowhere, evidence, far.T_map_camera, (14.0, 7.0), Dof.FREE)
     np.testing.assert_allclose(stayed.T_map_camera, far.T_map_camera, atol=1e-9)
     assert stayed.value == 0
-
-
-@pytest.mark.parametrize(
-    "broken",
-    [
-        {"tensor_degree": np.array(7, np.int32)},
-        {"tensor_coefficients": np.zeros((3, 6, 10, 27), np.float32)},
-        {"tensor_places": np.full((1, 3), np.nan, np.float32)},
-        {"tensor_features": np.array([[1]], np.int32)},
-    ],
-)
-def test_densities_that_contradict_each_other_are_refused(tensor_map: Map, broken: dict[str, Any]) -> None:
-    damaged = replace(tensor_map, extras=tensor_map.extras | broken)
-    assert map_to_bytes(damaged)
-    with pytest.raises(InvalidMap):
-        Localizer(damaged)
-    without = {name: array for name, array in tensor_map.extras.items() if name not in broken}
-    with pytest.raises(InvalidMap, match="has no tensor"):
-        Localizer(replace(tensor_map, extras=without))

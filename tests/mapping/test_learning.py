@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from copy import deepcopy
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,10 +17,10 @@ from rholoc.errors import Conflict, InvalidInput, InvalidMap, MappingFailed
 from rholoc.features import FeatureSet
 from rholoc.geometry import ByteArray, FloatArray, IntArray, Pose
 from rholoc.localization import Dof, Localizer, Query
-from rholoc.mapping import check_memory, forget_recording, learning, merge_maps, update_map
+from rholoc.mapping import forget_recording, learning, merge_maps, update_map
 from rholoc.mapping.merging import moved_map
 from rholoc.mapping.tensor_fit import fit_map_tensors
-from rholoc.maps import DensityKind, Map, load_map, save_map
+from rholoc.maps import DensityKind, Map, check_observations, load_map, save_map
 from rholoc.maps.validation import ARRAY_NAMES
 from rholoc.recordings import GivenPoses, Recording
 from rholoc.trajectory.alignment import Similarity
@@ -113,8 +113,8 @@ def assert_untouched(map_: Map, before: Map) -> None:
     assert map_.info == before.info
     for name in ARRAY_NAMES:
         np.testing.assert_array_equal(getattr(map_, name), getattr(before, name))
-    for name, array in before.extras.items():
-        np.testing.assert_array_equal(map_.extras[name], array)
+    for kept, kept_before in zip(astuple(map_.observations), astuple(before.observations), strict=True):
+        np.testing.assert_array_equal(kept, kept_before)
 
 
 def off_the_points(map_: Map, room: Any) -> float:
@@ -141,17 +141,17 @@ def test_a_recording_registers_itself_and_the_map_grows(walks: Walks, tmp_path: 
     assert off_the_points(updated, walks.room) < 0.03
     assert updated.info.report["learned"][0]["features_seen_again"] > 100
     save_map(updated, tmp_path / "updated.rho")
-    check_memory(load_map(tmp_path / "updated.rho"), "The map")
+    check_observations(load_map(tmp_path / "updated.rho"), "The map")
     nearby = walks.room.walk(80, sideways_m=0.1)[30:50:5]
     assert localized_share(updated, walks.room, nearby) >= localized_share(walks.map_, walks.room, nearby)
 
 
 def test_a_trajectory_of_its_own_reaches_beyond_the_map(walks: Walks) -> None:
     updated = update_map(walks.map_, with_poses(walks.recording, walks.poses, TURN))
-    views = updated.view_poses[len(walks.map_.view_poses) :]
+    views = updated.view_positions[len(walks.map_.view_times) :]
     true = np.array([pose.position for pose in walks.poses])
     assert len(views) > 20
-    assert cKDTree(true).query(views[:, :3])[0].max() < 0.03
+    assert cKDTree(true).query(views)[0].max() < 0.03
     assert off_the_points(updated, walks.room) < 0.03
     beyond = walks.room.walk(80, sideways_m=0.1)[54:62:2]
     assert localized_share(walks.map_, walks.room, beyond) < localized_share(updated, walks.room, beyond) == 1
@@ -173,7 +173,7 @@ def test_a_tensor_map_goes_on_learning_and_forgets(walks: Walks) -> None:
     tensor = fit_map_tensors(walks.map_, 1)
     updated = update_map(tensor, walks.recording)
     assert updated.info.density is DensityKind.TENSOR
-    assert len(np.unique(updated.extras["tensor_features"])) == len(updated) > len(tensor)
+    assert len(np.unique(updated.fitted.features)) == len(updated) > len(tensor)
     assert forget_recording(updated, "walk-2").info.density is DensityKind.TENSOR
 
 
@@ -215,10 +215,11 @@ def test_a_recording_is_learned_once(walks: Walks) -> None:
 
 def test_a_map_without_memory_is_refused_and_a_broken_memory_too(walks: Walks) -> None:
     with pytest.raises(InvalidInput, match="remember"):
-        update_map(replace(walks.map_, extras={}), walks.recording)
-    broken = walks.map_.extras | {"view_sources": walks.map_.extras["view_sources"] + 1}
+        update_map(replace(walks.map_, observations=None), walks.recording)
+    kept = walks.map_.observations
+    broken = replace(kept, view_sources=kept.view_sources + 1)
     with pytest.raises(InvalidMap, match="contradicts"):
-        forget_recording(replace(walks.map_, extras=broken), "first")
+        forget_recording(replace(walks.map_, observations=broken), "first")
 
 
 def test_what_was_never_learned_cannot_be_forgotten(walks: Walks) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 
 import numpy as np
 import pytest
@@ -16,10 +16,10 @@ from rholoc.geometry import Camera, FloatArray, IntArray, Pose
 from rholoc.mapping.assembly import assemble
 from rholoc.mapping.joining import join, without_source
 from rholoc.mapping.landmarks import Landmarks
-from rholoc.mapping.memory import packed_pixels, source_camera, unpacked_pixels, with_landmarks
+from rholoc.mapping.memory import source_camera, with_landmarks
 from rholoc.mapping.merging import moved_map
 from rholoc.mapping.observations import Views
-from rholoc.maps import DensityKind, Map, MapInfo
+from rholoc.maps import DensityKind, Map, MapInfo, packed_pixels, unpacked_pixels
 from rholoc.trajectory.alignment import Similarity
 
 EXACT_M = 1e-6
@@ -101,14 +101,14 @@ def landmarks_by_point(map_: Map, sightings: IntArray) -> FloatArray:
     """(POINTS, 3), NaN where the map has no landmark, or one that was not seen as often as ``sightings`` (POINTS,)."""
     found = np.full((POINTS, 3), np.nan)
     points = points_of(map_)
-    whole = np.bincount(map_.view_features, minlength=len(map_)) == sightings[points]
+    whole = np.bincount(map_.observation_features, minlength=len(map_)) == sightings[points]
     found[points[whole]] = map_.landmarks[whole]
     return found
 
 
 def assert_same_landmarks(a: Map, b: Map) -> None:
     """Of all points that both saw equally often, which are nearly all."""
-    sightings = np.bincount(points_of(b)[b.view_features], minlength=POINTS)
+    sightings = np.bincount(points_of(b)[b.observation_features], minlength=POINTS)
     found, wanted = landmarks_by_point(a, sightings), landmarks_by_point(b, sightings)
     both = np.isfinite(found[:, 0]) & np.isfinite(wanted[:, 0])
     assert both.sum() >= 0.9 * len(b) > 0
@@ -141,15 +141,21 @@ def test_forgetting_undoes_learning_to_the_last_array(seed: int) -> None:
     points = {int(point): row for row, point in enumerate(points_of(before))}
     other = given_tracks.map_of([2])
     after = join(before, other, np.array([points.get(int(point), -1) for point in points_of(other)]))
-    assert len(after.view_features) > len(before.view_features)
+    assert len(after.observation_features) > len(before.observation_features)
     undone = without_source(after, 2)
     np.testing.assert_allclose(undone.landmarks, before.landmarks, rtol=0, atol=EXACT_M)
     np.testing.assert_allclose(undone.covariances, before.covariances, rtol=1e-4, atol=1e-9)
-    for name in ("channels", "descriptors", "descriptor_features", "view_poses", "view_offsets", "view_features"):
+    for name in (
+        "channels",
+        "descriptors",
+        "descriptor_features",
+        "T_map_camera",
+        "observation_views",
+        "observation_features",
+    ):
         np.testing.assert_array_equal(getattr(undone, name), getattr(before, name))
-    assert undone.extras.keys() == before.extras.keys()
-    for name, array in before.extras.items():
-        np.testing.assert_array_equal(undone.extras[name], array)
+    for kept, kept_before in zip(astuple(undone.observations), astuple(before.observations), strict=True):
+        np.testing.assert_array_equal(kept, kept_before)
 
 
 def test_a_recording_never_spoils_a_landmark_that_was_known() -> None:
@@ -170,13 +176,9 @@ def test_a_moved_map_has_moved_landmarks_and_rotated_information() -> None:
     )
     moved = moved_map(map_, similarity)
     np.testing.assert_allclose(moved.landmarks, similarity.points(map_.landmarks.astype(np.float64)), atol=2e-5)
-    upper = np.triu_indices(3)
     for before, after in zip(map_.covariances, moved.covariances, strict=True):
-        full = np.zeros((3, 3))
-        full[upper] = before
-        full = full + np.triu(full, 1).T
-        turned = similarity.rotation @ full @ similarity.rotation.T
-        np.testing.assert_allclose(after, turned[upper], rtol=0.02, atol=0.02 * np.trace(full))
+        turned = similarity.rotation @ before @ similarity.rotation.T
+        np.testing.assert_allclose(after, turned, rtol=0.02, atol=0.02 * np.trace(before))
 
 
 @pytest.mark.parametrize("size", [(640, 480), (3840, 2160)])

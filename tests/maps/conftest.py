@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from rholoc.geometry import Camera, Pose
+from rholoc.geometry import Camera, Pose, poses_from_rows
 from rholoc.maps import DensityKind, Map, MapInfo
 
 
@@ -16,8 +16,7 @@ def synthetic_map(features: int = 60, views: int = 8, seed: int = 1) -> Map:
     square = np.maximum(np.abs(np.cos(angle)) / 3, np.abs(np.sin(angle)) / 2.5)
     landmarks = np.column_stack([np.cos(angle) / square, np.sin(angle) / square, rng.uniform(0, 3, features)])
     sigma = rng.lognormal(np.log(0.01), 0.8, features)
-    covariances = np.zeros((features, 6), np.float32)
-    covariances[:, [0, 3, 5]] = (sigma**2)[:, None]
+    covariances = ((sigma**2)[:, None, None] * np.eye(3)).astype(np.float32)
     walk = np.linspace(0, 1.6 * np.pi, views)
     positions = np.column_stack([1.6 * np.cos(walk), 1.2 * np.sin(walk), np.full(views, 1.5)])
     headings = np.column_stack([np.cos(walk + 0.5), np.sin(walk + 0.5), np.zeros(views)])
@@ -48,10 +47,9 @@ def synthetic_map(features: int = 60, views: int = 8, seed: int = 1) -> Map:
         descriptors=rng.integers(0, 256, (len(owners), 32)).astype(np.uint8),
         descriptor_features=owners.astype(np.int32),
         view_times=np.arange(views, dtype=np.float64),
-        view_poses=np.column_stack([positions, np.reshape(quaternions, (-1, 4))]).astype(np.float32),
-        view_offsets=np.cumsum([0] + [len(s) for s in seen]).astype(np.int32),
-        view_features=np.concatenate([np.zeros(0, int), *seen]).astype(np.int32),
-        extras={"weights": rng.normal(size=(features, 3)).astype(np.float32), "scalar": np.array(3.5)},
+        T_map_camera=poses_from_rows(np.column_stack([positions, np.reshape(quaternions, (-1, 4))]).astype(np.float32)),
+        observation_views=np.repeat(np.arange(views), [len(s) for s in seen]).astype(np.int32),
+        observation_features=np.concatenate([np.zeros(0, int), *seen]).astype(np.int32),
     )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import astuple, replace
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +16,6 @@ from rholoc.errors import InvalidMap, UnknownMap
 from rholoc.features import get_extractor
 from rholoc.localization import Dof, Localizer, Query
 from rholoc.maps import DensityKind, Map, read_coefficient_table, write_coefficient_table
-from rholoc.maps.tensor_arrays import tensors_of, with_tensors
 
 _ARRAYS = (
     "channels",
@@ -25,19 +24,19 @@ _ARRAYS = (
     "descriptors",
     "descriptor_features",
     "view_times",
-    "view_poses",
-    "view_offsets",
 )
+_TENSORS = ("degree", "coefficients", "features", "landmarks", "places", "radii")
 
 
 def _tensor_map(map_: Map, degree: int = 2) -> Map:
     """The map with a density of every feature from the first view's side, and of some from another."""
     rng = np.random.default_rng(3)
     owners = np.sort(np.concatenate([np.arange(len(map_)), rng.choice(len(map_), len(map_) // 4, replace=False)]))
-    places = (map_.view_poses[0, :3] + rng.normal(0, 0.05, (len(owners), 3))).astype(np.float32).astype(float)
+    places = (map_.view_positions[0] + rng.normal(0, 0.05, (len(owners), 3))).astype(np.float32).astype(float)
     landmarks = map_.landmarks[owners].astype(float)
     radii = np.full(len(owners), 1.5)
-    return with_tensors(map_, fit_tensors(landmarks, places, radii, degree), owners)
+    fitted = replace(fit_tensors(landmarks, places, radii, degree), features=owners)
+    return replace(map_, info=replace(map_.info, density=DensityKind.TENSOR), fitted=fitted)
 
 
 @pytest.fixture(scope="module")
@@ -53,7 +52,7 @@ def small_map(request: pytest.FixtureRequest, room_map: Map, small_tensor_map: M
 def _first(map_: Map, count: int) -> Map:
     """The map with every so many features left out, ``count`` of them kept."""
     kept = np.linspace(0, len(map_) - 1, count).astype(int)
-    views = len(map_.view_poses)  # each of them saw every feature
+    views = len(map_.view_times)  # each of them saw every feature
     return replace(
         map_,
         channels=map_.channels[kept],
@@ -61,14 +60,14 @@ def _first(map_: Map, count: int) -> Map:
         covariances=map_.covariances[kept],
         descriptors=map_.descriptors[kept],
         descriptor_features=np.arange(count, dtype=np.int32),
-        view_offsets=np.arange(0, count * views + 1, count, dtype=np.int32),
-        view_features=np.tile(np.arange(count, dtype=np.int32), views),
+        observation_views=np.repeat(np.arange(views, dtype=np.int32), count),
+        observation_features=np.tile(np.arange(count, dtype=np.int32), views),
     )
 
 
 def _seen(map_: Map) -> list[set[int]]:
     return [
-        set(map_.view_features[a:b].tolist())
+        set(map_.observation_features[a:b].tolist())
         for a, b in zip(map_.view_offsets[:-1], map_.view_offsets[1:], strict=True)
     ]
 
@@ -82,8 +81,11 @@ def test_a_map_reads_back_as_it_was(small_map: Map, tmp_path: Path):
     assert _seen(again) == _seen(small_map)
     for name in ("density", "features", "metric", "upright", "camera"):
         assert getattr(again.info, name) == getattr(small_map.info, name)
-    for name in again.extras:
-        np.testing.assert_array_equal(again.extras[name], small_map.extras[name], err_msg=name)
+    np.testing.assert_allclose(again.T_map_camera, small_map.T_map_camera, rtol=0, atol=3e-7)
+    assert (again.fitted is None) == (small_map.fitted is None)
+    if again.fitted is not None and small_map.fitted is not None:
+        for name, mine, written in zip(_TENSORS, astuple(again.fitted), astuple(small_map.fitted), strict=True):
+            np.testing.assert_array_equal(mine, written, err_msg=name)
 
 
 def test_a_tensor_maps_rows_are_table_5s(small_tensor_map: Map, tmp_path: Path):
@@ -92,13 +94,14 @@ def test_a_tensor_maps_rows_are_table_5s(small_tensor_map: Map, tmp_path: Path):
     header, *rows = [line.split(",") for line in path.read_text().splitlines()]
     assert header[:2] == ["descriptor", "a_0_0_0_0_0_0_0_0"]
     assert header[6561] == "a_2_2_2_2_2_2_2_2"
-    densities, owners = tensors_of(small_tensor_map)
+    densities = small_tensor_map.fitted
+    assert densities is not None
     channel, descriptor = small_tensor_map.channels[0], small_tensor_map.descriptors[0]
     assert rows[0][0] == f"{channel:02x}" + bytes(descriptor).hex()
     written = np.array(rows[0][1:6562], dtype=np.float32)
     np.testing.assert_array_equal(written, densities.all_coefficients(np.array([0]))[0])
     assert {row[header.index("feature")] for row in rows} == {str(f) for f in range(len(small_tensor_map))}
-    assert len({(row[header.index("feature")], row[header.index("place_x")]) for row in rows}) == len(owners)
+    assert len({(row[header.index("feature")], row[header.index("place_x")]) for row in rows}) == len(densities)
 
 
 def test_a_ray_maps_coefficients_are_its_density(room_map: Map, tmp_path: Path):
@@ -266,8 +269,10 @@ def test_other_degrees_read_back_too(make_map, degree: int, tmp_path: Path):
     map_ = _tensor_map(make_map(features=6, views=3), degree)
     write_coefficient_table(map_, tmp_path / "small.csv")
     again = read_coefficient_table(tmp_path / "small.csv")
-    np.testing.assert_array_equal(again.extras["tensor_coefficients"], map_.extras["tensor_coefficients"])
-    assert int(again.extras["tensor_degree"]) == degree
+    assert again.fitted is not None
+    assert map_.fitted is not None
+    np.testing.assert_array_equal(again.fitted.coefficients, map_.fitted.coefficients)
+    assert again.fitted.degree == degree
 
 
 def test_a_tensor_row_can_be_evaluated_by_its_description_alone(small_tensor_map: Map, tmp_path: Path):

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from rholoc.geometry import Camera, Pose
+from rholoc.geometry import Camera, Pose, pose_matrix
 from rholoc.maps import Map, coverage_of
 from rholoc.maps.coverage import SUFFICIENT
 
@@ -21,14 +21,19 @@ def wall_map(make_map) -> Map:
     rng = np.random.default_rng(5)
     wall = np.column_stack([np.full(200, 3.0), rng.uniform(-1, 1, 200), rng.uniform(1, 2, 200)])
     places = np.column_stack([np.zeros(9), np.linspace(-0.5, 0.5, 9), np.full(9, 1.5)])
-    poses = [np.r_[p, Pose.from_heading(p, np.array([1.0, 0, 0])).quaternion_xyzw] for p in places]
+    poses = [Pose.from_heading(place, np.array([1.0, 0, 0])).T_map_camera for place in places]
     return replace(
         map_,
         landmarks=wall.astype(np.float32),
-        view_poses=np.array(poses, np.float32),
-        view_offsets=np.arange(0, 1801, 200, dtype=np.int32),
-        view_features=np.tile(np.arange(200), 9).astype(np.int32),
+        T_map_camera=np.array(poses),
+        observation_views=np.repeat(np.arange(9), 200).astype(np.int32),
+        observation_features=np.tile(np.arange(200), 9).astype(np.int32),
     )
+
+
+def _stretched(map_: Map, times: float) -> Map:
+    poses = pose_matrix(map_.T_map_camera[:, :3, :3], times * map_.view_positions)
+    return replace(map_, T_map_camera=poses, landmarks=map_.landmarks * np.float32(times))
 
 
 def test_who_looks_at_the_wall_sees_it_and_who_turns_away_does_not(wall_map: Map) -> None:
@@ -41,7 +46,7 @@ def test_who_looks_at_the_wall_sees_it_and_who_turns_away_does_not(wall_map: Map
 
 def test_positions_lie_within_reach_of_the_walk_at_its_height(wall_map: Map) -> None:
     coverage = coverage_of(wall_map)
-    distances = np.linalg.norm(coverage.positions[:, None] - wall_map.view_poses[:, :3], axis=2).min(axis=1)
+    distances = np.linalg.norm(coverage.positions[:, None] - wall_map.view_positions, axis=2).min(axis=1)
     assert coverage.step_m == 0.25
     assert distances.max() <= 0.75 + 1e-6
     np.testing.assert_allclose(coverage.positions[:, 2], 1.5, atol=1e-6)
@@ -64,14 +69,12 @@ def test_counts_are_those_of_the_camera_itself(wall_map: Map) -> None:
 def test_a_map_that_is_not_upright_is_covered_alike(wall_map: Map) -> None:
     """Turned as a whole, with another frame's axes: as many headings see the wall as before."""
     turn = Rotation.from_euler("xyz", [-90, 0, 0], degrees=True)
-    poses = np.column_stack(
-        [turn.apply(wall_map.view_poses[:, :3]), (turn * Rotation.from_quat(wall_map.view_poses[:, 3:])).as_quat()]
-    )
+    R = turn.as_matrix() @ wall_map.T_map_camera[:, :3, :3]
     turned = replace(
         wall_map,
         info=replace(wall_map.info, upright=False),
         landmarks=turn.apply(wall_map.landmarks).astype(np.float32),
-        view_poses=poses.astype(np.float32),
+        T_map_camera=pose_matrix(R, turn.apply(wall_map.view_positions)),
     )
     coverage, level = coverage_of(turned), coverage_of(wall_map)
     np.testing.assert_allclose(coverage.up, turn.apply([0, 0, 1]), atol=1e-6)
@@ -82,9 +85,7 @@ def test_a_map_that_is_not_upright_is_covered_alike(wall_map: Map) -> None:
 
 def test_a_long_walk_takes_longer_steps_and_still_fits_the_report(make_map) -> None:
     map_ = make_map(features=900, views=60)
-    far = map_.view_poses.copy()
-    far[:, :3] *= 30
-    coverage = coverage_of(replace(map_, view_poses=far, landmarks=map_.landmarks * 30))
+    coverage = coverage_of(_stretched(map_, 30))
     assert coverage.step_m > 0.25
     assert 0 < len(coverage.cells) <= 250
     worst = replace(coverage, counts=np.full_like(coverage.counts, 9999))
@@ -93,10 +94,7 @@ def test_a_long_walk_takes_longer_steps_and_still_fits_the_report(make_map) -> N
 
 def test_the_unit_of_length_does_not_matter_where_it_is_arbitrary(wall_map: Map) -> None:
     loose = replace(wall_map, info=replace(wall_map.info, metric=False))
-    poses = wall_map.view_poses.copy()
-    poses[:, :3] *= 40
-    large = replace(loose, landmarks=wall_map.landmarks * 40, view_poses=poses)
-    small, large_coverage = coverage_of(loose), coverage_of(large)
+    small, large_coverage = coverage_of(loose), coverage_of(_stretched(loose, 40))
     assert large_coverage.step_m == pytest.approx(40 * small.step_m, rel=1e-4)
     assert large_coverage.summary()["share_sufficient"] == pytest.approx(small.summary()["share_sufficient"], abs=0.02)
 

@@ -23,7 +23,7 @@ def numbers(element: ElementTree.Element | None) -> np.ndarray:
 
 def test_ply_holds_landmarks_then_views(room_map: Map) -> None:
     header, _, body = map_to_ply(room_map).decode().partition("end_header\n")
-    features, views = len(room_map), len(room_map.view_poses)
+    features, views = len(room_map), len(room_map.view_times)
     assert f"element vertex {features + views}\n" in header
     assert f"element edge {views - 1}\n" in header
     properties = [line.split()[-1] for line in header.splitlines() if line.startswith("property float")]
@@ -33,20 +33,20 @@ def test_ply_holds_landmarks_then_views(room_map: Map) -> None:
     np.testing.assert_allclose(vertices[:features, :3], room_map.landmarks, atol=1e-5)
     sigma = vertices[:features, properties.index("sigma_m")]
     np.testing.assert_allclose(sigma, landmark_sigmas(room_map), atol=1e-5)
-    np.testing.assert_allclose(vertices[features:, :3], room_map.view_poses[:, :3], atol=1e-5)
+    np.testing.assert_allclose(vertices[features:, :3], room_map.view_positions, atol=1e-5)
     np.testing.assert_array_equal(np.loadtxt(lines[features + views :])[0], [features, features + 1])
 
 
 def test_vtp_holds_landmarks_and_the_path(room_map: Map) -> None:
     landmarks, path = ElementTree.fromstring(map_to_vtp(room_map)).iter("Piece")
     assert int(landmarks.attrib["NumberOfPoints"]) == int(landmarks.attrib["NumberOfVerts"]) == len(room_map)
-    assert int(path.attrib["NumberOfPoints"]) == len(room_map.view_poses)
+    assert int(path.attrib["NumberOfPoints"]) == len(room_map.view_times)
     points = numbers(landmarks.find("Points/DataArray")).reshape(-1, 3)
     np.testing.assert_allclose(points, room_map.landmarks, atol=1e-5)
     sigmas = numbers(landmarks.find("PointData/DataArray[@Name='sigma_m']"))
     np.testing.assert_allclose(sigmas, landmark_sigmas(room_map), atol=1e-5)
     connectivity = numbers(path.find("Lines/DataArray[@Name='connectivity']"))
-    np.testing.assert_array_equal(connectivity, np.arange(len(room_map.view_poses)))
+    np.testing.assert_array_equal(connectivity, np.arange(len(room_map.view_times)))
 
 
 @pytest.mark.parametrize(("features", "views"), [(0, 0), (0, 1), (1, 0), (3, 1), (5, 2)])
@@ -59,8 +59,7 @@ def test_small_maps_export(make_map, features: int, views: int) -> None:
 
 
 def test_sigma_is_the_root_mean_variance(room_map: Map) -> None:
-    covariances = np.zeros_like(room_map.covariances)
-    covariances[:, [0, 3, 5]] = (1e-4, 4e-4, 7e-4)
+    covariances = np.tile(np.diag([1e-4, 4e-4, 7e-4]), (len(room_map), 1, 1))
     np.testing.assert_allclose(landmark_sigmas(replace(room_map, covariances=covariances)), 0.02, rtol=1e-6)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from rholoc.errors import InvalidMap
-from rholoc.maps import Map, validate_map
+from rholoc.maps import DensityKind, Map, validate_map
 
 
 def changed(array: Any, index: Any, value: Any) -> Any:
@@ -27,20 +27,22 @@ BREAKS = {
     "covariances too few": lambda m: {"covariances": m.covariances[1:]},
     "nan landmark": lambda m: {"landmarks": changed(m.landmarks, (0, 0), np.nan)},
     "infinite time": lambda m: {"view_times": changed(m.view_times, 0, np.inf)},
-    "negative variance": lambda m: {"covariances": changed(m.covariances, (0, 3), -1)},
+    "negative variance": lambda m: {"covariances": changed(m.covariances, (0, 1, 1), -1)},
     "descriptor without owner": lambda m: {"descriptor_features": m.descriptor_features[1:]},
     "owner too large": lambda m: {"descriptor_features": changed(m.descriptor_features, -1, len(m))},
     "owner negative": lambda m: {"descriptor_features": changed(m.descriptor_features, 0, -1)},
     "owners unsorted": lambda m: {"descriptor_features": m.descriptor_features[::-1].copy()},
     "views differ": lambda m: {"view_times": m.view_times[1:]},
-    "quaternion": lambda m: {"view_poses": changed(m.view_poses, (0, 3), 2.0)},
-    "offsets start": lambda m: {"view_offsets": changed(m.view_offsets, 0, 1)},
-    "offsets end": lambda m: {"view_offsets": changed(m.view_offsets, -1, len(m.view_features) + 1)},
-    "offsets fall": lambda m: {"view_offsets": changed(m.view_offsets, 1, m.view_offsets[2] + 1)},
-    "offsets too few": lambda m: {"view_offsets": m.view_offsets[:-1]},
-    "no offsets": lambda m: {"view_offsets": m.view_offsets[:0]},
-    "seen feature too large": lambda m: {"view_features": changed(m.view_features, 0, len(m))},
-    "seen feature negative": lambda m: {"view_features": changed(m.view_features, 0, -1)},
+    "not a rotation": lambda m: {"T_map_camera": changed(m.T_map_camera, (0, 0, 0), 2.0)},
+    "mirrored": lambda m: {"T_map_camera": m.T_map_camera * [[1, 1, -1, 1]]},
+    "poses differ": lambda m: {"T_map_camera": m.T_map_camera[1:]},
+    "observations differ": lambda m: {"observation_views": m.observation_views[1:]},
+    "views fall": lambda m: {"observation_views": m.observation_views[::-1].copy()},
+    "view too large": lambda m: {"observation_views": changed(m.observation_views, -1, len(m.view_times))},
+    "view negative": lambda m: {"observation_views": changed(m.observation_views, 0, -1)},
+    "seen feature too large": lambda m: {"observation_features": changed(m.observation_features, 0, len(m))},
+    "seen feature negative": lambda m: {"observation_features": changed(m.observation_features, 0, -1)},
+    "tensors missing": lambda m: {"info": replace(m.info, density=DensityKind.TENSOR)},
 }
 
 

@@ -6,7 +6,7 @@ import errno
 import json
 import os
 import struct
-from dataclasses import fields, replace
+from dataclasses import astuple, fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -16,8 +16,20 @@ from hypothesis import strategies as st
 from safetensors import safe_open
 from safetensors.numpy import save_file
 
+from rholoc.density.tensor import fit_tensors
 from rholoc.errors import InvalidInput, InvalidMap, RholocError, StorageFull, UnknownMap
-from rholoc.maps import Map, load_map, map_to_bytes, save_map
+from rholoc.mapping.memory import source_camera
+from rholoc.maps import (
+    DensityKind,
+    Map,
+    Observations,
+    load_map,
+    map_to_bytes,
+    packed_pixels,
+    save_map,
+    unpacked_pixels,
+)
+from rholoc.maps.rho_file import _checksum
 from rholoc.maps.validation import ARRAY_NAMES
 
 _SHARED_FOLDER = settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None, max_examples=150)
@@ -28,11 +40,13 @@ def assert_same_map(a: Map, b: Map) -> None:
     for name in ARRAY_NAMES:
         first, second = getattr(a, name), getattr(b, name)
         assert first.dtype == second.dtype
-        np.testing.assert_array_equal(first, second)
-    assert a.extras.keys() == b.extras.keys()
-    for name in a.extras:
-        assert a.extras[name].shape == b.extras[name].shape
-        np.testing.assert_array_equal(a.extras[name], b.extras[name])
+        # rotations are stored as quaternions of float32
+        np.testing.assert_allclose(first, second, rtol=0, atol=3e-7 if name == "T_map_camera" else 0)
+    for kept, other in ((a.observations, b.observations), (a.fitted, b.fitted)):
+        assert (kept is None) == (other is None)
+        if kept is not None:
+            for first, second in zip(astuple(kept), astuple(other), strict=True):
+                np.testing.assert_array_equal(first, second)
 
 
 def test_a_map_comes_back_as_it_was(room_map: Map, tmp_path: Path) -> None:
@@ -47,22 +61,90 @@ def test_an_empty_map_comes_back(make_map, tmp_path: Path) -> None:
 
 
 def test_every_array_of_a_map_is_stored() -> None:
-    assert {field.name for field in fields(Map)} == {*ARRAY_NAMES, "info", "extras"}
+    assert {field.name for field in fields(Map)} == {*ARRAY_NAMES, "info", "observations", "fitted"}
 
 
-def test_extras_in_any_memory_layout_come_back(room_map: Map, tmp_path: Path) -> None:
-    grid = np.arange(24.0).reshape(4, 6)
-    extras = {"fortran": np.asfortranarray(grid), "strided": grid[:, ::2], "big_endian": grid.astype(">f8")}
-    save_map(replace(room_map, extras=extras), tmp_path / "room.rho")
-    loaded = load_map(tmp_path / "room.rho")
-    for name, array in extras.items():
-        np.testing.assert_array_equal(loaded.extras[name], array)
+@pytest.fixture
+def whole_map(make_map) -> Map:
+    """With observations of two recordings, and with tensor densities: all that a file can hold."""
+    map_: Map = make_map()
+    rng = np.random.default_rng(4)
+    camera = map_.info.camera
+    sources = tuple({"id": name, "name": name, "camera": source_camera(camera)} for name in ("first", "second"))
+    pixels = rng.uniform([-0.5, -0.5], [639.4, 479.4], (len(map_.observation_features), 2))
+    observations = Observations(
+        unpacked_pixels(packed_pixels(pixels, camera), camera),
+        rng.integers(0, 2, len(map_.view_times)).astype(np.int32),
+        rng.integers(0, 2, len(map_.descriptors)).astype(np.int32),
+    )
+    landmarks = map_.landmarks.astype(np.float64)
+    places = (0.5 * landmarks).astype(np.float32).astype(np.float64)
+    return replace(
+        map_,
+        info=replace(map_.info, density=DensityKind.TENSOR, sources=sources),
+        observations=observations,
+        fitted=fit_tensors(landmarks, places, np.full(len(map_), 0.5), 2),
+    )
 
 
-def test_extras_that_would_need_pickle_are_refused(room_map: Map, tmp_path: Path) -> None:
-    with pytest.raises(InvalidMap, match="cannot hold"):
-        save_map(replace(room_map, extras={"bad": np.array([{}], dtype=object)}), tmp_path / "room.rho")
-    assert list(tmp_path.iterdir()) == []
+def test_observations_and_fitted_densities_come_back(whole_map: Map, tmp_path: Path) -> None:
+    save_map(whole_map, tmp_path / "whole.rho")
+    assert_same_map(load_map(tmp_path / "whole.rho"), whole_map)
+
+
+def test_what_is_saved_twice_is_the_same_file(whole_map: Map, tmp_path: Path) -> None:
+    save_map(whole_map, tmp_path / "once.rho")
+    once = load_map(tmp_path / "once.rho")
+    save_map(once, tmp_path / "twice.rho")
+    assert_same_map(load_map(tmp_path / "twice.rho"), once)
+
+
+@pytest.mark.parametrize(
+    ("name", "array"),
+    [
+        ("extras/tensor_degree", np.array(7, np.int32)),
+        ("extras/tensor_coefficients", np.zeros((3, 6, 10, 27), np.float32)),
+        ("extras/tensor_places", np.full((60, 3), np.nan, np.float32)),
+        ("extras/tensor_features", np.array([[1]], np.int32)),
+        ("extras/tensor_features", np.full(60, 60, np.int32)),
+        ("extras/observation_pixels", np.zeros((3, 2), np.uint16)),
+        ("extras/observation_pixels", np.zeros((3, 2), np.float32)),
+        ("extras/view_sources", np.full(8, 2, np.int32)),
+        ("extras/descriptor_sources", np.zeros(3, np.int32)),
+        ("view_offsets", np.array([1, *[20] * 8], np.int32)),
+        ("view_offsets", np.array([0, 20], np.int32)),
+        ("view_offsets", np.zeros(0, np.int32)),
+        ("view_offsets", np.array([0, 20, 10, 60, 80, 100, 120, 140, 160], np.int32)),
+        ("view_poses", np.full((8, 7), 2.0, np.float32)),
+        ("view_poses", np.full((8, 7), np.nan, np.float32)),
+        ("covariances", np.zeros((60, 3, 3), np.float32)),
+        ("landmarks", np.zeros((60, 3), np.float64)),
+    ],
+)
+def test_arrays_that_contradict_the_others_are_refused(
+    whole_map: Map, tmp_path: Path, name: str, array: np.ndarray
+) -> None:
+    path = tmp_path / "whole.rho"
+    save_map(whole_map, path)
+    _rewrite(path, {name: array})
+    with pytest.raises(InvalidMap):
+        load_map(path)
+
+
+@pytest.mark.parametrize("name", ["landmarks", "extras/tensor_radii"])
+def test_a_missing_array_is_named(whole_map: Map, tmp_path: Path, name: str) -> None:
+    path = tmp_path / "whole.rho"
+    save_map(whole_map, path)
+    _rewrite(path, {name: None})
+    with pytest.raises(InvalidMap, match=f"has no {name.removeprefix('extras/')}"):
+        load_map(path)
+
+
+def test_arrays_of_later_versions_are_left_out(room_map: Map, tmp_path: Path) -> None:
+    path = tmp_path / "room.rho"
+    save_map(room_map, path)
+    _rewrite(path, {"extras/later": np.zeros(3)})
+    assert_same_map(load_map(path), room_map)
 
 
 def test_a_report_with_numpy_numbers_and_nan_is_stored_as_json(room_map: Map, tmp_path: Path) -> None:
@@ -199,7 +281,11 @@ def _metadata(path: Path) -> dict[str, str]:
         return file.metadata()
 
 
-def _rewrite(path: Path, **changes: str) -> None:
+def _rewrite(path: Path, changed: dict[str, np.ndarray | None] | None = None, **metadata: str) -> None:
+    """The file with other arrays (None leaves one out) and a checksum that fits, or with other metadata."""
     with safe_open(path, framework="numpy") as file:
-        metadata, arrays = file.metadata(), {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
-    save_file(arrays, path, metadata | changes)
+        kept, arrays = file.metadata(), {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+    if changed is not None:
+        arrays = {name: array for name, array in (arrays | changed).items() if array is not None}
+        kept["checksum"] = _checksum(kept["info"], arrays)
+    save_file(arrays, path, kept | metadata)

@@ -19,7 +19,7 @@ def numbers(piece: ElementTree.Element, path: str) -> np.ndarray:
 
 def test_surfaces_are_closed_ellipsoids_three_sigma_wide(make_map) -> None:
     map_: Map = make_map()
-    map_.covariances[7] = (0.04, 0.01, 0.0, 0.09, 0.0, 0.01)
+    map_.covariances[7] = [[0.04, 0.01, 0.0], [0.01, 0.09, 0.0], [0.0, 0.0, 0.01]]
     surfaces, path = ElementTree.fromstring(map_surfaces_vtp(map_, [9, 7])).iter("Piece")
     points = numbers(surfaces, "Points/DataArray").reshape(2, -1, 3)
     triangles = numbers(surfaces, "Polys/DataArray[@Name='connectivity']").astype(int).reshape(2, -1, 3)
@@ -36,8 +36,8 @@ def test_surfaces_are_closed_ellipsoids_three_sigma_wide(make_map) -> None:
     assert {(b, a) for a, b in edges} == edges  # each edge is walked once in either direction
     volume = np.linalg.det(away[triangles[0]]).sum() / 6
     assert volume == pytest.approx(4 / 3 * np.pi * 27 * np.sqrt(np.linalg.det(covariance)), rel=0.06)
-    np.testing.assert_allclose(numbers(path, "Points/DataArray").reshape(-1, 3), map_.view_poses[:, :3], atol=1e-5)
-    assert len(numbers(path, "Lines/DataArray[@Name='connectivity']")) == len(map_.view_poses)
+    np.testing.assert_allclose(numbers(path, "Points/DataArray").reshape(-1, 3), map_.view_positions, atol=1e-5)
+    assert len(numbers(path, "Lines/DataArray[@Name='connectivity']")) == len(map_.view_times)
 
 
 @pytest.mark.parametrize(

@@ -61,5 +61,5 @@ def test_a_scene_is_what_a_viewer_draws(service, picture_world):
     assert (features, views, path.size) == (len(map_), len(map_.view_times), 7 * views)
     np.testing.assert_array_equal(landmarks.reshape(-1, 4)[:, :3], map_.landmarks)
     np.testing.assert_allclose(landmarks.reshape(-1, 4)[:, 3], 0.002)
-    np.testing.assert_allclose(path.reshape(-1, 7)[:, :3], map_.view_poses[:, :3])
+    np.testing.assert_allclose(path.reshape(-1, 7)[:, :3], map_.view_positions)
     np.testing.assert_allclose(path.reshape(-1, 7)[0, 3:], [*picture_world.pose.heading, 0], atol=1e-6)

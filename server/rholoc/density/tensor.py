@@ -61,6 +61,7 @@ class TensorDensities:
     Attributes:
         degree: P.
         coefficients: (T, U, X, H) float32.
+        features: (T,) the feature that each density is of, never falling.
         landmarks: (T, 3) metres.
         places: (T, 3) metres, the places they are seen from.
         radii: (T,) metres, how far around its place each is valid.
@@ -68,6 +69,7 @@ class TensorDensities:
 
     degree: int
     coefficients: FloatArray
+    features: IntArray
     landmarks: FloatArray
     places: FloatArray
     radii: FloatArray
@@ -92,8 +94,14 @@ class TensorDensities:
 
     def take(self, rows: IntArray) -> TensorDensities:
         """The densities at ``rows``, in that order."""
-        coefficients = self.coefficients[rows]
-        taken = TensorDensities(self.degree, coefficients, self.landmarks[rows], self.places[rows], self.radii[rows])
+        taken = TensorDensities(
+            self.degree,
+            self.coefficients[rows],
+            self.features[rows],
+            self.landmarks[rows],
+            self.places[rows],
+            self.radii[rows],
+        )
         taken.__dict__["R_local_map"] = self.R_local_map[rows]
         return taken
 
@@ -172,6 +180,8 @@ def local_frames(directions: FloatArray) -> FloatArray:
 def fit_tensors(landmarks: FloatArray, places: FloatArray, radii: FloatArray, degree: int) -> TensorDensities:
     """Least-squares fits of equation (3) to equation (5), for landmarks (T, 3) seen from places (T, 3).
 
+    Each landmark counts as a feature of its own.
+
     Args:
         landmarks: (T, 3) metres.
         places: (T, 3) metres.
@@ -188,7 +198,7 @@ def fit_tensors(landmarks: FloatArray, places: FloatArray, radii: FloatArray, de
     ]
     sizes = [len(powers) for powers in kept_powers(degree)]
     coefficients = np.concatenate(fitted) if fitted else np.zeros((0, *sizes), dtype=np.float32)
-    return TensorDensities(degree, coefficients, landmarks, places, radii)
+    return TensorDensities(degree, coefficients, np.arange(len(landmarks)), landmarks, places, radii)
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,7 +11,6 @@ from typing import Any
 
 import cv2
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from rholoc.evaluation.baselines import (
     MatchSet,
@@ -315,9 +314,8 @@ def _result(method: str, answers: Sequence[Answer], truth: FloatArray, map_bytes
 
 def _distance_to_views(truth: FloatArray, map_: Map) -> FloatArray:
     """(N,) metres plus radians of heading from each pose (N, 4, 4) to the nearest of the map's views."""
-    headings = Rotation.from_quat(map_.view_poses[:, 3:]).as_matrix()[:, :, 2]
-    apart = np.linalg.norm(truth[:, None, :3, 3] - map_.view_poses[None, :, :3], axis=2)
-    turned = np.arccos(np.clip(truth[:, :3, 2] @ headings.T, -1, 1))
+    apart = np.linalg.norm(truth[:, None, :3, 3] - map_.view_positions[None], axis=2)
+    turned = np.arccos(np.clip(truth[:, :3, 2] @ map_.view_headings.T, -1, 1))
     return np.asarray((apart + _RADIAN_M * turned).min(axis=1))
 
 

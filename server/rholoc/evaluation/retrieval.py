@@ -17,7 +17,7 @@ import numpy as np
 from rholoc.evaluation.baselines import RansacOptions, Solver, solve
 from rholoc.features import FeatureSet
 from rholoc.features.matching import DescriptorIndex
-from rholoc.geometry import ByteArray, Camera, FloatArray, IntArray, Pose
+from rholoc.geometry import ByteArray, Camera, FloatArray, IntArray
 from rholoc.localization.map_index import MapIndex
 
 _WORDS = 64
@@ -107,9 +107,9 @@ def _vocabulary(descriptors: Sequence[ByteArray]) -> FloatArray:
 def _view(index: MapIndex, k: int, features: FeatureSet) -> _View:
     """The features that view ``k`` observes landmarks with: those within a few pixels of their projections."""
     map_ = index.map
-    landmarks = map_.view_features[map_.view_offsets[k] : map_.view_offsets[k + 1]].astype(np.int64)
+    landmarks = map_.observation_features[map_.view_offsets[k] : map_.view_offsets[k + 1]].astype(np.int64)
     camera = map_.info.camera
-    pixels = camera.project(_in_camera(index.landmarks[landmarks], map_.view_poses[k]))
+    pixels = camera.project(_in_camera(index.landmarks[landmarks], map_.T_map_camera[k]))
     apart = np.linalg.norm(pixels[:, None] - features.pixels[None], axis=2) if len(features) else np.zeros((0, 0))
     landmarks_, detections = np.nonzero(np.nan_to_num(apart, nan=np.inf) <= _OBSERVED_PX)
     like = index.distances_to(features, detections, landmarks[landmarks_])
@@ -123,9 +123,8 @@ def _view(index: MapIndex, k: int, features: FeatureSet) -> _View:
     )
 
 
-def _in_camera(points: FloatArray, view_pose: FloatArray) -> FloatArray:
-    pose = Pose.from_quaternion(view_pose[:3].astype(np.float64), view_pose[3:])
-    return np.asarray((points - pose.position) @ pose.R_map_camera)
+def _in_camera(points: FloatArray, T_map_camera: FloatArray) -> FloatArray:
+    return np.asarray((points - T_map_camera[:3, 3]) @ T_map_camera[:3, :3])
 
 
 def _match_view(features: FeatureSet, view: _View) -> IntArray:

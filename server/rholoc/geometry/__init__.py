@@ -2,7 +2,7 @@
 
 from rholoc.geometry.arrays import BoolArray, ByteArray, FloatArray, IntArray
 from rholoc.geometry.camera import Camera
-from rholoc.geometry.pose import Pose, is_rotation, pose_matrix, rotation_from_heading
+from rholoc.geometry.pose import Pose, is_rotation, pose_matrix, poses_from_rows, rotation_from_heading, rows_from_poses
 
 __all__ = [
     "BoolArray",
@@ -13,5 +13,7 @@ __all__ = [
     "Pose",
     "is_rotation",
     "pose_matrix",
+    "poses_from_rows",
     "rotation_from_heading",
+    "rows_from_poses",
 ]

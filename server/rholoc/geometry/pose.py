@@ -22,6 +22,22 @@ def pose_matrix(R_map_camera: FloatArray, position: FloatArray) -> FloatArray:
     return T
 
 
+def poses_from_rows(rows: FloatArray) -> FloatArray:
+    """Rows (N, 7) of x, y, z in metres and the quaternion x, y, z, w → T_map_camera (N, 4, 4)."""
+    rows = np.asarray(rows, dtype=np.float64).reshape(-1, 7)
+    if len(rows) == 0:
+        return np.zeros((0, 4, 4))
+    return pose_matrix(Rotation.from_quat(rows[:, 3:]).as_matrix(), rows[:, :3])
+
+
+def rows_from_poses(T_map_camera: FloatArray) -> FloatArray:
+    """T_map_camera (N, 4, 4) → rows (N, 7) of x, y, z in metres and the quaternion x, y, z, w with w ≥ 0."""
+    if len(T_map_camera) == 0:
+        return np.zeros((0, 7))
+    quaternions = Rotation.from_matrix(T_map_camera[:, :3, :3]).as_quat(canonical=True)
+    return np.column_stack([T_map_camera[:, :3, 3], quaternions])
+
+
 def is_rotation(R: FloatArray, tolerance: float = 1e-3) -> bool:
     """Whether an array is a rotation matrix (3, 3), no entry of R Rᵀ further than ``tolerance`` from the identity's."""
     if R.shape != (3, 3) or not np.all(np.abs(R) <= 1 + tolerance):

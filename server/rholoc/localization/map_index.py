@@ -14,7 +14,7 @@ from rholoc.features.matching import LIMITS, DescriptorIndex, descriptor_distanc
 from rholoc.geometry import BoolArray, Camera, FloatArray, IntArray
 from rholoc.localization.matches import Matches, guided_chances, match_chances
 from rholoc.localization.tensor_ascent import TensorIndex
-from rholoc.maps import DensityKind, Map
+from rholoc.maps import Map
 
 _CANDIDATES = 4
 _CHANCE_SAMPLES = 20_000
@@ -27,21 +27,16 @@ class MapIndex:
         self.map = map_
         self.metric: Metric = get_extractor(map_.info.features).metric
         self.landmarks = map_.landmarks.astype(np.float64)
-        c = map_.covariances.astype(np.float64)
-        self.covariances = np.stack(
-            [c[:, 0], c[:, 1], c[:, 2], c[:, 1], c[:, 3], c[:, 4], c[:, 2], c[:, 4], c[:, 5]], axis=1
-        ).reshape(-1, 3, 3)
-        self.view_positions = map_.view_poses[:, :3].astype(np.float64)
+        self.covariances = map_.covariances.astype(np.float64)
+        self.view_positions = map_.view_positions
         self._first_descriptor = np.searchsorted(map_.descriptor_features, np.arange(len(map_) + 1))
         self._medoids = self._first_descriptor[:-1]
-        self.tensors = TensorIndex.of(map_) if map_.info.density is DensityKind.TENSOR else None
+        self.tensors = None if map_.fitted is None else TensorIndex.of(map_.fitted, len(map_))
         self._everywhere = DescriptorIndex(map_.descriptors[self._medoids], map_.channels, self.metric)
-        views = np.repeat(np.arange(len(self.view_positions)), np.diff(map_.view_offsets))
-        self.presence = Presence.of(self.landmarks, self.view_positions[views], map_.view_features)
-        ones = np.ones(len(map_.view_features), dtype=np.float32)
-        self.visibility = csr_array(
-            (ones, map_.view_features, map_.view_offsets), shape=(len(map_.view_poses), len(map_))
-        )
+        seen, seen_from = map_.observation_features, self.view_positions[map_.observation_views]
+        self.presence = Presence.of(self.landmarks, seen_from, seen)
+        ones = np.ones(len(seen), dtype=np.float32)
+        self.visibility = csr_array((ones, seen, map_.view_offsets), shape=(len(map_.view_times), len(map_)))
 
     @cached_property
     def covisibility(self) -> FloatArray:

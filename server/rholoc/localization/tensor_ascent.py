@@ -21,8 +21,6 @@ from rholoc.geometry import FloatArray, IntArray
 from rholoc.localization.ascent import Evidence, Optimum, moved, upright, upright_axes
 from rholoc.localization.matches import Matches
 from rholoc.localization.types import Dof
-from rholoc.maps import Map
-from rholoc.maps.tensor_arrays import tensors_of
 
 _ITERATIONS = 4
 _REACH = 2.0  # in tolerances: how far off a feature may be to be listened to while one tolerance holds
@@ -43,14 +41,9 @@ class TensorIndex:
     first: IntArray
 
     @classmethod
-    def of(cls, map_: Map) -> TensorIndex:
-        """The index of a map.
-
-        Raises:
-            InvalidMap: its arrays contradict each other.
-        """
-        densities, features = tensors_of(map_)
-        return cls(densities, np.searchsorted(features, np.arange(len(map_) + 1)))
+    def of(cls, densities: TensorDensities, count: int) -> TensorIndex:
+        """The index of the densities of a map with ``count`` features."""
+        return cls(densities, np.searchsorted(densities.features, np.arange(count + 1)))
 
     def choose(self, features: IntArray, T_map_camera: FloatArray) -> tuple[IntArray, IntArray]:
         """For which of ``features`` (M,) there is a density valid at a pose (4, 4), and its row: (K,) and (K,).

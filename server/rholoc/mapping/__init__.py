@@ -4,7 +4,6 @@ from rholoc.mapping.build import DEFAULT_FEATURES, BuildOptions, build_map
 from rholoc.mapping.export import ExportFormat, export_map, parse_features
 from rholoc.mapping.forgetting import forget_recording
 from rholoc.mapping.learning import UpdateOptions, update_map
-from rholoc.mapping.memory import check_memory
 from rholoc.mapping.merging import merge_maps
 from rholoc.mapping.observation_table import observation_table
 
@@ -14,7 +13,6 @@ __all__ = [
     "ExportFormat",
     "UpdateOptions",
     "build_map",
-    "check_memory",
     "export_map",
     "forget_recording",
     "merge_maps",

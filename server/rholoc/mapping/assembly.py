@@ -5,18 +5,18 @@ from __future__ import annotations
 import numpy as np
 
 from rholoc.features import Metric
-from rholoc.geometry import IntArray
+from rholoc.geometry import IntArray, poses_from_rows, rows_from_poses
 from rholoc.mapping.landmarks import Landmarks, representative_rows
-from rholoc.mapping.memory import DESCRIPTOR_SOURCES, PIXELS, VIEW_SOURCES, packed_pixels, packed_poses
 from rholoc.mapping.observations import Views
-from rholoc.maps import Map, MapInfo
+from rholoc.maps import Map, MapInfo, Observations, packed_pixels, unpacked_pixels
 
 _DESCRIPTORS_PER_FEATURE = 2
 
 
 def assemble(info: MapInfo, views: Views, landmarks: Landmarks, view_sources: IntArray, metric: Metric) -> Map:
-    """The map, of ``ray`` form, of landmarks that are all observed; its memory included.
+    """The map, of ``ray`` form, of landmarks that are all observed.
 
+    Pixels and poses are rounded as files keep them, so that a map read back learns as the one that was built.
     Every recording that saw a feature brings its own descriptors for it, so that each can be forgotten.
 
     Args:
@@ -28,29 +28,29 @@ def assemble(info: MapInfo, views: Views, landmarks: Landmarks, view_sources: In
     """
     observed = landmarks.observed_rows
     features, of_view = landmarks.labels[observed], views.view_of[observed]
-    packed = np.concatenate(
-        [packed_pixels(views.features.pixels[observed[of_view == k]], views.cameras[k]) for k in range(len(views))]
-    )
+    pixels = np.zeros((len(observed), 2))
+    for k, camera in enumerate(views.cameras):
+        mine = np.flatnonzero(of_view == k)
+        pixels[mine] = unpacked_pixels(packed_pixels(views.features.pixels[observed[mine]], camera), camera)
     owners, rows = _descriptor_rows(views, landmarks, view_sources, metric)
     channels = np.zeros(len(landmarks), dtype=np.uint8)
     channels[features] = views.features.channels[observed]
-    upper = np.triu_indices(3)
     return Map(
         info=info,
         channels=channels,
         landmarks=landmarks.positions.astype(np.float32),
-        covariances=landmarks.covariances[:, upper[0], upper[1]].astype(np.float32),
+        covariances=landmarks.covariances.astype(np.float32),
         descriptors=views.features.descriptors[rows],
         descriptor_features=owners.astype(np.int32),
         view_times=views.times.astype(np.float64),
-        view_poses=packed_poses(views.T_map_camera),
-        view_offsets=np.searchsorted(of_view, np.arange(len(views) + 1)).astype(np.int32),
-        view_features=features.astype(np.int32),
-        extras={
-            PIXELS: packed,
-            VIEW_SOURCES: view_sources.astype(np.int32),
-            DESCRIPTOR_SOURCES: view_sources[views.view_of[rows]].astype(np.int32),
-        },
+        T_map_camera=poses_from_rows(rows_from_poses(views.T_map_camera).astype(np.float32)),
+        observation_views=of_view.astype(np.int32),
+        observation_features=features.astype(np.int32),
+        observations=Observations(
+            pixels,
+            view_sources=view_sources.astype(np.int32),
+            descriptor_sources=view_sources[views.view_of[rows]].astype(np.int32),
+        ),
     )
 
 

@@ -132,7 +132,7 @@ def _refitted(map_: Map, degree: int) -> Map:
 
 
 def _most_seen(map_: Map) -> list[int]:
-    views = np.bincount(map_.view_features, minlength=len(map_))
+    views = np.bincount(map_.observation_features, minlength=len(map_))
     chosen: list[int] = np.argsort(-views, kind="stable")[:_SURFACES].tolist()
     return chosen
 

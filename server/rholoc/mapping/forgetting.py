@@ -5,8 +5,7 @@ from __future__ import annotations
 from rholoc.errors import Conflict, InvalidInput
 from rholoc.mapping.forms import as_learned, ray_form
 from rholoc.mapping.joining import without_source
-from rholoc.mapping.memory import check_memory
-from rholoc.maps import Map, MapInfo
+from rholoc.maps import Map, MapInfo, check_observations
 from rholoc.progress import ProgressListener, silent
 
 
@@ -18,7 +17,7 @@ def forget_recording(map_: Map, recording: str, progress: ProgressListener = sil
             that name; says which it did.
         Conflict: it learned nothing else.
     """
-    check_memory(map_, "The map")
+    check_observations(map_, "The map")
     row = _source_row(map_.info, recording)
     if len(map_.info.sources) == 1:
         raise Conflict(f"{recording} is all that the map was learned from.", "Delete the map instead.")

@@ -8,16 +8,12 @@ from typing import Any
 from rholoc.mapping.report import map_statistics
 from rholoc.mapping.tensor_fit import fit_map_tensors
 from rholoc.maps import DensityKind, Map
-from rholoc.maps.tensor_arrays import tensors_of
 from rholoc.progress import ProgressListener, silent
-
-_TENSORS = "tensor_"
 
 
 def ray_form(map_: Map) -> Map:
     """The map without its tensors: they are a function of what it remembers."""
-    extras = {name: array for name, array in map_.extras.items() if not name.startswith(_TENSORS)}
-    return replace(map_, info=replace(map_.info, density=DensityKind.RAY), extras=extras)
+    return replace(map_, info=replace(map_.info, density=DensityKind.RAY), fitted=None)
 
 
 def as_learned(before: Map, after: Map, figures: dict[str, Any], progress: ProgressListener = silent) -> Map:
@@ -29,6 +25,6 @@ def as_learned(before: Map, after: Map, figures: dict[str, Any], progress: Progr
     learned = [*before.info.report.get("learned", []), {"version": version, **figures}]
     report = before.info.report | map_statistics(after) | {"learned": learned}
     after = replace(after, info=replace(after.info, version=version, report=report))
-    if before.info.density is DensityKind.TENSOR:
-        after = fit_map_tensors(after, tensors_of(before)[0].degree, progress)
+    if before.fitted is not None:
+        after = fit_map_tensors(after, before.fitted.degree, progress)
     return after

@@ -12,15 +12,12 @@ import numpy as np
 
 from rholoc.geometry import IntArray
 from rholoc.mapping.memory import (
-    DESCRIPTOR_SOURCES,
-    PIXELS,
-    VIEW_SOURCES,
     keep_features,
-    observations_of,
+    observed_rays,
     solve_landmarks,
     with_landmarks,
 )
-from rholoc.maps import Map
+from rholoc.maps import Map, Observations, check_observations
 
 
 def join(a: Map, b: Map, same: IntArray) -> Map:
@@ -35,7 +32,7 @@ def join(a: Map, b: Map, same: IntArray) -> Map:
     joined = _joined(a, b, same)
     counted = np.zeros(len(joined), dtype=bool)
     counted[_numbers(a, same)] = True
-    _, _, determined = solve_landmarks(observations_of(joined), len(joined), counted)
+    _, _, determined = solve_landmarks(observed_rays(joined), len(joined), counted)
     spoiled = np.flatnonzero(counted & ~determined)
     disbelieved = np.isin(same, spoiled[spoiled < len(a)])
     if disbelieved.any():
@@ -50,12 +47,12 @@ def without_source(map_: Map, source: int) -> Map:
 
     Features that only it saw vanish.
     """
-    views = np.repeat(np.arange(len(map_.view_times)), np.diff(map_.view_offsets))
-    stays = map_.extras[VIEW_SOURCES] != source
-    seen, described = stays[views], map_.extras[DESCRIPTOR_SOURCES] != source
+    observations = check_observations(map_, "The map")
+    stays = observations.view_sources != source
+    seen, described = stays[map_.observation_views], observations.descriptor_sources != source
     number = np.cumsum(stays) - 1
     touched = np.zeros(len(map_), dtype=bool)
-    touched[map_.view_features[~seen]] = True
+    touched[map_.observation_features[~seen]] = True
 
     def renumbered(sources: IntArray) -> IntArray:
         return (sources - (sources > source)).astype(np.int32)
@@ -66,15 +63,14 @@ def without_source(map_: Map, source: int) -> Map:
         descriptors=map_.descriptors[described],
         descriptor_features=map_.descriptor_features[described],
         view_times=map_.view_times[stays],
-        view_poses=map_.view_poses[stays],
-        view_offsets=np.searchsorted(number[views[seen]], np.arange(int(stays.sum()) + 1)).astype(np.int32),
-        view_features=map_.view_features[seen],
-        extras=map_.extras
-        | {
-            PIXELS: map_.extras[PIXELS][seen],
-            VIEW_SOURCES: renumbered(map_.extras[VIEW_SOURCES][stays]),
-            DESCRIPTOR_SOURCES: renumbered(map_.extras[DESCRIPTOR_SOURCES][described]),
-        },
+        T_map_camera=map_.T_map_camera[stays],
+        observation_views=number[map_.observation_views[seen]].astype(np.int32),
+        observation_features=map_.observation_features[seen],
+        observations=Observations(
+            observations.pixels[seen],
+            renumbered(observations.view_sources[stays]),
+            renumbered(observations.descriptor_sources[described]),
+        ),
     )
     return with_landmarks(left, touched)
 
@@ -90,11 +86,8 @@ def _joined(a: Map, b: Map, same: IntArray) -> Map:
     numbers, new = _numbers(a, same), same < 0
     owners = np.concatenate([a.descriptor_features, numbers[b.descriptor_features]])
     order = np.argsort(owners, kind="stable")
-    shift = len(a.info.sources)
-
-    def both(name: str, added: int = 0) -> IntArray:
-        return np.concatenate([a.extras[name], b.extras[name] + np.asarray(added, dtype=b.extras[name].dtype)])
-
+    of_a, of_b = check_observations(a, "The map"), check_observations(b, "The map")
+    shift, views = np.int32(len(a.info.sources)), np.int32(len(a.view_times))
     return replace(
         a,
         info=replace(a.info, sources=a.info.sources + b.info.sources, waypoints=a.info.waypoints + b.info.waypoints),
@@ -104,12 +97,12 @@ def _joined(a: Map, b: Map, same: IntArray) -> Map:
         descriptors=np.concatenate([a.descriptors, b.descriptors])[order],
         descriptor_features=owners[order].astype(np.int32),
         view_times=np.concatenate([a.view_times, b.view_times]),
-        view_poses=np.concatenate([a.view_poses, b.view_poses]),
-        view_offsets=np.concatenate([a.view_offsets, a.view_offsets[-1] + b.view_offsets[1:]]),
-        view_features=np.concatenate([a.view_features, numbers[b.view_features].astype(np.int32)]),
-        extras={
-            PIXELS: both(PIXELS),
-            VIEW_SOURCES: both(VIEW_SOURCES, shift),
-            DESCRIPTOR_SOURCES: both(DESCRIPTOR_SOURCES, shift)[order],
-        },
+        T_map_camera=np.concatenate([a.T_map_camera, b.T_map_camera]),
+        observation_views=np.concatenate([a.observation_views, views + b.observation_views]),
+        observation_features=np.concatenate([a.observation_features, numbers[b.observation_features].astype(np.int32)]),
+        observations=Observations(
+            np.concatenate([of_a.pixels, of_b.pixels]),
+            np.concatenate([of_a.view_sources, of_b.view_sources + shift]),
+            np.concatenate([of_a.descriptor_sources, of_b.descriptor_sources + shift])[order],
+        ),
     )

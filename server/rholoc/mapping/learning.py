@@ -17,11 +17,11 @@ from rholoc.mapping.coaching import coach
 from rholoc.mapping.forms import as_learned, ray_form
 from rholoc.mapping.joining import join
 from rholoc.mapping.landmarks import Landmarks, extend_and_merge, select_stable, triangulate
-from rholoc.mapping.memory import check_memory, recording_id, source_camera
+from rholoc.mapping.memory import recording_id, source_camera
 from rholoc.mapping.observations import Views, link_observations
 from rholoc.mapping.registration import MIN_FOUND, SURE, Alignment, align_to_found, find_frames, without_jumps
 from rholoc.mapping.views import choose_views
-from rholoc.maps import Map, MapInfo
+from rholoc.maps import Map, MapInfo, check_observations
 from rholoc.progress import ProgressListener, Stage, silent
 from rholoc.recordings import Recording, look_through
 from rholoc.trajectory import PoseMethod, Scale, estimate_trajectory
@@ -74,7 +74,7 @@ def update_map(
         Cancelled: ``progress`` asked to stop.
     """
     options = options or UpdateOptions()
-    check_memory(map_, "The map")
+    check_observations(map_, "The map")
     id_ = recording_id(recording)
     if any(source["id"] == id_ for source in map_.info.sources):
         raise Conflict(f"The map has learned {recording.name} already.", "Forget it first, to learn it anew.")
@@ -223,16 +223,12 @@ def _seen_landmarks(known: Map, labels: IntArray, new: Landmarks) -> tuple[IntAr
     again, number = np.unique(labels[labels >= 0], return_inverse=True)
     together = np.where(new.labels >= 0, new.labels + len(again), -1)
     together[labels >= 0] = number
-    upper = np.triu_indices(3)
-    covariances = np.zeros((len(again), 3, 3))
-    covariances[:, upper[0], upper[1]] = known.covariances[again]
-    covariances[:, upper[1], upper[0]] = known.covariances[again]
     unknown = np.zeros((len(again), 3, 3))  # the sums are found anew when the maps are joined
     landmarks = Landmarks(
         np.concatenate([unknown, new.information]),
         np.concatenate([unknown[:, 0], new.eta]),
         together,
         np.concatenate([known.landmarks[again].astype(np.float64), new.positions]),
-        np.concatenate([covariances, new.covariances]),
+        np.concatenate([known.covariances[again].astype(np.float64), new.covariances]),
     )
     return np.concatenate([again, np.full(len(new), -1, dtype=np.int64)]), landmarks

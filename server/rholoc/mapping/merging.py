@@ -12,22 +12,14 @@ from scipy.sparse import coo_array
 from rholoc.errors import Conflict, InvalidInput
 from rholoc.features import FeatureSet
 from rholoc.features.matching import LIMITS
-from rholoc.geometry import Camera, IntArray
+from rholoc.geometry import Camera, IntArray, poses_from_rows, rows_from_poses
 from rholoc.localization import Localizer
 from rholoc.mapping.forms import as_learned, ray_form
 from rholoc.mapping.joining import join, without_source
 from rholoc.mapping.learning import alignment_figures
-from rholoc.mapping.memory import (
-    VIEW_SOURCES,
-    check_memory,
-    observations_of,
-    packed_poses,
-    view_cameras,
-    view_transforms,
-    with_landmarks,
-)
+from rholoc.mapping.memory import with_landmarks
 from rholoc.mapping.registration import SURE, align_to_found, find_frames
-from rholoc.maps import DensityKind, Map
+from rholoc.maps import DensityKind, Map, check_observations, source_cameras
 from rholoc.progress import ProgressListener, Stage, silent
 from rholoc.trajectory.alignment import Similarity
 
@@ -55,7 +47,7 @@ def merge_maps(a: Map, b: Map, progress: ProgressListener = silent) -> Map:
         raise Conflict("The first map has learned all that the second has.", "There is nothing to merge.")
     b = _without_shared(ray_form(b), shared)
     localizer = Localizer(ray_form(a), min_confidence=SURE)
-    frames, own = _frames(b), view_transforms(b)
+    frames, own = _frames(b), b.T_map_camera
     tried = np.unique(np.linspace(0, len(frames) - 1, _MAX_LOCALIZED).round().astype(np.int64))
     found = find_frames(localizer, frames, tried, "The second map", progress)
     alignment = align_to_found(own, found, a.info.metric and b.info.metric, "The second map")
@@ -80,7 +72,7 @@ def moved_map(map_: Map, similarity: Similarity) -> Map:
     """A map, of ``ray`` form, in another frame: Λ becomes R Λ Rᵀ, as its observations are turned with it."""
     moved = replace(
         map_,
-        view_poses=packed_poses(similarity.poses(view_transforms(map_))),
+        T_map_camera=poses_from_rows(rows_from_poses(similarity.poses(map_.T_map_camera)).astype(np.float32)),
         info=replace(
             map_.info,
             waypoints=tuple(
@@ -94,7 +86,7 @@ def moved_map(map_: Map, similarity: Similarity) -> Map:
 
 def _check_alike(a: Map, b: Map) -> None:
     for map_, which in ((a, "The first map"), (b, "The second map")):
-        check_memory(map_, which)
+        check_observations(map_, which)
         if map_.info.density is DensityKind.TENSOR:
             raise InvalidInput(
                 f"{which} has tensor densities, which cannot be merged.",
@@ -115,13 +107,13 @@ def _without_shared(map_: Map, shared: set[str]) -> Map:
 
 def _frames(map_: Map) -> list[tuple[Camera, FeatureSet]]:
     """What the map remembers of its views, as frames: the features seen, each with its first descriptor."""
-    observations = observations_of(map_)
+    observations = check_observations(map_, "The map")
     first = np.searchsorted(map_.descriptor_features, np.arange(len(map_)))
-    cameras = view_cameras(map_)
+    cameras = source_cameras(map_)
     frames = []
-    for k, source in enumerate(map_.extras[VIEW_SOURCES]):
+    for k, source in enumerate(observations.view_sources):
         rows = slice(int(map_.view_offsets[k]), int(map_.view_offsets[k + 1]))
-        features = observations.features[rows]
+        features = map_.observation_features[rows]
         unknown = np.zeros(len(features), dtype=np.float32)
         seen = FeatureSet(
             observations.pixels[rows].astype(np.float32),
@@ -137,12 +129,12 @@ def _frames(map_: Map) -> list[tuple[Camera, FeatureSet]]:
 def _same_features(localizer: Localizer, moved: Map, progress: ProgressListener) -> IntArray:
     """For each feature of the second map the one of the first that it is, or -1; by votes of the views."""
     index, metric = localizer.index, localizer.extractor.metric
-    frames, poses = _frames(moved), view_transforms(moved)
+    frames, poses = _frames(moved), moved.T_map_camera
     pairs = [np.zeros((0, 2), dtype=np.int64)]
     for k, (camera, features) in enumerate(frames):
         matches, _ = index.match_near(features, camera, poses[k], _RADIUS_PX)
         alike = index.distances_to(features, matches.detections, matches.landmarks) <= LIMITS[metric].strict
-        of_b = moved.view_features[moved.view_offsets[k] + matches.detections[alike]]
+        of_b = moved.observation_features[moved.view_offsets[k] + matches.detections[alike]]
         pairs.append(np.column_stack([of_b, matches.landmarks[alike]]))
         progress(Stage.OBSERVATIONS, (k + 1) / len(frames), f"{k + 1} of {len(frames)} views compared")
     voted = np.concatenate(pairs)

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from rholoc.mapping.memory import check_memory, observations_of, view_transforms
-from rholoc.maps import Map, ObservationTable
+from rholoc.maps import Map, ObservationTable, check_observations
 
 
 def observation_table(map_: Map, what: str = "The map") -> ObservationTable:
@@ -18,13 +17,13 @@ def observation_table(map_: Map, what: str = "The map") -> ObservationTable:
         InvalidInput: the map does not remember its observations.
         InvalidMap: its memory contradicts itself.
     """
-    check_memory(map_, what)
-    seen = observations_of(map_)
+    pixels = check_observations(map_, what).pixels
+    features, views = map_.observation_features, map_.observation_views
     first_descriptor = np.searchsorted(map_.descriptor_features, np.arange(len(map_)))
     return ObservationTable(
-        channels=map_.channels[seen.features],
-        descriptors=map_.descriptors[first_descriptor[seen.features]],
-        pixels=seen.pixels,
-        positions=seen.positions,
-        headings=view_transforms(map_)[seen.views, :3, 2],
+        channels=map_.channels[features],
+        descriptors=map_.descriptors[first_descriptor[features]],
+        pixels=pixels,
+        positions=map_.view_positions[views],
+        headings=map_.view_headings[views],
     )

@@ -48,12 +48,12 @@ def map_statistics(map_: Map) -> dict[str, Any]:
 
 def landmark_statistics(map_: Map) -> dict[str, Any]:
     """How many features, views and descriptors a map has, and how well its landmarks are determined."""
-    sigma_m = np.sqrt(map_.covariances[:, [0, 3, 5]].max(axis=1))
+    sigma_m = np.sqrt(np.diagonal(map_.covariances, axis1=1, axis2=2).max(axis=1))
     return {
         "features": len(map_),
         "descriptors": len(map_.descriptors),
-        "views": len(map_.view_poses),
-        "views_per_feature_median": float(np.median(np.bincount(map_.view_features, minlength=len(map_)))),
+        "views": len(map_.view_times),
+        "views_per_feature_median": float(np.median(np.bincount(map_.observation_features, minlength=len(map_)))),
         "landmark_sigma_median_m": float(np.median(sigma_m)),
         "landmark_sigma_p90_m": float(np.percentile(sigma_m, 90)),
         "features_per_view_median": float(np.median(np.diff(map_.view_offsets))),

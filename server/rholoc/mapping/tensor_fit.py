@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from rholoc.density.tensor import TensorDensities, fit_tensors
 from rholoc.geometry import FloatArray, IntArray
-from rholoc.maps import Map
-from rholoc.maps.tensor_arrays import with_tensors
+from rholoc.maps import DensityKind, Map
 from rholoc.progress import ProgressListener, Stage, silent
 
 DEFAULT_DEGREE = 2
@@ -29,10 +30,9 @@ def fit_map_tensors(map_: Map, degree: int = DEFAULT_DEGREE, progress: ProgressL
     the observations enter by the landmark, their intersection. Where the densities would be too many, each feature
     keeps that of its first place, and of the others those of the most views.
     """
-    views = np.repeat(np.arange(len(map_.view_poses)), np.diff(map_.view_offsets))
-    positions = map_.view_poses[views, :3].astype(np.float64)
-    order = np.argsort(map_.view_features, kind="stable")
-    bounds = np.searchsorted(map_.view_features[order], np.arange(len(map_) + 1))
+    positions = map_.view_positions[map_.observation_views]
+    order = np.argsort(map_.observation_features, kind="stable")
+    bounds = np.searchsorted(map_.observation_features[order], np.arange(len(map_) + 1))
     landmarks = map_.landmarks.astype(np.float64)
     features, places, radii, support = [], [], [], []
     for feature, landmark in enumerate(landmarks):
@@ -49,8 +49,9 @@ def fit_map_tensors(map_: Map, degree: int = DEFAULT_DEGREE, progress: ProgressL
     # fitted to what is stored, so that a map read back is the one that was fitted
     places_ = np.array(places).reshape(-1, 3)[kept].astype(np.float32).astype(np.float64)
     radii_ = np.array(radii)[kept].astype(np.float32).astype(np.float64)
-    densities = _fit(landmarks[owners], places_, radii_, degree, progress)
-    return with_tensors(map_, densities, owners)
+    coefficients = _fit(landmarks[owners], places_, radii_, degree, progress)
+    tensors = TensorDensities(degree, coefficients, owners, landmarks[owners], places_, radii_)
+    return replace(map_, info=replace(map_.info, density=DensityKind.TENSOR), fitted=tensors)
 
 
 def gather_places(landmark: FloatArray, seen_from: FloatArray) -> list[IntArray]:
@@ -86,11 +87,11 @@ def _place(landmark: FloatArray, positions: FloatArray) -> tuple[FloatArray, flo
 
 def _fit(
     landmarks: FloatArray, places: FloatArray, radii: FloatArray, degree: int, progress: ProgressListener
-) -> TensorDensities:
+) -> FloatArray:
     count = len(landmarks)
     parts = []
     for start in range(0, max(count, 1), _CHUNK):
         rows = slice(start, start + _CHUNK)
         parts.append(fit_tensors(landmarks[rows], places[rows], radii[rows], degree).coefficients)
         progress(Stage.DENSITIES, min(1.0, (start + _CHUNK) / max(count, 1)), f"{count} densities")
-    return TensorDensities(degree, np.concatenate(parts), landmarks, places, radii)
+    return np.concatenate(parts)

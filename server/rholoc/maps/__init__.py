@@ -7,6 +7,13 @@ from rholoc.maps.coverage import Coverage, coverage_of
 from rholoc.maps.export import landmark_sigmas, map_to_ply, map_to_vtp
 from rholoc.maps.library import MapLibrary, MapStat, check_map_name
 from rholoc.maps.map import DensityKind, Map, MapInfo
+from rholoc.maps.observations import (
+    Observations,
+    check_observations,
+    packed_pixels,
+    source_cameras,
+    unpacked_pixels,
+)
 from rholoc.maps.rho_file import load_map, map_to_bytes, save_map
 from rholoc.maps.scene import map_to_scene
 from rholoc.maps.surfaces import map_surfaces_vtp
@@ -31,9 +38,11 @@ __all__ = [
     "MapLibrary",
     "MapStat",
     "ObservationTable",
+    "Observations",
     "TrajectoryTable",
     "Trust",
     "check_map_name",
+    "check_observations",
     "coefficient_table",
     "coverage_of",
     "is_coefficient_table",
@@ -45,11 +54,14 @@ __all__ = [
     "map_to_scene",
     "map_to_vtp",
     "observations_csv",
+    "packed_pixels",
     "read_coefficient_table",
     "read_trajectory_csv",
     "save_map",
+    "source_cameras",
     "trajectory_csv",
     "trust_of",
+    "unpacked_pixels",
     "validate_map",
     "view_trajectory",
     "write_coefficient_table",

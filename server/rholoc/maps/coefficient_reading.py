@@ -6,7 +6,7 @@ import codecs
 import math
 import uuid
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -25,7 +25,7 @@ from rholoc.maps.coefficient_table import (
     table_columns,
 )
 from rholoc.maps.map import DensityKind, Map, MapInfo
-from rholoc.maps.tensor_arrays import with_tensors
+from rholoc.maps.rho_file import unpacked_covariances, unpacked_poses
 from rholoc.maps.validation import validate_map
 
 _HINT = "Export the map again, or take another copy."
@@ -233,23 +233,23 @@ def _assemble(name: str, header: _Header, shared: list[str], features: dict[int,
     length = get_extractor(info.features).descriptor_bytes
     if any(len(descriptor) != length for feature in ordered for descriptor in feature.descriptors):
         raise InvalidMap(f"{name} has descriptors that are not {info.features}'s, of {length} bytes.", _HINT)
-    times, poses, offsets, seen = _views(name, [feature.texts[-1] for feature in ordered])
+    times, poses, views, seen = _views(name, [feature.texts[-1] for feature in ordered])
     map_ = Map(
         info=info,
         channels=np.array([feature.channel for feature in ordered], dtype=np.uint8),
         landmarks=np.array([feature.landmark for feature in ordered], dtype=np.float32),
-        covariances=np.array([feature.covariance for feature in ordered], dtype=np.float32),
+        covariances=unpacked_covariances(np.reshape([feature.covariance for feature in ordered], (-1, 6))),
         descriptors=np.frombuffer(b"".join(b"".join(f.descriptors) for f in ordered), np.uint8).reshape(-1, length),
         descriptor_features=np.repeat(np.arange(len(ordered)), [len(f.descriptors) for f in ordered]).astype(np.int32),
         view_times=times,
-        view_poses=poses,
-        view_offsets=offsets,
-        view_features=seen,
+        T_map_camera=unpacked_poses(poses),
+        observation_views=views,
+        observation_features=seen,
     )
+    if header.kind is DensityKind.TENSOR:
+        map_ = _with_densities(name, map_, header.degree, ordered)
     validate_map(map_)
-    if header.kind is DensityKind.RAY:
-        return map_
-    return _with_densities(name, map_, header.degree, ordered)
+    return map_
 
 
 def _with_densities(name: str, map_: Map, degree: int, ordered: list[_Feature]) -> Map:
@@ -263,7 +263,9 @@ def _with_densities(name: str, map_: Map, degree: int, ordered: list[_Feature]) 
     landmarks = map_.landmarks[owners].astype(np.float64)
     if not np.all(np.linalg.norm(landmarks - domain[:, :3], axis=1) > 0):
         raise InvalidMap(f"{name} has a place that is its landmark.", _HINT)
-    return with_tensors(map_, TensorDensities(degree, coefficients, landmarks, domain[:, :3], domain[:, 3]), owners)
+    domain = domain.astype(np.float32).astype(np.float64)
+    tensors = TensorDensities(degree, coefficients, owners, landmarks, domain[:, :3], domain[:, 3])
+    return replace(map_, fitted=tensors)
 
 
 def _info(name: str, kind: DensityKind, shared: list[str]) -> MapInfo:
@@ -293,7 +295,7 @@ def _info(name: str, kind: DensityKind, shared: list[str]) -> MapInfo:
 
 
 def _views(name: str, seen_from: list[str]) -> tuple[FloatArray, FloatArray, IntArray, IntArray]:
-    """Times (K,), poses (K, 7), offsets (K + 1,) and features (V,) of the views that the features were seen in."""
+    """Times (K,) and poses (K, 7) of the views, and the view (V,) and feature (V,) of each observation."""
     known: dict[str, int] = {}
     saw: dict[int, list[int]] = {}
     for feature, text in enumerate(seen_from):
@@ -313,9 +315,9 @@ def _views(name: str, seen_from: list[str]) -> tuple[FloatArray, FloatArray, Int
         values.append(numbers)
     table = np.array(values).reshape(-1, VIEW_NUMBERS)
     lists = [saw[number] for number in sorted(saw)]
-    offsets = np.cumsum([0, *map(len, lists)]).astype(np.int32)
+    views = np.repeat(np.arange(len(lists)), [len(features) for features in lists]).astype(np.int32)
     every = np.array([feature for features in lists for feature in features], dtype=np.int32)
-    return table[:, 0].copy(), table[:, 1:].astype(np.float32), offsets, every
+    return table[:, 0].copy(), table[:, 1:].astype(np.float32), views, every
 
 
 def _without(names: list[str], others: list[str]) -> list[str]:

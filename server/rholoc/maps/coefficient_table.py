@@ -20,11 +20,10 @@ from rholoc.density.polynomial import tensor_powers
 from rholoc.density.ray import ray_coefficients
 from rholoc.density.tensor import TARGET_RADIUS, VARIABLES
 from rholoc.errors import InvalidMap
-from rholoc.geometry import Camera, FloatArray, IntArray
+from rholoc.geometry import Camera, FloatArray, IntArray, rows_from_poses
 from rholoc.maps.files import replace_file
 from rholoc.maps.map import DensityKind, Map
 from rholoc.maps.tables import descriptor_hex
-from rholoc.maps.tensor_arrays import tensors_of
 from rholoc.maps.validation import validate_map
 
 RAY_VARIABLES = ("bx", "by", "bz", "x", "y", "z")
@@ -85,7 +84,7 @@ def coefficient_table(map_: Map) -> Iterator[str]:
     Raises:
         InvalidMap: the map's densities contradict each other, or a feature has no descriptor or density.
     """
-    tensors = tensors_of(map_)[0] if map_.info.density is DensityKind.TENSOR else None
+    tensors = map_.fitted
     densities = _density_rows(map_)
     pairs = _pairs(map_, densities.features)
     yield ",".join(table_columns(densities.kind, densities.degree)) + "\n"
@@ -112,7 +111,7 @@ def coefficient_table(map_: Map) -> Iterator[str]:
                 str(feature),
                 _numbers(densities.domain[density]),
                 _numbers(map_.landmarks[feature]),
-                _numbers(map_.covariances[feature]),
+                _numbers(map_.covariances[feature][np.triu_indices(3)]),
                 map_values,
                 seen_from[feature],
                 f"{row + 1}/{len(pairs)}\n",
@@ -127,21 +126,20 @@ def camera_text(camera: Camera) -> str:
 
 
 def _density_rows(map_: Map) -> DensityRows:
-    if map_.info.density is DensityKind.TENSOR:
-        tensors, features = tensors_of(map_)
-        domain = np.column_stack([tensors.places, tensors.radii]).astype(np.float32)
-        return DensityRows(DensityKind.TENSOR, tensors.degree, features, domain)
+    if map_.fitted is not None:
+        domain = np.column_stack([map_.fitted.places, map_.fitted.radii]).astype(np.float32)
+        return DensityRows(DensityKind.TENSOR, map_.fitted.degree, map_.fitted.features, domain)
     return DensityRows(DensityKind.RAY, RAY_DEGREE, np.arange(len(map_)), _tolerances(map_)[:, None])
 
 
 def _tolerances(map_: Map) -> FloatArray:
     """r (F,) float32 of the ``ray`` densities: 60 px, as ``tensor``'s, at the mean distance a feature was seen from."""
-    views = np.repeat(np.arange(len(map_.view_poses)), np.diff(map_.view_offsets))
-    away = np.linalg.norm(map_.view_poses[views, :3] - map_.landmarks[map_.view_features], axis=1)
-    count = np.bincount(map_.view_features, minlength=len(map_))
-    total = np.bincount(map_.view_features, weights=away, minlength=len(map_))
+    seen = map_.observation_features
+    away = np.linalg.norm(map_.view_positions[map_.observation_views] - map_.landmarks[seen], axis=1)
+    count = np.bincount(seen, minlength=len(map_))
+    total = np.bincount(seen, weights=away, minlength=len(map_))
     distance = np.where(count > 0, total / np.maximum(count, 1), 1.0)
-    variance = map_.covariances[:, [0, 3, 5]].astype(np.float64).mean(axis=1)
+    variance = np.trace(map_.covariances.astype(np.float64), axis1=1, axis2=2) / 3
     return np.asarray(np.sqrt((TARGET_RADIUS * distance) ** 2 + variance), dtype=np.float32)
 
 
@@ -165,14 +163,14 @@ def _pairs(map_: Map, density_features: IntArray) -> list[tuple[int, int, int]]:
 
 def _seen_from(map_: Map) -> list[str]:
     """The views of each feature: number, time, position and quaternion, blanks between, semicolons between views."""
+    poses = rows_from_poses(map_.T_map_camera).astype(np.float32)
     views = [
         f"{k} {float(time)!r} {' '.join(_each(pose))}"
-        for k, (time, pose) in enumerate(zip(map_.view_times, map_.view_poses, strict=True))
+        for k, (time, pose) in enumerate(zip(map_.view_times, poses, strict=True))
     ]
     seen: list[list[str]] = [[] for _ in range(len(map_))]
-    for k, view in enumerate(views):
-        for feature in map_.view_features[map_.view_offsets[k] : map_.view_offsets[k + 1]].tolist():
-            seen[feature].append(view)
+    for view, feature in zip(map_.observation_views.tolist(), map_.observation_features.tolist(), strict=True):
+        seen[feature].append(views[view])
     return [";".join(of_feature) for of_feature in seen]
 
 

@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 from scipy.spatial import cKDTree
-from scipy.spatial.transform import Rotation
 
 from rholoc.density.presence import Presence
 from rholoc.geometry import BoolArray, Camera, FloatArray, IntArray
@@ -90,8 +89,7 @@ def coverage_of(map_: Map) -> Coverage:
     The plane is horizontal where the map is upright, else across the views' mean up. The step is 0.25 m, more where
     that would make more than 250 positions; in maps of arbitrary scale a metre follows from the landmarks' distance.
     """
-    positions = map_.view_poses[:, :3].astype(np.float64)
-    rotations = _rotations(map_)
+    positions, rotations = map_.view_positions, map_.T_map_camera[:, :3, :3]
     up, axes = _plane(rotations, map_.info.upright)
     height, pitch = _height_and_pitch(positions, rotations, up)
     origin, step_m, cells = _grid(positions @ axes.T, _metre(map_, positions))
@@ -109,12 +107,6 @@ def coverage_of(map_: Map) -> Coverage:
     if len(map_):
         _count(map_, coverage)
     return coverage
-
-
-def _rotations(map_: Map) -> FloatArray:
-    if len(map_.view_poses) == 0:
-        return np.zeros((0, 3, 3))
-    return np.asarray(Rotation.from_quat(map_.view_poses[:, 3:].astype(np.float64)).as_matrix())
 
 
 def _plane(rotations: FloatArray, upright: bool) -> tuple[FloatArray, FloatArray]:
@@ -140,10 +132,10 @@ def _height_and_pitch(positions: FloatArray, rotations: FloatArray, up: FloatArr
 
 def _metre(map_: Map, positions: FloatArray) -> float:
     """The length of a metre in the map's unit."""
-    if map_.info.metric or len(map_.view_features) == 0:
+    if map_.info.metric or len(map_.observation_features) == 0:
         return 1.0
-    views = np.repeat(np.arange(len(positions)), np.diff(map_.view_offsets))
-    distances = np.linalg.norm(map_.landmarks[map_.view_features] - positions[views], axis=1)
+    seen_from = positions[map_.observation_views]
+    distances = np.linalg.norm(map_.landmarks[map_.observation_features] - seen_from, axis=1)
     return max(float(np.median(distances)) / _DEPTH_OF_A_ROOM_M, 1e-9)
 
 
@@ -167,10 +159,8 @@ def _grid(places: FloatArray, metre: float) -> tuple[FloatArray, float, IntArray
 
 def _count(map_: Map, coverage: Coverage) -> None:
     """Fill in the counts."""
-    views = np.repeat(np.arange(len(map_.view_poses)), np.diff(map_.view_offsets))
     landmarks = map_.landmarks.astype(np.float64)
-    seen_from = map_.view_poses[views, :3].astype(np.float64)
-    presence = Presence.of(landmarks, seen_from, map_.view_features)
+    presence = Presence.of(landmarks, map_.view_positions[map_.observation_views], map_.observation_features)
     R_camera_map = _upright_cameras(coverage)
     field = _field_of_view(map_.info.camera)
     for cell, position in enumerate(coverage.positions):

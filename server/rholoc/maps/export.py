@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from rholoc.geometry import FloatArray, IntArray
 from rholoc.maps.map import Map
@@ -13,14 +12,7 @@ from rholoc.maps.map import Map
 
 def landmark_sigmas(map_: Map) -> FloatArray:
     """(F,) metres: the root mean variance of each landmark over the three axes, √(tr Σ / 3)."""
-    return np.asarray(np.sqrt(map_.covariances[:, [0, 3, 5]].astype(np.float64).mean(axis=1)))
-
-
-def view_headings(map_: Map) -> FloatArray:
-    """(K, 3), the optical axes of the views in the map frame."""
-    if len(map_.view_poses) == 0:
-        return np.zeros((0, 3))
-    return np.asarray(Rotation.from_quat(map_.view_poses[:, 3:].astype(np.float64)).as_matrix()[:, :, 2])
+    return np.asarray(np.sqrt(np.trace(map_.covariances.astype(np.float64), axis1=1, axis2=2) / 3))
 
 
 def map_to_ply(map_: Map) -> bytes:
@@ -29,7 +21,7 @@ def map_to_ply(map_: Map) -> bytes:
     Vertex properties: ``x y z`` in metres, ``sigma_m`` (0 for views), ``channel`` (255 for views), and the heading
     ``nx ny nz`` (0 for landmarks).
     """
-    features, views = len(map_), len(map_.view_poses)
+    features, views = len(map_), len(map_.view_times)
     edges = max(views - 1, 0)
     header = [
         "ply",
@@ -47,7 +39,7 @@ def map_to_ply(map_: Map) -> bytes:
     text = io.StringIO()
     text.write("\n".join(header) + "\n")
     landmarks = np.column_stack([map_.landmarks, np.zeros((features, 3)), landmark_sigmas(map_), map_.channels])
-    path = np.column_stack([map_.view_poses[:, :3], view_headings(map_), np.zeros(views), np.full(views, 255)])
+    path = np.column_stack([map_.view_positions, map_.view_headings, np.zeros(views), np.full(views, 255)])
     np.savetxt(text, np.vstack([landmarks, path]), fmt=["%.5f"] * 7 + ["%d"])
     np.savetxt(text, features + np.column_stack([np.arange(edges), np.arange(1, edges + 1)]), fmt="%d")
     return text.getvalue().encode("ascii")
@@ -58,7 +50,7 @@ def map_to_vtp(map_: Map) -> bytes:
 
     Point data of both: ``sigma_m``, ``channel`` and ``heading``, as in :func:`map_to_ply`.
     """
-    features, views = len(map_), len(map_.view_poses)
+    features, views = len(map_), len(map_.view_times)
     landmarks = _piece(
         map_.landmarks,
         landmark_sigmas(map_),
@@ -68,10 +60,10 @@ def map_to_vtp(map_: Map) -> bytes:
         "Verts",
     )
     path = _piece(
-        map_.view_poses[:, :3],
+        map_.view_positions,
         np.zeros(views),
         np.full(views, 255),
-        view_headings(map_),
+        map_.view_headings,
         np.arange(views)[None] if views > 1 else np.zeros((0, 0), int),
         "Lines",
     )

@@ -1,12 +1,17 @@
-"""The map: features with what their densities are made of, and the views they were seen from."""
+"""The map: features with their densities, and the views they were seen from."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 from enum import StrEnum
+from functools import cached_property
 from typing import Any
 
+import numpy as np
+
+from rholoc.density.tensor import TensorDensities
 from rholoc.geometry import ByteArray, Camera, FloatArray, IntArray
+from rholoc.maps.observations import Observations
 
 
 class DensityKind(StrEnum):
@@ -49,25 +54,24 @@ class MapInfo:
 
 @dataclass(frozen=True, eq=False)
 class Map:
-    """F features seen in K views (keyframes).
+    """F features seen in K views (keyframes), V observations in all.
 
     A feature's landmark is m = Λ⁻¹ η, of the information sums Λ = Σ w (I − b bᵀ) and η = Σ w (I − b bᵀ) x over its
-    observations (DESIGN, section 3). A feature has one or more descriptors. Which feature was seen in which view is
-    kept as a compressed sparse list: view k saw ``view_features[view_offsets[k] : view_offsets[k + 1]]``.
+    observations (:mod:`rholoc.density.ray`). A feature has one or more descriptors.
 
     Attributes:
         info: the map's description.
         channels: (F,) uint8, the channel of each feature.
         landmarks: (F, 3) float32, metres, map frame.
-        covariances: (F, 6) float32, m²: xx, xy, xz, yy, yz, zz of each landmark.
+        covariances: (F, 3, 3) float32, m², of each landmark.
         descriptors: (D, B) uint8, sorted by feature.
         descriptor_features: (D,) int32, the feature that each descriptor belongs to.
         view_times: (K,) float64, seconds.
-        view_poses: (K, 7) float32, x, y, z in metres and the quaternion x, y, z, w of R_map_camera.
-        view_offsets: (K + 1,) int32.
-        view_features: (V,) int32.
-        extras: further arrays by name that a density's form needs (``tensor``'s coefficients) or that learning
-            goes on with (information sums); written and read back as they are.
+        T_map_camera: (K, 4, 4) float64, the poses of the views.
+        observation_views: (V,) int32, the view of each observation, never falling.
+        observation_features: (V,) int32, the feature that it is of.
+        observations: what else learning needs of each observation; None where the map does not keep it.
+        fitted: densities that are more than a function of the landmarks (``tensor``), or None (``ray``).
     """
 
     info: MapInfo
@@ -77,10 +81,26 @@ class Map:
     descriptors: ByteArray
     descriptor_features: IntArray
     view_times: FloatArray
-    view_poses: FloatArray
-    view_offsets: IntArray
-    view_features: IntArray
-    extras: dict[str, Any] = field(default_factory=dict)
+    T_map_camera: FloatArray
+    observation_views: IntArray
+    observation_features: IntArray
+    observations: Observations | None = None
+    fitted: TensorDensities | None = None
 
     def __len__(self) -> int:
         return len(self.landmarks)
+
+    @cached_property
+    def view_offsets(self) -> IntArray:
+        """(K + 1,) int32: the observations of view k are rows view_offsets[k] : view_offsets[k + 1]."""
+        return np.searchsorted(self.observation_views, np.arange(len(self.view_times) + 1)).astype(np.int32)
+
+    @property
+    def view_positions(self) -> FloatArray:
+        """(K, 3) metres, where the cameras of the views were."""
+        return self.T_map_camera[:, :3, 3]
+
+    @property
+    def view_headings(self) -> FloatArray:
+        """(K, 3) unit vectors, their optical axes."""
+        return self.T_map_camera[:, :3, 2]

@@ -14,7 +14,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-from rholoc.maps.export import landmark_sigmas, view_headings
+from rholoc.maps.export import landmark_sigmas
 from rholoc.maps.map import Map
 
 _INK = "#22303c"
@@ -76,10 +76,10 @@ def _plot_colour_scale(figure: Figure, axes: Axes, shown: PathCollection, unit: 
 
 
 def _plot_path(axes: Axes, map_: Map) -> None:
-    if len(map_.view_poses) == 0:
+    if len(map_.view_times) == 0:
         return
-    x, y = map_.view_poses[:, 0], map_.view_poses[:, 1]
-    hx, hy = view_headings(map_)[:, :2].T
+    x, y = map_.view_positions[:, :2].T
+    hx, hy = map_.view_headings[:, :2].T
     axes.plot(x, y, color=_INK, linewidth=1.2, zorder=3)
     axes.quiver(x, y, hx, hy, color=_INK, angles="xy", scale=28, width=0.002, headwidth=4, zorder=3)
     axes.plot(x[0], y[0], marker="o", markersize=6, color=_INK, markerfacecolor="white", zorder=4)
@@ -103,11 +103,11 @@ def _plot_waypoints(axes: Axes, map_: Map) -> None:
 
 def _frame(axes: Axes, map_: Map) -> None:
     """Equal axes around what matters, without a box, with a scale bar."""
-    ground = np.vstack([map_.landmarks[:, :2], map_.view_poses[:, :2], np.zeros((1, 2))])
+    ground = np.vstack([map_.landmarks[:, :2], map_.view_positions[:, :2], np.zeros((1, 2))])
     low, high = np.percentile(ground, _VISIBLE_SHARE, axis=0)
-    if len(map_.view_poses):
-        low = np.minimum(low, map_.view_poses[:, :2].min(axis=0))
-        high = np.maximum(high, map_.view_poses[:, :2].max(axis=0))
+    if len(map_.view_times):
+        low = np.minimum(low, map_.view_positions[:, :2].min(axis=0))
+        high = np.maximum(high, map_.view_positions[:, :2].max(axis=0))
     margin = _MARGIN * max(float((high - low).max()), 1.0)
     axes.set_xlim(low[0] - margin, high[0] + margin)
     axes.set_ylim(low[1] - 2 * margin, high[1] + margin)
@@ -129,7 +129,7 @@ def _caption(map_: Map) -> str:
     """One line on the map."""
     parts = [
         f"{len(map_)} landmarks",
-        f"{len(map_.view_poses)} views",
+        f"{len(map_.view_times)} views",
         f"{map_.info.features}, {map_.info.density.value}",
     ]
     if len(map_):

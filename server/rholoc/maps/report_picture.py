@@ -23,7 +23,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter, PercentF
 
 from rholoc.geometry import FloatArray
 from rholoc.maps.coverage import SUFFICIENT, Coverage, coverage_of
-from rholoc.maps.export import landmark_sigmas, view_headings
+from rholoc.maps.export import landmark_sigmas
 from rholoc.maps.map import Map
 
 _GREEN = "#1a7f5a"
@@ -86,7 +86,7 @@ def _held_out(report: dict[str, Any]) -> _HeldOut | None:
 def _plot_coverage(figure: Figure, axes: Axes, map_: Map, coverage: Coverage) -> None:
     colours: Colormap = ListedColormap(_COLOURS)
     norm = BoundaryNorm(_LEVELS, colours.N)
-    landmarks, places = map_.landmarks @ coverage.axes.T, map_.view_poses[:, :3] @ coverage.axes.T
+    landmarks, places = map_.landmarks @ coverage.axes.T, map_.view_positions @ coverage.axes.T
     axes.scatter(landmarks[:, 0], landmarks[:, 1], s=2.0, color=_MUTED, alpha=0.35, linewidths=0, zorder=1)
     axes.add_collection(
         PolyCollection(
@@ -99,7 +99,7 @@ def _plot_coverage(figure: Figure, axes: Axes, map_: Map, coverage: Coverage) ->
             zorder=2,
         )
     )
-    _plot_path(axes, places, view_headings(map_) @ coverage.axes.T)
+    _plot_path(axes, places, map_.view_headings @ coverage.axes.T)
     _plot_waypoints(axes, map_, coverage)
     _frame(axes, coverage, places, "m" if map_.info.metric else "units")
     axes.set_title(_caption(map_, coverage), loc="left", fontsize=9, linespacing=1.5, color=_MUTED)
@@ -179,7 +179,7 @@ def _caption(map_: Map, coverage: Coverage) -> str:
     scale = "" if info.metric else " · scale arbitrary"
     upright = "" if info.upright else " · not upright"
     return (
-        f"{len(map_)} landmarks · {len(map_.view_poses)} views · {info.features}, {info.density.value}"
+        f"{len(map_)} landmarks · {len(map_.view_times)} views · {info.features}, {info.density.value}"
         f"{scale}{upright}\n"
         f"{summary['share_sufficient']:.0%} of positions and headings see {SUFFICIENT} landmarks or more (green); "
         f"{coverage.step_m:.2g} {unit} grid, camera {coverage.pitch_deg:+.0f}°"
@@ -268,7 +268,7 @@ def _plot_views_per_landmark(axes: Axes, map_: Map) -> None:
     if len(map_) == 0:
         _say(axes, "no landmarks")
         return
-    views = np.bincount(map_.view_features, minlength=len(map_))
+    views = np.bincount(map_.observation_features, minlength=len(map_))
     last = int(np.ceil(np.percentile(views, _HIDDEN_SHARE[1]))) + 1
     width = -(-last // 40)
     axes.hist(views, bins=(np.arange(1, last + width + 1, width) - 0.5).tolist(), color=_GREEN, alpha=0.75)

@@ -1,34 +1,66 @@
-"""``.rho``: the native map file, a safetensors file with the arrays of :class:`rholoc.maps.Map`.
+"""``.rho``: the native map file, a safetensors file with the arrays of :class:`rholoc.maps.Map`, packed.
 
 Its metadata holds ``format``, ``format_version``, ``info`` (JSON) and ``checksum``: BLAKE2b over the info and all
-arrays. There is no code in it, and nothing is unpickled.
+arrays. There is no code in it, and nothing is unpickled. maps/README.md describes every array.
 """
 
 from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
+from rholoc.density.tensor import DEGREES, TensorDensities
 from rholoc.errors import InvalidMap, UnknownMap
+from rholoc.geometry import FloatArray, IntArray, poses_from_rows, rows_from_poses
 from rholoc.maps.files import replace_file
 from rholoc.maps.info_json import info_from_json, info_to_json
-from rholoc.maps.map import Map
-from rholoc.maps.validation import ARRAY_NAMES, validate_map
+from rholoc.maps.map import DensityKind, Map, MapInfo
+from rholoc.maps.observations import Observations, packed_pixels, source_cameras, unpacked_pixels
+from rholoc.maps.validation import validate_map
 
 SUFFIX = ".rho"
 FORMAT = "rholoc-map"
 FORMAT_VERSION = 1
 
-_EXTRAS = "extras/"
 _CHECKSUM_BYTES = 16
-_EXTRA_KINDS = "biuf"  # bool, integers, floats
 _HINT = "Take another copy, or build the map again."
+_UPPER = np.triu_indices(3)
+_UNIT_TOLERANCE = 1e-3  # of a stored quaternion's length
+
+# name: kind of number, and the shape's known part; None is any length
+_ARRAYS: dict[str, tuple[str, tuple[int | None, ...]]] = {
+    "channels": ("u1", (None,)),
+    "landmarks": ("f4", (None, 3)),
+    "covariances": ("f4", (None, 6)),  # xx, xy, xz, yy, yz, zz
+    "descriptors": ("u1", (None, None)),
+    "descriptor_features": ("i4", (None,)),
+    "view_times": ("f8", (None,)),
+    "view_poses": ("f4", (None, 7)),  # x, y, z and the quaternion x, y, z, w
+    "view_offsets": ("i4", (None,)),
+    "view_features": ("i4", (None,)),
+}
+_OBSERVATIONS: dict[str, tuple[str, tuple[int | None, ...]]] = {
+    "extras/observation_pixels": ("u2", (None, 2)),
+    "extras/view_sources": ("i4", (None,)),
+    "extras/descriptor_sources": ("i4", (None,)),
+}
+_TENSORS: dict[str, tuple[str, tuple[int | None, ...]]] = {
+    "extras/tensor_degree": ("i4", ()),
+    "extras/tensor_coefficients": ("f4", (None, None, None, None)),
+    "extras/tensor_features": ("i4", (None,)),
+    "extras/tensor_places": ("f4", (None, 3)),
+    "extras/tensor_radii": ("f4", (None,)),
+}
+
+Arrays = dict[str, NDArray[Any]]
 
 
 def save_map(map_: Map, path: Path) -> None:
@@ -49,8 +81,7 @@ def map_to_bytes(map_: Map) -> bytes:
         InvalidMap: the map's arrays contradict each other.
     """
     validate_map(map_)
-    arrays = {name: _storable(name, getattr(map_, name)) for name in ARRAY_NAMES}
-    arrays |= {_EXTRAS + name: _storable(name, array) for name, array in map_.extras.items()}
+    arrays = _packed(map_)
     info = info_to_json(map_.info)
     metadata = {
         "format": FORMAT,
@@ -85,15 +116,11 @@ def load_map(path: Path, called: str | None = None) -> Map:
     info = metadata.get("info", "")
     if metadata.get("checksum") != _checksum(info, arrays):
         raise InvalidMap(f"{called} is corrupt: its checksum does not match its content.", _HINT)
-    missing = [name for name in ARRAY_NAMES if name not in arrays]
-    if missing:
-        raise InvalidMap(f"{called} has no {', '.join(missing)}.", _HINT)
-    map_ = Map(
-        info=info_from_json(info),
-        **{name: arrays[name] for name in ARRAY_NAMES},
-        extras={name.removeprefix(_EXTRAS): array for name, array in arrays.items() if name.startswith(_EXTRAS)},
-    )
-    validate_map(map_)
+    try:
+        map_ = _unpacked(info_from_json(info), arrays)
+        validate_map(map_)
+    except InvalidMap as error:
+        raise InvalidMap(f"{called}: {error.message}", error.hint or _HINT) from error
     return map_
 
 
@@ -107,15 +134,150 @@ def _check_format(called: str, metadata: Mapping[str, str]) -> None:
         )
 
 
-def _storable(name: str, array: Any) -> np.ndarray[Any, np.dtype[Any]]:
-    """The array in C order and little-endian, which is how safetensors takes it to be."""
-    array = np.asarray(array)
-    if array.dtype.kind not in _EXTRA_KINDS or array.dtype.itemsize > 8:
-        raise InvalidMap(f"The array {name} is of {array.dtype}, which a map file cannot hold.")
-    return np.asarray(array, dtype=array.dtype.newbyteorder("<"), order="C")
+def _packed(map_: Map) -> Arrays:
+    """The arrays of a map's file, in C order and little-endian, which is how safetensors takes them to be."""
+    arrays: dict[str, Any] = {
+        "channels": map_.channels,
+        "landmarks": map_.landmarks,
+        "covariances": map_.covariances[:, _UPPER[0], _UPPER[1]],
+        "descriptors": map_.descriptors,
+        "descriptor_features": map_.descriptor_features,
+        "view_times": map_.view_times,
+        "view_poses": rows_from_poses(map_.T_map_camera),
+        "view_offsets": map_.view_offsets,
+        "view_features": map_.observation_features,
+    }
+    if map_.observations is not None:
+        arrays |= {
+            "extras/observation_pixels": _packed_pixels(map_, map_.observations),
+            "extras/view_sources": map_.observations.view_sources,
+            "extras/descriptor_sources": map_.observations.descriptor_sources,
+        }
+    if map_.fitted is not None:
+        arrays |= {
+            "extras/tensor_degree": map_.fitted.degree,
+            "extras/tensor_coefficients": map_.fitted.coefficients,
+            "extras/tensor_features": map_.fitted.features,
+            "extras/tensor_places": map_.fitted.places,
+            "extras/tensor_radii": map_.fitted.radii,
+        }
+    kinds = _ARRAYS | _OBSERVATIONS | _TENSORS
+    return {name: np.asarray(array, dtype=f"<{kinds[name][0]}", order="C") for name, array in arrays.items()}
 
 
-def _checksum(info: str, arrays: Mapping[str, np.ndarray[Any, np.dtype[Any]]]) -> str:
+def _unpacked(info: MapInfo, arrays: Arrays) -> Map:
+    """The map of a file's arrays; arrays that are not known are left out.
+
+    Raises:
+        InvalidMap: one is missing, of another type or shape, or contradicts another in length.
+    """
+    _check_arrays(arrays, _ARRAYS)
+    map_ = Map(
+        info=info,
+        channels=arrays["channels"],
+        landmarks=arrays["landmarks"],
+        covariances=unpacked_covariances(arrays["covariances"]),
+        descriptors=arrays["descriptors"],
+        descriptor_features=arrays["descriptor_features"],
+        view_times=arrays["view_times"],
+        T_map_camera=unpacked_poses(arrays["view_poses"]),
+        observation_views=_views_of(arrays["view_offsets"], len(arrays["view_times"]), len(arrays["view_features"])),
+        observation_features=arrays["view_features"],
+        fitted=_unpacked_tensors(arrays) if info.density is DensityKind.TENSOR else None,
+        observations=None,
+    )
+    if not _OBSERVATIONS.keys() <= arrays.keys():
+        return map_
+    _check_arrays(arrays, _OBSERVATIONS)
+    return replace(map_, observations=_unpacked_observations(map_, arrays))
+
+
+def unpacked_covariances(rows: FloatArray) -> FloatArray:
+    """Rows (F, 6) of xx, xy, xz, yy, yz, zz → covariances (F, 3, 3) float32."""
+    covariances = np.zeros((len(rows), 3, 3), dtype=np.float32)
+    covariances[:, _UPPER[0], _UPPER[1]] = rows
+    covariances[:, _UPPER[1], _UPPER[0]] = rows
+    return covariances
+
+
+def unpacked_poses(rows: FloatArray) -> FloatArray:
+    """Rows (K, 7) of positions and quaternions → T_map_camera (K, 4, 4).
+
+    Raises:
+        InvalidMap: a number is not finite, or a quaternion not of unit length.
+    """
+    if not np.isfinite(rows).all():
+        raise InvalidMap("The map contradicts itself: view_poses has values that are not finite.", _HINT)
+    if not np.all(np.abs(np.linalg.norm(rows[:, 3:], axis=1) - 1) <= _UNIT_TOLERANCE):
+        raise InvalidMap("The map contradicts itself: a view's quaternion is not of unit length.", _HINT)
+    return poses_from_rows(rows)
+
+
+def _views_of(offsets: IntArray, views: int, observations: int) -> IntArray:
+    """The view (V,) of each observation, from the offsets (K + 1,) of the views' lists."""
+    parts = np.diff(offsets)
+    if not (len(offsets) == views + 1 and offsets[0] == 0 and offsets[-1] == observations and np.all(parts >= 0)):
+        raise InvalidMap("The map contradicts itself: the views' lists of features are broken.", _HINT)
+    return np.repeat(np.arange(views, dtype=np.int32), parts)
+
+
+def _packed_pixels(map_: Map, observations: Observations) -> IntArray:
+    packed = np.zeros(observations.pixels.shape, dtype=np.uint16)
+    sources = observations.view_sources[map_.observation_views]
+    for source, camera in enumerate(source_cameras(map_)):
+        rows = np.flatnonzero(sources == source)
+        packed[rows] = packed_pixels(observations.pixels[rows], camera)
+    return packed
+
+
+def _unpacked_observations(map_: Map, arrays: Arrays) -> Observations:
+    packed, view_sources = arrays["extras/observation_pixels"], arrays["extras/view_sources"]
+    if len(packed) != len(map_.observation_views) or len(view_sources) != len(map_.view_times):
+        raise InvalidMap("The map contradicts itself: its observations differ in number.", _HINT)
+    pixels = np.zeros(packed.shape)
+    sources = view_sources[map_.observation_views]
+    for source, camera in enumerate(source_cameras(map_)):
+        rows = np.flatnonzero(sources == source)
+        pixels[rows] = unpacked_pixels(packed[rows], camera)
+    return Observations(pixels, view_sources, arrays["extras/descriptor_sources"])
+
+
+def _unpacked_tensors(arrays: Arrays) -> TensorDensities:
+    _check_arrays(arrays, _TENSORS)
+    degree, coefficients, features, places, radii = (arrays[name] for name in _TENSORS)
+    if int(degree) not in DEGREES:
+        raise InvalidMap("The map's densities have an impossible degree.", _HINT)
+    landmarks = arrays["landmarks"]
+    if not (len(coefficients) == len(features) == len(places) == len(radii)) or not np.all(
+        (features >= 0) & (features < len(landmarks))
+    ):
+        raise InvalidMap("The map's densities contradict each other.", _HINT)
+    return TensorDensities(
+        int(degree),
+        coefficients,
+        features.astype(np.int64),
+        landmarks[features].astype(np.float64),
+        places.astype(np.float64),
+        radii.astype(np.float64),
+    )
+
+
+def _check_arrays(arrays: Arrays, kinds: Mapping[str, tuple[str, tuple[int | None, ...]]]) -> None:
+    missing = [name.removeprefix("extras/") for name in kinds if name not in arrays]
+    if missing:
+        raise InvalidMap(f"The map has no {', '.join(missing)}.", _HINT)
+    for name, (kind, shape) in kinds.items():
+        array = arrays[name]
+        fits = (
+            array.dtype == np.dtype(kind)
+            and array.ndim == len(shape)
+            and all(wanted in (None, length) for wanted, length in zip(shape, array.shape, strict=True))
+        )
+        if not fits:
+            raise InvalidMap(f"The map contradicts itself: {name} is not of the right type and shape.", _HINT)
+
+
+def _checksum(info: str, arrays: Arrays) -> str:
     digest = hashlib.blake2b(info.encode(), digest_size=_CHECKSUM_BYTES)
     for name in sorted(arrays):
         array = arrays[name]

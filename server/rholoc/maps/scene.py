@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from rholoc.maps.export import landmark_sigmas, view_headings
+from rholoc.maps.export import landmark_sigmas
 from rholoc.maps.map import Map
 
 
@@ -14,8 +14,9 @@ def map_to_scene(map_: Map) -> bytes:
     Two uint32, the numbers F and K; (F, 4) float32 of each landmark's x, y, z and standard deviation; (K, 7) float32 of
     each view's x, y, z, heading and the number of the recording that it comes from. Lengths in metres.
     """
-    sources = np.asarray(map_.extras.get("view_sources", np.zeros(len(map_.view_poses))))
+    views = len(map_.view_times)
+    sources = np.zeros(views) if map_.observations is None else map_.observations.view_sources
     landmarks = np.column_stack([map_.landmarks, landmark_sigmas(map_)])
-    views = np.column_stack([map_.view_poses[:, :3], view_headings(map_), sources])
-    counts = np.array([len(landmarks), len(views)])
-    return counts.astype("<u4").tobytes() + landmarks.astype("<f4").tobytes() + views.astype("<f4").tobytes()
+    path = np.column_stack([map_.view_positions, map_.view_headings, sources])
+    counts = np.array([len(landmarks), views])
+    return counts.astype("<u4").tobytes() + landmarks.astype("<f4").tobytes() + path.astype("<f4").tobytes()

@@ -44,10 +44,10 @@ def map_surfaces_vtp(map_: Map, features: Sequence[int]) -> bytes:
         map_.channels[owners],
         landmark_sigmas(map_)[owners],
     )
-    views = len(map_.view_poses)
+    views = len(map_.view_times)
     line = np.arange(views)[None] if views > 1 else np.zeros((0, 0), dtype=np.int64)
     of_path = np.full(len(line), _PATH)
-    path = _piece(map_.view_poses[:, :3], line, "Lines", of_path, np.full(len(line), 255), np.zeros(len(line)))
+    path = _piece(map_.view_positions, line, "Lines", of_path, np.full(len(line), 255), np.zeros(len(line)))
     return polydata(surfaces, path)
 
 
@@ -77,9 +77,7 @@ def _ball() -> tuple[FloatArray, IntArray]:
 
 def _roots(map_: Map, features: IntArray) -> FloatArray:
     """(N, 3, 3) symmetric square roots of the landmarks' covariances, metres."""
-    xx, xy, xz, yy, yz, zz = map_.covariances[features].astype(np.float64).T
-    covariances = np.moveaxis(np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]), -1, 0)
-    variances, directions = np.linalg.eigh(covariances)
+    variances, directions = np.linalg.eigh(map_.covariances[features].astype(np.float64))
     deviations = np.sqrt(np.maximum(variances, 0))
     return np.asarray((directions * deviations[:, None]) @ directions.transpose(0, 2, 1))
 

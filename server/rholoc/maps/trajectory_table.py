@@ -73,12 +73,11 @@ class TrajectoryTable:
 
 def view_trajectory(map_: Map) -> TrajectoryTable:
     """The views of a map as a trajectory, in their order; frames and confidences unknown, ``inliers`` what each saw."""
-    poses, views = map_.view_poses.astype(np.float64), len(map_.view_poses)
-    rotations = Rotation.from_quat(poses[:, 3:]).as_matrix() if views else np.zeros((0, 3, 3))
+    views = len(map_.view_times)
     return TrajectoryTable(
         times=map_.view_times,
         frames=np.full(views, -1),
-        T_map_camera=pose_matrix(rotations, poses[:, :3]),
+        T_map_camera=map_.T_map_camera,
         confidences=np.full(views, np.nan),
         inliers=np.diff(map_.view_offsets).astype(np.int64),
     )

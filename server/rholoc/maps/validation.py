@@ -4,23 +4,26 @@ from __future__ import annotations
 
 import numpy as np
 
+from rholoc.density.tensor import TensorDensities, kept_powers
 from rholoc.errors import InvalidMap
 from rholoc.geometry import FloatArray, IntArray
-from rholoc.maps.map import Map
+from rholoc.maps.map import DensityKind, Map
+from rholoc.maps.observations import observations_fit
 
-_QUATERNION_TOLERANCE = 1e-3
+_ROTATION_TOLERANCE = 1e-3
+_HINT = "Build it again, or take another copy."
 
 # name: dtype and the shape's known part; None is any length
 _ARRAYS: dict[str, tuple[type[np.generic], tuple[int | None, ...]]] = {
     "channels": (np.uint8, (None,)),
     "landmarks": (np.float32, (None, 3)),
-    "covariances": (np.float32, (None, 6)),
+    "covariances": (np.float32, (None, 3, 3)),
     "descriptors": (np.uint8, (None, None)),
     "descriptor_features": (np.int32, (None,)),
     "view_times": (np.float64, (None,)),
-    "view_poses": (np.float32, (None, 7)),
-    "view_offsets": (np.int32, (None,)),
-    "view_features": (np.int32, (None,)),
+    "T_map_camera": (np.float64, (None, 4, 4)),
+    "observation_views": (np.int32, (None,)),
+    "observation_features": (np.int32, (None,)),
 }
 ARRAY_NAMES = tuple(_ARRAYS)
 
@@ -36,19 +39,43 @@ def validate_map(map_: Map) -> None:
     features, views = len(map_.landmarks), len(map_.view_times)
     _check(len(map_.channels) == features, "channels and landmarks differ in number")
     _check(len(map_.covariances) == features, "covariances and landmarks differ in number")
-    _check(bool(np.all(map_.covariances[:, [0, 3, 5]] >= 0)), "a landmark has a negative variance")
+    _check(bool(np.all(np.diagonal(map_.covariances, axis1=1, axis2=2) >= 0)), "a landmark has a negative variance")
     _check(len(map_.descriptors) == len(map_.descriptor_features), "descriptors and their features differ in number")
     _check(_all_in_range(map_.descriptor_features, features), "a descriptor belongs to a feature that is not there")
     _check(bool(np.all(np.diff(map_.descriptor_features) >= 0)), "descriptors are not sorted by feature")
-    _check(len(map_.view_poses) == views, "view poses and times differ in number")
-    _check(_all_unit(map_.view_poses[:, 3:]), "a view's quaternion is not of unit length")
-    _check(_is_partition(map_.view_offsets, views, len(map_.view_features)), "the views' lists of features are broken")
-    _check(_all_in_range(map_.view_features, features), "a view saw a feature that is not there")
+    _check(len(map_.T_map_camera) == views, "view poses and times differ in number")
+    _check(_all_rotations(map_.T_map_camera[:, :3, :3]), "a view's pose is not a rotation and a position")
+    _check(len(map_.observation_views) == len(map_.observation_features), "the views' lists of features are broken")
+    _check(_all_in_range(map_.observation_views, views), "an observation is from a view that is not there")
+    _check(bool(np.all(np.diff(map_.observation_views) >= 0)), "observations are not sorted by view")
+    _check(_all_in_range(map_.observation_features, features), "a view saw a feature that is not there")
+    if map_.observations is not None:
+        _check(observations_fit(map_, map_.observations), "its observations and its recordings do not fit together")
+    if map_.fitted is not None:
+        _check_tensors(map_, map_.fitted)
+    _check((map_.fitted is not None) == (map_.info.density is DensityKind.TENSOR), "it has densities of another form")
+
+
+def _check_tensors(map_: Map, tensors: TensorDensities) -> None:
+    count = len(tensors.features)
+    sizes = tuple(len(powers) for powers in kept_powers(tensors.degree))
+    arrays = (tensors.coefficients, tensors.places, tensors.radii)
+    whole = (
+        tensors.features.shape == (count,)
+        and tensors.coefficients.shape == (count, *sizes)
+        and tensors.landmarks.shape == tensors.places.shape == (count, 3)
+        and tensors.radii.shape == (count,)
+        and all(bool(np.isfinite(array).all()) for array in arrays)
+        and _all_in_range(tensors.features, len(map_))
+        and bool(np.all(np.diff(tensors.features) >= 0) and np.all(tensors.radii > 0))
+    )
+    _check(whole, "its densities do not fit together")
+    _check(bool(np.all(tensors.distances > 0)), "a density's place is its landmark")
 
 
 def _check(condition: bool, complaint: str) -> None:
     if not condition:
-        raise InvalidMap(f"The map contradicts itself: {complaint}.", "Build it again, or take another copy.")
+        raise InvalidMap(f"The map contradicts itself: {complaint}.", _HINT)
 
 
 def _check_array(name: str, array: object, dtype: type[np.generic], shape: tuple[int | None, ...]) -> None:
@@ -67,11 +94,6 @@ def _all_in_range(index: IntArray, length: int) -> bool:
     return bool(np.all((index >= 0) & (index < length)))
 
 
-def _all_unit(quaternions: FloatArray) -> bool:
-    return bool(np.all(np.abs(np.linalg.norm(quaternions, axis=1) - 1) <= _QUATERNION_TOLERANCE))
-
-
-def _is_partition(offsets: IntArray, parts: int, total: int) -> bool:
-    return bool(
-        len(offsets) == parts + 1 and offsets[0] == 0 and offsets[-1] == total and np.all(np.diff(offsets) >= 0)
-    )
+def _all_rotations(R: FloatArray) -> bool:
+    products = R @ np.swapaxes(R, 1, 2)
+    return bool(np.all(np.abs(products - np.eye(3)) <= _ROTATION_TOLERANCE) and np.all(np.linalg.det(R) > 0))

@@ -20,8 +20,7 @@ from rholoc.errors import (
 )
 from rholoc.features import extractor_names, get_extractor
 from rholoc.jobs import JobKind, JobOptions
-from rholoc.mapping import check_memory
-from rholoc.maps import DensityKind, check_map_name
+from rholoc.maps import DensityKind, check_map_name, check_observations
 from rholoc.service.errors import InvalidRequest
 from rholoc.service.state import State
 from rholoc.trajectory import PoseMethod
@@ -70,5 +69,5 @@ async def checked_options(fields: RecordingFields, service: State) -> JobOptions
     get_extractor(fields.features)
     await run_in_threadpool(service.cameras.named_in, fields.camera)
     if fields.kind is JobKind.UPDATE:
-        check_memory(await run_in_threadpool(service.library.get, fields.map), f"The map {fields.map}")
+        check_observations(await run_in_threadpool(service.library.get, fields.map), f"The map {fields.map}")
     return JobOptions(fields.density, fields.features, fields.poses, fields.camera, fields.kind)

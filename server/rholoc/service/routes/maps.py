@@ -31,12 +31,13 @@ from rholoc.errors import (
 from rholoc.features import get_extractor
 from rholoc.geometry import Camera
 from rholoc.jobs import JobKind, JobOptions
-from rholoc.mapping import ExportFormat, check_memory, export_map, forget_recording, merge_maps, parse_features
+from rholoc.mapping import ExportFormat, export_map, forget_recording, merge_maps, parse_features
 from rholoc.maps import (
     Map,
     MapInfo,
     MapLibrary,
     check_map_name,
+    check_observations,
     is_coefficient_table,
     load_map,
     map_to_scene,
@@ -288,7 +289,7 @@ async def get_preview(map_name: str, service: Service) -> Response:
 
 
 def _check_learns(library: MapLibrary, name: str) -> None:
-    check_memory(library.get(name), f"The map {name}")
+    check_observations(library.get(name), f"The map {name}")
 
 
 def _publish_merged(library: MapLibrary, parts: Mapping[str, Map], into: str, merged: Map) -> None:

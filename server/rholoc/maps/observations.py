@@ -1,0 +1,93 @@
+"""What a map keeps of its observations, so that it can go on learning.
+
+A ``ray`` density is a sum over observations (:mod:`rholoc.density.ray`). A map keeps the observations themselves, so
+that another recording adds its own to the sums and forgetting a recording takes them away; either way the landmarks
+are those of a map that was never built otherwise. Observations rather than sums, because the weights, which fade with
+an observation's distance from its landmark, are then found anew: sums of fixed weights would depend on the order of
+learning.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from rholoc.errors import InvalidInput, InvalidMap
+from rholoc.geometry import Camera, FloatArray, IntArray
+
+if TYPE_CHECKING:
+    from rholoc.maps.map import Map
+
+_STEPS = 65536
+
+
+@dataclass(frozen=True, eq=False)
+class Observations:
+    """What was observed, and by which recording.
+
+    Attributes:
+        pixels: (V, 2) u and v of each observation, in whole steps of :func:`packed_pixels`.
+        view_sources: (K,) int32, the row of ``info.sources`` that each view comes from.
+        descriptor_sources: (D,) int32, the same of each descriptor.
+    """
+
+    pixels: FloatArray
+    view_sources: IntArray
+    descriptor_sources: IntArray
+
+
+def packed_pixels(pixels: FloatArray, camera: Camera) -> IntArray:
+    """Pixels (N, 2) as map files keep them: (N, 2) uint16, in 1/65536 of the image's size from its top left corner."""
+    size = np.array([camera.width, camera.height])
+    steps = np.round((np.asarray(pixels, dtype=np.float64) + 0.5) / size * _STEPS)
+    return np.asarray(np.clip(steps, 0, _STEPS - 1).astype(np.uint16))
+
+
+def unpacked_pixels(packed: IntArray, camera: Camera) -> FloatArray:
+    """What :func:`packed_pixels` packed, to 1/131072 of the image's size."""
+    return np.asarray(packed / _STEPS * np.array([camera.width, camera.height]) - 0.5)
+
+
+def check_observations(map_: Map, what: str) -> Observations:
+    """The observations of a map that is to learn or forget; ``what`` names it to users.
+
+    Raises:
+        InvalidInput: it does not keep its observations.
+        InvalidMap: they contradict the rest of it.
+    """
+    if map_.observations is None:
+        raise InvalidInput(
+            f"{what} does not remember what it was learned from.",
+            "Build it again from its recordings, with this version.",
+        )
+    if not observations_fit(map_, map_.observations):
+        raise InvalidMap(f"The memory of {what} contradicts itself.", "Build it again, or take another copy.")
+    return map_.observations
+
+
+def observations_fit(map_: Map, observations: Observations) -> bool:
+    """Whether observations agree with the map they belong to, in number and in the recordings that they name."""
+    count = len(map_.info.sources)
+    return (
+        observations.pixels.shape == (len(map_.observation_features), 2)
+        and observations.view_sources.shape == (len(map_.view_times),)
+        and observations.descriptor_sources.shape == (len(map_.descriptors),)
+        and all(
+            bool(((rows >= 0) & (rows < count)).all())
+            for rows in (observations.view_sources, observations.descriptor_sources)
+        )
+        and all({"id", "name", "camera"} <= source.keys() for source in map_.info.sources)
+    )
+
+
+def source_cameras(map_: Map) -> list[Camera]:
+    """The camera of each source."""
+    try:
+        return [
+            Camera(**source["camera"] | {"distortion": tuple(source["camera"]["distortion"])})
+            for source in map_.info.sources
+        ]
+    except (KeyError, TypeError, InvalidInput) as error:
+        raise InvalidMap(f"A source of the map has a broken camera: {error}.", "Take another copy.") from error
