@@ -211,7 +211,7 @@ def test_a_million_descriptors(service):
     blob = {"pixels": [[1.0, 2.0]] * 10**6, "descriptors": "AAAA"}
     body = json.dumps({"camera": {"width": 640, "height": 480}, "features": blob})
     assert len(body) < service.settings.max_request_bytes
-    assert "1000000" in refused(localize(service, body, JSON), 422, "invalid_descriptors")["message"]
+    assert "values" in refused(localize(service, body, JSON), 413, "too_large")["message"]
 
 
 def test_a_descriptor_set_without_the_images_size(service):

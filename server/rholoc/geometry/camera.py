@@ -40,7 +40,7 @@ class Camera:
         values = (self.fx, self.fy, self.cx, self.cy, *self.distortion)
         if not all(math.isfinite(value) for value in values):
             raise InvalidCamera("The camera's intrinsics are not all finite numbers.", hint)
-        if not (1 <= self.width <= 65535 and 1 <= self.height <= 65535):
+        if not (1 <= self.width <= 65535 and 1 <= self.height <= 65535) or self.width % 1 or self.height % 1:
             raise InvalidCamera(f"The camera's image size {self.width}×{self.height} is not possible.", hint)
         for name, focal, size in (("fx", self.fx, self.width), ("fy", self.fy, self.height)):
             if focal <= 0:

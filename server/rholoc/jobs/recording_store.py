@@ -57,6 +57,7 @@ class PendingRecording:
         self._sizes: dict[str, int] = {}
         self._given_names: dict[str, str] = {}
         self._open: tuple[str, BinaryIO] | None = None
+        self._size_bytes = 0
         self._ended = False
         with telling_full_disk():
             self._folder.mkdir(parents=True)
@@ -70,7 +71,7 @@ class PendingRecording:
     @property
     def size_bytes(self) -> int:
         """How much was written so far."""
-        return sum(self._sizes.values())
+        return self._size_bytes
 
     def write(self, name: str, chunk: bytes) -> None:
         """Append ``chunk`` to the file ``name``; an empty chunk makes an empty file.
@@ -96,6 +97,7 @@ class PendingRecording:
         with telling_full_disk():
             self._file(safe).write(chunk)
         self._sizes[safe] = self._sizes.get(safe, 0) + len(chunk)
+        self._size_bytes += len(chunk)
 
     def path(self, name: str) -> Path:
         """Where a file that was written lies until the commit, whole.

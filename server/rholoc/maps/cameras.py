@@ -10,6 +10,7 @@ from typing import Any
 from rholoc.errors import InvalidCamera, InvalidInput, UnknownCamera
 from rholoc.geometry import Camera
 from rholoc.maps.files import replace_file
+from rholoc.maps.json_values import check_json_value
 from rholoc.maps.library import check_name, is_name
 
 FOLDER = "cameras"
@@ -74,9 +75,10 @@ class CameraLibrary:
         """
         path = self.path(name)
         try:
+            check_json_value(profile.calibration)
             text = json.dumps({**asdict(profile.camera), "calibration": profile.calibration}, indent=2, allow_nan=False)
         except (TypeError, ValueError, RecursionError) as error:
-            raise InvalidInput("The camera's calibration is not JSON.", "Numbers must be finite.") from error
+            raise InvalidInput(f"The camera's calibration cannot be stored: {error}.", "Send plain JSON.") from error
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
@@ -114,6 +116,7 @@ def _from_json(name: str, text: str) -> CameraProfile:
     try:
         values = json.loads(text)
         calibration = dict(values.pop("calibration", {}))
+        check_json_value(calibration)
         intrinsics = {member: values[member] for member in ("width", "height", "fx", "fy", "cx", "cy")}
         return CameraProfile(Camera(**intrinsics, distortion=tuple(values.get("distortion", ()))), calibration)
     except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:

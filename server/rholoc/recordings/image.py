@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import io
+import re
 import struct
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -19,6 +20,12 @@ IMAGE_SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".webp", ".bmp", ".ppm", ".
 DEFAULT_MAX_PIXELS = 50_000_000
 
 _FORMATS = ("JPEG", "PNG", "WEBP", "BMP", "PPM")
+SENT_FORMATS = ("JPEG", "PNG", "WEBP")  # of which none takes much longer to decode than its pixels take to be written
+MAX_JPEG_SCANS = 100  # cameras write 1 or 3, progressive encoders 6 to 12; an empty one visits every pixel too
+MAX_SCANNED_IMAGES = 10  # pixels times scans, as a multiple of the pixels allowed
+_BLOCK_BYTES = 4096  # decoded at once: as often it is asked whether the image is still wanted
+_JPEG_MARKER = re.compile(rb"\xff([^\x00\xff\xd0-\xd7])")  # in coded data: the end of it
+_JPEG_SCAN, _JPEG_END = 0xDA, 0xD9
 _ORIENTATION_TAG = 0x0112  # EXIF
 _TRANSPOSED = range(5, 9)  # the EXIF orientations that swap width and height
 # Ours is the limit that counts. Set once, because the filters are shared by all threads.
@@ -27,19 +34,31 @@ warnings.filterwarnings("ignore", category=Image.DecompressionBombWarning)
 _DECODING_ERRORS = (OSError, SyntaxError, ValueError, struct.error, EOFError, IndexError, KeyError, TypeError)
 
 
-def decode_image(data: bytes, max_pixels: int = DEFAULT_MAX_PIXELS) -> ByteArray:
+def decode_image(
+    data: bytes,
+    max_pixels: int = DEFAULT_MAX_PIXELS,
+    formats: tuple[str, ...] = _FORMATS,
+    still_wanted: Callable[[], None] = lambda: None,
+) -> ByteArray:
     """The bytes of a JPEG, PNG, WebP, BMP or PPM file → the image (H, W, 3) BGR.
 
     The EXIF orientation is applied, so intrinsics belong to the image as it is shown. 16-bit images keep their upper
     8 bits, grey is repeated over the channels, transparency is dropped.
 
+    Args:
+        data: the file.
+        max_pixels: the most it may have.
+        formats: those that are decoded, as Pillow calls them.
+        still_wanted: called between pieces of the file; what it raises ends the decoding.
+
     Raises:
-        InvalidImage: not an image, empty, truncated, or more than ``max_pixels``; the last is read from the header,
-            before anything is decoded.
+        InvalidImage: not an image, empty, truncated, or more than ``max_pixels``, or a JPEG file of more than
+            ``MAX_JPEG_SCANS`` scans; all but truncation shows before anything is decoded.
     """
     if not data:
         raise InvalidImage("The image is empty: 0 bytes.", "Send a JPEG or PNG file.")
-    with _opened(io.BytesIO(data), max_pixels) as image:
+    with _opened(_Watched(data, still_wanted), max_pixels, formats) as image:
+        _check_scans(data, image, max_pixels)
         upright = ImageOps.exif_transpose(image)
         if upright.mode.startswith("I"):  # 16-bit grey
             grey = (np.asarray(upright).astype(np.int64) >> 8).clip(0, 255).astype(np.uint8)
@@ -73,12 +92,45 @@ def image_size(path: Path, max_pixels: int = DEFAULT_MAX_PIXELS) -> tuple[int, i
     return (height, width) if transposed else (width, height)
 
 
+class _Watched(io.BytesIO):
+    """A file in memory that asks before each read whether it is still wanted."""
+
+    def __init__(self, data: bytes, still_wanted: Callable[[], None]) -> None:
+        super().__init__(data)
+        self._still_wanted = still_wanted
+
+    def read(self, size: int | None = -1, /) -> bytes:
+        self._still_wanted()
+        return super().read(size)
+
+
+def jpeg_scans(data: bytes) -> int:
+    """How many scans a JPEG file has; a progressive decoder visits every pixel in each. 0 for another file."""
+    scans, position = 0, 2
+    while data.startswith(b"\xff\xd8") and (found := _JPEG_MARKER.search(data, position)) is not None:
+        marker = found[1][0]
+        if marker == _JPEG_END:
+            break
+        scans += marker == _JPEG_SCAN
+        position = found.end() + int.from_bytes(data[found.end() : found.end() + 2])
+    return scans
+
+
+def _check_scans(data: bytes, image: Image.Image, max_pixels: int) -> None:
+    scans = jpeg_scans(data)
+    if scans > MAX_JPEG_SCANS or scans * image.width * image.height > MAX_SCANNED_IMAGES * max_pixels:
+        raise InvalidImage(f"The JPEG file has {scans} scans, which are too many.", "Save it as baseline JPEG.")
+
+
 @contextmanager
-def _opened(source: Path | io.BytesIO, max_pixels: int) -> Iterator[Image.Image]:
+def _opened(source: Path | io.BytesIO, max_pixels: int, formats: tuple[str, ...] = _FORMATS) -> Iterator[Image.Image]:
     """The image with its header read; whatever goes wrong inside becomes an InvalidImage."""
     hint = "Send a whole JPEG or PNG file."
     try:
-        with Image.open(source, formats=_FORMATS) as image:
+        with Image.open(source, formats=formats) as image:
+            image.decodermaxblock = _BLOCK_BYTES
+            if any(tile[0] == "ppm_plain" for tile in getattr(image, "tile", ())):
+                raise InvalidImage("The image's pixels are written as text.", "Save it as PNG, or as binary PPM.")
             width, height = image.size
             if width * height > max_pixels:
                 raise _too_large(f"of {width}×{height} pixels", max_pixels)

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Annotated
 
 from fastapi import Request, Security
+from fastapi.dependencies.models import Dependant
 from fastapi.params import Security as SecurityParameter
 from fastapi.routing import RouteContext, iter_route_contexts
 from fastapi.security import HTTPAuthorizationCredentials, HTTPBearer, SecurityScopes
@@ -21,6 +22,7 @@ from rholoc.service.errors import Forbidden
 from rholoc.service.keys import Scope
 
 _GRANTED = "granted"  # where the guard leaves what the request's key allows
+_FOUND = "found_route"  # and the route that it found
 _bearer = HTTPBearer(
     scheme_name="ApiKey",
     description="A key from `rholoc key create`. A server that listens on its own machine alone needs none.",
@@ -31,6 +33,12 @@ _bearer = HTTPBearer(
 def grant(request_scope: RequestScope, scope: Scope) -> None:
     """Note what a request may do."""
     request_scope.setdefault("state", {})[_GRANTED] = scope
+
+
+def found_route(request_scope: RequestScope) -> RouteAccess | None:
+    """The route that :func:`find_route` found for a request."""
+    found: RouteAccess | None = request_scope.get("state", {}).get(_FOUND)
+    return found
 
 
 def forbidden(held: Scope, needed: Scope) -> Forbidden:
@@ -89,11 +97,15 @@ class RouteAccess:
         path: as in OpenAPI, with ``{parameters}``.
         methods: those that the route takes.
         access: None where the route declares nothing.
+        query: the names of its query parameters.
+        parses_body: whether the framework reads and parses its body.
     """
 
     path: str
     methods: frozenset[str]
     access: Access | None
+    query: frozenset[str]
+    parses_body: bool
     context: RouteContext
 
 
@@ -112,22 +124,37 @@ class FoundRoute:
 
 def route_access(routes: Sequence[BaseRoute]) -> list[RouteAccess]:
     """All routes, also those of included routers, in the order in which they are tried."""
-    return [
-        RouteAccess(context.path or "", frozenset(context.methods or ()), _declared(context), context)
-        for context in iter_route_contexts(routes)
-    ]
+    return [_route_access(context) for context in iter_route_contexts(routes)]
 
 
 def find_route(routes: Sequence[RouteAccess], request_scope: RequestScope) -> FoundRoute:
-    """The first route that takes a request's path and method."""
+    """The first route that takes a request's path and method; noted, so that :func:`found_route` tells it."""
     methods: frozenset[str] = frozenset()
     for route in routes:
         match, _ = route.context.matches(request_scope)
         if match is Match.FULL:
+            request_scope.setdefault("state", {})[_FOUND] = route
             return FoundRoute(route)
         if match is Match.PARTIAL:
             methods |= route.methods
     return FoundRoute(None, methods)
+
+
+def _route_access(context: RouteContext) -> RouteAccess:
+    dependant = getattr(context, "dependant", None)
+    return RouteAccess(
+        path=context.path or "",
+        methods=frozenset(context.methods or ()),
+        access=_declared(context),
+        query=frozenset() if dependant is None else _query(dependant),
+        parses_body=getattr(context, "body_field", None) is not None,
+        context=context,
+    )
+
+
+def _query(dependant: Dependant) -> frozenset[str]:
+    own = frozenset(parameter.alias for parameter in dependant.query_params)
+    return own.union(*map(_query, dependant.dependencies))
 
 
 def _declared(context: RouteContext) -> Access | None:

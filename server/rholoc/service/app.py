@@ -31,6 +31,7 @@ from rholoc.service.errors import (
 )
 from rholoc.service.guard import Guard, SecurityHeaders
 from rholoc.service.housekeeping import keep_house
+from rholoc.service.json_bodies import JsonBodies
 from rholoc.service.keys import KeyStore
 from rholoc.service.localizers import Localizers
 from rholoc.service.metrics import Metered, Metrics
@@ -84,6 +85,7 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     for kind in (RholocError, ValidationError, RequestValidationError, HTTPException, OSError):
         app.add_exception_handler(kind, _answer_error)
     keys = KeyStore(settings.data_dir)
+    app.add_middleware(JsonBodies, max_bytes=settings.max_json_bytes)
     app.add_middleware(Guard, routes=app.routes, keys=keys, policy=settings.keys, host=settings.host)
     app.add_middleware(Tus)
     app.add_middleware(RequestBoundary)

@@ -17,6 +17,7 @@ from rholoc.service.errors import InvalidRequest
 
 _MAX_FIELD_BYTES = 2**16
 _MAX_FIELDS = 100
+_MAX_PART_HEADER_BYTES = 8192
 
 FileSink = Callable[[str, str, bytes], None]
 
@@ -78,9 +79,11 @@ class _Event:
 class _Parts:
     """The callbacks of python-multipart, turned into a list of events."""
 
-    def __init__(self, boundary: bytes) -> None:
+    def __init__(self, boundary: bytes, max_parts: int) -> None:
         self.events: list[_Event] = []
         self.ended = False
+        self._parts_left = max_parts
+        self._header_bytes = 0
         self._part = _Part()
         self._header = b""
         self._value = b""
@@ -107,12 +110,22 @@ class _Parts:
 
     def _begin(self) -> None:
         self._part = _Part()
+        self._header_bytes = 0
+        self._parts_left -= 1
+        if self._parts_left < 0:
+            raise TooLarge("The multipart body has too many parts.", "Send fewer, or pack the files into one ZIP file.")
 
     def _header_field(self, data: bytes, start: int, end: int) -> None:
-        self._header += data[start:end]
+        self._header += self._of_header(data[start:end])
 
     def _header_value(self, data: bytes, start: int, end: int) -> None:
-        self._value += data[start:end]
+        self._value += self._of_header(data[start:end])
+
+    def _of_header(self, data: bytes) -> bytes:
+        self._header_bytes += len(data)
+        if self._header_bytes > _MAX_PART_HEADER_BYTES:
+            raise InvalidRequest("A part of the multipart body has too long a header.", "Let an HTTP library write it.")
+        return data
 
     def _header_end(self) -> None:
         self._part.headers[self._header.lower()] = self._value
@@ -135,26 +148,29 @@ class _Parts:
         self.ended = True
 
 
-async def read_multipart(request: Request, max_bytes: int, write: FileSink) -> dict[str, str]:
+async def read_multipart(request: Request, max_bytes: int, max_files: int, write: FileSink) -> dict[str, str]:
     """Read a multipart body: files go to ``write`` as they come, the text fields are returned.
 
     ``write`` takes a part's name, its filename and its next piece, the first of which is empty. It runs in a thread.
 
     Raises:
         InvalidRequest: the body is malformed, incomplete, or has too many or too long text fields.
+        TooLarge: it has more parts than ``max_files`` and the fields that are allowed.
         TooLarge, ClientDisconnect: as :func:`limited_stream` does.
     """
     _, options = parse_options_header(request.headers.get("content-type", ""))
     boundary = options.get(b"boundary", b"")
     if not 1 <= len(boundary) <= 200:
         raise InvalidRequest("The multipart body has no boundary.", "Let an HTTP library set the content type.")
-    parts = _Parts(boundary)
+    parts = _Parts(boundary, max_files + _MAX_FIELDS)
     fields: dict[str, bytearray] = {}
     async for chunk in limited_stream(request, max_bytes):
-        for event in parts.feed(chunk):
-            if event.part.filename is not None:
-                await run_in_threadpool(write, event.part.name, event.part.filename, event.data)
-            else:
+        events = parts.feed(chunk)
+        files = [event for event in events if event.part.filename is not None]
+        if files:
+            await run_in_threadpool(_write_all, write, files)
+        for event in events:
+            if event.part.filename is None:
                 fields.setdefault(event.part.name, bytearray()).extend(event.data)
                 _check_fields(fields, event.part.name)
     if not parts.ended:
@@ -163,6 +179,11 @@ async def read_multipart(request: Request, max_bytes: int, write: FileSink) -> d
         return {name: value.decode("utf-8") for name, value in fields.items()}
     except UnicodeDecodeError as error:
         raise InvalidRequest("A text field is not UTF-8.", "Send text as UTF-8.") from error
+
+
+def _write_all(write: FileSink, events: list[_Event]) -> None:
+    for event in events:
+        write(event.part.name, event.part.filename or "", event.data)
 
 
 def _check_fields(fields: dict[str, bytearray], name: str) -> None:

@@ -6,6 +6,7 @@ import asyncio
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from typing import TypeVar
 
 import faiss
@@ -43,7 +44,7 @@ class ComputePool:
         return self._taken >= self._capacity
 
     async def run(self, work: Callable[[], _T]) -> _T:
-        """The result of ``work()``, computed in a thread.
+        """The result of ``work()``, computed in a thread. Who is cancelled while waiting leaves the queue.
 
         Raises:
             Busy: as many calls wait as may.
@@ -57,18 +58,24 @@ class ComputePool:
             return work(), time.perf_counter() - start
 
         self._taken += 1
-        future = asyncio.get_running_loop().run_in_executor(self._executor, timed)
-        future.add_done_callback(self._release)
-        result, duration_s = await future
+        loop, future = asyncio.get_running_loop(), self._executor.submit(timed)
+        # When the work ends, not when its caller gives up: a thread cannot be stopped, and keeps its place until then.
+        future.add_done_callback(lambda _: _from_thread(loop, self._release))
+        result, duration_s = await asyncio.wrap_future(future)
         self._mean_s += _SMOOTHING * (duration_s - self._mean_s)
         return result
 
-    def _release(self, _future: object) -> None:
+    def _release(self) -> None:
         self._taken -= 1
 
     def close(self) -> None:
         """Let running work end and take no more."""
         self._executor.shutdown(wait=True, cancel_futures=True)
+
+
+def _from_thread(loop: asyncio.AbstractEventLoop, function: Callable[[], None]) -> None:
+    with suppress(RuntimeError):  # the loop is closed: nobody counts any more
+        loop.call_soon_threadsafe(function)
 
 
 def _keep_to_one_core() -> None:

@@ -7,16 +7,17 @@ from collections.abc import Sequence
 from enum import StrEnum
 from urllib.parse import urlsplit
 
-from starlette.datastructures import Headers, MutableHeaders
+from starlette.datastructures import Headers, MutableHeaders, QueryParams
 from starlette.routing import BaseRoute
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from rholoc.service.access import Access, find_route, forbidden, grant, route_access, undeclared
-from rholoc.service.errors import CrossSite, MethodNotAllowed, Unauthorized, UnknownRoute
+from rholoc.service.access import Access, RouteAccess, find_route, forbidden, grant, route_access, undeclared
+from rholoc.service.errors import CrossSite, InvalidRequest, MethodNotAllowed, Unauthorized, UnknownRoute
 from rholoc.service.keys import KeyStore
 from rholoc.service.keys import Scope as KeyScope
 
 _READING = ("GET", "HEAD", "OPTIONS")
+_API_PREFIX = "/v1/"
 _KEY_HINT = "Make one on the server with rholoc key create, and send it as Authorization: Bearer KEY."
 
 SECURITY_HEADERS = {
@@ -88,6 +89,7 @@ class Guard:
             CrossSite: another site sent it.
             Unauthorized, Forbidden: it needs a key, or one that allows more, or nobody may use the route.
             UnknownRoute, MethodNotAllowed: no route takes it; who may not read anything is not told so.
+            InvalidRequest: the query has a name that the route does not know.
         """
         if scope["type"] == "http":
             headers = Headers(scope=scope)
@@ -103,6 +105,7 @@ class Guard:
                 raise MethodNotAllowed("This route does not take this method.", hint, found.methods)
             if found.route is None:
                 raise UnknownRoute("There is nothing at this path.", "See /docs for the routes.")
+            check_query(scope, found.route)
         await self._app(scope, receive, send)
 
     def _check_key(self, authorization: str, needed: KeyScope) -> KeyScope:
@@ -125,6 +128,21 @@ class Guard:
 def keys_needed(policy: KeyPolicy, host: str) -> bool:
     """Whether a server that listens on ``host`` asks for keys."""
     return policy is KeyPolicy.ALWAYS or (policy is KeyPolicy.AUTO and not _is_loopback(host))
+
+
+def check_query(scope: Scope, route: RouteAccess) -> None:
+    """Refuse a query whose names the route does not know: a mistyped option would be ignored in silence.
+
+    Raises:
+        InvalidRequest: there is such a name.
+    """
+    if not route.path.startswith(_API_PREFIX):
+        return
+    given = QueryParams(scope["query_string"])
+    unknown = next((name for name in given if name not in route.query), None)
+    if unknown is not None:
+        known = ", ".join(sorted(route.query)) or "none"
+        raise InvalidRequest(f"The query has '{unknown[:64]}', which this route does not take.", f"It takes: {known}.")
 
 
 def check_same_site(method: str, headers: Headers, local_only: bool) -> None:

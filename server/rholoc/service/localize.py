@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 
+import cv2
 import numpy as np
 
-from rholoc.errors import InvalidCamera, InvalidDescriptors
+from rholoc.errors import DeadlineExceeded, InvalidCamera, InvalidDescriptors
 from rholoc.features import Extractor, FeatureSet
 from rholoc.geometry import ByteArray, FloatArray, Pose
 from rholoc.localization import Localization, Localizer, Query, Reason
-from rholoc.recordings import decode_image
+from rholoc.recordings.image import SENT_FORMATS, decode_image
 from rholoc.service.localizers import Localizers
 from rholoc.service.queries import Frame, camera_for, feature_set, gravity_of, prior_of
 from rholoc.service.schemas import LocalizationOut, MatchesOut, PoseOut
@@ -39,10 +41,25 @@ class Stopwatch:
         finally:
             self.stages_ms[name] = self.stages_ms.get(name, 0.0) + 1000 * (time.perf_counter() - start)
 
+    def check(self, deadline_s: float) -> None:
+        """Raise DeadlineExceeded once ``deadline_s`` seconds have passed."""
+        if self.elapsed_s >= deadline_s:
+            raise DeadlineExceeded("The deadline passed while the image was decoded.", "Allow more time.")
+
     @property
     def elapsed_s(self) -> float:
         """Seconds since the request came in."""
         return time.perf_counter() - self.start_s
+
+
+def frame_deadline_s(frame: Frame, settings: Settings) -> float:
+    """How long after its request came in a frame is answered, whether it has a pose by then or not."""
+    return (frame.options.deadline_ms or settings.default_deadline_ms) / 1000
+
+
+def late_answer(name: str, localizer: Localizer, clock: Stopwatch) -> LocalizationOut:
+    """The answer of a map that was not asked in time."""
+    return _answer(name, localizer, _too_late(), clock, with_matches=False)
 
 
 def localize_frame(
@@ -57,9 +74,9 @@ def localize_frame(
             from several maps only where none could be asked.
     """
     clock.stages_ms["queue"] = 1000 * clock.elapsed_s
-    deadline_s = (frame.options.deadline_ms or settings.default_deadline_ms) / 1000
+    deadline_s = frame_deadline_s(frame, settings)
     chosen = [(name, localizers.get(name)) for name in names]
-    features = _Features(frame, settings, clock)
+    features = _Features(frame, settings, clock, deadline_s)
     best: tuple[str, Localizer, Localization] | None = None
     refused: Exception | None = None
     for name, localizer in chosen:
@@ -79,7 +96,7 @@ def localize_frame(
 class _Features:
     """The frame's features by extractor; the image is decoded once, each extractor runs once."""
 
-    def __init__(self, frame: Frame, settings: Settings, clock: Stopwatch) -> None:
+    def __init__(self, frame: Frame, settings: Settings, clock: Stopwatch, deadline_s: float) -> None:
         self._frame = frame
         self._settings = settings
         self._clock = clock
@@ -87,7 +104,9 @@ class _Features:
         self._image: ByteArray | None = None
         if frame.image is not None:
             with clock.stage("decode"):
-                self._image = decode_image(frame.image, settings.max_image_pixels)
+                self._image = decode_image(
+                    frame.image, settings.max_image_pixels, SENT_FORMATS, lambda: clock.check(deadline_s)
+                )
 
     @property
     def size(self) -> tuple[int, int]:
@@ -106,13 +125,26 @@ class _Features:
         if extractor.name not in self._extracted:
             if self._image is not None:
                 with self._clock.stage("extract"):
-                    found = extractor.extract(self._image)
+                    found = extract_bounded(extractor, self._image, self._settings.max_feature_pixels)
             else:
                 assert self._frame.features is not None
                 with self._clock.stage("decode"):
                     found = feature_set(self._frame.features, extractor, self._settings.max_features)
             self._extracted[extractor.name] = found
         return self._extracted[extractor.name]
+
+
+def extract_bounded(extractor: Extractor, image: ByteArray, max_pixels: int) -> FeatureSet:
+    """The features of an image (H, W, 3), in its own pixels; found in a smaller copy if it has over ``max_pixels``."""
+    height, width = image.shape[:2]
+    if width * height <= max_pixels:
+        return extractor.extract(image)
+    scale = math.sqrt(max_pixels / (width * height))
+    small = cv2.resize(image, (max(1, int(width * scale)), max(1, int(height * scale))), interpolation=cv2.INTER_AREA)
+    found = extractor.extract(np.asarray(small, dtype=np.uint8))
+    factors = np.array([width / small.shape[1], height / small.shape[0]])
+    pixels = ((found.pixels + 0.5) * factors - 0.5).astype(np.float32)
+    return replace(found, pixels=pixels, sizes=(found.sizes * factors.mean()).astype(np.float32))
 
 
 def _localize(

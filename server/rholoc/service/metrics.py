@@ -10,6 +10,8 @@ from prometheus_client.core import GaugeMetricFamily
 from prometheus_client.registry import Collector
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from rholoc.service.access import found_route
+
 METRICS_TYPE = "text/plain; version=0.0.4; charset=utf-8"
 _SECONDS = (0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0, 60.0)
 
@@ -84,5 +86,8 @@ class Metered:
         try:
             await self._app(scope, receive, send_noting_status)
         finally:
-            route = getattr(scope.get("route"), "path", "other")
-            self._metrics.request(method, route, status, time.perf_counter() - begun)
+            route, duration_s = found_route(scope), time.perf_counter() - begun
+            if route is None:  # neither made-up paths nor made-up methods become labels
+                self._metrics.request("other", "other", status, duration_s)
+            else:
+                self._metrics.request(method, route.path, status, duration_s)

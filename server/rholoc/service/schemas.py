@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, FailFast, Field, Strict
 from pydantic.config import JsonDict
 
 from rholoc.features import Channel
@@ -14,6 +14,9 @@ from rholoc.maps import DensityKind
 from rholoc.progress import Stage
 from rholoc.trajectory import PoseMethod, Scale
 
+_LARGEST_SIZE_PX = 2**31
+SizePx = Annotated[int, Strict(), Field(ge=-_LARGEST_SIZE_PX, le=_LARGEST_SIZE_PX)]  # what is possible, Camera says
+Number = Annotated[float, Strict()]  # neither text nor true and false
 Vector3 = Annotated[list[float], Field(min_length=3, max_length=3)]
 Quaternion = Annotated[list[float], Field(min_length=4, max_length=4)]
 
@@ -62,13 +65,13 @@ class CameraIn(_In):
 
     model_config = ConfigDict(extra="forbid", frozen=True, json_schema_extra={"example": _CAMERA})
 
-    width: int | None = Field(default=None, description="px; default: the image's")
-    height: int | None = Field(default=None, description="px; default: the image's")
-    fx: float | None = Field(default=None, description="px")
-    fy: float | None = Field(default=None, description="px; default: fx")
-    cx: float | None = Field(default=None, description="px; default: the middle of the image")
-    cy: float | None = Field(default=None, description="px; default: the middle of the image")
-    distortion: list[float] = Field(
+    width: SizePx | None = Field(default=None, description="px; default: the image's")
+    height: SizePx | None = Field(default=None, description="px; default: the image's")
+    fx: Number | None = Field(default=None, description="px")
+    fy: Number | None = Field(default=None, description="px; default: fx")
+    cx: Number | None = Field(default=None, description="px; default: the middle of the image")
+    cy: Number | None = Field(default=None, description="px; default: the middle of the image")
+    distortion: list[Number] = Field(
         default_factory=list, max_length=8, description="OpenCV's k1, k2, p1, p2[, k3[, k4, k5, k6]]"
     )
 
@@ -84,13 +87,13 @@ class CameraProfileIn(_In):
 
     model_config = ConfigDict(extra="forbid", frozen=True, json_schema_extra={"example": _PROFILE})
 
-    width: int
-    height: int
-    fx: float
-    fy: float
-    cx: float
-    cy: float
-    distortion: list[float] = Field(default_factory=list, max_length=8)
+    width: SizePx
+    height: SizePx
+    fx: Number
+    fy: Number
+    cx: Number
+    cy: Number
+    distortion: list[Number] = Field(default_factory=list, max_length=8)
     calibration: dict[str, Any] = Field(
         default_factory=dict, description="how it was calibrated: rms_px, sigmas, views, …"
     )
@@ -146,21 +149,29 @@ class LocalizeOptions(_In):
     with_matches: bool = Field(default=False, description="whether the answer tells which matches agree with the pose")
 
 
+class FirstError(FailFast):
+    """Of a list: its first error is reported, not each of a million."""
+
+    __hash__ = object.__hash__  # which a union asks for
+
+
 class FeaturesIn(_In):
     """The features of one frame, as the map's own extractor finds them: one entry of each list per feature."""
 
-    pixels: list[tuple[float, float]] = Field(description="u and v of each feature, px")
-    descriptors: list[str] | str = Field(
+    pixels: Annotated[list[tuple[float, float]], FirstError()] = Field(description="u and v of each feature, px")
+    descriptors: Annotated[list[str], FirstError()] | str = Field(
         description="one string of hex digits per feature, or all descriptors in a row as one base64 string"
     )
-    channels: list[int | str] | None = Field(
+    channels: Annotated[list[int | str], FirstError()] | None = Field(
         default=None,
         description="each feature's channel by number or name: "
         + ", ".join(f"{channel.value} {channel.name}" for channel in Channel)
         + ". May be left out where the map has one channel only.",
     )
-    sizes_px: list[float] | None = Field(default=None, description="the diameter of each described patch, px")
-    angles_deg: list[float] | None = Field(
+    sizes_px: Annotated[list[float], FirstError()] | None = Field(
+        default=None, description="the diameter of each described patch, px"
+    )
+    angles_deg: Annotated[list[float], FirstError()] | None = Field(
         default=None, description="each patch's orientation, degrees clockwise from +u"
     )
 

@@ -49,11 +49,17 @@ class Settings(BaseSettings):
     )
     default_deadline_ms: float = Field(default=5000, gt=0, description="The deadline of requests that name none.")
     max_image_pixels: int = Field(default=50_000_000, ge=1, description="The most pixels an image may claim to have.")
+    max_feature_pixels: int = Field(
+        default=4_000_000, ge=1, description="Images of more pixels are scaled down to so many to find their features."
+    )
     max_features: int = Field(default=20_000, ge=1, description="The most features a descriptor set may hold.")
     max_request_bytes: int = Field(
         default=32 * 2**20,
         ge=1,
         description="The largest body of a localization request, and of a piece of an upload with a checksum.",
+    )
+    max_json_bytes: int = Field(
+        default=2**16, ge=1, description="The largest JSON body, but for a descriptor set: cameras, options, names."
     )
     max_upload_bytes: int = Field(default=4 * 2**30, ge=1, description="The largest upload of a map or a recording.")
     upload_expires_s: float = Field(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from dataclasses import dataclass, replace
 from typing import Annotated, Any
 
@@ -10,6 +11,7 @@ from starlette.concurrency import run_in_threadpool
 
 from rholoc.errors import (
     Busy,
+    DeadlineExceeded,
     InvalidCamera,
     InvalidDescriptors,
     InvalidImage,
@@ -23,17 +25,20 @@ from rholoc.errors import (
 from rholoc.service.access import NEEDS_LOCALIZE
 from rholoc.service.bodies import media_type, read_body, read_multipart
 from rholoc.service.errors import InvalidRequest, UnsupportedMediaType
-from rholoc.service.localize import Stopwatch, localize_frame
+from rholoc.service.json_bodies import JsonLimits
+from rholoc.service.localize import Stopwatch, frame_deadline_s, late_answer, localize_frame
+from rholoc.service.localizers import Localizers
 from rholoc.service.openapi import BINARY, failures, reference, request_body
 from rholoc.service.queries import Frame
 from rholoc.service.schemas import DescriptorQuery, LocalizationOut, LocalizeOptions
+from rholoc.service.settings import Settings
 from rholoc.service.state import Service, State
 
 router = APIRouter(prefix="/v1", tags=["localization"])
 
 _FAILURES = failures(
     UnknownMap, UnknownCamera, InvalidName, InvalidRequest, InvalidImage, InvalidCamera, InvalidDescriptors,
-    InvalidInput, InvalidMap, TooLarge, UnsupportedMediaType, Busy,
+    InvalidInput, InvalidMap, TooLarge, UnsupportedMediaType, Busy, DeadlineExceeded,
 )  # fmt: skip
 _BODY = request_body(
     {
@@ -56,6 +61,9 @@ _BODY = request_body(
         },
     }
 )
+
+_LOADING_GRACE_S = 0.5  # for a map that was not in memory, beyond the deadline
+_PARTS = frozenset({"image", "request"})  # of a multipart body
 
 
 @dataclass(frozen=True)
@@ -162,43 +170,59 @@ async def localize_in_maps(
 
 async def _localize(names: list[str], request: Request, service: State, options: OptionParameters) -> LocalizationOut:
     clock = Stopwatch()
-    frame = await _frame(request, options.options(), service.settings.max_request_bytes)
+    frame = await _frame(request, options.options(), service.settings)
     if frame.options.camera.name is not None:
         profile = await run_in_threadpool(service.cameras.get, frame.options.camera.name)
         frame = replace(frame, stored=profile.camera)
     for name in names:
         service.library.stat(name)  # an unknown map is refused before it takes a place in the queue
-    answer = await service.compute.run(
-        lambda: localize_frame(frame, names, service.localizers, service.settings, clock)
-    )
+    deadline_s = frame_deadline_s(frame, service.settings)
+    try:
+        async with asyncio.timeout(deadline_s - clock.elapsed_s):
+            answer = await service.compute.run(
+                lambda: localize_frame(frame, names, service.localizers, service.settings, clock)
+            )
+    except (TimeoutError, DeadlineExceeded):
+        answer = await _late_answer(names[0], service.localizers, clock)
     service.metrics.localization(answer.reason)
     return answer
 
 
-async def _frame(request: Request, options: dict[str, Any], max_bytes: int) -> Frame:
-    kind = media_type(request)
+async def _late_answer(name: str, localizers: Localizers, clock: Stopwatch) -> LocalizationOut:
+    """The answer at the deadline, while a thread is still at work on the frame, or none has begun."""
+    try:
+        async with asyncio.timeout(_LOADING_GRACE_S):
+            return late_answer(name, await run_in_threadpool(localizers.get, name), clock)
+    except TimeoutError:
+        raise DeadlineExceeded("The deadline passed while the map was loaded.", "Try again.") from None
+
+
+async def _frame(request: Request, options: dict[str, Any], settings: Settings) -> Frame:
+    kind, max_bytes = media_type(request), settings.max_request_bytes
     if kind.startswith("image/"):  # what it really is, its bytes tell
         image = await read_body(request, max_bytes)
         return Frame(LocalizeOptions.model_validate(options), image=image)
     if kind == "application/json":
-        query = DescriptorQuery.model_validate_json(await read_body(request, max_bytes))
+        body = await read_body(request, max_bytes)
+        JsonLimits.of_features(max_bytes, settings.max_features).check(body)
+        query = await run_in_threadpool(DescriptorQuery.model_validate_json, body)
         return Frame(query, features=query.features)
     if kind == "multipart/form-data":
-        return await _multipart_frame(request, options, max_bytes)
+        return await _multipart_frame(request, options, settings)
     raise UnsupportedMediaType(
         f"A body of type '{kind}' cannot be read.",
         "Send image/jpeg, image/png, multipart/form-data or application/json as Content-Type.",
     )
 
 
-async def _multipart_frame(request: Request, options: dict[str, Any], max_bytes: int) -> Frame:
+async def _multipart_frame(request: Request, options: dict[str, Any], settings: Settings) -> Frame:
     files: dict[str, bytearray] = {}
 
     def keep(field_name: str, _filename: str, chunk: bytes) -> None:
         files.setdefault(field_name, bytearray()).extend(chunk)
 
-    fields = await read_multipart(request, max_bytes, keep)
-    strange = (files.keys() | fields.keys()) - {"image", "request"}
+    fields = await read_multipart(request, settings.max_request_bytes, len(_PARTS), keep)
+    strange = (files.keys() | fields.keys()) - _PARTS
     if strange or "image" not in files:
         raise InvalidRequest(
             f"The multipart body has a part '{min(strange)}'."
@@ -207,5 +231,6 @@ async def _multipart_frame(request: Request, options: dict[str, Any], max_bytes:
             "Send a file part 'image' and, if you like, a JSON part 'request'.",
         )
     text = bytes(files.get("request", b"")) or fields.get("request", "").encode()
+    JsonLimits.of_options(settings.max_json_bytes).check(text)
     parsed = LocalizeOptions.model_validate_json(text) if text else LocalizeOptions.model_validate(options)
     return Frame(parsed, image=bytes(files["image"]))

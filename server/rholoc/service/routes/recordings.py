@@ -134,7 +134,9 @@ async def _receive(request: Request, pending: PendingRecording, service: State) 
         pending.write(name, chunk)
 
     limit = service.settings.max_upload_bytes + _FORM_BYTES
-    fields = RecordingFields.model_validate(await read_multipart(request, limit, write))
+    fields = RecordingFields.model_validate(
+        await read_multipart(request, limit, service.settings.max_upload_files, write)
+    )
     options = await checked_options(fields, service)
     await run_in_threadpool(_check_files, starts, pending)
     return fields, options
