@@ -98,12 +98,15 @@ class Localization:
         localized: whether there is a pose to rely on.
         reason: why there is none, else None.
         pose: the pose, or None.
-        covariance: 6×6, of the position in metres and a small rotation about the map's axes in degrees, or None.
-        confidence: 0..1, the probability that the pose is within 10 cm and 5°.
+        covariance: 6×6, of the position in metres and a small rotation about the map's axes in degrees, or None. The
+            map's own uncertainty is part of it.
+        confidence: 0..1, the probability that the pose is within 10 cm and 5° of the truth.
         matches, inliers: how many matches spoke, and how many of them agree with the pose.
         map, map_id, map_version: the map that answered.
         scale: "metric", or "arbitrary" where the map's unit of length is not the metre.
         timings_ms: milliseconds by stage, as the service measured them.
+        map_trusted: whether the frame poses that the map was built on passed every check; None where it does not say.
+        expected_error_m: how far the map itself is expected to be off here, root mean square; None where unknown.
     """
 
     localized: bool
@@ -118,6 +121,8 @@ class Localization:
     map_version: int
     scale: str
     timings_ms: Mapping[str, float]
+    map_trusted: bool | None = None
+    expected_error_m: float | None = None
 
 
 @dataclass(frozen=True)
@@ -223,6 +228,8 @@ def parse_localization(answer: Mapping[str, Any]) -> Localization:
         map_version=answer["map_version"],
         scale=answer["scale"],
         timings_ms=dict(answer["timings_ms"]),
+        map_trusted=answer.get("map_trusted"),
+        expected_error_m=answer.get("expected_error_m"),
     )
 
 

@@ -45,7 +45,8 @@ def test_the_shipped_pictures_are_localized_to_centimetres(rholoc: Run, tmp_path
     found = tmp_path / "found.csv"
     summary = json.loads(rholoc("localize", MAP, QUERIES, "-o", found, "--json"))
     assert (summary["frames"], summary["localized"]) == (3, 3)
-    assert found.read_text().startswith("timestamp,x,y,z,hx,hy,hz,frame,roll,qx,qy,qz,qw,confidence,inliers\n")
+    ours = "frame,roll,qx,qy,qz,qw,confidence,inliers,map_trusted,expected_error_m"
+    assert found.read_text().startswith(f"timestamp,x,y,z,hx,hy,hz,{ours}\n")
     figures = json.loads(rholoc("evaluate", found, QUERIES / "poses.txt", "--json"))
     assert figures["n"] == 3
     assert figures["recall_5cm_5deg"] == 1

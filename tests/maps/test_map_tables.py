@@ -51,7 +51,7 @@ def test_a_trajectory_comes_back(tmp_path: Path, n: int) -> None:
 
 def test_table_6_has_the_papers_columns_first() -> None:
     header, row = trajectory_csv(random_trajectory(1)).splitlines()
-    assert header == f"{PAPER_HEADER},frame,roll,qx,qy,qz,qw,confidence,inliers"
+    assert header == f"{PAPER_HEADER},frame,roll,qx,qy,qz,qw,confidence,inliers,map_trusted,expected_error_m"
     assert len(row.split(",")) == len(header.split(","))
 
 

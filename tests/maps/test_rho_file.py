@@ -61,7 +61,41 @@ def test_an_empty_map_comes_back(make_map, tmp_path: Path) -> None:
 
 
 def test_every_array_of_a_map_is_stored() -> None:
-    assert {field.name for field in fields(Map)} == {*ARRAY_NAMES, "info", "observations", "fitted"}
+    assert {field.name for field in fields(Map)} == {*ARRAY_NAMES, "info", "observations", "view_covariances", "fitted"}
+
+
+def test_how_uncertain_views_are_comes_back(room_map: Map, tmp_path: Path) -> None:
+    factors = np.random.default_rng(2).normal(0, 0.01, (len(room_map.view_times), 6, 6))
+    spread = (factors @ factors.transpose(0, 2, 1)).astype(np.float32)
+    spread = (spread + spread.transpose(0, 2, 1)) / 2
+    spread[1] = np.nan
+    save_map(replace(room_map, view_covariances=spread), tmp_path / "room.rho")
+    back = load_map(tmp_path / "room.rho")
+    np.testing.assert_array_equal(back.view_covariances, spread)
+    expected_m = np.sqrt(np.trace(spread[:, :3, :3], axis1=1, axis2=2))
+    np.testing.assert_allclose(back.expected_errors_m, expected_m, rtol=1e-6)
+
+
+def test_a_map_without_uncertainties_says_unknown(room_map: Map, tmp_path: Path) -> None:
+    save_map(room_map, tmp_path / "room.rho")  # as every file of before was written
+    back = load_map(tmp_path / "room.rho")
+    assert back.view_covariances is None
+    assert np.isnan(back.expected_errors_m).all()
+
+
+@pytest.mark.parametrize(
+    "spread",
+    [
+        np.zeros((3, 6, 6), np.float32),
+        np.zeros((8, 6, 6), np.float64),
+        np.tile(np.diag([1.0, 1, 1, 1, 1, -1]).astype(np.float32), (8, 1, 1)),
+        np.full((8, 6, 6), np.inf, np.float32),
+        np.triu(np.ones((8, 6, 6), np.float32)),
+    ],
+)
+def test_covariances_of_views_that_are_none_are_refused(room_map: Map, spread: np.ndarray) -> None:
+    with pytest.raises(InvalidMap, match="covariances"):
+        map_to_bytes(replace(room_map, view_covariances=spread))
 
 
 @pytest.fixture
@@ -119,6 +153,8 @@ def test_what_is_saved_twice_is_the_same_file(whole_map: Map, tmp_path: Path) ->
         ("view_poses", np.full((8, 7), np.nan, np.float32)),
         ("covariances", np.zeros((60, 3, 3), np.float32)),
         ("landmarks", np.zeros((60, 3), np.float64)),
+        ("view_covariances", np.zeros((8, 20), np.float32)),
+        ("view_covariances", np.zeros((7, 21), np.float32)),
     ],
 )
 def test_arrays_that_contradict_the_others_are_refused(

@@ -122,4 +122,6 @@ def trajectory_table(
         T_map_camera=np.reshape(np.asarray(poses, dtype=np.float64), (-1, 4, 4)),
         confidences=np.array([answer.confidence for _, answer, _ in placed]),
         inliers=np.array([answer.inliers for _, answer, _ in placed], dtype=np.int64),
+        map_trusted=np.array([answer.map_trusted for _, answer, _ in placed], dtype=np.float64),
+        expected_errors_m=np.array([answer.expected_error_m for _, answer, _ in placed], dtype=np.float64),
     )

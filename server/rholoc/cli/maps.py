@@ -82,7 +82,7 @@ def list_maps(
     as_json: options.Json = False,
 ) -> None:
     """Show the maps of a folder, whether they are to be trusted, and how wrong they expect to be."""
-    from rholoc.maps import MapLibrary, trust_of
+    from rholoc.maps import MapLibrary, expected_error_m, trust_of
 
     folder = maps or Path(os.environ.get(options.MAPS_VARIABLE, options.DEFAULT_MAPS))
     library = MapLibrary(folder)
@@ -102,6 +102,7 @@ def list_maps(
                 "views": len(map_.view_times),
                 "trusted": trust.trusted,
                 "trust_reason": trust.reason,
+                "expected_error_m": expected_error_m(map_.info),
             }
         )
     if as_json:
@@ -111,7 +112,10 @@ def list_maps(
         print_notice(f"There are no maps in {folder}.")
     for row in rows:
         trusted = trust_line(row["trusted"], row["trust_reason"])
-        line = f"{row['name']}: {row['landmarks']} landmarks, {row['views']} views, trusted: {trusted}"
+        expected_m = row["expected_error_m"]
+        expected = "unknown" if expected_m is None else f"{100 * expected_m:.1f} cm"
+        what = f"{row['landmarks']} landmarks, {row['views']} views, expected error {expected}"
+        line = f"{row['name']}: {what}, trusted: {trusted}"
         output.print(line, markup=False, soft_wrap=True)
 
 

@@ -14,6 +14,7 @@ from rholoc.geometry import FloatArray, Pose
 from rholoc.localization.ascent import upright
 from rholoc.localization.confidence import MIN_CONFIDENCE, confidence_of
 from rholoc.localization.map_index import MapIndex
+from rholoc.localization.map_uncertainty import with_map_error
 from rholoc.localization.matches import Matches
 from rholoc.localization.seeds import Place, minimal_samples, vote_for_places
 from rholoc.localization.types import Dof, Localization, Prior, Query, Reason
@@ -185,7 +186,7 @@ class Localizer:
         T_map_camera = upright(verified.optimum.T_map_camera) if dof is Dof.UPRIGHT else verified.optimum.T_map_camera
         localized = confidence >= self.min_confidence
         pixels = verified.pixels[agreeing]
-        return Localization(
+        answer = Localization(
             localized=localized,
             reason=None if localized else Reason.LOW_CONFIDENCE,
             pose=Pose(T_map_camera) if localized else None,
@@ -197,6 +198,7 @@ class Localizer:
             inlier_features=verified.matches.landmarks[agreeing],
             timings_ms=watch.timings_ms,
         )
+        return with_map_error(self.index, answer)
 
 
 def _plausible(T_map_camera: FloatArray, query: Query) -> bool:

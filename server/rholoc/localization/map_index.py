@@ -12,9 +12,10 @@ from rholoc.density.presence import Presence
 from rholoc.features import FeatureSet, Metric, get_extractor
 from rholoc.features.matching import LIMITS, DescriptorIndex, descriptor_distances
 from rholoc.geometry import BoolArray, Camera, FloatArray, IntArray
+from rholoc.localization.map_error import map_covariance_at
 from rholoc.localization.matches import Matches, guided_chances, match_chances
 from rholoc.localization.tensor_ascent import TensorIndex
-from rholoc.maps import Map
+from rholoc.maps import Map, Trust, trust_of
 
 _CANDIDATES = 4
 _CHANCE_SAMPLES = 20_000
@@ -37,6 +38,23 @@ class MapIndex:
         self.presence = Presence.of(self.landmarks, seen_from, seen)
         ones = np.ones(len(seen), dtype=np.float32)
         self.visibility = csr_array((ones, seen, map_.view_offsets), shape=(len(map_.view_times), len(map_)))
+
+    def map_covariance(self, landmarks: IntArray, position: FloatArray, views: int) -> FloatArray | None:
+        """The map's own covariance (6, 6) at a ``position`` (3,), by the views that saw most of some landmarks (M,).
+
+        None where the map does not know it.
+        """
+        if self.map.view_covariances is None:
+            return None
+        votes = self._votes(landmarks)
+        nearest = np.argsort(-votes, kind="stable")[:views]
+        covariances = self.map.view_covariances[nearest].astype(np.float64)
+        return map_covariance_at(covariances, self.view_positions[nearest], votes[nearest], position)
+
+    @cached_property
+    def trust(self) -> Trust:
+        """Whether the map is to be trusted, by its own report."""
+        return trust_of(self.map.info)
 
     @cached_property
     def covisibility(self) -> FloatArray:
@@ -61,10 +79,14 @@ class MapIndex:
 
     def seen_alike(self, landmarks: IntArray, views: int) -> BoolArray:
         """Which features (F,) were seen by those ``views`` that saw most of some landmarks (M,): as from there."""
-        votes = self.visibility @ np.bincount(landmarks, minlength=len(self.map)).astype(np.float32)
+        votes = self._votes(landmarks)
         seen = np.zeros(len(self.map), dtype=bool)
         seen[self.visibility[np.argsort(-votes, kind="stable")[:views]].indices] = True
         return seen
+
+    def _votes(self, landmarks: IntArray) -> FloatArray:
+        """(K,) how many of some landmarks (M,) each view saw."""
+        return np.asarray(self.visibility @ np.bincount(landmarks, minlength=len(self.map)).astype(np.float32))
 
     def match_everywhere(self, features: FeatureSet) -> Matches:
         """Matches of a query's features with the whole map, each feature standing by its first descriptor."""

@@ -72,13 +72,16 @@ class Localization:
         reason: why there is none, else None.
         pose: the pose, or None.
         covariance: (6, 6) of position (metres, map frame) and rotation (radians, a small rotation in the map frame
-            applied from the left), in this order, or None.
-        confidence: 0..1, the probability that the pose is within 10 cm and 5°.
+            applied from the left), in this order, or None. The map's own uncertainty at that place is part of it.
+        confidence: 0..1, the probability that the pose is within 10 cm and 5° of the truth.
         matches: how many matches of features spoke.
         inliers: how many of them agree with the pose.
         inlier_pixels: (I, 2) pixels of those.
         inlier_features: (I,) their rows in the map.
         timings_ms: milliseconds by stage: match, seed, ascend, verify.
+        map_trusted: whether the frame poses that the map was built on passed every check; None where it does not say.
+        expected_error_m: how far the map itself is expected to be off at the pose (root mean square, metres); None
+            where the map does not know, or there is no pose.
     """
 
     localized: bool
@@ -91,3 +94,5 @@ class Localization:
     inlier_pixels: FloatArray
     inlier_features: IntArray
     timings_ms: dict[str, float] = field(default_factory=dict)
+    map_trusted: bool | None = None
+    expected_error_m: float | None = None

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import uuid
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from typing import Any
 
@@ -26,6 +26,7 @@ from rholoc.mapping.memory import recording_id, source_camera, with_landmarks
 from rholoc.mapping.observations import Views, link_observations
 from rholoc.mapping.report import HeldOut, map_report
 from rholoc.mapping.tensor_fit import DEFAULT_DEGREE, fit_map_tensors
+from rholoc.mapping.uncertainty import storable_covariances
 from rholoc.mapping.views import choose_views
 from rholoc.maps import DensityKind, Map, MapInfo
 from rholoc.progress import ProgressListener, Stage, silent
@@ -197,7 +198,19 @@ def _assemble(
     )
     counts = [len(walk.views) for walk in walks]
     map_ = assemble(info, views, landmarks, np.repeat(np.arange(len(walks)), counts), extractor.metric)
-    return with_landmarks(map_)
+    return with_landmarks(replace(map_, view_covariances=_view_covariances(walks)))
+
+
+def _view_covariances(walks: Sequence[_Walk]) -> FloatArray | None:
+    """(K, 6, 6) of all views, NaN where a trajectory does not know; None where none does."""
+    if all(walk.trajectory.covariances is None for walk in walks):
+        return None
+    parts = []
+    for walk in walks:
+        known = walk.trajectory.covariances
+        unknown = np.full((len(walk.views), 6, 6), np.nan)
+        parts.append(unknown if known is None else storable_covariances(known[walk.views]))
+    return np.concatenate(parts).astype(np.float32)
 
 
 def _source(walk: _Walk, options: BuildOptions) -> dict[str, Any]:

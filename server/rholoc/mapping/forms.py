@@ -23,7 +23,8 @@ def as_learned(before: Map, after: Map, figures: dict[str, Any], progress: Progr
     """
     version = before.info.version + 1
     learned = [*before.info.report.get("learned", []), {"version": version, **figures}]
-    report = before.info.report | map_statistics(after) | {"learned": learned}
+    kept = {name: section for name, section in before.info.report.items() if name != "expected_error"}
+    report = kept | map_statistics(after) | {"learned": learned}
     after = replace(after, info=replace(after.info, version=version, report=report))
     if before.fitted is not None:
         after = fit_map_tensors(after, before.fitted.degree, progress)

@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from rholoc.geometry import IntArray
+from rholoc.geometry import FloatArray, IntArray
 from rholoc.mapping.memory import (
     keep_features,
     observed_rays,
@@ -64,6 +64,7 @@ def without_source(map_: Map, source: int) -> Map:
         descriptor_features=map_.descriptor_features[described],
         view_times=map_.view_times[stays],
         T_map_camera=map_.T_map_camera[stays],
+        view_covariances=None if map_.view_covariances is None else map_.view_covariances[stays],
         observation_views=number[map_.observation_views[seen]].astype(np.int32),
         observation_features=map_.observation_features[seen],
         observations=Observations(
@@ -98,6 +99,7 @@ def _joined(a: Map, b: Map, same: IntArray) -> Map:
         descriptor_features=owners[order].astype(np.int32),
         view_times=np.concatenate([a.view_times, b.view_times]),
         T_map_camera=np.concatenate([a.T_map_camera, b.T_map_camera]),
+        view_covariances=_both_covariances(a, b),
         observation_views=np.concatenate([a.observation_views, views + b.observation_views]),
         observation_features=np.concatenate([a.observation_features, numbers[b.observation_features].astype(np.int32)]),
         observations=Observations(
@@ -106,3 +108,9 @@ def _joined(a: Map, b: Map, same: IntArray) -> Map:
             np.concatenate([of_a.descriptor_sources, of_b.descriptor_sources + shift])[order],
         ),
     )
+
+
+def _both_covariances(a: Map, b: Map) -> FloatArray | None:
+    if a.view_covariances is None and b.view_covariances is None:
+        return None
+    return np.concatenate([a.known_view_covariances, b.known_view_covariances])

@@ -20,6 +20,7 @@ from rholoc.mapping.landmarks import Landmarks, extend_and_merge, select_stable,
 from rholoc.mapping.memory import recording_id, source_camera
 from rholoc.mapping.observations import Views, link_observations
 from rholoc.mapping.registration import MIN_FOUND, SURE, Alignment, align_to_found, find_frames, without_jumps
+from rholoc.mapping.uncertainty import uncertainty_in
 from rholoc.mapping.views import choose_views
 from rholoc.maps import Map, MapInfo, check_observations
 from rholoc.progress import ProgressListener, Stage, silent
@@ -33,6 +34,7 @@ _MAX_FRAMES = 240
 _MAX_LOCALIZED = 24  # of a recording with a trajectory of its own
 _RADIUS_PX = 5.0
 _EXTENSION_ROUNDS = 1
+_LOCALIZED_M, _LOCALIZED_RAD = 0.01, np.deg2rad(0.3)  # standard deviations of a frame that is localized in a map
 
 
 @dataclass(frozen=True)
@@ -49,7 +51,10 @@ class UpdateOptions:
 
 @dataclass(frozen=True, eq=False)
 class _Walk:
-    """The frames of a recording that are learned from: camera, times (K,), T_map_camera (K, 4, 4), features of each."""
+    """The frames of a recording that are learned from: camera, times (K,), T_map_camera (K, 4, 4), features of each.
+
+    ``residual`` is how far a pose may be off from the map on its own: metres and radians, standard deviations.
+    """
 
     camera: Camera
     times: FloatArray
@@ -57,6 +62,7 @@ class _Walk:
     features: list[FeatureSet]
     poses: str
     figures: dict[str, Any]
+    residual: tuple[float, float]
 
 
 def update_map(
@@ -98,6 +104,9 @@ def update_map(
     seen, landmarks = _seen_landmarks(known, labels, new)
     info = replace(known.info, sources=(source,), waypoints=())
     learned = assemble(info, views, landmarks, np.zeros(len(views), dtype=np.int64), localizer.extractor.metric)
+    if known.view_covariances is not None:
+        spread = uncertainty_in(known, learned.T_map_camera, *walk.residual)
+        learned = replace(learned, view_covariances=spread)
     joined = join(known, learned, seen)
     progress(Stage.DENSITIES, 0.9, f"{len(joined)} features, {len(known)} of them known before")
     figures = walk.figures | {
@@ -129,6 +138,7 @@ def _localized_walk(localizer: Localizer, recording: Recording, progress: Progre
         [features[view] for view in views],
         "localized",
         figures,
+        (_LOCALIZED_M, _LOCALIZED_RAD),
     )
 
 
@@ -156,6 +166,7 @@ def _aligned_walk(localizer: Localizer, recording: Recording, method: PoseMethod
         features,
         str(method),
         figures,
+        (alignment.residual_m, alignment.residual_rad),
     )
 
 

@@ -19,6 +19,7 @@ from rholoc.mapping.joining import join, without_source
 from rholoc.mapping.learning import alignment_figures
 from rholoc.mapping.memory import with_landmarks
 from rholoc.mapping.registration import SURE, align_to_found, find_frames
+from rholoc.mapping.uncertainty import moved_covariances, uncertainty_in
 from rholoc.maps import DensityKind, Map, check_observations, source_cameras
 from rholoc.progress import ProgressListener, Stage, silent
 from rholoc.trajectory.alignment import Similarity
@@ -51,7 +52,7 @@ def merge_maps(a: Map, b: Map, progress: ProgressListener = silent) -> Map:
     tried = np.unique(np.linspace(0, len(frames) - 1, _MAX_LOCALIZED).round().astype(np.int64))
     found = find_frames(localizer, frames, tried, "The second map", progress)
     alignment = align_to_found(own, found, a.info.metric and b.info.metric, "The second map")
-    moved = moved_map(b, alignment.similarity)
+    moved = _placed_in(localizer.map, moved_map(b, alignment.similarity))
     same = _same_features(localizer, moved, progress)
     merged = join(localizer.map, moved, same)
     progress(Stage.DENSITIES, 1.0, f"{len(merged)} features, {int((same >= 0).sum())} of them in both maps")
@@ -73,6 +74,9 @@ def moved_map(map_: Map, similarity: Similarity) -> Map:
     moved = replace(
         map_,
         T_map_camera=poses_from_rows(rows_from_poses(similarity.poses(map_.T_map_camera)).astype(np.float32)),
+        view_covariances=(
+            None if map_.view_covariances is None else moved_covariances(map_.view_covariances, similarity)
+        ),
         info=replace(
             map_.info,
             waypoints=tuple(
@@ -82,6 +86,13 @@ def moved_map(map_: Map, similarity: Similarity) -> Map:
         ),
     )
     return with_landmarks(moved)
+
+
+def _placed_in(a: Map, b: Map) -> Map:
+    """``b``, which was brought into the frame of ``a``, as uncertain as that makes it: as both are."""
+    if b.view_covariances is None:
+        return b
+    return replace(b, view_covariances=b.view_covariances + uncertainty_in(a, b.T_map_camera))
 
 
 def _check_alike(a: Map, b: Map) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 from rholoc.features import FeatureSet
 from rholoc.geometry import Camera, FloatArray
 from rholoc.localization import Dof, Localizer, Query
+from rholoc.mapping.uncertainty import expected_error
 from rholoc.maps import Map, coverage_of
 from rholoc.progress import ProgressListener, Stage
 
@@ -43,7 +44,7 @@ def map_report(map_: Map, held_out: HeldOut, progress: ProgressListener) -> dict
 
 def map_statistics(map_: Map) -> dict[str, Any]:
     """What follows from the map alone: statistics of its landmarks, and its coverage."""
-    return landmark_statistics(map_) | {"coverage": coverage_of(map_).to_json()}
+    return landmark_statistics(map_) | expected_error(map_) | {"coverage": coverage_of(map_).to_json()}
 
 
 def landmark_statistics(map_: Map) -> dict[str, Any]:

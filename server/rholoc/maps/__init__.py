@@ -25,7 +25,7 @@ from rholoc.maps.trajectory_table import (
     view_trajectory,
     write_trajectory_csv,
 )
-from rholoc.maps.trust import Trust, trust_of
+from rholoc.maps.trust import Trust, expected_error_m, reported_metres, trust_of
 from rholoc.maps.validation import validate_map
 
 __all__ = [
@@ -45,6 +45,7 @@ __all__ = [
     "check_observations",
     "coefficient_table",
     "coverage_of",
+    "expected_error_m",
     "is_coefficient_table",
     "landmark_sigmas",
     "load_map",
@@ -57,6 +58,7 @@ __all__ = [
     "packed_pixels",
     "read_coefficient_table",
     "read_trajectory_csv",
+    "reported_metres",
     "save_map",
     "source_cameras",
     "trajectory_csv",

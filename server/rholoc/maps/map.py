@@ -71,6 +71,8 @@ class Map:
         observation_views: (V,) int32, the view of each observation, never falling.
         observation_features: (V,) int32, the feature that it is of.
         observations: what else learning needs of each observation; None where the map does not keep it.
+        view_covariances: (K, 6, 6) float32 of the views' poses: x, y, z in metres, then a small rotation about the
+            map's axes, from the left, in radians; NaN for views whose uncertainty is not known. None where none is.
         fitted: densities that are more than a function of the landmarks (``tensor``), or None (``ray``).
     """
 
@@ -85,6 +87,7 @@ class Map:
     observation_views: IntArray
     observation_features: IntArray
     observations: Observations | None = None
+    view_covariances: FloatArray | None = None
     fitted: TensorDensities | None = None
 
     def __len__(self) -> int:
@@ -94,6 +97,19 @@ class Map:
     def view_offsets(self) -> IntArray:
         """(K + 1,) int32: the observations of view k are rows view_offsets[k] : view_offsets[k + 1]."""
         return np.searchsorted(self.observation_views, np.arange(len(self.view_times) + 1)).astype(np.int32)
+
+    @property
+    def known_view_covariances(self) -> FloatArray:
+        """(K, 6, 6) as ``view_covariances``, all NaN where there are none."""
+        if self.view_covariances is None:
+            return np.full((len(self.view_times), 6, 6), np.nan, dtype=np.float32)
+        return self.view_covariances
+
+    @property
+    def expected_errors_m(self) -> FloatArray:
+        """(K,) how far each view is expected to be from the truth (root mean square, metres); NaN where unknown."""
+        variances = np.trace(self.known_view_covariances[:, :3, :3].astype(np.float64), axis1=1, axis2=2)
+        return np.asarray(np.sqrt(variances))
 
     @property
     def view_positions(self) -> FloatArray:

@@ -33,6 +33,7 @@ FORMAT_VERSION = 1
 _CHECKSUM_BYTES = 16
 _HINT = "Take another copy, or build the map again."
 _UPPER = np.triu_indices(3)
+_UPPER_OF_POSE = np.triu_indices(6)
 _UNIT_TOLERANCE = 1e-3  # of a stored quaternion's length
 
 # name: kind of number, and the shape's known part; None is any length
@@ -46,6 +47,9 @@ _ARRAYS: dict[str, tuple[str, tuple[int | None, ...]]] = {
     "view_poses": ("f4", (None, 7)),  # x, y, z and the quaternion x, y, z, w
     "view_offsets": ("i4", (None,)),
     "view_features": ("i4", (None,)),
+}
+_VIEW_COVARIANCES: dict[str, tuple[str, tuple[int | None, ...]]] = {
+    "view_covariances": ("f4", (None, 21)),  # the upper triangle, row by row; older files have none
 }
 _OBSERVATIONS: dict[str, tuple[str, tuple[int | None, ...]]] = {
     "extras/observation_pixels": ("u2", (None, 2)),
@@ -147,6 +151,8 @@ def _packed(map_: Map) -> Arrays:
         "view_offsets": map_.view_offsets,
         "view_features": map_.observation_features,
     }
+    if map_.view_covariances is not None:
+        arrays["view_covariances"] = map_.view_covariances[:, _UPPER_OF_POSE[0], _UPPER_OF_POSE[1]]
     if map_.observations is not None:
         arrays |= {
             "extras/observation_pixels": _packed_pixels(map_, map_.observations),
@@ -161,7 +167,7 @@ def _packed(map_: Map) -> Arrays:
             "extras/tensor_places": map_.fitted.places,
             "extras/tensor_radii": map_.fitted.radii,
         }
-    kinds = _ARRAYS | _OBSERVATIONS | _TENSORS
+    kinds = _ARRAYS | _VIEW_COVARIANCES | _OBSERVATIONS | _TENSORS
     return {name: np.asarray(array, dtype=f"<{kinds[name][0]}", order="C") for name, array in arrays.items()}
 
 
@@ -183,6 +189,7 @@ def _unpacked(info: MapInfo, arrays: Arrays) -> Map:
         T_map_camera=unpacked_poses(arrays["view_poses"]),
         observation_views=_views_of(arrays["view_offsets"], len(arrays["view_times"]), len(arrays["view_features"])),
         observation_features=arrays["view_features"],
+        view_covariances=_unpacked_view_covariances(arrays),
         fitted=_unpacked_tensors(arrays) if info.density is DensityKind.TENSOR else None,
         observations=None,
     )
@@ -197,6 +204,17 @@ def unpacked_covariances(rows: FloatArray) -> FloatArray:
     covariances = np.zeros((len(rows), 3, 3), dtype=np.float32)
     covariances[:, _UPPER[0], _UPPER[1]] = rows
     covariances[:, _UPPER[1], _UPPER[0]] = rows
+    return covariances
+
+
+def _unpacked_view_covariances(arrays: Arrays) -> FloatArray | None:
+    if "view_covariances" not in arrays:
+        return None
+    _check_arrays(arrays, _VIEW_COVARIANCES)
+    rows = arrays["view_covariances"]
+    covariances = np.zeros((len(rows), 6, 6), dtype=np.float32)
+    covariances[:, _UPPER_OF_POSE[0], _UPPER_OF_POSE[1]] = rows
+    covariances[:, _UPPER_OF_POSE[1], _UPPER_OF_POSE[0]] = rows
     return covariances
 
 

@@ -15,9 +15,10 @@ from rholoc.errors import InvalidTrajectory
 from rholoc.geometry import FloatArray, IntArray, pose_matrix, rotation_from_heading
 from rholoc.maps.files import replace_file
 from rholoc.maps.map import Map
+from rholoc.maps.trust import trust_of
 
 PAPER_COLUMNS = ("timestamp", "x", "y", "z", "hx", "hy", "hz")
-FURTHER_COLUMNS = ("frame", "roll", "qx", "qy", "qz", "qw", "confidence", "inliers")
+FURTHER_COLUMNS = ("frame", "roll", "qx", "qy", "qz", "qw", "confidence", "inliers", "map_trusted", "expected_error_m")
 TRAJECTORY_COLUMNS = PAPER_COLUMNS + FURTHER_COLUMNS
 
 _HINT = f"The first row must be {','.join(PAPER_COLUMNS)}, with or without {','.join(FURTHER_COLUMNS)} after it."
@@ -34,6 +35,10 @@ class TrajectoryTable:
         T_map_camera: (N, 4, 4).
         confidences: (N,) float64, 0..1; NaN where unknown.
         inliers: (N,) int64; 0 where unknown.
+        map_trusted: (N,) float64, whether the map that a frame was localized in is to be trusted: 1, 0, or NaN where
+            unknown. None where all are.
+        expected_errors_m: (N,) float64, how far that map is expected to be off there (root mean square, metres); NaN
+            where unknown. None where all are.
     """
 
     times: FloatArray
@@ -41,6 +46,8 @@ class TrajectoryTable:
     T_map_camera: FloatArray
     confidences: FloatArray
     inliers: IntArray
+    map_trusted: FloatArray | None = None
+    expected_errors_m: FloatArray | None = None
 
     def __len__(self) -> int:
         return len(self.times)
@@ -74,12 +81,15 @@ class TrajectoryTable:
 def view_trajectory(map_: Map) -> TrajectoryTable:
     """The views of a map as a trajectory, in their order; frames and confidences unknown, ``inliers`` what each saw."""
     views = len(map_.view_times)
+    trusted = trust_of(map_.info).trusted
     return TrajectoryTable(
         times=map_.view_times,
         frames=np.full(views, -1),
         T_map_camera=map_.T_map_camera,
         confidences=np.full(views, np.nan),
         inliers=np.diff(map_.view_offsets).astype(np.int64),
+        map_trusted=np.full(views, np.nan if trusted is None else float(trusted)),
+        expected_errors_m=map_.expected_errors_m,
     )
 
 
@@ -105,13 +115,19 @@ def trajectory_csv(table: TrajectoryTable) -> str:
             table.quaternions_xyzw,
             table.confidences,
             table.inliers,
+            _or_unknown(table.map_trusted, len(table)),
+            _or_unknown(table.expected_errors_m, len(table)),
         ]
     )
-    formats = ["%.6f"] + ["%.5f"] * 3 + ["%.8f"] * 3 + ["%d", "%.8f"] + ["%.8f"] * 4 + ["%.4f", "%d"]
+    formats = ["%.6f"] + ["%.5f"] * 3 + ["%.8f"] * 3 + ["%d", "%.8f"] + ["%.8f"] * 4 + ["%.4f", "%d", "%.0f", "%.5f"]
     text = io.StringIO()
     text.write(",".join(TRAJECTORY_COLUMNS) + "\n")
     np.savetxt(text, values, fmt=formats, delimiter=",")
     return text.getvalue()
+
+
+def _or_unknown(values: FloatArray | None, count: int) -> FloatArray:
+    return np.full(count, np.nan) if values is None else values
 
 
 def read_trajectory_csv(path: Path) -> TrajectoryTable:
@@ -133,6 +149,8 @@ def read_trajectory_csv(path: Path) -> TrajectoryTable:
         T_map_camera=pose_matrix(_rotations(columns, path), required[:, 1:4]),
         confidences=columns.get("confidence", np.full(n, np.nan)),
         inliers=_whole(columns.get("inliers", np.zeros(n)), "inliers", path),
+        map_trusted=columns.get("map_trusted"),
+        expected_errors_m=columns.get("expected_error_m"),
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -36,6 +37,20 @@ def trust_of(info: MapInfo) -> Trust:
     trusted = all(report["trusted"] for report in said)
     whys = [str(report.get("why", "")) for report in said if report["trusted"] is trusted]
     return Trust(trusted, tuple(dict.fromkeys(why for why in whys if why)))
+
+
+def expected_error_m(info: MapInfo) -> float | None:
+    """How far a map's poses are expected to be from the truth (root mean square, metres); None where not known."""
+    return reported_metres(info, "expected_error", "rms_m")
+
+
+def reported_metres(info: MapInfo, section: str, name: str) -> float | None:
+    """A length of a metric map's report; the report came with the file, and may say anything."""
+    figures = info.report.get(section)
+    value = figures.get(name) if isinstance(figures, dict) else None
+    if not info.metric or isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        return None
+    return float(value)
 
 
 def _list(value: Any) -> list[Any]:

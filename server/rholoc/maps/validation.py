@@ -11,6 +11,7 @@ from rholoc.maps.map import DensityKind, Map
 from rholoc.maps.observations import observations_fit
 
 _ROTATION_TOLERANCE = 1e-3
+_COVARIANCE_TOLERANCE = 1e-5  # below zero, of the greatest eigenvalue: what rounding makes
 _HINT = "Build it again, or take another copy."
 
 # name: dtype and the shape's known part; None is any length
@@ -49,6 +50,8 @@ def validate_map(map_: Map) -> None:
     _check(_all_in_range(map_.observation_views, views), "an observation is from a view that is not there")
     _check(bool(np.all(np.diff(map_.observation_views) >= 0)), "observations are not sorted by view")
     _check(_all_in_range(map_.observation_features, features), "a view saw a feature that is not there")
+    if map_.view_covariances is not None:
+        _check(_all_covariances(map_.view_covariances, views), "its views' covariances are none")
     if map_.observations is not None:
         _check(observations_fit(map_, map_.observations), "its observations and its recordings do not fit together")
     if map_.fitted is not None:
@@ -88,6 +91,17 @@ def _check_array(name: str, array: object, dtype: type[np.generic], shape: tuple
     _check(fits, f"{name} is not an array of {np.dtype(dtype).name} of the right shape")
     if isinstance(array, np.ndarray) and np.issubdtype(dtype, np.floating):
         _check(bool(np.isfinite(array).all()), f"{name} has values that are not finite")
+
+
+def _all_covariances(covariances: FloatArray, views: int) -> bool:
+    """Whether each is a covariance, or unknown as a whole."""
+    if covariances.shape != (views, 6, 6) or covariances.dtype != np.float32:
+        return False
+    known = covariances[~np.isnan(covariances).all(axis=(1, 2))].astype(np.float64)
+    if not np.isfinite(known).all() or not np.array_equal(known, known.transpose(0, 2, 1)):
+        return False
+    least, greatest = np.linalg.eigvalsh(known)[:, [0, -1]].T
+    return bool(np.all(least >= -_COVARIANCE_TOLERANCE * greatest))
 
 
 def _all_in_range(index: IntArray, length: int) -> bool:

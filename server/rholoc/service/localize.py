@@ -189,6 +189,8 @@ def _answer(
         map_id=info.id,
         map_version=info.version,
         scale=Scale.METRIC if info.metric else Scale.ARBITRARY,
+        map_trusted=localizer.index.trust.trusted,
+        expected_error_m=found.expected_error_m,
         agreeing=_agreeing(localizer, found) if with_matches else None,
         timings_ms={stage: round(value, 3) for stage, value in timings_ms.items()},
     )

@@ -241,6 +241,8 @@ class LocalizationOut(_Out):
                 "map_id": _MAP_ID,
                 "map_version": 1,
                 "scale": "metric",
+                "map_trusted": True,
+                "expected_error_m": 0.012,
                 "agreeing": None,
                 "timings_ms": {
                     "queue": 0.1, "decode": 2.1, "extract": 11.0, "match": 9.5, "seed": 14.2, "ascend": 20.3,
@@ -254,15 +256,24 @@ class LocalizationOut(_Out):
     reason: Reason | None = Field(description="why there is no pose, else null")
     pose: PoseOut | None
     covariance: list[list[float]] | None = Field(
-        description="6×6, of x, y, z in m and of a small rotation about the map's x, y, z axes in degrees"
+        description="6×6, of x, y, z in m and of a small rotation about the map's x, y, z axes in degrees; "
+        "the map's own uncertainty is part of it"
     )
-    confidence: float = Field(description="0..1, the probability that the pose is within 10 cm and 5°")
+    confidence: float = Field(
+        description="0..1, the probability that the pose is within 10 cm and 5° of the truth, the map's errors included"
+    )
     matches: int
     inliers: int
     map: str
     map_id: str
     map_version: int
     scale: Scale = Field(description="'arbitrary': the map's unit of length is not the metre")
+    map_trusted: bool | None = Field(
+        description="whether the frame poses that the map was built on passed every check; null where it does not say"
+    )
+    expected_error_m: float | None = Field(
+        description="how far the map itself is expected to be off here, root mean square, m; null where it is not known"
+    )
     agreeing: MatchesOut | None = Field(description="the matches behind `inliers`, where `with_matches` asks for them")
     timings_ms: dict[str, float] = Field(
         description="queue, decode, extract, match, seed, ascend, verify, total: milliseconds"

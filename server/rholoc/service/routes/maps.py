@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import uuid
 from collections.abc import Mapping
 from pathlib import Path
@@ -34,14 +33,15 @@ from rholoc.jobs import JobKind, JobOptions
 from rholoc.mapping import ExportFormat, export_map, forget_recording, merge_maps, parse_features
 from rholoc.maps import (
     Map,
-    MapInfo,
     MapLibrary,
     check_map_name,
     check_observations,
+    expected_error_m,
     is_coefficient_table,
     load_map,
     map_to_scene,
     read_coefficient_table,
+    reported_metres,
     trust_of,
 )
 from rholoc.maps.preview import preview_png
@@ -330,17 +330,10 @@ def _summary(library: MapLibrary, name: str) -> dict[str, object]:
         "size_bytes": library.stat(name).size_bytes,
         "trusted": trust.trusted,
         "trust_reason": trust.reason,
-        "expected_error_m": _metres(info, "expected_error", "rms_m"),
-        "consistency_m": _metres(info, "held_out", "median_m"),
+        "expected_error_m": expected_error_m(info),
+        "consistency_m": reported_metres(info, "held_out", "median_m"),
         "camera": _camera(info.camera),
     }
-
-
-def _metres(info: MapInfo, section: str, name: str) -> float | None:
-    """A length of a metric map's report; the report came with the file, and may say anything."""
-    figures = info.report.get(section)
-    value = figures.get(name) if isinstance(figures, dict) else None
-    return float(value) if info.metric and isinstance(value, int | float) and math.isfinite(value) else None
 
 
 def _detail(library: MapLibrary, name: str) -> MapDetail:

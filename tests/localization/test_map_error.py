@@ -1,0 +1,114 @@
+"""The map's own uncertainty in an answer: against samples, and in maps that are displaced by as much as they say."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from rholoc.localization import Localizer, Query
+from rholoc.localization.map_error import (
+    RIGHT_M,
+    RIGHT_RAD,
+    carried_covariances,
+    map_covariance_at,
+    probability_right,
+    trust_in_map,
+)
+from rholoc.mapping.uncertainty import storable_covariances
+from rholoc.maps import Map
+
+
+def covariance(sigma_m: float, seed: int) -> np.ndarray:
+    A = np.random.default_rng(seed).normal(size=(6, 6)) / np.sqrt(6)
+    A[3:] /= 3
+    return sigma_m**2 * A @ A.T
+
+
+@pytest.mark.parametrize("sigma_m", [0.005, 0.02, 0.05, 0.1, 0.3])
+@pytest.mark.parametrize("seed", range(3))
+def test_the_probability_is_the_share_of_samples(sigma_m: float, seed: int) -> None:
+    spread = covariance(sigma_m, seed)
+    errors = np.random.default_rng(1).multivariate_normal(np.zeros(6), spread, 100_000)
+    right = (np.linalg.norm(errors[:, :3], axis=1) < RIGHT_M) & (np.linalg.norm(errors[:, 3:], axis=1) < RIGHT_RAD)
+    assert probability_right(spread) == pytest.approx(right.mean(), abs=0.012)
+
+
+def test_an_uncertain_map_lowers_the_probability_and_an_exact_one_does_not() -> None:
+    local = covariance(0.01, 0)
+    assert trust_in_map(local, None) == 1
+    assert trust_in_map(local, np.zeros((6, 6))) == pytest.approx(1)
+    lowered = [trust_in_map(local, covariance(sigma_m, 1)) for sigma_m in (0.01, 0.05, 0.1, 0.3)]
+    assert lowered == sorted(lowered, reverse=True)
+    assert lowered[0] > 0.99
+    assert lowered[-1] < 0.2
+
+
+def test_a_covariance_is_carried_as_its_samples_are() -> None:
+    spread = covariance(0.02, 2)
+    here, there = np.array([1.0, -2.0, 1.5]), np.array([2.0, 0.5, 1.0])
+    motions = np.random.default_rng(3).multivariate_normal(np.zeros(6), spread, 50_000)
+    turned = Rotation.from_rotvec(motions[:, 3:]).apply(there - here) + here + motions[:, :3] - there
+    carried = carried_covariances(spread[None], here[None], there)[0]
+    np.testing.assert_allclose(carried[:3, :3], np.cov(turned.T), atol=0.05 * np.trace(carried[:3, :3]))
+    np.testing.assert_allclose(carried[3:, 3:], spread[3:, 3:])
+
+
+def test_views_that_do_not_know_are_left_out() -> None:
+    spreads = np.stack([covariance(0.02, 4), np.full((6, 6), np.nan), covariance(0.02, 4)])
+    at = np.zeros((3, 3))
+    found = map_covariance_at(spreads, at, np.array([1.0, 5.0, 2.0]), np.zeros(3))
+    np.testing.assert_allclose(found, spreads[0])
+    assert map_covariance_at(spreads, at, np.array([0.0, 1.0, 0.0]), np.zeros(3)) is None
+
+
+def displaced(map_: Map, spread: np.ndarray) -> Map:
+    """The map, which as a whole may be moved by what has this covariance (6, 6) at the origin."""
+    at_views = [carried_covariances(spread[None], np.zeros((1, 3)), x)[0] for x in map_.view_positions]
+    report = {"trajectories": [{"trusted": True, "why": ""}]}
+    return replace(
+        map_, view_covariances=storable_covariances(np.array(at_views)), info=replace(map_.info, report=report)
+    )
+
+
+@pytest.mark.parametrize("sigma_m", [0.03, 0.1])
+def test_answers_know_that_the_map_may_be_displaced(room_map: Map, point_room: Any, sigma_m: float) -> None:
+    """The map is off by a rigid motion: of the true poses 95 % lie in the ellipsoids, confidences are shares."""
+    spread = covariance(sigma_m, 5)
+    spread[3:, 3:] /= 10
+    spread[:3, 3:] = spread[3:, :3] = 0
+    localizer = Localizer(displaced(room_map, spread))
+    rng = np.random.default_rng(8)
+    inside, right, confidences = [], [], []
+    for seed, pose in enumerate(point_room.walk(8, sideways_m=0.1)):
+        answer = localizer.localize(Query(point_room.see(pose, 100 + seed), point_room.camera))
+        assert answer.pose is not None
+        assert answer.covariance is not None
+        assert answer.map_trusted is True
+        for motion in rng.multivariate_normal(np.zeros(6), spread, 200):
+            truth = Rotation.from_rotvec(motion[3:]).apply(pose.position) + motion[:3]
+            off = answer.pose.position - truth
+            inside.append(off @ np.linalg.solve(answer.covariance[:3, :3], off) <= 7.815)
+            right.append(np.linalg.norm(off) <= RIGHT_M)
+            confidences.append(answer.confidence)
+        carried = carried_covariances(spread[None], np.zeros((1, 3)), answer.pose.position)[0]
+        assert answer.expected_error_m == pytest.approx(np.sqrt(np.trace(carried[:3, :3])), rel=0.01)
+    assert 0.9 <= np.mean(inside) <= 0.99
+    assert np.mean(confidences) == pytest.approx(np.mean(right), abs=0.08)
+
+
+def test_an_answer_in_an_untrusted_map_is_less_sure_but_comes(room_map: Map, point_room: Any) -> None:
+    pose = point_room.walk(7)[3]
+    query = Query(point_room.see(pose, 5), point_room.camera)
+    answers = []
+    for trusted in (True, False):
+        report = {"trajectories": [{"trusted": trusted, "why": "Measured."}]}
+        map_ = replace(room_map, info=replace(room_map.info, report=report))
+        answers.append(Localizer(map_, min_confidence=0.9).localize(query))
+    assert all(answer.localized for answer in answers)
+    assert [answer.map_trusted for answer in answers] == [True, False]
+    assert answers[1].confidence < 0.9 < answers[0].confidence
+    assert answers[0].expected_error_m is None

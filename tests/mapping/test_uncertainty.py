@@ -1,0 +1,91 @@
+"""How uncertain a map's views are, through all that is done with maps."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from rholoc.mapping import forget_recording, merge_maps
+from rholoc.mapping.joining import join, without_source
+from rholoc.mapping.report import map_statistics
+from rholoc.mapping.uncertainty import expected_error, moved_covariances, storable_covariances, uncertainty_in
+from rholoc.maps import Map
+from rholoc.trajectory.alignment import Similarity
+
+
+def spreads(count: int, sigma_m: float, seed: int = 0) -> np.ndarray:
+    factors = np.random.default_rng(seed).normal(0, sigma_m / np.sqrt(6), (count, 6, 6))
+    return storable_covariances(factors @ factors.transpose(0, 2, 1))
+
+
+@pytest.fixture(scope="module")
+def first(point_room: Any) -> Map:
+    map_ = point_room.map_of(point_room.walk(30), "first")
+    return replace(map_, view_covariances=spreads(30, 0.01))
+
+
+@pytest.fixture(scope="module")
+def second(point_room: Any) -> Map:
+    return point_room.map_of(point_room.walk(20, sideways_m=0.1), "second")
+
+
+def test_views_keep_theirs_when_maps_are_joined_and_parted(first: Map, second: Map) -> None:
+    joined = join(first, second, np.full(len(second), -1))
+    np.testing.assert_array_equal(joined.view_covariances[:30], first.view_covariances)
+    assert np.isnan(joined.view_covariances[30:]).all()
+    parted = without_source(joined, 1)
+    np.testing.assert_array_equal(parted.view_covariances, first.view_covariances)
+    assert without_source(join(second, second, np.arange(len(second))), 1).view_covariances is None
+
+
+def test_a_merged_map_is_as_uncertain_as_both(first: Map, second: Map) -> None:
+    uncertain = replace(second, view_covariances=spreads(20, 0.02, seed=1))
+    merged = merge_maps(first, uncertain)
+    np.testing.assert_array_equal(merged.view_covariances[:30], first.view_covariances)
+    own = uncertain.expected_errors_m
+    assert (merged.expected_errors_m[30:] > own).all()
+    assert (merged.expected_errors_m[30:] < np.hypot(own, 2 * first.expected_errors_m.max())).all()
+    assert merged.info.report["expected_error"]["rms_m"] > first.expected_errors_m.mean()
+
+
+def test_what_is_forgotten_is_not_expected_to_err(first: Map, second: Map) -> None:
+    merged = merge_maps(first, replace(second, view_covariances=spreads(20, 0.02, seed=1)))
+    report = forget_recording(merged, "second").info.report
+    assert len(report["expected_error"]["views_m"]) == 30
+    assert "expected_error" not in forget_recording(merge_maps(first, second), "first").info.report
+
+
+def test_in_the_frame_of_a_map_that_does_not_know_nothing_is_known(first: Map, second: Map) -> None:
+    assert np.isnan(merge_maps(second, first).expected_errors_m).all()
+
+
+def test_covariances_turn_with_the_frame() -> None:
+    turn = Similarity(2.0, Rotation.from_euler("z", 90, degrees=True).as_matrix(), np.array([1.0, 2.0, 3.0]))
+    moved = moved_covariances(np.diag([1.0, 4.0, 9.0, 0.1, 0.2, 0.3])[None].astype(np.float32), turn)[0]
+    np.testing.assert_allclose(np.diag(moved), [16, 4, 36, 0.2, 0.1, 0.3], rtol=1e-6)
+
+
+def test_a_pose_found_in_a_map_knows_no_more_than_the_map(first: Map) -> None:
+    here = first.T_map_camera[10]
+    found = uncertainty_in(first, here[None], residual_m=0.005)[0]
+    assert np.trace(found[:3, :3]) > first.expected_errors_m[5:15].min() ** 2
+    assert np.isnan(uncertainty_in(replace(first, view_covariances=None), here[None])).all()
+
+
+def test_the_report_has_the_expected_error_of_the_whole_and_over_the_walk(first: Map) -> None:
+    spread = first.view_covariances.copy()
+    spread[4] = np.nan
+    section = expected_error(replace(first, view_covariances=spread))["expected_error"]
+    errors_m = np.delete(first.expected_errors_m, 4)
+    assert section["rms_m"] == pytest.approx(np.sqrt(np.mean(errors_m**2)))
+    assert section["worst_m"] == pytest.approx(errors_m.max())
+    assert (
+        section["worst_time_s"] == first.view_times[np.argmax(np.where(np.arange(30) == 4, 0, first.expected_errors_m))]
+    )
+    assert section["views_m"][4] is None
+    assert map_statistics(first)["expected_error"]["views_m"][0] == pytest.approx(first.expected_errors_m[0], abs=1e-5)
+    assert "expected_error" not in map_statistics(replace(first, view_covariances=None))
