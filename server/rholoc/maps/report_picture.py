@@ -25,6 +25,7 @@ from rholoc.geometry import FloatArray
 from rholoc.maps.coverage import SUFFICIENT, Coverage, coverage_of
 from rholoc.maps.export import landmark_sigmas
 from rholoc.maps.map import Map
+from rholoc.maps.trust import expected_error_m, trust_of
 
 _GREEN = "#1a7f5a"
 _INK = "#22303c"
@@ -60,7 +61,10 @@ def report_png(map_: Map, title: str = "") -> bytes:
     _plot_coverage(figure, figure.add_subplot(grid[:, 0]), map_, coverage_of(map_))
     unit, factor = ("cm", 100.0) if map_.info.metric else ("units", 1.0)
     _plot_errors(figure.add_subplot(grid[0, 1]), map_.info.report, unit, factor)
-    _plot_confidences(figure.add_subplot(grid[0, 2]), _held_out(map_.info.report), unit, factor)
+    if np.isfinite(map_.expected_errors_m).any():
+        _plot_expected_error(figure.add_subplot(grid[0, 2]), map_, unit, factor)
+    else:
+        _plot_confidences(figure.add_subplot(grid[0, 2]), _held_out(map_.info.report), unit, factor)
     _plot_sigmas(figure.add_subplot(grid[1, 1]), map_, unit, factor)
     _plot_views_per_landmark(figure.add_subplot(grid[1, 2]), map_)
     png = io.BytesIO()
@@ -182,8 +186,17 @@ def _caption(map_: Map, coverage: Coverage) -> str:
         f"{len(map_)} landmarks · {len(map_.view_times)} views · {info.features}, {info.density.value}"
         f"{scale}{upright}\n"
         f"{summary['share_sufficient']:.0%} of positions and headings see {SUFFICIENT} landmarks or more (green); "
-        f"{coverage.step_m:.2g} {unit} grid, camera {coverage.pitch_deg:+.0f}°"
+        f"{coverage.step_m:.2g} {unit} grid, camera {coverage.pitch_deg:+.0f}°\n"
+        f"{_trust(map_)}"
     )
+
+
+def _trust(map_: Map) -> str:
+    """One line on whether the map is to be trusted, and how far it is expected to be off."""
+    expected_m, trust = expected_error_m(map_.info), trust_of(map_.info)
+    expected = "unknown" if expected_m is None else f"{100 * expected_m:.1f} cm"
+    trusted = {True: "yes", False: "no", None: "unknown"}[trust.trusted]
+    return f"trusted: {trusted} · expected error {expected}"
 
 
 def _plot_errors(axes: Axes, report: dict[str, Any], unit: str, factor: float) -> None:
@@ -249,6 +262,17 @@ def _plot_confidences(axes: Axes, held_out: _HeldOut | None, unit: str, factor: 
     axes.scatter(errors, held_out.confidences[found], s=22, color=_GREEN, alpha=0.6, linewidths=0, clip_on=False)
     axes.set_ylim(0, 1.04)
     _logarithmic(axes, 0.7 * float(errors.min()), 1.4 * float(errors.max()))
+
+
+def _plot_expected_error(axes: Axes, map_: Map, unit: str, factor: float) -> None:
+    """How far the views are expected to be from the truth, over the walk."""
+    _panel(axes, "Expected error over the walk", "view", f"root mean square, {unit}")
+    errors = factor * map_.expected_errors_m
+    numbers = np.arange(len(errors))
+    axes.plot(numbers, errors, color=_GREEN, linewidth=1.5)
+    axes.fill_between(numbers, errors, color=_GREEN, alpha=0.12, linewidth=0)
+    axes.set_ylim(0, 1.15 * float(np.nanmax(errors)))
+    axes.set_xlim(0, max(len(errors) - 1, 1))
 
 
 def _plot_sigmas(axes: Axes, map_: Map, unit: str, factor: float) -> None:
