@@ -71,7 +71,7 @@ class Trial {
 
   /** Localize one picture (a canvas, an image or a video of a size) and show where it is. */
   async localize(blob, source, prior) {
-    const query = { ...this.options(source.width), ...prior, dof: this.rolls.checked ? 6 : 5, with_matches: true };
+    const query = { ...this.options(source.width), ...prior, dof: this.rolls.checked ? "auto" : 5, with_matches: true };
     const found = await call("POST", path`v1/maps/${this.map.name}/localize`, {
       body: blob,
       headers: { "Content-Type": blob.type },

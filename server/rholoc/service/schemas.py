@@ -9,7 +9,7 @@ from pydantic.config import JsonDict
 
 from rholoc.features import Channel
 from rholoc.jobs import JobState
-from rholoc.localization import Dof, Reason
+from rholoc.localization import Cause, Dof, Intrinsics, Reason
 from rholoc.maps import DensityKind
 from rholoc.progress import Stage
 from rholoc.trajectory import PoseMethod, Scale
@@ -142,7 +142,16 @@ class LocalizeOptions(_In):
     )
 
     camera: CameraChoice = Field(default_factory=CameraChoice)
-    dof: Dof = Field(default=Dof.UPRIGHT, description="5: the camera does not roll; 6: roll is estimated too")
+    dof: Dof = Field(
+        default=Dof.AUTO,
+        description="'auto': 6, roll being improbable where the map's own views were upright; 5: the camera does not "
+        "roll; 6: roll is estimated too",
+    )
+    intrinsics: Intrinsics = Field(
+        default=Intrinsics.GIVEN,
+        description="'unknown': the focal length is estimated along with the pose; then no camera may be given but its "
+        "width and height",
+    )
     prior: PriorIn | None = None
     gravity: Vector3 | None = Field(default=None, description="the direction of gravity (down) in the camera frame")
     deadline_ms: float | None = Field(default=None, gt=0, le=600_000, description="how long the answer may take")
@@ -217,6 +226,26 @@ class MatchesOut(_Out):
     landmarks: list[list[float]] = Field(description="x, y, z of the landmark in the map, m")
 
 
+class DiagnosisOut(_Out):
+    """The likeliest cause for which there is no pose, and what to try."""
+
+    cause: Cause
+    message: str = Field(description="one sentence: what it looks like")
+    hint: str = Field(description="one sentence: what to try")
+
+
+class EstimatedCameraOut(_Out):
+    """The camera as estimated from the picture."""
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    focal_sigma_px: float = Field(description="one sigma of fx and fy")
+
+
 class LocalizationOut(_Out):
     """The answer for one frame. ``localized`` false is an answer, not an error."""
 
@@ -244,9 +273,12 @@ class LocalizationOut(_Out):
                 "map_trusted": True,
                 "expected_error_m": 0.012,
                 "agreeing": None,
+                "diagnosis": None,
+                "near_prior": None,
+                "camera": None,
                 "timings_ms": {
                     "queue": 0.1, "decode": 2.1, "extract": 11.0, "match": 9.5, "seed": 14.2, "ascend": 20.3,
-                    "verify": 1.7, "total": 59.4,
+                    "verify": 1.7, "diagnose": 0.0, "total": 59.4,
                 },
             }
         },
@@ -275,8 +307,11 @@ class LocalizationOut(_Out):
         description="how far the map itself is expected to be off here, root mean square, m; null where it is not known"
     )
     agreeing: MatchesOut | None = Field(description="the matches behind `inliers`, where `with_matches` asks for them")
+    diagnosis: DiagnosisOut | None = Field(description="the likeliest cause where there is no pose, else null")
+    near_prior: bool | None = Field(description="whether the pose lies where the prior has it; null without a prior")
+    camera: EstimatedCameraOut | None = Field(description="where `intrinsics` is 'unknown': the camera as estimated")
     timings_ms: dict[str, float] = Field(
-        description="queue, decode, extract, match, seed, ascend, verify, total: milliseconds"
+        description="milliseconds: queue, decode, extract, match, seed, ascend, verify, diagnose, total"
     )
 
 
