@@ -277,7 +277,7 @@ def _build(
 
 def _view_images(recordings: Sequence[Recording], map_: Map) -> Iterator[ByteArray]:
     """The images of a map's views, recording after recording as they were built from."""
-    counts = [int(source["views"]) for source in map_.info.sources]
+    counts = [source.views or 0 for source in map_.info.sources]
     ends = np.cumsum(counts)
     for recording, start, end in zip(recordings, ends - counts, ends, strict=True):
         rows = np.searchsorted(recording.frames.times, map_.view_times[start:end])

@@ -143,9 +143,8 @@ def _from_sight(sight: Sight, map_: Map) -> Diagnosis | None:
 
 def _brightness_of(map_: Map) -> float:
     """The mean grey level of a map's recordings, 0 where it is not known."""
-    coaching = map_.info.report.get("coaching") or []
-    known = [one.get("figures", {}).get("brightness") for one in coaching if isinstance(one, dict)]
-    levels = [float(level) for level in known if isinstance(level, int | float)]
+    known = [walk.figures.brightness for walk in map_.info.report.coaching]
+    levels = [level for level in known if level is not None]
     return float(np.mean(levels)) if levels else 0.0
 
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 import io
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -26,6 +25,7 @@ from rholoc.maps.coverage import SUFFICIENT, Coverage, coverage_of
 from rholoc.maps.export import landmark_sigmas
 from rholoc.maps.map import Map
 from rholoc.maps.trust import expected_error_m, trust_of
+from rholoc.reports import MapReport
 
 _GREEN = "#1a7f5a"
 _INK = "#22303c"
@@ -72,19 +72,13 @@ def report_png(map_: Map, title: str = "") -> bytes:
     return png.getvalue()
 
 
-def _held_out(report: dict[str, Any]) -> _HeldOut | None:
-    """What the report says of single frames, if it says it, and soundly: maps come from anywhere."""
-    section = report.get("held_out")
-    if not isinstance(section, dict):
+def _held_out(report: MapReport) -> _HeldOut | None:
+    """What the report says of single frames, if it does."""
+    frames = report.held_out
+    if frames is None or not frames.errors_m or len(frames.errors_m) != len(frames.confidences or ()):
         return None
-    try:
-        errors = [math.inf if error is None else float(error) for error in section["errors_m"]]
-        confidences = [float(confidence) for confidence in section["confidences"]]
-    except (KeyError, TypeError, ValueError):
-        return None
-    if not errors or len(errors) != len(confidences) or any(math.isnan(value) for value in (*errors, *confidences)):
-        return None
-    return _HeldOut(np.array(errors), np.array(confidences))
+    errors = [math.inf if error is None else error for error in frames.errors_m]
+    return _HeldOut(np.array(errors), np.array(frames.confidences))
 
 
 def _plot_coverage(figure: Figure, axes: Axes, map_: Map, coverage: Coverage) -> None:
@@ -147,10 +141,10 @@ def _plot_path(axes: Axes, places: FloatArray, headings: FloatArray) -> None:
 
 def _plot_waypoints(axes: Axes, map_: Map, coverage: Coverage) -> None:
     for waypoint in map_.info.waypoints:
-        place = coverage.axes @ np.array(waypoint["position"], dtype=np.float64)
+        place = coverage.axes @ np.array(waypoint.position, dtype=np.float64)
         axes.plot(*place, marker="D", markersize=6, color=_MARKED, markeredgecolor="white", zorder=6)
         axes.annotate(
-            str(waypoint["name"]),
+            waypoint.name,
             (float(place[0]), float(place[1])),
             (6, 6),
             textcoords="offset points",
@@ -177,7 +171,6 @@ def _frame(axes: Axes, coverage: Coverage, places: FloatArray, unit: str) -> Non
 
 
 def _caption(map_: Map, coverage: Coverage) -> str:
-    summary = coverage.summary()
     unit = "m" if map_.info.metric else "units"
     info = map_.info
     scale = "" if info.metric else " · scale arbitrary"
@@ -185,7 +178,7 @@ def _caption(map_: Map, coverage: Coverage) -> str:
     return (
         f"{len(map_)} landmarks · {len(map_.view_times)} views · {info.features}, {info.density.value}"
         f"{scale}{upright}\n"
-        f"{summary['share_sufficient']:.0%} of positions and headings see {SUFFICIENT} landmarks or more (green); "
+        f"{coverage.share_sufficient:.0%} of positions and headings see {SUFFICIENT} landmarks or more (green); "
         f"{coverage.step_m:.2g} {unit} grid, camera {coverage.pitch_deg:+.0f}°\n"
         f"{_trust(map_)}"
     )
@@ -199,7 +192,7 @@ def _trust(map_: Map) -> str:
     return f"trusted: {trusted} · expected error {expected}"
 
 
-def _plot_errors(axes: Axes, report: dict[str, Any], unit: str, factor: float) -> None:
+def _plot_errors(axes: Axes, report: MapReport, unit: str, factor: float) -> None:
     """How large a share of the frames is at most so wrong."""
     _panel(
         axes,
@@ -238,14 +231,13 @@ def _plot_errors(axes: Axes, report: dict[str, Any], unit: str, factor: float) -
     )
 
 
-def _quantiles(report: dict[str, Any], unit: str, factor: float) -> str:
+def _quantiles(report: MapReport, unit: str, factor: float) -> str:
     """What a report without the errors themselves says of them."""
-    try:
-        section = report["held_out"]
-        median, p90 = factor * section["median_m"], factor * section["p90_m"]
-        return f"{section['localized']:d} of {section['frames']:d} localized\n50%: {median:.2g}, 90%: {p90:.2g} {unit}"
-    except (KeyError, TypeError, ValueError):
+    frames = report.held_out
+    if frames is None or frames.median_m is None or frames.p90_m is None:
         return _NO_FRAMES
+    median, p90 = factor * frames.median_m, factor * frames.p90_m
+    return f"{frames.localized} of {frames.frames} localized\n50%: {median:.2g}, 90%: {p90:.2g} {unit}"
 
 
 def _plot_confidences(axes: Axes, held_out: _HeldOut | None, unit: str, factor: float) -> None:

@@ -10,8 +10,10 @@ from pydantic.config import JsonDict
 from rholoc.features import Channel
 from rholoc.jobs import JobState
 from rholoc.localization import Cause, Dof, Intrinsics, Reason
-from rholoc.maps import DensityKind
+from rholoc.maps import DensityKind, MapWaypoint, Source
 from rholoc.progress import Stage
+from rholoc.reports import MapReport
+from rholoc.service.examples import REPORT, SOURCE, WAYPOINT, sent
 from rholoc.trajectory import PoseMethod, Scale
 
 _LARGEST_SIZE_PX = 2**31
@@ -320,7 +322,7 @@ _SUMMARY: JsonDict = {
     "id": _MAP_ID,
     "version": 1,
     "density": "ray",
-    "features": "gray",
+    "features": "lab3",
     "scale": "metric",
     "upright": True,
     "created": "2026-01-05T10:00:00Z",
@@ -373,15 +375,15 @@ class MapDetail(MapSummary):
         json_schema_extra={
             "example": {
                 **_SUMMARY,
-                "sources": [{"name": "walk-1", "frames": 900}],
-                "waypoints": [{"name": "W1", "position": [0.0, 0.0, 1.5], "residual_m": 0.01}],
+                "sources": [sent(SOURCE)],
+                "waypoints": [sent(WAYPOINT)],
                 "bounds_m": [[-1.0, -2.0, 0.0], [5.0, 3.0, 2.8]],
             }
         },
     )
 
-    sources: list[dict[str, Any]]
-    waypoints: list[dict[str, Any]]
+    sources: tuple[Source, ...]
+    waypoints: tuple[MapWaypoint, ...]
     bounds_m: list[list[float]] | None = Field(description="the lowest and the highest x, y, z of its landmarks")
 
 
@@ -436,7 +438,7 @@ class ForgetIn(_In):
     source: str = Field(description="its id or name in the map's sources")
 
 
-class MapReport(_Out):
+class MapReportOut(_Out):
     """What the map found out about itself while it was built."""
 
     model_config = ConfigDict(
@@ -446,7 +448,7 @@ class MapReport(_Out):
                 "map": "testsite",
                 "map_id": _MAP_ID,
                 "map_version": 1,
-                "report": {"held_out": 20, "median_cm": 1.4},
+                "report": sent(REPORT),
             }
         },
     )
@@ -454,7 +456,7 @@ class MapReport(_Out):
     map: str
     map_id: str
     map_version: int
-    report: dict[str, Any]
+    report: MapReport
 
 
 class JobError(_Out):

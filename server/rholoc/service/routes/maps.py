@@ -36,12 +36,12 @@ from rholoc.maps import (
     MapLibrary,
     check_map_name,
     check_observations,
+    consistency_m,
     expected_error_m,
     is_coefficient_table,
     load_map,
     map_to_scene,
     read_coefficient_table,
-    reported_metres,
     trust_of,
 )
 from rholoc.maps.preview import preview_png
@@ -58,7 +58,7 @@ from rholoc.service.schemas import (
     MapDetail,
     MapList,
     MapPatch,
-    MapReport,
+    MapReportOut,
     MapSummary,
     MergeIn,
     UpdateIn,
@@ -182,11 +182,11 @@ async def download_map(
     summary="A map's own quality report",
     responses=failures(*_FAILURES),
 )
-async def get_report(map_name: str, service: Service) -> MapReport:
+async def get_report(map_name: str, service: Service) -> MapReportOut:
     """What the map found out about itself while it was built: coverage, residuals, and how consistent it is:
     frames of the same walk, held out, localized in it."""
     info = (await run_in_threadpool(service.library.get, map_name)).info
-    return MapReport(map=map_name, map_id=info.id, map_version=info.version, report=info.report)
+    return MapReportOut(map=map_name, map_id=info.id, map_version=info.version, report=info.report)
 
 
 @router.get(
@@ -331,7 +331,7 @@ def _summary(library: MapLibrary, name: str) -> dict[str, object]:
         "trusted": trust.trusted,
         "trust_reason": trust.reason,
         "expected_error_m": expected_error_m(info),
-        "consistency_m": reported_metres(info, "held_out", "median_m"),
+        "consistency_m": consistency_m(info),
         "camera": _camera(info.camera),
     }
 
@@ -341,7 +341,7 @@ def _detail(library: MapLibrary, name: str) -> MapDetail:
     bounds = None
     if len(map_):
         bounds = [map_.landmarks.min(axis=0).tolist(), map_.landmarks.max(axis=0).tolist()]
-    fields = {"sources": list(map_.info.sources), "waypoints": list(map_.info.waypoints), "bounds_m": bounds}
+    fields = {"sources": map_.info.sources, "waypoints": map_.info.waypoints, "bounds_m": bounds}
     return MapDetail.model_validate({**_summary(library, name), **fields})
 
 
