@@ -7,12 +7,13 @@ import shutil
 import socket
 import threading
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import closing, suppress
+from contextlib import AbstractContextManager, closing, contextmanager, suppress
+from typing import Any
 
 import cv2
 import numpy as np
 import pytest
-from playwright.sync_api import Browser, Playwright, expect, sync_playwright
+from playwright.sync_api import Browser, Page, Playwright, expect, sync_playwright
 
 from rholoc.geometry import ByteArray
 
@@ -153,3 +154,48 @@ def wire() -> Iterator[Callable[[tuple[str, int]], Wire]]:
     yield lay
     for one in laid:
         one.close()
+
+
+@pytest.fixture(scope="module")
+def desk_browser(launch: Callable[..., Browser]) -> Iterator[Browser]:
+    """A Chromium that draws in 3-D without a graphics card."""
+    browser = launch("--enable-unsafe-swiftshader")
+    yield browser
+    browser.close()
+
+
+@pytest.fixture(scope="session")
+def opened() -> Callable[..., AbstractContextManager[Page]]:
+    """Opens a page of the console; every error in Chromium's console fails the test.
+
+    Chromium itself notes each answer of 400 and above there: the test says how many it expects (-1: any).
+    """
+    return _opened
+
+
+@contextmanager
+def _opened(browser: Browser, url: str, where: str = "", failures: int = 0, **options: Any) -> Iterator[Page]:
+    context = browser.new_context(**{"viewport": {"width": 1280, "height": 850}, **options})
+    page = context.new_page()
+    page.set_default_timeout(20_000)
+    complaints: list[str] = []
+    page.on("console", lambda message: message.type in ("error", "warning") and complaints.append(message.text))
+    page.on("pageerror", lambda error: complaints.append(str(error)))
+    page.goto(f"{url}/#/{where}")
+    yield page
+    context.close()
+    answers = [text for text in complaints if text.startswith("Failed to load resource")]
+    assert [text for text in complaints if text not in answers and "GPU stall" not in text] == []
+    assert failures in (-1, len(answers)), answers
+
+
+@pytest.fixture(scope="session")
+def settled() -> Callable[[Page], Page]:
+    """Gives the page once nothing is loading any more."""
+
+    def settle(page: Page) -> Page:
+        expect(page.locator("main h1, main h2").first).to_be_visible()
+        expect(page.locator("main [aria-busy]")).to_have_count(0)
+        return page
+
+    return settle

@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 from axe_playwright_python.sync_playwright import Axe
@@ -391,3 +392,100 @@ def test_the_page_can_be_installed(running, phone):
     assert manifest["url"].endswith("/web/record/manifest.webmanifest")
     problems = devtools.send("Page.getInstallabilityErrors")["installabilityErrors"]
     assert [one["errorId"] for one in problems] in ([], ["in-incognito"])
+
+
+def test_a_bare_wall_and_a_blur_are_said_while_recording_and_before_sending(running, fake_camera):
+    rng = np.random.default_rng(3)
+    wall = np.full((480, 640, 3), 190, np.uint8)
+    wall = np.clip(wall + rng.normal(0, 4, wall.shape), 0, 255).astype(np.uint8)
+    sharp = np.repeat(rng.integers(40, 215, (60, 80, 1), dtype=np.uint8), 3, axis=2).repeat(8, 0).repeat(8, 1)
+    for picture, advice, flaw in (
+        (wall, "Nothing to recognise here", "nothing to recognise"),
+        (cv2.GaussianBlur(sharp, (0, 0), 8), "Blurred", "blurred"),
+    ):
+        browser = fake_camera([picture] * 10)
+        context = browser.new_context(viewport=PHONE, has_touch=True, permissions=["camera", *SENSORS])
+        page = context.new_page()
+        page.set_default_timeout(LONG_MS)
+        page.goto(f"{running.url}/record")
+        open_camera(page)
+        move(page)
+        expect(page.locator(".advice")).to_contain_text(advice)
+        record(page, 5.5)
+        section = page.get_by_role("region", name="Seconds that will fail")
+        expect(section).to_contain_text("better walk again")
+        expect(section.get_by_role("button").first).to_contain_text(flaw)
+        section.get_by_role("button").first.click()
+        browser.close()
+
+
+def test_a_good_walk_has_no_seconds_that_fail(running, phone):
+    page = phone(running.url)
+    open_camera(page)
+    move(page)
+    record(page, 3)
+    assert page.get_by_role("region", name="Seconds that will fail").count() == 0
+
+
+def test_a_double_tap_marks_one_point_and_an_added_one_stands_before_the_end(running, phone):
+    page = phone(running.url)
+    open_camera(page)
+    page.get_by_role("button", name="Record", exact=True).click()
+    page.wait_for_timeout(500)
+    page.locator("button.waypoint").dblclick()
+    expect(page.locator("button.waypoint strong")).to_have_text("W2")
+    page.get_by_role("button", name="Points").click()
+    page.get_by_role("button", name="Add a point").click()
+    names = page.get_by_label("Name of point").all()
+    assert [one.input_value() for one in names] == ["W1", "W2", "W3", "W4", "E"]
+
+
+def test_a_name_that_a_map_has_is_asked_about_before_it_is_sent(serve, phone, picture_world):
+    running = serve()
+    (running.settings.maps_dir / "hall.rho").write_bytes(picture_world.rho())
+    page = phone(running.url)
+    page.get_by_label("Name of the map").fill("hall")
+    open_camera(page)
+    record(page, 5.5)
+    page.get_by_role("button", name="Send").click()
+    expect(page.get_by_role("heading", name="Your recording")).to_be_visible()
+    page.get_by_label("The map learns it").check()
+    page.get_by_role("button", name="Send").click()
+    expect(page.get_by_role("alert")).to_contain_text("does not remember what it was learned from")
+    page.get_by_role("button", name="Change it").click()
+    page.get_by_label("The map is replaced").check()
+    page.get_by_role("button", name="Send").click()
+    expect(page.get_by_role("heading", name="The server makes the map")).to_be_visible()
+
+
+def test_a_map_that_is_not_trusted_is_not_said_to_be_ready(running, phone):
+    why = "Two reconstructions disagree: 3.1% of the median depth and 1.2° apart, nine in ten keyframes within 5.4%."
+    job = {
+        "id": "0" * 32, "recording": "1" * 32, "map": "hall", "state": "published", "stage": "published",
+        "progress": 1, "message": "", "log": [], "error": None, "created": 1.0, "started": 1.0, "ended": 2.0,
+        "attempts": 1, "trusted": False, "warnings": [f"The frame poses are not trusted: {why}"],
+    }  # fmt: skip
+    page = phone(running.url)
+    page.route("**/v1/jobs/*/events", lambda route: route.fulfill(body=f"data: {json.dumps(job)}\n\n"))
+    open_camera(page)
+    record(page, 5.5)
+    page.get_by_role("button", name="Send").click()
+    expect(page.get_by_role("heading", name="do not rely on it")).to_be_visible()
+    expect(page.get_by_role("alert")).to_contain_text("two different shapes")
+    expect(page.get_by_text("Record the walk again")).to_be_visible()
+    expect(page.get_by_role("link", name="Walk again")).to_be_visible()
+
+
+def test_a_key_that_allows_too_little_is_asked_for_again(serve, phone):
+    running = serve(keys=KeyPolicy.ALWAYS)
+    keys = KeyStore(running.settings.data_dir)
+    small, enough = keys.create("small", Scope.READ), keys.create("enough", Scope.MAP)
+    page = phone(running.url)
+    page.evaluate("(key) => localStorage.setItem('rholoc-api-key', key)", small)
+    open_camera(page)
+    record(page, 5.5)
+    page.get_by_role("button", name="Send").click()
+    expect(page.get_by_role("dialog")).to_contain_text("map is needed")
+    page.get_by_role("textbox", name="Key").fill(enough)
+    page.get_by_role("button", name="Use this key").click()
+    expect(page.get_by_role("heading", name="The server makes the map")).to_be_visible()

@@ -221,7 +221,7 @@ def test_advice_is_given_where_something_is_wrong(run, changes, code):
 
 
 def test_brightness_and_turning_are_measured(run):
-    assert run("coaching", "m.brightness([255, 255, 255, 255, 0, 0, 0, 255])") == pytest.approx(0.5)
+    assert run("coaching", "m.brightness(m.greyLevels([255, 255, 255, 255, 0, 0, 0, 255]))") == pytest.approx(0.5)
     rows = [[0, 0, 0, 0, 0.3, 0, 0.4], [0.1, 0, 0, 0, 0, 0, 0]]
     assert run("coaching", "m.turnRate(args[0])", rows) == pytest.approx(np.degrees(0.25))
     assert run("coaching", "m.turnRate([])") == 0
@@ -229,7 +229,7 @@ def test_brightness_and_turning_are_measured(run):
 
 
 def test_waypoints_are_marked_in_order_and_new_ones_named(run):
-    marked = "[1, 2, 3, 4, 5, 6].reduce((points, time) => m.marked(points, time), m.planned())"
+    marked = "[1, 2, 3, 3.5, 4, 5, 6].reduce((points, time) => m.marked(points, time), m.planned())"
     points = run("waypoints", marked)
     assert [one["name"] for one in points] == ["W1", "W2", "W3", "E", "W4", "W5"]
     assert [one["time"] for one in points] == [1, 2, 3, 4, 5, 6]

@@ -168,3 +168,44 @@ def test_readers_never_see_a_part_while_a_writer_replaces(library: MapLibrary, r
     assert failures == []
     assert len(versions) > 1
     assert library.get("kitchen").info.version == 39
+
+
+def test_a_map_that_is_replaced_is_kept_and_restored(tmp_path, picture_world):
+    library = MapLibrary(tmp_path)
+    assert library.previous("room") is None
+    first, second = picture_world.rho(id="1" * 32), picture_world.rho(id="2" * 32)
+    library.put_file("room", first)
+    with pytest.raises(Conflict, match="not replaced another"):
+        library.restore("room")
+    library.put_file("room", second)
+    assert library.names() == ["room"]
+    assert library.previous("room").id == "1" * 32
+    library.restore("room")
+    assert library.path("room").read_bytes() == first
+    assert library.previous("room").id == "2" * 32
+    library.restore("room")
+    assert library.path("room").read_bytes() == second
+
+
+def test_the_map_before_goes_where_the_map_goes(tmp_path, picture_world):
+    library = MapLibrary(tmp_path)
+    for number in ("1", "2"):
+        library.put_file("room", picture_world.rho(id=number * 32))
+    library.rename("room", "hall")
+    assert library.previous("room") is None
+    assert library.previous("hall").id == "1" * 32
+    library.delete("hall")
+    library.put_file("hall", picture_world.rho())
+    assert library.previous("hall") is None
+
+
+def test_a_damaged_map_before_changes_nothing(tmp_path, picture_world):
+    library = MapLibrary(tmp_path)
+    for number in ("1", "2"):
+        library.put_file("room", picture_world.rho(id=number * 32))
+    (kept,) = (tmp_path / ".previous").iterdir()
+    kept.write_bytes(b"damaged")
+    assert library.previous("room") is None
+    with pytest.raises(InvalidMap, match="The map before room"):
+        library.restore("room")
+    assert library.get("room").info.id == "2" * 32

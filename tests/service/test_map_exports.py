@@ -36,7 +36,7 @@ def hall(serve, point_room):
     ],
 )
 def test_every_format_is_served(hall, form, name, kind):
-    answer = httpx.get(f"{hall[0]}/download", params={"format": form}, timeout=30)
+    answer = httpx.get(f"{hall[0]}/download", params={"format": form}, timeout=120)
     assert answer.status_code == 200
     assert answer.headers["Content-Type"].split(";")[0] == kind
     assert f'filename="{name}"' in answer.headers["Content-Disposition"]
@@ -61,7 +61,7 @@ def test_the_files_hold_the_map(hall, tmp_path):
 
 
 def test_reports_are_pictures_too(hall):
-    answer = httpx.get(f"{hall[0]}/report.png", timeout=30)
+    answer = httpx.get(f"{hall[0]}/report.png", timeout=120)
     assert answer.headers["Content-Type"] == "image/png"
     picture = cv2.imdecode(np.frombuffer(answer.content, np.uint8), cv2.IMREAD_COLOR)
     assert picture.std() > 5

@@ -2,11 +2,13 @@
 
 import { call, get, path } from "../shared/api.js";
 import { ask, fill, h } from "../shared/dom.js";
-import { action, empty, field, loading, nameField, page, skeletons } from "./parts.js";
+import { field, nameField } from "../shared/name_choice.js";
+import { t } from "../shared/text.js";
+import { action, empty, loading, page, skeletons } from "./parts.js";
 
 const FIGURES = [
-  ["width", "Width, px"],
-  ["height", "Height, px"],
+  ["width", t`Width, px`],
+  ["height", t`Height, px`],
   ["fx", "fx, px"],
   ["fy", "fy, px"],
   ["cx", "cx, px"],
@@ -14,19 +16,17 @@ const FIGURES = [
 ];
 
 export async function showCameras(main, _, signal) {
-  const list = h("ul", { class: "cards", "aria-label": "Cameras" }, skeletons(3, "camera-card"));
+  const list = h("ul", { class: "cards", "aria-label": t`Cameras` }, skeletons(3, "camera-card"));
   const reload = () => loading(list, async () => fillList(list, await get("v1/cameras", { signal }), reload), signal);
   fill(
     main,
     page(
-      "Cameras",
-      action("Add a camera", () => edit(null, reload), "primary"),
+      t`Cameras`,
+      action(t`Add a camera`, () => edit(null, reload), "primary"),
       h(
         "p",
         { class: "muted" },
-        "A camera's intrinsics under a name. ",
-        h("code", {}, "rholoc camera calibrate"),
-        " finds them from a filmed board.",
+        t`A camera's intrinsics under a name. The command rholoc camera calibrate finds them from a filmed board.`,
       ),
       list,
     ),
@@ -39,7 +39,7 @@ function fillList(list, { cameras, unreadable }, reload) {
     h("li", { class: "notice bad" }, h("strong", {}, name), ": ", why),
   );
   if (!cameras.length && !broken.length) {
-    fill(list, h("li", { class: "whole-row" }, empty("No cameras yet", "Frames of the map's own camera need none.")));
+    fill(list, h("li", { class: "whole-row" }, empty(t`No cameras yet`, t`Frames of the map's own camera need none.`)));
     return;
   }
   fill(
@@ -68,15 +68,15 @@ function card(camera, reload) {
       "p",
       { class: "muted small" },
       camera.distortion.length
-        ? `distortion ${camera.distortion.map((v) => v.toPrecision(3)).join(", ")}`
-        : "no distortion",
-      typeof rms === "number" && ` · off by ${rms.toFixed(2)} px`,
+        ? t`distortion ${camera.distortion.map((v) => v.toPrecision(3)).join(", ")}`
+        : t`no distortion`,
+      typeof rms === "number" && t` · off by ${rms.toFixed(2)} px`,
     ),
     h(
       "div",
       { class: "row" },
-      action("Change", () => edit(camera, reload)),
-      action("Delete", () => remove(camera, reload), "danger"),
+      action(t`Change`, () => edit(camera, reload)),
+      action(t`Delete`, () => remove(camera, reload), "danger"),
     ),
   );
 }
@@ -96,13 +96,13 @@ async function edit(camera, reload) {
     ),
   );
   const done = await ask(
-    camera ? "Change the camera" : "Add a camera",
+    camera ? t`Change the camera` : t`Add a camera`,
     [
-      field("Name", name),
+      field(t`Name`, name),
       h("div", { class: "form" }, figures),
-      field("Distortion k1, k2, p1, p2, k3", distortion, "empty: none"),
+      field(t`Distortion k1, k2, p1, p2, k3`, distortion, t`empty: none`),
     ],
-    h("button", { class: "primary" }, "Store"),
+    h("button", { class: "primary" }, t`Store`),
     (form) => store(form, camera),
   );
   if (done) await reload();
@@ -121,9 +121,9 @@ function store(form, camera) {
 
 async function remove(camera, reload) {
   const done = await ask(
-    "Delete the camera?",
-    h("p", {}, camera.name, ". Maps that were made with it keep it."),
-    h("button", { class: "danger primary" }, "Delete"),
+    t`Delete the camera?`,
+    h("p", {}, t`${camera.name}. Maps that were made with it keep it.`),
+    h("button", { class: "danger primary" }, t`Delete`),
     () => call("DELETE", path`v1/cameras/${camera.name}`),
   );
   if (done) await reload();

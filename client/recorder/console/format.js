@@ -1,9 +1,9 @@
 // Figures and times for people.
 
-export { length } from "./scene.js";
+import { language, t } from "../shared/text.js";
 
 const UNITS = ["bytes", "kB", "MB", "GB"];
-const RELATIVE = new Intl.RelativeTimeFormat("en", { numeric: "auto" });
+const RELATIVE = new Intl.RelativeTimeFormat(language, { numeric: "auto" });
 const SPANS = [
   ["day", 86400],
   ["hour", 3600],
@@ -18,7 +18,7 @@ export function bytes(count) {
 }
 
 /** A count with thousands apart. */
-export const count = (value) => value.toLocaleString("en");
+export const count = (value) => value.toLocaleString(language);
 
 /** Seconds since the epoch → "3 minutes ago" */
 export function ago(seconds) {
@@ -32,11 +32,23 @@ export function when(time) {
   const date = new Date(typeof time === "number" ? time * 1000 : time);
   return Number.isNaN(date.getTime())
     ? String(time)
-    : date.toLocaleString("en-GB", { dateStyle: "medium", timeStyle: "short" });
+    : date.toLocaleString(language === "de" ? "de" : "en-GB", { dateStyle: "medium", timeStyle: "short" });
 }
 
 /** Seconds → "2 min 5 s" */
 export function duration(seconds) {
   const whole = Math.round(seconds);
   return whole < 60 ? `${whole} s` : `${Math.floor(whole / 60)} min ${whole % 60} s`;
+}
+
+/** A length for people: centimetres below a metre; bare units where the map is not metric. */
+export function length(value, metric = true) {
+  if (!metric) return `${value.toPrecision(2)} units`;
+  return value < 1 ? `${(100 * value).toFixed(value < 0.1 ? 1 : 0)} cm` : `${value.toFixed(2)} m`;
+}
+
+/** The files of a recording in a few words. */
+export function fileNames({ files }) {
+  const [first, ...more] = files;
+  return more.length ? t`${first} and ${more.length} more` : first;
 }

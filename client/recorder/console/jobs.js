@@ -2,9 +2,11 @@
 
 import { call, get, path } from "../shared/api.js";
 import { fill, h } from "../shared/dom.js";
+import { t, translated } from "../shared/text.js";
+import { inPlainWords, Trust, whatToDo } from "../shared/trust.js";
 import { followJob } from "../record/job.js";
 import { ago, duration, when } from "./format.js";
-import { action, empty, facts, loading, skeletons, stateBadge } from "./parts.js";
+import { action, empty, facts, loading, lostNotice, skeletons, stateBadge } from "./parts.js";
 
 const STAGES = [
   "received",
@@ -21,38 +23,42 @@ const LOOK_MS = 2000;
 const ENDED = ["published", "failed", "cancelled"];
 
 export async function showJobs(main, _, signal) {
-  const list = h("ul", { class: "plain stack", "aria-label": "Jobs" }, skeletons(3, "line"));
-  fill(main, h("div", { class: "stack" }, h("h1", {}, "Jobs"), list));
-  await loading(list, () => watchAll(list, signal), signal);
+  const list = h("ul", { class: "plain stack", "aria-label": t`Jobs` }, skeletons(3, "line"));
+  const lost = lostNotice();
+  fill(main, h("div", { class: "stack" }, h("h1", {}, t`Jobs`), lost.element, list));
+  await loading(list, () => watchAll(list, lost, signal), signal);
 }
 
-async function watchAll(list, signal) {
+/** Show all jobs as they change, for as long as the page is shown; a server that is away is waited for. */
+async function watchAll(list, lost, signal) {
   let before;
   for (;;) {
-    const { jobs } = await get("v1/jobs", { signal });
-    const now = JSON.stringify(jobs);
-    if (now !== before) {
-      fill(
-        list,
-        jobs.length
-          ? jobs.map(row)
-          : h(
-              "li",
-              {},
-              empty(
-                "No jobs yet",
-                "A job makes a map of each recording that is uploaded.",
-                h("a", { class: "button primary", href: "#/recordings" }, "Upload a recording"),
-              ),
-            ),
-      );
+    try {
+      const { jobs } = await get("v1/jobs", { signal });
+      lost.hide();
+      const now = JSON.stringify(jobs);
+      if (now !== before) fill(list, jobs.length ? jobs.map(row) : h("li", {}, noJobs()));
       before = now;
-      list.removeAttribute("aria-busy");
+    } catch (error) {
+      if (signal.aborted || !passes(error)) throw error;
+      lost.show(error);
+      if (before === undefined) fill(list);
     }
+    list.removeAttribute("aria-busy");
     await new Promise((resolve) => setTimeout(resolve, LOOK_MS));
     signal.throwIfAborted();
   }
 }
+
+/** Whether an error is of a server that will be back. */
+const passes = (error) => error.code === "unreachable" || error.status >= 500;
+
+const noJobs = () =>
+  empty(
+    t`No jobs yet`,
+    t`A job makes a map of each recording that is uploaded.`,
+    h("a", { class: "button primary", href: "#/recordings" }, t`Upload a recording`),
+  );
 
 function row(job) {
   return h(
@@ -62,26 +68,27 @@ function row(job) {
       "div",
       { class: "row spread" },
       h("h2", {}, h("a", { href: `#/jobs/${job.id}` }, job.map)),
-      h("span", { class: "row" }, stateBadge(job.state), h("span", { class: "muted small" }, ago(job.created))),
+      h("span", { class: "row" }, stateBadge(job), h("span", { class: "muted small" }, ago(job.created))),
     ),
     bar(job),
     h("p", { class: "muted small" }, job.error?.message ?? job.message),
   );
 }
 
-const bar = (job) => h("progress", { max: 1, value: job.progress, "aria-label": `Progress of ${job.map}` });
+const bar = (job) => h("progress", { max: 1, value: job.progress, "aria-label": t`Progress of ${job.map}` });
 
 export async function showJob(main, id, signal) {
+  const lost = lostNotice();
   const place = h("div", { class: "stack" }, skeletons(1, "panel"));
-  fill(main, place);
+  fill(main, h("div", { class: "stack" }, lost.element, place));
   let shown = "";
   const hear = (job) => {
+    lost.hide();
     const now = JSON.stringify(job);
     if (now !== shown) fill(place, overview(job));
     shown = now;
   };
-  hear(await get(path`v1/jobs/${id}`, { signal }));
-  await followJob(id, hear, signal);
+  await followJob(id, hear, signal, lost.show);
 }
 
 function overview(job) {
@@ -90,28 +97,28 @@ function overview(job) {
     h(
       "div",
       { class: "row spread" },
-      h("h1", {}, "Map ", job.map),
+      h("h1", {}, t`Map ${job.map}`),
       h(
         "div",
         { class: "row" },
-        !ENDED.includes(job.state) && action("Cancel", () => call("DELETE", path`v1/jobs/${job.id}`), "danger"),
+        !ENDED.includes(job.state) && action(t`Cancel`, () => call("DELETE", path`v1/jobs/${job.id}`), "danger"),
         ["failed", "cancelled"].includes(job.state) &&
-          action("Try again", async () => {
+          action(t`Try again`, async () => {
             await call("POST", path`v1/jobs/${job.id}/retry`);
             again();
           }),
         job.state === "published" &&
-          h("a", { class: "button primary", href: `#/maps/${encodeURIComponent(job.map)}` }, "To the map"),
+          h("a", { class: "button primary", href: `#/maps/${encodeURIComponent(job.map)}` }, t`To the map`),
       ),
     ),
-    h(
-      "div",
-      { class: "card stack" },
-      h("div", { class: "row" }, stateBadge(job.state), h("span", { role: "status" }, job.message)),
-      bar(job),
-      stages(job),
-    ),
-    job.warnings.map((warning) => h("p", { class: "notice warn" }, warning)),
+    job.warnings.length > 0 &&
+      h(
+        "div",
+        { class: "notice bad stack", role: "alert" },
+        h("p", {}, h("strong", {}, t`Do not rely on this map.`)),
+        job.warnings.map((warning) => h("p", {}, inPlainWords(warning).plain)),
+        h("p", {}, whatToDo(Trust.NO)),
+      ),
     job.error &&
       h(
         "div",
@@ -119,16 +126,23 @@ function overview(job) {
         h("p", {}, h("strong", {}, job.error.message)),
         h("p", {}, job.error.hint),
       ),
+    h(
+      "div",
+      { class: "card stack" },
+      h("div", { class: "row" }, stateBadge(job), h("span", { role: "status" }, job.message)),
+      bar(job),
+      stages(job),
+    ),
     facts([
-      ["Queued", when(job.created)],
-      ["Took", job.started && job.ended ? duration(job.ended - job.started) : null],
-      ["Attempts", job.attempts],
-      ["Recording", h("code", {}, job.recording)],
+      [t`Queued`, when(job.created)],
+      [t`Took`, job.started && job.ended ? duration(job.ended - job.started) : null],
+      [t`Attempts`, job.attempts],
+      [t`Recording`, h("code", {}, job.recording)],
     ]),
-    h("h2", {}, "Log"),
+    h("h2", {}, t`Log`),
     job.log.length
-      ? h("pre", { tabindex: 0, role: "log", "aria-label": "Log" }, job.log.join("\n"))
-      : h("p", { class: "muted" }, "Nothing yet."),
+      ? h("pre", { tabindex: 0, role: "log", "aria-label": t`Log` }, job.log.join("\n"))
+      : h("p", { class: "muted" }, t`Nothing yet.`),
   ];
 }
 
@@ -144,7 +158,7 @@ function stages(job) {
           class: i < at || job.state === "published" ? "done" : i === at ? "now" : "",
           "aria-current": i === at ? "step" : null,
         },
-        stage,
+        translated(stage),
       ),
     ),
   );

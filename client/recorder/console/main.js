@@ -1,6 +1,8 @@
 // The console: one page, whose address after the # says which part of it is shown.
 
+import { keyButton } from "../shared/api.js";
 import { fill, h } from "../shared/dom.js";
+import { t, translatePage } from "../shared/text.js";
 import { problem } from "./parts.js";
 import { showCameras } from "./cameras.js";
 import { showJob, showJobs } from "./jobs.js";
@@ -10,13 +12,13 @@ import { showRecordings } from "./recordings.js";
 import { showTry } from "./try.js";
 
 const ROUTES = [
-  [/^\/maps$/, "Maps", showMaps],
-  [/^\/maps\/([^/]+)$/, "Map", showMap],
-  [/^\/try(?:\/([^/]+))?$/, "Try it", showTry],
-  [/^\/jobs$/, "Jobs", showJobs],
-  [/^\/jobs\/([^/]+)$/, "Job", showJob],
-  [/^\/recordings$/, "Recordings", showRecordings],
-  [/^\/cameras$/, "Cameras", showCameras],
+  [/^\/maps$/, t`Maps`, showMaps],
+  [/^\/maps\/([^/]+)$/, t`Map`, showMap],
+  [/^\/try(?:\/([^/]+))?$/, t`Try it`, showTry],
+  [/^\/jobs$/, t`Jobs`, showJobs],
+  [/^\/jobs\/([^/]+)$/, t`Job`, showJob],
+  [/^\/recordings$/, t`Recordings`, showRecordings],
+  [/^\/cameras$/, t`Cameras`, showCameras],
 ];
 
 let shown = new AbortController();
@@ -39,7 +41,7 @@ async function show() {
   }
   scrollTo(0, 0);
   if (!found) {
-    fill(main, h("div", { class: "empty" }, h("h1", {}, "Nothing here"), h("a", { href: "#/maps" }, "To the maps")));
+    fill(main, h("div", { class: "empty" }, h("h1", {}, t`Nothing here`), h("a", { href: "#/maps" }, t`To the maps`)));
     return;
   }
   const name = found.match[1] === undefined ? undefined : decode(found.match[1]);
@@ -64,4 +66,6 @@ addEventListener("hashchange", async () => {
   await show();
   document.getElementById("content").focus({ preventScroll: true });
 });
+translatePage();
+document.querySelector("header").append(keyButton());
 show();

@@ -1,45 +1,60 @@
-// One map: in 3-D, what it knows of itself, and what can be done with it.
+// One map: whether it can be relied on, where it works, in 3-D, what it knows of itself, and what can be done with it.
 
-import { call, download, get, objectUrl, path, request } from "../shared/api.js";
+import { call, download, get, path, request } from "../shared/api.js";
 import { ask, fill, h } from "../shared/dom.js";
-import { bytes, count, length, when } from "./format.js";
-import { action, facts, field, loading, nameField, page, skeletons, tell } from "./parts.js";
-import { SceneView, readScene } from "./scene.js";
+import { field, nameChoice, nameField } from "../shared/name_choice.js";
+import { t } from "../shared/text.js";
+import { inPlainWords, mistakesIn, Trust, trustOf, whatToDo } from "../shared/trust.js";
+import { coverageView } from "./coverage_view.js";
+import { bytes, count, fileNames, length, when } from "./format.js";
+import { action, facts, loading, page, skeletons, tell } from "./parts.js";
+import { SceneView } from "./scene.js";
+import { readScene } from "./scene_data.js";
 
 const FORMATS = [
-  ["rho", "the map itself (.rho)", "rho"],
-  ["csv", "densities, Table 5 (.csv)", "csv"],
-  ["observations", "observations, Table 4 (.csv)", "csv"],
-  ["trajectory", "walk, Table 6 (.csv)", "csv"],
-  ["ply", "landmarks (.ply)", "ply"],
-  ["vtp", "landmarks (.vtp)", "vtp"],
+  ["rho", t`the map itself (.rho)`, "rho"],
+  ["csv", t`densities, Table 5 (.csv)`, "csv"],
+  ["observations", t`observations, Table 4 (.csv)`, "csv"],
+  ["trajectory", t`walk, Table 6 (.csv)`, "csv"],
+  ["ply", t`landmarks (.ply)`, "ply"],
+  ["vtp", t`landmarks (.vtp)`, "vtp"],
 ];
 
 export async function showMap(main, name, signal) {
-  const scene = new SceneView(`Landmarks and walk of the map ${name}`);
+  const scene = new SceneView(t`Landmarks and walk of the map ${name}`);
   signal.addEventListener("abort", () => scene.dispose());
+  const trust = h("div", { class: "trust" }, skeletons(1, "notice-line"));
   const about = h("div", { class: "stack" }, skeletons(1, "panel"));
-  const picture = h(
-    "div",
-    { class: "report-picture", tabindex: 0, role: "group", "aria-label": "Coverage" },
-    skeletons(1, "fill"),
-  );
+  const works = h("div", {}, skeletons(1, "coverage"));
   fill(
     main,
     page(
       name,
       actions(name),
-      h("div", { class: "map-columns" }, scene.element, about),
-      h("h2", {}, "Where it works"),
-      picture,
+      trust,
+      h(
+        "div",
+        { class: "map-columns" },
+        h(
+          "div",
+          { class: "stack" },
+          h("h2", {}, t`Where it works`),
+          works,
+          h("h2", {}, t`The room`),
+          scene.element,
+        ),
+        about,
+      ),
     ),
   );
   const address = path`v1/maps/${name}`;
-  const map = await get(address, { signal }); // a map that is gone is told instead of the page
+  const map = await get(address, { signal }); // of a map that is gone the page says so, and nothing else
+  const report = get(`${address}/report`, { signal }).then(({ report }) => report);
   await Promise.all([
-    loading(about, async () => fillAbout(about, map, await get(`${address}/report`, { signal })), signal),
+    loading(trust, async () => fill(trust, trustNotice(map, await report)), signal),
+    loading(about, async () => fillAbout(about, map, await report), signal),
+    loading(works, async () => fill(works, await showCoverage(map, scene, signal)), signal),
     showScene(scene, map, signal),
-    loading(picture, () => fillPicture(picture, address, name, signal), signal),
   ]);
 }
 
@@ -49,18 +64,35 @@ export async function showScene(view, map, signal) {
   view.showMap(readScene(await response.arrayBuffer()), map.waypoints, map.scale === "metric");
 }
 
-async function fillPicture(place, address, name, signal) {
-  const picture = h("img", {
-    alt: `Coverage of ${name} by position and heading, and its held-out errors`,
-    src: await objectUrl(`${address}/report.png`, { signal }),
-  });
-  signal.addEventListener("abort", () => URL.revokeObjectURL(picture.src));
-  fill(place, picture);
+async function showCoverage(map, scene, signal) {
+  const coverage = await get(path`v1/maps/${map.name}/coverage`, { signal });
+  return coverageView(coverage, map, signal, (T) => scene.showPose(T));
 }
 
-function fillAbout(place, map, { report }) {
+/** Whether the map can be relied on, why, and what to do next. */
+function trustNotice(map, report) {
+  const trust = trustOf(map);
+  const [kind, title] = {
+    [Trust.YES]: ["good", t`This map passed its checks.`],
+    [Trust.NO]: ["bad", t`Do not rely on this map.`],
+    [Trust.UNKNOWN]: ["warn", t`Nothing has checked this map.`],
+  }[trust];
+  const reason = inPlainWords(map.trust_reason);
+  const mistakes = mistakesIn(report);
+  const next = whatToDo(trust, mistakes);
+  return h(
+    "section",
+    { class: ["notice stack", kind], "aria-label": t`Trust` },
+    h("p", {}, h("strong", {}, title), " ", reason?.plain),
+    mistakes.map((mistake) => h("p", {}, h("strong", {}, mistake))),
+    next && h("p", {}, h("strong", {}, t`What to do:`), " ", next),
+    reason?.technical &&
+      h("details", {}, h("summary", { class: "small" }, t`In figures`), h("p", { class: "small" }, reason.technical)),
+  );
+}
+
+function fillAbout(place, map, report) {
   const metric = map.scale === "metric";
-  const heldOut = report.held_out;
   const advice = [report.coaching ?? []]
     .flat()
     .flatMap((section) => section.advice ?? [])
@@ -68,46 +100,87 @@ function fillAbout(place, map, { report }) {
   fill(
     place,
     !metric &&
-      h("p", { class: "notice warn" }, "Nothing measured fixed this map's unit of length: positions are not metres."),
-    h(
-      "section",
-      { class: "card stack" },
-      h("h2", {}, "What it is"),
-      facts([
-        ["Landmarks", count(map.landmarks)],
-        ["Views", count(map.views)],
-        ["Features", `${map.features}, ${map.density} densities`],
-        ["File", bytes(map.size_bytes)],
-        ["Made", when(map.created)],
-        ["Version", `${map.version}, of map ${map.id.slice(0, 8)}`],
-        ["Camera", `${map.camera.width} × ${map.camera.height}, f ${map.camera.fx.toFixed(0)} px`],
-      ]),
-    ),
-    h(
-      "section",
-      { class: "card stack" },
-      h("h2", {}, "How good it is"),
-      heldOut?.frames
-        ? facts([
-            ["Held out", `${heldOut.localized} of ${heldOut.frames} frames localized`],
-            ["Median error", measured(heldOut.median_m, (value) => length(value, metric))],
-            ["Median turn", measured(heldOut.median_deg, (value) => `${value.toFixed(2)}°`)],
-            ["90 % within", measured(heldOut.p90_m, (value) => length(value, metric))],
-          ])
-        : h("p", { class: "muted" }, "No frames were held out of it."),
-      facts([["Landmark uncertainty", measured(report.landmark_sigma_median_m, (value) => length(value, metric))]]),
-      advice.length > 0 && [
-        h("h3", {}, "On the next walk"),
+      h("p", { class: "notice warn" }, t`Nothing measured fixed this map's unit of length: positions are not metres.`),
+    errorsCard(map, report, metric),
+    advice.length > 0 &&
+      h(
+        "section",
+        { class: "card stack" },
+        h("h2", {}, t`On the next walk`),
         h(
           "ul",
           {},
           advice.map((text) => h("li", {}, text)),
         ),
-      ],
+      ),
+    h(
+      "section",
+      { class: "card stack" },
+      h("h2", {}, t`Details`),
+      facts([
+        [t`Landmarks`, count(map.landmarks)],
+        [t`Views`, count(map.views)],
+        [t`Features`, t`${map.features}, ${map.density} densities`],
+        [t`File`, bytes(map.size_bytes)],
+        [t`Made`, when(map.created)],
+        [t`Version`, t`${map.version}, of map ${map.id.slice(0, 8)}`],
+        [t`Camera`, `${map.camera.width} × ${map.camera.height}, f ${map.camera.fx.toFixed(0)} px`],
+      ]),
+      map.previous && previous(map),
     ),
-    h("section", { class: "card stack" }, h("h2", {}, "Learned from"), sources(map)),
-    map.waypoints.length > 0 && h("section", { class: "card stack" }, h("h2", {}, "Waypoints"), waypoints(map, metric)),
-    h("section", { class: "card stack" }, h("h2", {}, "Take it away"), downloads(map.name)),
+    h("section", { class: "card stack" }, h("h2", {}, t`Learned from`), sources(map)),
+    map.waypoints.length > 0 && h("section", { class: "card stack" }, h("h2", {}, t`Waypoints`), waypoints(map, metric)),
+    h("section", { class: "card stack" }, h("h2", {}, t`Export`), downloads(map.name)),
+  );
+}
+
+/** How wrong it is, and against what: its own walk, which does not see an error of the walk as a whole, or a tape measure. */
+function errorsCard(map, report, metric) {
+  const heldOut = report.held_out;
+  const residuals = map.waypoints.map(({ residual_m: residual }) => residual).filter(Number.isFinite);
+  const inLength = (value) => length(value, metric);
+  return h(
+    "section",
+    { class: "card stack" },
+    h("h2", {}, t`How good it is`),
+    facts([[t`Expected error`, map.expected_error_m === null ? t`unknown` : inLength(map.expected_error_m)]]),
+    h("h3", {}, t`How well it agrees with itself`),
+    heldOut?.frames
+      ? [
+          facts([
+            [t`Held out`, t`${heldOut.localized} of ${heldOut.frames} frames localized`],
+            [t`Median`, measured(heldOut.median_m, inLength)],
+            [t`Median turn`, measured(heldOut.median_deg, (value) => `${value.toFixed(2)}°`)],
+            [t`90 % within`, measured(heldOut.p90_m, inLength)],
+          ]),
+          h("p", { class: "small muted" }, t`Frames of the walk that the map was not made from. If the walk as a whole is bent, they do not show it.`),
+        ]
+      : h("p", { class: "muted" }, t`No frames were held out of it.`),
+    h("h3", {}, t`Against measured points`),
+    residuals.length
+      ? facts([
+          [t`Points`, residuals.length],
+          [t`Worst`, inLength(Math.max(...residuals))],
+        ])
+      : h("p", { class: "muted" }, t`No measured point checks it.`),
+  );
+}
+
+/** The map that this one replaced. */
+function previous({ name, previous: before }) {
+  return h(
+    "div",
+    { class: "row spread" },
+    h("span", { class: "small" }, t`Replaced the map of ${when(before.created)}, version ${before.version}`),
+    action(t`Restore it`, async () => {
+      const done = await ask(
+        t`Restore the map before?`,
+        h("p", {}, t`It comes back under this name. The present one is kept in its place, and can be restored in turn.`),
+        h("button", { class: "primary" }, t`Restore`),
+        () => call("POST", path`v1/maps/${name}/restore`),
+      );
+      if (done) dispatchEvent(new HashChangeEvent("hashchange"));
+    }),
   );
 }
 
@@ -130,10 +203,10 @@ function sources({ name, sources: all }) {
           h(
             "span",
             { class: "muted small" },
-            `${source.frames ?? "?"} frames${source.poses ? `, poses ${source.poses}` : ""}`,
+            [t`${source.frames ?? "?"} frames`, source.poses && t`poses ${source.poses}`].filter(Boolean).join(", "),
           ),
         ),
-        all.length > 1 && action("Forget", () => forget(name, source), "danger"),
+        all.length > 1 && action(t`Forget`, () => forget(name, source), "danger"),
       ),
     ),
   );
@@ -142,7 +215,7 @@ function sources({ name, sources: all }) {
 function waypoints(map, metric) {
   return h(
     "div",
-    { class: "scroll", tabindex: 0, role: "group", "aria-label": "Waypoints" },
+    { class: "scroll", tabindex: 0, role: "group", "aria-label": t`Waypoints` },
     h(
       "table",
       {},
@@ -152,7 +225,7 @@ function waypoints(map, metric) {
         h(
           "tr",
           {},
-          ["Name", "x, y, z", "Off by"].map((text) => h("th", { scope: "col" }, text)),
+          [t`Name`, "x, y, z", t`Off by`].map((text) => h("th", { scope: "col" }, text)),
         ),
       ),
       h(
@@ -175,14 +248,14 @@ function waypoints(map, metric) {
 function downloads(name) {
   const format = h(
     "select",
-    { "aria-label": "Format" },
+    { "aria-label": t`Format` },
     FORMATS.map(([value, text]) => h("option", { value }, text)),
   );
   return h(
     "div",
     { class: "row" },
     format,
-    action("Download", () => {
+    action(t`Download`, () => {
       const [value, , suffix] = FORMATS.find(([one]) => one === format.value);
       const saved = suffix === "csv" && value !== "csv" ? `${name}-${value}.csv` : `${name}.${suffix}`;
       return download(path`v1/maps/${name}/download`, saved, { query: { format: value } });
@@ -194,19 +267,22 @@ function actions(name) {
   return h(
     "div",
     { class: "row" },
-    h("a", { class: "button primary", href: `#/try/${encodeURIComponent(name)}` }, "Try it"),
-    action("Update", () => update(name)),
-    action("Merge", () => merge(name)),
-    action("Rename", () => rename(name)),
-    action("Delete", () => remove(name), "danger"),
+    h("a", { class: "button primary", href: `#/try/${encodeURIComponent(name)}` }, t`Try it`),
+    action(t`Update`, () => update(name)),
+    action(t`Merge`, () => merge(name)),
+    action(t`Rename`, () => rename(name)),
+    action(t`Delete`, () => remove(name), "danger"),
   );
 }
+
+/** A map's name, and a word of warning where it has earned one. */
+export const trusted = (map) => (trustOf(map) === Trust.NO ? t`${map.name} (not trusted)` : map.name);
 
 const go = (name) => (location.hash = `#/maps/${encodeURIComponent(name)}`);
 
 async function rename(name) {
   const input = nameField(name);
-  const done = await ask("Rename the map", field("Name", input), h("button", { class: "primary" }, "Rename"), () =>
+  const done = await ask(t`Rename the map`, field(t`Name`, input), h("button", { class: "primary" }, t`Rename`), () =>
     call("PATCH", path`v1/maps/${name}`, { body: { name: input.value } }),
   );
   if (done) go(input.value);
@@ -214,9 +290,9 @@ async function rename(name) {
 
 async function remove(name) {
   const done = await ask(
-    "Delete the map?",
-    h("p", {}, "The map ", h("strong", {}, name), " is deleted for good. Recordings are kept."),
-    h("button", { class: "danger primary" }, "Delete"),
+    t`Delete the map?`,
+    h("p", {}, t`The map ${name} is deleted for good. Recordings are kept.`),
+    h("button", { class: "danger primary" }, t`Delete`),
     () => call("DELETE", path`v1/maps/${name}`),
   );
   if (done) location.hash = "#/maps";
@@ -225,23 +301,24 @@ async function remove(name) {
 async function merge(name) {
   const others = (await get("v1/maps")).maps.filter((map) => map.name !== name);
   if (!others.length) {
-    tell("There is no other map to merge with.", "warn");
+    tell(t`There is no other map to merge with.`, "warn");
     return;
   }
   const other = h(
     "select",
     { name: "other" },
-    others.map((map) => h("option", {}, map.name)),
+    others.map((map) => h("option", { value: map.name }, trusted(map))),
   );
-  const into = nameField(`${name}-merged`);
+  const into = nameChoice({ names: [name, ...others.map((map) => map.name)], learns: false });
+  into.suggest(`${name}-merged`);
   const done = await ask(
-    "Merge with another map",
+    t`Merge with another map`,
     [
-      h("p", { class: "muted" }, "The other map comes into this one's frame. They must overlap."),
-      field("Other map", other),
-      field("Name of the merged map", into),
+      h("p", { class: "muted" }, t`The other map comes into this one's frame. They must overlap.`),
+      field(t`Other map`, other),
+      into.element,
     ],
-    h("button", { class: "primary" }, "Merge"),
+    h("button", { class: "primary" }, t`Merge`),
     () => call("POST", path`v1/maps/${name}/merge`, { body: { other: other.value, into: into.value } }),
   );
   if (done) go(into.value);
@@ -250,7 +327,7 @@ async function merge(name) {
 async function update(name) {
   const { recordings } = await get("v1/recordings");
   if (!recordings.length) {
-    tell("There is no recording yet. Upload one, and choose to update this map.", "warn");
+    tell(t`There is no recording yet. Upload one, and choose to update this map.`, "warn");
     location.hash = "#/recordings";
     return;
   }
@@ -261,15 +338,15 @@ async function update(name) {
       h(
         "option",
         { value: one.id },
-        `${one.files[0]}${one.files.length > 1 ? ` and ${one.files.length - 1} more` : ""}, ${when(one.created)}`,
+        `${fileNames(one)}, ${when(one.created)}`,
       ),
     ),
   );
   let job;
   const done = await ask(
-    "Learn a further recording",
-    field("Recording", chosen),
-    h("button", { class: "primary" }, "Update"),
+    t`Learn a further recording`,
+    field(t`Recording`, chosen),
+    h("button", { class: "primary" }, t`Update`),
     async () => {
       job = await call("POST", path`v1/maps/${name}/update`, { body: { recording: chosen.value } });
     },
@@ -279,9 +356,9 @@ async function update(name) {
 
 async function forget(name, source) {
   const done = await ask(
-    "Forget a recording?",
-    h("p", {}, "What the map learned from ", h("strong", {}, String(source.name)), " is taken out of it."),
-    h("button", { class: "danger primary" }, "Forget"),
+    t`Forget a recording?`,
+    h("p", {}, t`What the map learned from ${source.name} is taken out of it.`),
+    h("button", { class: "danger primary" }, t`Forget`),
     () => call("POST", path`v1/maps/${name}/forget`, { body: { source: source.id ?? source.name } }),
   );
   if (done) dispatchEvent(new HashChangeEvent("hashchange"));

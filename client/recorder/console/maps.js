@@ -1,27 +1,44 @@
 // The maps that are served.
 
-import { call, get, objectUrl, path } from "../shared/api.js";
+import { call, get, path, request } from "../shared/api.js";
 import { ask, fill, h } from "../shared/dom.js";
+import { field, nameChoice } from "../shared/name_choice.js";
+import { t } from "../shared/text.js";
+import { inPlainWords, Trust, trustOf } from "../shared/trust.js";
 import { bytes, count, length, when } from "./format.js";
-import { action, empty, facts, field, loading, nameField, page, skeletons, tell } from "./parts.js";
+import { listTools } from "./list_tools.js";
+import { action, empty, facts, loading, page, skeletons, tell, trustBadge } from "./parts.js";
+import { readScene } from "./scene_data.js";
+import { drawFromAbove } from "./thumbnail.js";
+
+const LANDMARKS_DRAWN = 1500; // on a card
+const ORDERS = [
+  ["name", t`by name`, (a, b) => a.name.localeCompare(b.name)],
+  ["created", t`the newest first`, (a, b) => b.created.localeCompare(a.created)],
+  ["trust", t`those in doubt first`, (a, b) => Number(a.trusted ?? 0.5) - Number(b.trusted ?? 0.5)],
+  ["size", t`the largest first`, (a, b) => b.size_bytes - a.size_bytes],
+];
 
 export async function showMaps(main, _, signal) {
-  const list = h("ul", { class: "cards", "aria-label": "Maps" }, skeletons(3, "map-card"));
-  const reload = () => loading(list, () => fillList(list, signal), signal);
-  const upload = action("Upload a map", () => uploadMap(reload));
-  fill(
-    main,
-    page(
-      "Maps",
-      h("div", { class: "row" }, upload, h("a", { class: "button primary", href: "record" }, "Record a walk")),
+  const list = h("ul", { class: "cards", "aria-label": t`Maps` }, skeletons(3, "map-card"));
+  let found = { maps: [], unreadable: {} };
+  const tools = listTools(ORDERS, (map) => map.name, () => fillList(list, found, tools, signal));
+  const reload = () =>
+    loading(
       list,
-    ),
-  );
+      async () => {
+        found = await get("v1/maps", { signal });
+        fillList(list, found, tools, signal);
+      },
+      signal,
+    );
+  const upload = action(t`Upload a map`, () => uploadMap(found.maps, reload));
+  const record = h("a", { class: "button primary", href: "record" }, t`Record a walk`);
+  fill(main, page(t`Maps`, h("div", { class: "row" }, upload, record), tools.element, list));
   await reload();
 }
 
-async function fillList(list, signal) {
-  const { maps, unreadable } = await get("v1/maps", { signal });
+function fillList(list, { maps, unreadable }, tools, signal) {
   const broken = Object.entries(unreadable).map(([name, why]) =>
     h("li", { class: "notice bad" }, h("strong", {}, name), ": ", why),
   );
@@ -32,67 +49,94 @@ async function fillList(list, signal) {
         "li",
         { class: "whole-row" },
         empty(
-          "No maps yet",
-          "One walk through a room with a phone makes a map.",
-          h("a", { class: "button primary", href: "record" }, "Record a walk"),
-          h("a", { class: "button", href: "#/recordings" }, "Upload a recording"),
+          t`No maps yet`,
+          t`One walk through a room with a phone makes a map.`,
+          h("a", { class: "button primary", href: "record" }, t`Record a walk`),
+          h("a", { class: "button", href: "#/recordings" }, t`Upload a recording`),
         ),
       ),
     );
     return;
   }
+  const shown = tools.chosen(maps);
   fill(
     list,
-    maps.map((map) => card(map, signal)),
+    shown.map((map) => card(map, signal)),
     broken,
+    !shown.length && maps.length > 0 && h("li", { class: "whole-row muted" }, t`No map has such a name.`),
   );
 }
 
 function card(map, signal) {
-  const picture = h("img", { alt: "", width: 1200, height: 900 });
-  objectUrl(path`v1/maps/${map.name}/preview.png`, { signal })
-    .then((address) => {
-      picture.addEventListener("load", () => URL.revokeObjectURL(address), { once: true });
-      picture.src = address;
-    })
-    .catch(() => picture.classList.add("missing"));
+  const trust = trustOf(map);
+  const picture = h("canvas", { class: "from-above", role: "img", "aria-label": t`${map.name} from above` });
+  whenSeen(picture, signal, () => showFromAbove(picture, map, signal));
   return h(
     "li",
     { class: "card map-card" },
     h("div", { class: "picture" }, picture),
     h("h2", {}, h("a", { href: `#/maps/${encodeURIComponent(map.name)}` }, map.name)),
-    facts([
-      ["Expected error", map.expected_error_m === null ? "not measured" : length(map.expected_error_m)],
-      ["Size", `${count(map.landmarks)} landmarks, ${bytes(map.size_bytes)}`],
-      ["Made", when(map.created)],
-    ]),
     h(
       "div",
       { class: "row" },
-      map.scale === "arbitrary" && h("span", { class: "badge warn" }, "no unit of length"),
-      !map.upright && h("span", { class: "badge warn" }, "not upright"),
-      h("span", { class: "badge" }, `version ${map.version}`),
-      h("span", { class: "badge" }, map.features),
+      trustBadge(trust),
+      map.scale === "arbitrary" && h("span", { class: "badge warn" }, t`no unit of length`),
+      !map.upright && h("span", { class: "badge warn" }, t`not upright`),
     ),
+    trust === Trust.NO && h("p", { class: "small reason" }, inPlainWords(map.trust_reason)?.plain),
+    facts([
+      [t`Expected error`, map.expected_error_m === null ? t`unknown` : length(map.expected_error_m)],
+      [t`Size`, t`${count(map.landmarks)} landmarks, ${bytes(map.size_bytes)}`],
+      [t`Made`, when(map.created)],
+      [t`Version`, `${map.version}, ${map.features}`],
+    ]),
   );
 }
 
-async function uploadMap(reload) {
+async function showFromAbove(picture, map, signal) {
+  const query = { landmarks: LANDMARKS_DRAWN };
+  try {
+    const response = await request(path`v1/maps/${map.name}/scene`, { signal, query });
+    const scene = readScene(await response.arrayBuffer());
+    const draw = () => drawFromAbove(picture, scene);
+    const scheme = matchMedia("(prefers-color-scheme: dark)");
+    scheme.addEventListener("change", draw, { signal });
+    draw();
+  } catch {
+    picture.classList.add("missing");
+  }
+}
+
+/** Do something once an element comes near the window. */
+function whenSeen(element, signal, work) {
+  const observer = new IntersectionObserver(
+    (entries) => {
+      if (!entries.some((entry) => entry.isIntersecting)) return;
+      observer.disconnect();
+      work();
+    },
+    { rootMargin: "50%" },
+  );
+  observer.observe(element);
+  signal.addEventListener("abort", () => observer.disconnect());
+}
+
+async function uploadMap(maps, reload) {
   const file = h("input", { type: "file", name: "file", accept: ".rho,.csv", required: true });
-  const name = nameField();
-  file.addEventListener("change", () => (name.value ||= file.files[0]?.name.replace(/\.(rho|csv)$/, "") ?? ""));
+  const name = nameChoice({ names: maps.map((map) => map.name), learns: false });
+  file.addEventListener("change", () => name.suggest(file.files[0]?.name.replace(/\.(rho|csv)$/, "") ?? ""));
   const done = await ask(
-    "Upload a map",
-    [field("File (.rho or .csv)", file), field("Name", name)],
-    h("button", { class: "primary" }, "Upload"),
-    (form) =>
-      call("PUT", path`v1/maps/${form.get("name")}`, {
+    t`Upload a map`,
+    [field(t`File (.rho or .csv)`, file), name.element],
+    h("button", { class: "primary" }, t`Upload`),
+    () =>
+      call("PUT", path`v1/maps/${name.value}`, {
         body: file.files[0],
         headers: { "Content-Type": "application/octet-stream" },
       }),
   );
   if (done) {
-    tell("The map is uploaded.");
+    tell(t`The map is uploaded.`);
     await reload();
   }
 }

@@ -1,8 +1,15 @@
 // What several parts of the console show.
 
 import { fill, h } from "../shared/dom.js";
+import { t, translated } from "../shared/text.js";
+import { Trust } from "../shared/trust.js";
 
 const STATES = { published: "good", failed: "bad", cancelled: "warn" };
+const TRUST_BADGES = {
+  [Trust.YES]: ["good", t`trusted`],
+  [Trust.NO]: ["bad", t`not trusted`],
+  [Trust.UNKNOWN]: ["warn", t`not checked`],
+};
 
 /** A page: its heading with what stands beside it, and its content. */
 export function page(heading, beside, ...content) {
@@ -19,8 +26,8 @@ export function problem(error, again) {
     h(
       "div",
       { class: "row" },
-      again && h("button", { type: "button", onclick: again }, "Try again"),
-      error.status === 404 && h("a", { class: "button", href: "#/maps" }, "To the maps"),
+      again && h("button", { type: "button", onclick: again }, t`Try again`),
+      error.status === 404 && h("a", { class: "button", href: "#/maps" }, t`To the maps`),
     ),
   );
 }
@@ -67,8 +74,30 @@ export function empty(title, text, ...actions) {
   );
 }
 
-/** A job's state as a badge. */
-export const stateBadge = (state) => h("span", { class: ["badge", STATES[state]] }, state);
+/** A job's state as a badge; a map that was published and cannot be trusted is no success. */
+export function stateBadge({ state, warnings }) {
+  if (state === "published" && warnings.length) return h("span", { class: "badge bad" }, t`published, not trusted`);
+  return h("span", { class: ["badge", STATES[state]] }, translated(state));
+}
+
+/** Whether a map can be relied on, as a badge. */
+export function trustBadge(trust) {
+  const [kind, text] = TRUST_BADGES[trust];
+  return h("span", { class: ["badge", kind] }, text);
+}
+
+/** A line that says that the server is away, and goes when it is back: `{element, show(error), hide()}`. */
+export function lostNotice() {
+  const element = h("p", { class: "notice warn", role: "alert", hidden: true });
+  return {
+    element,
+    show: (error) => {
+      fill(element, h("strong", {}, error.summary ?? error.message), " ", t`This page goes on by itself when it is back.`);
+      element.hidden = false;
+    },
+    hide: () => (element.hidden = true),
+  };
+}
 
 /** A line at the bottom of the window that says what was done, and goes away. */
 export function tell(text, kind = "good") {
@@ -93,20 +122,3 @@ export function action(text, work, kind = "") {
   });
   return button;
 }
-
-/** A field with its label. */
-export function field(text, input, note) {
-  return h("label", {}, text, input, note && h("span", { class: "small muted" }, note));
-}
-
-/** The field of a map's name. */
-export const nameField = (value = "") =>
-  h("input", {
-    name: "name",
-    value,
-    required: true,
-    maxlength: 64,
-    pattern: "[A-Za-z0-9_][A-Za-z0-9._\\-]*",
-    autocomplete: "off",
-    title: "letters, digits, '.', '_' and '-'; the first a letter, a digit or '_'",
-  });

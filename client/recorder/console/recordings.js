@@ -2,39 +2,64 @@
 
 import { call, get, path } from "../shared/api.js";
 import { ask, fill, h } from "../shared/dom.js";
+import { field, nameChoice } from "../shared/name_choice.js";
+import { t } from "../shared/text.js";
 import { upload } from "../record/upload.js";
-import { bytes, when } from "./format.js";
-import { action, empty, field, loading, nameField, page, skeletons, tell } from "./parts.js";
+import { bytes, fileNames, when } from "./format.js";
+import { listTools } from "./list_tools.js";
+import { action, empty, loading, page, skeletons, stateBadge, tell } from "./parts.js";
+
+const FILES_SHOWN = 3;
+const ORDERS = [
+  ["created", t`the newest first`, (a, b) => b.created - a.created],
+  ["name", t`by file name`, (a, b) => a.files[0].localeCompare(b.files[0])],
+  ["size", t`the largest first`, (a, b) => b.size_bytes - a.size_bytes],
+];
 
 export async function showRecordings(main, _, signal) {
   const list = h("div", {}, skeletons(3, "line"));
+  let found = { recordings: [], jobs: [] };
+  const show = () => fillList(list, found, tools, reload);
+  const tools = listTools(ORDERS, (one) => searched(one, found.jobs), show);
   const reload = () =>
-    loading(list, async () => fillList(list, await get("v1/recordings", { signal }), reload), signal);
+    loading(
+      list,
+      async () => {
+        const [{ recordings }, { jobs }] = await Promise.all(["v1/recordings", "v1/jobs"].map((at) => get(at, { signal })));
+        found = { recordings, jobs };
+        show();
+      },
+      signal,
+    );
   fill(
     main,
     page(
-      "Recordings",
-      h("a", { class: "button", href: "record" }, "Record a walk"),
+      t`Recordings`,
+      h("a", { class: "button", href: "record" }, t`Record a walk`),
       uploadForm(signal),
-      h("h2", {}, "Kept here"),
+      h("h2", {}, t`Stored recordings`),
+      tools.element,
       list,
     ),
   );
   await reload();
 }
 
+/** What a recording is found by: its files, and the maps that it went into. */
+const searched = (recording, jobs) =>
+  [...recording.files, ...jobsOf(recording, jobs).map((job) => job.map), recording.id].join(" ");
+
+const jobsOf = (recording, jobs) => jobs.filter((job) => job.recording === recording.id);
+
 function uploadForm(signal) {
   const file = h("input", { type: "file", name: "file", required: true, accept: "video/*,.zip,.mkv" });
-  const name = nameField();
-  const kind = h(
-    "select",
-    { name: "kind" },
-    h("option", { value: "build" }, "make a new map"),
-    h("option", { value: "update" }, "teach it to the map of that name"),
-  );
-  const bar = h("progress", { max: 1, value: 0, "aria-label": "Upload" });
-  const standing = h("p", { class: "muted small", role: "status" }, "A video, or a recording as a ZIP file.");
-  const button = h("button", { class: "primary" }, "Upload");
+  const name = nameChoice({});
+  file.addEventListener("change", () => name.value || name.suggest(mapNameOf(file.files[0]?.name ?? "")));
+  const names = get("v1/maps", { signal }).then(({ maps }) => name.know(maps.map((map) => map.name)));
+  names.catch(() => {}); // the list below says so
+  const bar = h("progress", { max: 1, value: 0, "aria-label": t`Upload` });
+  const standing = h("p", { class: "muted small", role: "status" }, t`A video, or a recording as a ZIP file.`);
+  const button = h("button", { class: "primary" }, t`Upload`);
   return h(
     "form",
     {
@@ -45,14 +70,14 @@ function uploadForm(signal) {
         const hear = ({ sent, waiting }) => {
           if (sent !== undefined) {
             bar.value = blob.size ? sent / blob.size : 1;
-            standing.textContent = `${bytes(sent)} of ${bytes(blob.size)}`;
+            standing.textContent = t`${bytes(sent)} of ${bytes(blob.size)}`;
           }
-          if (waiting) standing.textContent = `${waiting.message} It goes on by itself.`;
+          if (waiting) standing.textContent = t`${waiting.message} It goes on by itself.`;
         };
         button.disabled = true;
         try {
           const job = await upload(blob, {
-            metadata: { filename: blob.name, map: name.value, kind: kind.value },
+            metadata: { filename: blob.name, map: name.value, kind: name.kind },
             location: null,
             hear,
             signal,
@@ -65,77 +90,73 @@ function uploadForm(signal) {
         }
       },
     },
-    h("h2", {}, "Upload a walk"),
-    h("div", { class: "form" }, field("Recording", file), field("Map", name), field("What for", kind), button),
+    h("h2", {}, t`Upload a walk`),
+    h("div", { class: "form" }, field(t`Recording`, file), name.element),
+    h("div", { class: "row" }, button),
     bar,
     standing,
   );
 }
 
-function fillList(place, { recordings }, reload) {
+/** A map's name that a file's name suggests. */
+function mapNameOf(name) {
+  const plain = name.replace(/\.[^.]*$/, "").replace(/[^A-Za-z0-9._-]+/g, "-");
+  return plain.replace(/^[^A-Za-z0-9_]+/, "").slice(0, 64);
+}
+
+function fillList(place, { recordings, jobs }, tools, reload) {
   if (!recordings.length) {
     fill(
       place,
       empty(
-        "No recordings yet",
-        "They are kept after their map is made, so that a job can be tried again and other maps can learn them.",
-        h("a", { class: "button primary", href: "record" }, "Record a walk"),
+        t`No recordings yet`,
+        t`They are kept after their map is made, so that a job can be tried again and other maps can learn them.`,
+        h("a", { class: "button primary", href: "record" }, t`Record a walk`),
       ),
     );
     return;
   }
+  const heads = [t`Files`, t`Map and job`, t`Size`, t`Uploaded`, t`Actions`];
   fill(
     place,
     h(
       "div",
-      { class: "scroll", tabindex: 0, role: "group", "aria-label": "Recordings" },
+      { class: "scroll", tabindex: 0, role: "group", "aria-label": t`Recordings` },
       h(
         "table",
         {},
-        h(
-          "thead",
-          {},
-          h(
-            "tr",
-            {},
-            ["Files", "Size", "Uploaded", "Actions"].map((text) => h("th", { scope: "col" }, text)),
-          ),
-        ),
-        h(
-          "tbody",
-          {},
-          recordings.map((one) =>
-            h(
-              "tr",
-              {},
-              h(
-                "td",
-                {},
-                one.files.slice(0, 3).join(", "),
-                one.files.length > 3 && ` and ${one.files.length - 3} more`,
-                h("br"),
-                h("code", { class: "muted", title: one.id }, one.id.slice(0, 8)),
-              ),
-              h("td", {}, bytes(one.size_bytes)),
-              h("td", {}, when(one.created)),
-              h(
-                "td",
-                {},
-                action("Delete", () => remove(one, reload), "danger"),
-              ),
-            ),
-          ),
-        ),
+        h("thead", {}, h("tr", {}, heads.map((text) => h("th", { scope: "col" }, text)))),
+        h("tbody", {}, tools.chosen(recordings).map((one) => row(one, jobsOf(one, jobs), reload))),
       ),
     ),
   );
 }
 
+function row(recording, jobs, reload) {
+  const { files } = recording;
+  return h(
+    "tr",
+    {},
+    h(
+      "td",
+      {},
+      files.slice(0, FILES_SHOWN).join(", "),
+      files.length > FILES_SHOWN && t` and ${files.length - FILES_SHOWN} more`,
+      h("br"),
+      h("code", { class: "muted", title: recording.id }, recording.id.slice(0, 8)),
+    ),
+    h("td", {}, jobs.map((job) => h("div", { class: "row" }, h("a", { href: `#/jobs/${job.id}` }, job.map), stateBadge(job)))),
+    h("td", {}, bytes(recording.size_bytes)),
+    h("td", {}, when(recording.created)),
+    h("td", {}, action(t`Delete`, () => remove(recording, reload), "danger")),
+  );
+}
+
 async function remove(recording, reload) {
   const done = await ask(
-    "Delete the recording?",
-    h("p", {}, recording.files[0], ", ", bytes(recording.size_bytes), ". Maps made of it stay."),
-    h("button", { class: "danger primary" }, "Delete"),
+    t`Delete the recording?`,
+    h("p", {}, t`${fileNames(recording)}, ${bytes(recording.size_bytes)}. Maps made of it stay.`),
+    h("button", { class: "danger primary" }, t`Delete`),
     () => call("DELETE", path`v1/recordings/${recording.id}`),
   );
   if (done) await reload();

@@ -1,14 +1,16 @@
 // A map in 3-D: landmarks coloured by uncertainty, the walk, waypoints, and the pose that was found. WebGL, z up.
 
 import { multiply, perspective, lookAt, project } from "./matrix.js";
+import { resolvedColour } from "../shared/colours.js";
 import { h } from "../shared/dom.js";
+import { length } from "./format.js";
+import { STRIDE_LANDMARK, STRIDE_VIEW } from "./scene_data.js";
 
-const STRIDE_LANDMARK = 4; // x, y, z, standard deviation
-const STRIDE_VIEW = 7; // x, y, z, heading, recording
 const FIELD_OF_VIEW = 0.9; // rad
 const SHOWN = [0.02, 0.98]; // the quantiles of landmarks that the first view holds, and of deviations that the colours tell
 const HEADING_LENGTH = 0.25; // m, of a view's tick
 const FRUSTUM = 0.5; // m, how far the drawn camera reaches
+const EXTENTS = [0.6, 0.45]; // of a camera of which nothing is known
 const SMOOTH_MS = [20, 34]; // how far apart pictures may be while the map moves; fewer landmarks are drawn, or more
 const LEAST_DRAWN = 2000; // landmarks, while the map moves
 const REST_MS = 150; // after which a map that was moved rests, and all of it is drawn
@@ -29,13 +31,6 @@ const POINT_COLOUR = "precision mediump float; varying vec3 colour; void main() 
 const LINE_SHADER =
   "attribute vec3 point; uniform mat4 matrix; void main() { gl_Position = matrix * vec4(point, 1.0); }";
 const LINE_COLOUR = "precision mediump float; uniform vec4 colour; void main() { gl_FragColor = colour; }";
-
-/** The numbers of `/v1/maps/{map}/scene`. */
-export function readScene(buffer) {
-  const [features, views] = new Uint32Array(buffer, 0, 2);
-  const landmarks = new Float32Array(buffer, 8, features * STRIDE_LANDMARK);
-  return { features, landmarks, views: new Float32Array(buffer, 8 + landmarks.byteLength, views * STRIDE_VIEW) };
-}
 
 /** An element that shows a scene; `element` is put into a page, `show…` says what of, `dispose` ends it. */
 export class SceneView {
@@ -113,9 +108,12 @@ export class SceneView {
     this.lookAtAll(scene);
   }
 
-  /** Show where a camera is and looks (`T_map_camera`, 4 × 4), or nothing; `landmarks` are those that it recognised. */
-  showPose(T, landmarks = []) {
-    this.setLines("camera", "--accent", T ? frustum(T) : []);
+  /**
+   * Show where a camera is and looks (`T_map_camera`, 4 × 4), or nothing; `landmarks` are those that it recognised,
+   * `extents` how far its picture reaches on the plane one metre in front of it.
+   */
+  showPose(T, landmarks = [], extents = EXTENTS) {
+    this.setLines("camera", "--accent", T ? frustum(T, extents) : []);
     const at = T && T.slice(0, 3).map((row) => row[3]);
     const step = Math.max(1, Math.ceil(landmarks.length / MAX_RAYS));
     const seen = landmarks.filter((_, i) => i % step === 0);
@@ -259,12 +257,6 @@ export class SceneView {
   }
 }
 
-/** A length for people: centimetres below a metre; bare units where the map is not metric. */
-export function length(value, metric = true) {
-  if (!metric) return `${value.toPrecision(2)} units`;
-  return value < 1 ? `${(100 * value).toFixed(value < 0.1 ? 1 : 0)} cm` : `${value.toFixed(2)} m`;
-}
-
 function listen(scene) {
   const { canvas } = scene;
   const fingers = new Map();
@@ -353,10 +345,10 @@ function segments(positions) {
   return positions.slice(1).flatMap((position, i) => [...positions[i], ...position]);
 }
 
-/** A pyramid whose tip is the camera, of a picture of 4:3. */
-function frustum(T) {
+/** A pyramid whose tip is the camera, and whose base has the picture's shape. */
+function frustum(T, [across, down]) {
   const point = (x, y, z) => [0, 1, 2].map((i) => T[i][0] * x + T[i][1] * y + T[i][2] * z + T[i][3]);
-  const [w, tall, d] = [0.6 * FRUSTUM, 0.45 * FRUSTUM, FRUSTUM];
+  const [w, tall, d] = [across * FRUSTUM, down * FRUSTUM, FRUSTUM];
   const tip = point(0, 0, 0);
   const corners = [point(-w, -tall, d), point(w, -tall, d), point(w, tall, d), point(-w, tall, d)];
   const above = point(0, -1.5 * tall, d);
@@ -407,9 +399,8 @@ function program(gl, ...sources) {
 }
 
 function resolved(element, token) {
-  element.style.color = `var(${token})`;
-  return getComputedStyle(element)
-    .color.match(/[\d.]+/g)
+  return resolvedColour(element, token)
+    .match(/[\d.]+/g)
     .slice(0, 3)
-    .map((part) => part / 255);
+    .map((part) => Number(part) / 255);
 }

@@ -2,25 +2,31 @@
 
 import { call, get, path } from "../shared/api.js";
 import { fill, h } from "../shared/dom.js";
+import { field } from "../shared/name_choice.js";
+import { t } from "../shared/text.js";
+import { Trust, trustOf } from "../shared/trust.js";
 import { length } from "./format.js";
-import { showScene } from "./map.js";
-import { empty, facts, field, page, problem } from "./parts.js";
+import { asQuery, halfExtents, intrinsicsFor, intrinsicsOfFieldOfView, Known } from "./intrinsics.js";
+import { showScene, trusted } from "./map.js";
+import { empty, facts, page, problem, trustBadge } from "./parts.js";
+import { play } from "./player.js";
 import { SceneView } from "./scene.js";
 import { readTrajectory } from "./trajectory.js";
 
 const WHY = {
-  no_features: "The picture is too blank, dark or blurred.",
-  no_matches: "Too little in the picture looks like anything in the map.",
-  no_agreement: "No place explains what the picture shows.",
-  low_confidence: "A place was found, but it is too unsure to rely on.",
-  deadline: "The server took too long.",
+  no_features: t`The picture is too blank, dark or blurred.`,
+  no_matches: t`Too little in the picture looks like anything in the map.`,
+  no_agreement: t`No place explains what the picture shows.`,
+  low_confidence: t`A place was found, but it is too unsure to rely on.`,
+  deadline: t`The server took too long.`,
 };
-const CAMERA_WIDTH = 640; // px, of frames from this device's camera
+const LONG_SIDE = 640; // px, of frames from this device's camera
 const JPEG_QUALITY = 0.85;
-const RATE_OVER = 8; // frames that the rate is told over
+const RATE_OVER = 8; // frames that the rate is measured over
 const PRIOR_RADIUS_M = 1;
-const OWN_CAMERA = "";
+const MAP_CAMERA = "";
 const FIELD_OF_VIEW = " fov"; // no camera has a name with a space
+const SURE = 0.99; // above it confidence is said to be more than this: nothing is certain
 
 export async function showTry(main, name, signal) {
   const { maps } = await get("v1/maps", { signal });
@@ -28,36 +34,34 @@ export async function showTry(main, name, signal) {
     fill(
       main,
       empty(
-        "No map to try",
-        "Make one of a walk first.",
-        h("a", { class: "button primary", href: "record" }, "Record a walk"),
+        t`No map to try`,
+        t`Make one of a walk first.`,
+        h("a", { class: "button primary", href: "record" }, t`Record a walk`),
       ),
     );
     return;
   }
   const { cameras } = await get("v1/cameras", { signal });
   const map = await get(path`v1/maps/${name ?? maps[0].name}`, { signal });
-  const trial = new Trial(map, signal);
-  fill(main, layout(trial, maps, cameras));
+  const trial = new Trial(map, cameras, signal);
+  fill(main, layout(trial, maps));
   await showScene(trial.scene, map, signal);
 }
 
 /** What is tried in one map, and how it is shown. */
 class Trial {
-  constructor(map, signal) {
-    Object.assign(this, { map, signal, ends: [] });
-    this.scene = new SceneView(`The map ${map.name} and the pose that was found`);
-    this.picture = h("canvas", {
-      class: "frame",
-      width: 640,
-      height: 480,
-      role: "img",
-      "aria-label": "No picture yet",
-    });
-    this.answer = h("div", { class: "answer", role: "status" }, h("p", { class: "muted" }, "The pose appears here."));
+  #asked = 0; // the number of the newest question; answers to older ones are not shown
+  #question = new AbortController();
+
+  constructor(map, cameras, signal) {
+    Object.assign(this, { map, cameras, signal, ends: [] });
+    this.scene = new SceneView(t`The map ${map.name} and the pose that was found`);
+    this.picture = h("canvas", { class: "frame", width: 640, height: 480, role: "img", "aria-label": t`No picture yet` });
+    this.answer = h("div", { class: "answer", role: "status" }, h("p", { class: "muted" }, t`The pose appears here.`));
     this.intrinsics = h("select", { name: "camera" });
-    this.degrees = h("input", { type: "number", min: 20, max: 150, step: "any", value: 65 });
+    this.degrees = h("input", { type: "number", min: 20, max: 150, step: "any", placeholder: t`such as 65` });
     this.rolls = h("input", { type: "checkbox", checked: true });
+    this.still = null; // the picture that is tried, unless a camera runs
     signal.addEventListener("abort", () => {
       this.stop();
       this.scene.dispose();
@@ -69,33 +73,90 @@ class Trial {
     for (const end of this.ends.splice(0)) end();
   }
 
-  /** Localize one picture (a canvas, an image or a video of a size) and show where it is. */
-  async localize(blob, source, prior) {
-    const query = { ...this.options(source.width), ...prior, dof: this.rolls.checked ? "auto" : 5, with_matches: true };
-    const found = await call("POST", path`v1/maps/${this.map.name}/localize`, {
-      body: blob,
-      headers: { "Content-Type": blob.type },
-      query,
-      signal: this.signal,
-    });
+  /** Try a picture, and again whenever the options change. */
+  async tryStill(still) {
+    this.still = still;
+    this.show(still.source);
+    fill(this.answer, h("p", { class: "muted" }, t`Localizing …`));
+    await this.localize(still.blob, still.source, {});
+  }
+
+  async again() {
+    if (!this.still) return;
+    try {
+      await this.tryStill(this.still);
+    } catch (error) {
+      this.fail(error);
+    }
+  }
+
+  /**
+   * Localize one picture (`source`: a canvas or an image, of a size) and show where it is. Null where a newer picture
+   * was asked for meanwhile: what comes late is not shown.
+   */
+  async localize(blob, source, prior, extra) {
+    const number = ++this.#asked;
+    this.#question.abort();
+    this.#question = new AbortController();
+    const intrinsics = this.intrinsicsOf(source.width, source.height);
+    const query = { ...intrinsics.query, ...prior, dof: this.rolls.checked ? 6 : 5, with_matches: true };
+    let found;
+    try {
+      found = await call("POST", path`v1/maps/${this.map.name}/localize`, {
+        body: blob,
+        headers: { "Content-Type": blob.type },
+        query,
+        signal: AbortSignal.any([this.signal, this.#question.signal]),
+      });
+    } catch (error) {
+      if (number !== this.#asked) return null;
+      throw error;
+    }
+    if (number !== this.#asked) return null;
     this.draw(source, found);
-    this.scene.showPose(found.pose?.T_map_camera ?? null, found.localized ? found.agreeing.landmarks : []);
+    const landmarks = found.localized ? found.agreeing.landmarks : [];
+    this.scene.showPose(found.pose?.T_map_camera ?? null, landmarks, intrinsics.extents);
+    this.tell(found, intrinsics.known, extra?.());
     return found;
   }
 
-  options(width) {
-    if (this.intrinsics.value === FIELD_OF_VIEW) {
-      return { fx: (width / 2 / Math.tan((this.degrees.value * Math.PI) / 360)).toFixed(2) };
+  /** What is asked with, how far it is known, and how far the picture reaches. */
+  intrinsicsOf(width, height) {
+    const chosen = this.intrinsics.value;
+    let own;
+    if (chosen === FIELD_OF_VIEW) {
+      const degrees = Number(this.degrees.value);
+      if (!this.degrees.value || !this.degrees.checkValidity())
+        throw new Error(t`Type the picture's horizontal field of view, or choose a camera.`);
+      own = intrinsicsOfFieldOfView(degrees, width, height);
+    } else {
+      own = intrinsicsFor(this.cameras.find(({ name }) => name === chosen) ?? this.map.camera, width, height);
     }
-    return { camera: this.intrinsics.value };
+    return { query: asQuery(own), known: own.known, extents: halfExtents(own, width, height) };
+  }
+
+  /** The picture alone. */
+  show(source) {
+    Object.assign(this.picture, { width: source.width, height: source.height });
+    this.picture.getContext("2d").drawImage(source.image, 0, 0, source.width, source.height);
+    this.picture.setAttribute("aria-label", t`The picture; it has no pose`);
+    this.scene.showPose(null);
+  }
+
+  /** Neither a picture nor a pose. */
+  clear() {
+    this.still = null;
+    this.#asked++;
+    this.#question.abort();
+    this.picture.getContext("2d").clearRect(0, 0, this.picture.width, this.picture.height);
+    this.picture.setAttribute("aria-label", t`No picture yet`);
+    this.scene.showPose(null);
   }
 
   /** The picture, and on it the features that the map recognised. */
   draw(source, found) {
-    const { picture } = this;
-    Object.assign(picture, { width: source.width, height: source.height });
-    const context = picture.getContext("2d");
-    context.drawImage(source.image, 0, 0, source.width, source.height);
+    this.show(source);
+    const context = this.picture.getContext("2d");
     const radius = Math.max(3, source.width / 160);
     context.lineWidth = radius / 2.5;
     context.strokeStyle = found.localized ? "#35e0a1" : "#ffb454";
@@ -104,90 +165,118 @@ class Trial {
       context.arc(u, v, radius, 0, 2 * Math.PI);
       context.stroke();
     }
-    picture.setAttribute(
-      "aria-label",
-      found.localized
-        ? `The picture with ${found.inliers} features that the map recognised`
-        : "The picture; it has no pose",
-    );
+    if (found.localized)
+      this.picture.setAttribute("aria-label", t`The picture with ${found.inliers} features that the map recognised`);
   }
 
-  tell(found, extra) {
-    const { pose, confidence } = found;
+  tell(found, known, extra) {
+    const { pose } = found;
     const metric = found.scale === "metric";
-    const sigma =
-      found.covariance && Math.sqrt((found.covariance[0][0] + found.covariance[1][1] + found.covariance[2][2]) / 3);
     fill(
       this.answer,
       h(
         "div",
         { class: "row" },
-        h("span", { class: ["badge", found.localized ? "good" : "warn"] }, found.localized ? "localized" : "no pose"),
-        h(
-          "label",
-          { class: "confidence" },
-          `confidence ${Math.round(100 * confidence)} %`,
-          h("meter", { min: 0, max: 1, low: 0.5, high: 0.8, optimum: 1, value: confidence }),
-        ),
+        h("span", { class: ["badge", found.localized ? "good" : "warn"] }, found.localized ? t`localized` : t`no pose`),
+        confidenceOf(found, known),
       ),
       !found.localized && h("p", {}, WHY[found.reason] ?? found.reason),
+      doubts(found, known, this.map).map((text) => h("p", { class: "notice warn small" }, text)),
       facts([
         [
-          "Position",
-          pose ? pose.position.map((value) => value.toFixed(2)).join(", ") + (metric ? " m" : " units") : "–",
+          t`Position`,
+          pose ? pose.position.map((value) => value.toFixed(2)).join(", ") + (metric ? " m" : t` units`) : "–",
         ],
-        ["Heading", pose ? pose.heading.map((value) => value.toFixed(2)).join(", ") : "–"],
-        ["Off by about", sigma ? length(sigma, metric) : "–"],
-        ["Matches", `${found.inliers} of ${found.matches} agree`],
-        ["Took", `${found.timings_ms.total.toFixed(0)} ms${extra ? `, ${extra}` : ""}`],
+        [t`Heading`, pose ? pose.heading.map((value) => value.toFixed(2)).join(", ") : "–"],
+        [t`Off by about`, offBy(found, known, metric)],
+        [t`Matches`, t`${found.inliers} of ${found.matches} agree`],
+        [t`Took`, [`${found.timings_ms.total.toFixed(0)} ms`, extra].filter(Boolean).join(", ")],
       ]),
     );
   }
 
+  /** Show an error; a pose from before it is not the answer to it. */
   fail(error) {
-    if (this.signal.aborted) return;
-    const mismatch = error.code === "invalid_camera";
-    const hint = mismatch ? "Choose a stored camera, or the field of view." : error.hint;
-    fill(this.answer, problem({ summary: error.summary ?? error.message, hint }));
+    if (this.signal.aborted || error.name === "AbortError") return;
+    this.scene.showPose(null);
+    if (this.still) this.show(this.still.source);
+    fill(this.answer, problem({ summary: error.summary ?? error.message, hint: error.hint }));
   }
 }
 
-function layout(trial, maps, cameras) {
+/** How sure the answer is of itself; a figure only where the intrinsics are not a guess. */
+function confidenceOf(found, known) {
+  if (known === Known.TYPED) return h("span", { class: "muted" }, t`confidence unknown`);
+  const { confidence } = found;
+  const text = confidence > SURE ? t`confidence over ${Math.round(100 * SURE)} %` : t`confidence ${Math.round(100 * confidence)} %`;
+  return h(
+    "label",
+    { class: "confidence" },
+    text,
+    h("meter", { min: 0, max: 1, low: 0.5, high: 0.8, optimum: 1, value: confidence }),
+  );
+}
+
+/** Why an answer may be wrong however sure it is of itself. */
+function doubts(found, known, map) {
+  if (!found.localized) return [];
+  return [
+    trustOf(map) === Trust.NO && t`The map itself is not trusted: the pose may be wrong by more than is said here.`,
+    known === Known.TYPED &&
+      t`The field of view was typed, not measured: a few degrees off put the pose decimetres off. Calibrate the camera to know.`,
+    known === Known.ASSUMED &&
+      t`The picture has another shape than the camera's. It is taken to be the same camera, turned or cropped; if it is not, the pose is wrong.`,
+  ].filter(Boolean);
+}
+
+/** What the pose may be off by: the service's own figure where it sends one, else the spread of the optimum. */
+function offBy(found, known, metric) {
+  if (!found.localized || known === Known.TYPED) return t`unknown`;
+  const { covariance, expected_error_m: expected } = found;
+  const spread = covariance && Math.sqrt((covariance[0][0] + covariance[1][1] + covariance[2][2]) / 3);
+  const value = expected ?? spread;
+  return Number.isFinite(value) ? length(value, metric) : t`unknown`;
+}
+
+function layout(trial, maps) {
   const choice = h(
     "select",
     { onchange: () => (location.hash = `#/try/${encodeURIComponent(choice.value)}`) },
-    maps.map(({ name }) => h("option", { selected: name === trial.map.name }, name)),
+    maps.map((map) => h("option", { value: map.name, selected: map.name === trial.map.name }, trusted(map))),
   );
-  const degrees = field("Horizontal field of view, °", trial.degrees);
-  degrees.hidden = true;
-  fill(
-    trial.intrinsics,
-    h("option", { value: OWN_CAMERA }, "the map's own camera"),
-    cameras.map(({ name }) => h("option", { value: name }, name)),
-    h("option", { value: FIELD_OF_VIEW }, "by its field of view"),
-  );
-  trial.intrinsics.addEventListener("change", () => (degrees.hidden = trial.intrinsics.value !== FIELD_OF_VIEW));
   return page(
-    "Try it",
-    field("Map", choice),
+    t`Try it`,
+    h("div", { class: "row" }, trustBadge(trustOf(trial.map)), field(t`Map`, choice)),
     h(
       "div",
       { class: "try-columns" },
       h("div", { class: "stack" }, dropZone(trial), sources(trial)),
       h("div", { class: "stack" }, trial.scene.element, trial.answer),
     ),
-    h(
-      "details",
-      { class: "card" },
-      h("summary", {}, "Camera options"),
-      h(
-        "div",
-        { class: "form" },
-        field("Intrinsics", trial.intrinsics),
-        degrees,
-        h("label", { class: "check" }, trial.rolls, "hand-held: the camera may roll"),
-      ),
-    ),
+    h("details", { class: "card" }, h("summary", {}, t`Camera options`), options(trial)),
+  );
+}
+
+function options(trial) {
+  const degrees = field(t`Horizontal field of view, °`, trial.degrees, t`of the picture, from its left to its right edge`);
+  degrees.hidden = true;
+  fill(
+    trial.intrinsics,
+    h("option", { value: MAP_CAMERA }, t`the camera that made the map`),
+    trial.cameras.map(({ name }) => h("option", { value: name }, name)),
+    h("option", { value: FIELD_OF_VIEW }, t`another, by its field of view`),
+  );
+  trial.intrinsics.addEventListener("change", () => {
+    degrees.hidden = trial.intrinsics.value !== FIELD_OF_VIEW;
+    trial.again();
+  });
+  for (const input of [trial.degrees, trial.rolls]) input.addEventListener("change", () => trial.again());
+  return h(
+    "div",
+    { class: "form" },
+    field(t`Which camera took it?`, trial.intrinsics),
+    degrees,
+    h("label", { class: "check" }, trial.rolls, t`hand-held: the camera may roll`),
   );
 }
 
@@ -196,7 +285,7 @@ function dropZone(trial) {
     "div",
     { class: "drop" },
     trial.picture,
-    h("p", { class: "drop-hint muted" }, "Drop a picture or a trajectory (CSV) here"),
+    h("p", { class: "drop-hint muted" }, t`Drop a picture or a trajectory (CSV) here`),
   );
   zone.addEventListener("dragover", (event) => {
     event.preventDefault();
@@ -216,7 +305,7 @@ function sources(trial) {
     type: "file",
     accept: "image/*,.csv",
     class: "visually-hidden",
-    "aria-label": "Picture or trajectory",
+    "aria-label": t`Picture or trajectory`,
     onchange: () => {
       if (input.files.length) takeFile(trial, input.files[0]);
       input.value = "";
@@ -226,38 +315,56 @@ function sources(trial) {
   trial.cameraButton = h(
     "button",
     { type: "button", onclick: () => (trial.ends.length ? trial.stop() : filmOrSay(trial)) },
-    "Use the camera",
+    t`Use the camera`,
   );
   return h(
     "div",
     { class: "stack" },
-    h("div", { class: "row" }, h("label", { class: "button file" }, "Choose a file", input), trial.cameraButton),
+    h("div", { class: "row" }, h("label", { class: "button file" }, t`Choose a file`, input), trial.cameraButton),
     trial.player,
   );
 }
 
 async function takeFile(trial, file) {
   trial.stop();
+  trial.clear();
   trial.picture.closest(".drop").classList.add("taken");
   try {
-    if (/\.csv$/i.test(file.name)) play(trial, readTrajectory(await file.text()));
-    else await takePicture(trial, file);
+    if (/\.csv$/i.test(file.name)) playTrajectory(trial, readTrajectory(await file.text()));
+    else await trial.tryStill(await readPicture(file));
   } catch (error) {
     trial.fail(error);
   }
 }
 
-async function takePicture(trial, file) {
+/** `{blob, source}`: what is sent, a JPEG or PNG, and what is drawn. */
+async function readPicture(file) {
   let image;
   try {
     image = await createImageBitmap(file);
   } catch {
-    throw new Error("This file is not a picture that the browser can read.");
+    throw new Error(t`This file is not a picture that the browser can read.`);
   }
   const source = { image, width: image.width, height: image.height };
-  const sent = /^image\/(jpeg|png)$/.test(file.type) ? file : await jpeg(source);
-  fill(trial.answer, h("p", { class: "muted" }, "Localizing …"));
-  trial.tell(await trial.localize(sent, source, {}));
+  return { blob: /^image\/(jpeg|png)$/.test(file.type) ? file : await jpeg(source), source };
+}
+
+function playTrajectory(trial, poses) {
+  const { camera } = trial.map;
+  const extents = halfExtents(camera, camera.width, camera.height);
+  trial.scene.showTrail(poses.map(({ position }) => position));
+  const end = play(trial.player, poses, ({ T }) => trial.scene.showPose(T, [], extents));
+  trial.ends.push(() => {
+    end();
+    trial.scene.showTrail([]);
+  });
+  fill(
+    trial.answer,
+    facts([
+      [t`Trajectory`, t`${poses.length} poses`],
+      [t`Lasts`, `${(poses.at(-1).time - poses[0].time).toFixed(1)} s`],
+    ]),
+  );
 }
 
 function jpeg({ image, width, height }, canvas = h("canvas", { width, height })) {
@@ -274,27 +381,33 @@ async function filmOrSay(trial) {
   }
 }
 
-/** Localize what this device's camera sees, one frame after the other, the last pose being the next one's prior. */
-async function film(trial) {
-  if (!navigator.mediaDevices) throw new Error("The camera needs HTTPS: start the server with rholoc serve --tls.");
-  let stream;
+/** The camera's stream, of the map camera's shape where the device has it: that of the recorder, if it is the same phone. */
+async function openStream({ camera }) {
+  if (!navigator.mediaDevices) throw new Error(t`The camera needs HTTPS: start the server with rholoc serve --tls.`);
+  const [long, short] = [Math.max(camera.width, camera.height), Math.min(camera.width, camera.height)];
   try {
-    stream = await navigator.mediaDevices.getUserMedia({
-      video: { width: { ideal: CAMERA_WIDTH }, facingMode: "environment" },
+    return await navigator.mediaDevices.getUserMedia({
+      video: { width: { ideal: long }, height: { ideal: short }, facingMode: "environment" },
     });
   } catch (error) {
     const refused = error.name === "NotAllowedError";
     throw new Error(
-      refused ? "The camera was refused. Allow it in the browser's settings for this page." : "No camera was found.",
+      refused ? t`The camera was refused. Allow it in the browser's settings for this page.` : t`No camera was found.`,
     );
   }
+}
+
+/** Localize what this device's camera sees, one frame after the other, the last pose being the next one's prior. */
+async function film(trial) {
+  const stream = await openStream(trial.map);
+  trial.clear();
   const video = h("video", { playsinline: true, muted: true });
   let filming = true;
-  trial.cameraButton.textContent = "Stop the camera";
+  trial.cameraButton.textContent = t`Stop the camera`;
   trial.ends.push(() => {
     filming = false;
     for (const track of stream.getTracks()) track.stop();
-    trial.cameraButton.textContent = "Use the camera";
+    trial.cameraButton.textContent = t`Use the camera`;
   });
   video.srcObject = stream;
   video.muted = true;
@@ -304,75 +417,25 @@ async function film(trial) {
   const times = [];
   let prior = {};
   while (filming && !trial.signal.aborted) {
-    const [width, height] = [CAMERA_WIDTH, Math.round((CAMERA_WIDTH * video.videoHeight) / video.videoWidth)];
+    const scale = Math.min(1, LONG_SIDE / Math.max(video.videoWidth, video.videoHeight));
+    const [width, height] = [video.videoWidth, video.videoHeight].map((size) => Math.round(scale * size));
     Object.assign(canvas, { width, height });
     const blob = await jpeg({ image: video, width, height }, canvas);
-    const found = await trial.localize(blob, { image: canvas, width, height }, prior);
+    const found = await trial.localize(blob, { image: canvas, width, height }, prior, () => rate(times));
+    if (!found) return;
     prior = found.localized ? priorOf(found.pose) : {};
-    times.push(performance.now());
-    if (times.length > RATE_OVER) times.shift();
-    const rate = times.length > 1 ? (1000 * (times.length - 1)) / (times.at(-1) - times[0]) : 0;
-    trial.tell(found, `${rate.toFixed(1)} frames a second`);
     await new Promise(requestAnimationFrame); // draws, and lets a tab in the background rest
   }
 }
 
-function priorOf({ position, heading }) {
-  return { prior_position: position.join(","), prior_heading: heading.join(","), prior_radius_m: PRIOR_RADIUS_M };
+/** How many frames are answered a second, now that one more is. */
+function rate(times) {
+  times.push(performance.now());
+  if (times.length > RATE_OVER) times.shift();
+  const hertz = times.length > 1 ? (1000 * (times.length - 1)) / (times.at(-1) - times[0]) : 0;
+  return t`${hertz.toFixed(1)} frames a second`;
 }
 
-/** Play a trajectory in the map: its path as a line, the camera moving along it in its own time. */
-function play(trial, poses) {
-  const [first, last] = [poses[0].time, poses.at(-1).time];
-  const slider = h("input", { type: "range", min: first, max: last, step: "any", value: first, "aria-label": "Time" });
-  const clock = h("span", { class: "mono" });
-  const button = h("button", { type: "button" }, "Pause");
-  let running = true;
-  let since = performance.now();
-  const show = () => {
-    const time = Number(slider.value);
-    const at = Math.max(
-      0,
-      poses.findLastIndex((pose) => pose.time <= time),
-    );
-    clock.textContent = `${(time - first).toFixed(1)} s`;
-    trial.scene.showPose(poses[at].T);
-  };
-  const step = (now) => {
-    if (!running) return;
-    slider.value = Math.min(last, Number(slider.value) + (now - since) / 1000);
-    since = now;
-    show();
-    if (Number(slider.value) >= last) pause();
-    else requestAnimationFrame(step);
-  };
-  const pause = () => {
-    running = false;
-    button.textContent = "Play";
-  };
-  const start = () => {
-    if (Number(slider.value) >= last) slider.value = first;
-    running = true;
-    since = performance.now();
-    button.textContent = "Pause";
-    requestAnimationFrame(step);
-  };
-  button.addEventListener("click", () => (running ? pause() : start()));
-  slider.addEventListener("input", show);
-  trial.ends.push(() => {
-    pause();
-    trial.player.hidden = true;
-    trial.scene.showTrail([]);
-  });
-  trial.scene.showTrail(poses.map(({ position }) => position));
-  fill(trial.player, button, slider, clock);
-  trial.player.hidden = false;
-  fill(
-    trial.answer,
-    facts([
-      ["Trajectory", `${poses.length} poses`],
-      ["Lasts", `${(last - first).toFixed(1)} s`],
-    ]),
-  );
-  start();
+function priorOf({ position, heading }) {
+  return { prior_position: position.join(","), prior_heading: heading.join(","), prior_radius_m: PRIOR_RADIUS_M };
 }

@@ -1,6 +1,7 @@
 // The camera: opened, watched frame by frame, measured for light.
 
-import { brightness } from "./coaching.js";
+import { t } from "../shared/text.js";
+import { brightness, greyLevels, sharpness, texture } from "./coaching.js";
 import { Problem } from "./problem.js";
 
 const WANTED = {
@@ -8,20 +9,20 @@ const WANTED = {
   video: { facingMode: { ideal: "environment" }, width: { ideal: 1280 }, height: { ideal: 720 }, frameRate: { ideal: 30 } },
 };
 const REFUSALS = {
-  NotAllowedError: ["camera-refused", "The camera was refused.", "Allow it for this page in the browser's settings, then try again."],
-  NotFoundError: ["no-camera", "There is no camera.", "Open this page on a phone."],
-  NotReadableError: ["camera-busy", "Another program has the camera.", "Close it and try again."],
+  NotAllowedError: ["camera-refused", t`The camera was refused.`, t`Allow it for this page in the browser's settings, then try again.`],
+  NotFoundError: ["no-camera", t`There is no camera.`, t`Open this page on a phone.`],
+  NotReadableError: ["camera-busy", t`Another program has the camera.`, t`Close it and try again.`],
 };
 // The first that the browser can write; hardware encodes H.264, and WebM survives being cut off.
 const TYPES = ["video/webm;codecs=h264", "video/mp4;codecs=avc1.42E01E", "video/webm;codecs=vp8", "video/webm", "video/mp4"];
-const METER = { width: 32, height: 24 };
+const METER_LONG_SIDE = 160; // px, of the small picture that is measured
 
 /** The stream of the camera on the back. @throws {Problem} */
 export async function openCamera() {
   try {
     return await navigator.mediaDevices.getUserMedia(WANTED);
   } catch (error) {
-    throw new Problem(...(REFUSALS[error.name] ?? ["camera-failed", "The camera does not start.", error.message]));
+    throw new Problem(...(REFUSALS[error.name] ?? ["camera-failed", t`The camera does not start.`, error.message]));
   }
 }
 
@@ -58,13 +59,22 @@ export function watchFrames(video, hear) {
   return () => video.cancelVideoFrameCallback(handle);
 }
 
-/** A function that measures how bright a video element's picture is, 0 to 1; null before it has one. */
-export function lightMeter(video) {
-  const canvas = Object.assign(document.createElement("canvas"), METER);
+/** A function that measures a video element's picture: `{light, texture, sharpness}`; all null before it has one. */
+export function pictureMeter(video) {
+  const canvas = document.createElement("canvas");
   const context = canvas.getContext("2d", { willReadFrequently: true });
   return () => {
-    if (!video.videoWidth) return null;
-    context.drawImage(video, 0, 0, METER.width, METER.height);
-    return brightness(context.getImageData(0, 0, METER.width, METER.height).data);
+    const { videoWidth, videoHeight } = video;
+    if (!videoWidth) return { light: null, texture: null, sharpness: null };
+    const scale = METER_LONG_SIDE / Math.max(videoWidth, videoHeight);
+    const [width, height] = [videoWidth, videoHeight].map((size) => Math.round(scale * size));
+    if (canvas.width !== width || canvas.height !== height) Object.assign(canvas, { width, height });
+    context.drawImage(video, 0, 0, width, height);
+    const grey = greyLevels(context.getImageData(0, 0, width, height).data);
+    return {
+      light: brightness(grey),
+      texture: texture(grey, width, height),
+      sharpness: sharpness(grey, width, height),
+    };
   };
 }

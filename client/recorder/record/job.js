@@ -7,10 +7,10 @@ const PAUSE_MS = 1500;
 
 /**
  * Hear of every change of a job; resolves to the job as it ended. Its events are listened to where the server sends
- * them, else it is asked for every now and then; while there is no connection, this waits for one.
+ * them, else it is asked for every now and then; while there is no connection, this waits for one, and `lost` hears why.
  * @throws {ApiError} when there is no such job; AbortError.
  */
-export async function followJob(id, hear, signal) {
+export async function followJob(id, hear, signal, lost = (_error) => {}) {
   for (;;) {
     try {
       for await (const job of jobEvents(id, signal)) {
@@ -23,6 +23,7 @@ export async function followJob(id, hear, signal) {
     } catch (error) {
       if (!(error instanceof ApiError || error instanceof TypeError)) throw error;
       if (error instanceof ApiError && error.code !== "unreachable" && error.status < 500) throw error;
+      if (error instanceof ApiError) lost(error);
     }
     await new Promise((resolve) => setTimeout(resolve, PAUSE_MS));
     signal?.throwIfAborted();

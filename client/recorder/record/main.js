@@ -1,6 +1,8 @@
 // The recorder: which view is shown, and what they share.
 
+import { keyButton } from "../shared/api.js";
 import { fill, h } from "../shared/dom.js";
+import { t, translatePage } from "../shared/text.js";
 import { missing, Problem } from "./problem.js";
 import { Store } from "./store.js";
 import { homeView } from "./views/home.js";
@@ -20,24 +22,26 @@ async function show(store) {
   try {
     leave = (await (VIEWS[name] ?? homeView)({ content, store, id })) ?? leave;
   } catch (error) {
-    fill(content, problemNotice(error), h("p", {}, h("a", { href: "#/" }, "Back")));
+    fill(content, problemNotice(error), h("p", {}, h("a", { href: "#/" }, t`Back`)));
   }
 }
 
 function problemNotice(error) {
-  return h("div", { class: "notice bad", role: "alert" }, h("h1", {}, error.title ?? "Something went wrong."), h("p", {}, error.advice ?? error.message));
+  return h("div", { class: "notice bad", role: "alert" }, h("h1", {}, error.title ?? t`Something went wrong.`), h("p", {}, error.advice ?? error.message));
 }
 
 async function start() {
   const lack = missing();
   if (lack?.code === "no-database") throw lack;
   const store = await Store.open().catch((error) => {
-    throw new Problem("no-database", "This browser keeps nothing for this page.", `Leave private browsing and try again. (${error.message})`);
+    throw new Problem("no-database", t`This browser keeps nothing for this page.`, t`Leave private browsing and try again. (${error.message})`);
   });
   await navigator.storage?.persist?.();
   addEventListener("hashchange", () => show(store));
   await show(store);
 }
 
+translatePage();
+document.querySelector("header").append(keyButton());
 start().catch((error) => fill(content, problemNotice(error)));
 if (window.isSecureContext) navigator.serviceWorker?.register("web/record/service-worker.js", { scope: "record" }).catch(() => {});

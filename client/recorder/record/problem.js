@@ -1,5 +1,7 @@
 // What keeps a recording from being made or sent, as a person is told it.
 
+import { t } from "../shared/text.js";
+
 /** A title, what to do, and a stable code. */
 export class Problem extends Error {
   constructor(code, title, advice = "") {
@@ -13,12 +15,12 @@ export function missing() {
   if (!window.isSecureContext)
     return new Problem(
       "insecure",
-      "Browsers give the camera to pages over HTTPS only.",
-      "Start the server with rholoc serve --tls, and open the address that it prints.",
+      t`Browsers give the camera to pages over HTTPS only.`,
+      t`Start the server with rholoc serve --tls, and open the address that it prints.`,
     );
   if (!navigator.mediaDevices?.getUserMedia || !window.MediaRecorder)
-    return new Problem("unsupported", "This browser cannot record video.", "Use a recent Chrome, Safari or Firefox.");
+    return new Problem("unsupported", t`This browser cannot record video.`, t`Use a recent Chrome, Safari or Firefox.`);
   if (!window.indexedDB)
-    return new Problem("no-database", "This browser keeps nothing for this page.", "Leave private browsing and try again.");
+    return new Problem("no-database", t`This browser keeps nothing for this page.`, t`Leave private browsing and try again.`);
   return null;
 }

@@ -1,5 +1,6 @@
 // The phone's inertial sensors, listened to.
 
+import { t } from "../shared/text.js";
 import { accelerationSign, missingSensors, motionRow, rate, upward } from "./motion.js";
 import { Problem } from "./problem.js";
 
@@ -29,8 +30,8 @@ export class Sensors extends EventTarget {
     if (!(await (permission ?? askForSensors())))
       throw new Problem(
         "sensors-refused",
-        "The motion sensors were refused.",
-        "With them the map knows its size and what is up. Allow motion and orientation for this page, or record video alone.",
+        t`The motion sensors were refused.`,
+        t`With them the map knows its size and what is up. Allow motion and orientation for this page, or record video alone.`,
       );
     addEventListener("deviceorientation", this);
     addEventListener("devicemotion", this);

@@ -13,8 +13,10 @@ const FILES = [
   "record/job.js",
   "record/main.js",
   "record/manifest.webmanifest",
+  "record/map_names.js",
   "record/motion.js",
   "record/problem.js",
+  "record/readings.js",
   "record/record.css",
   "record/recording.js",
   "record/sensors.js",
@@ -24,9 +26,8 @@ const FILES = [
   "record/upload.js",
   "record/views/camera_field.js",
   "record/views/home.js",
-  "record/views/light_curve.js",
   "record/views/live.js",
-  "record/views/map_name.js",
+  "record/views/meters.js",
   "record/views/review.js",
   "record/views/send.js",
   "record/views/waypoint_list.js",
@@ -36,7 +37,11 @@ const FILES = [
   "shared/api.js",
   "shared/dom.js",
   "shared/icon.svg",
+  "shared/name_choice.js",
   "shared/style.css",
+  "shared/text.js",
+  "shared/texts.js",
+  "shared/trust.js",
 ];
 
 self.addEventListener("install", (event) => {

@@ -1,5 +1,6 @@
 // A recording being made: video, inertial rows and frame times, handed to the store second by second.
 
+import { t } from "../shared/text.js";
 import { watchFrames, videoType } from "./camera.js";
 import { State } from "./store.js";
 
@@ -18,11 +19,11 @@ export const Ending = Object.freeze({
 
 /** What is told of an ending that nobody asked for. */
 export const ENDINGS = {
-  [Ending.HIDDEN]: "Recording ended when you left this page: a phone shuts the camera off then. What came before is kept.",
-  [Ending.TURNED]: "Recording ended when the phone was turned: a recording has one shape. What came before is kept.",
-  [Ending.FULL]: "Recording ended because this phone has no room left. What came before is kept.",
-  [Ending.BROKEN]: "Recording broke off. What came before is kept.",
-  [Ending.CAMERA]: "Recording ended because the camera went away. What came before is kept.",
+  [Ending.HIDDEN]: t`Recording ended when you left this page: a phone shuts the camera off then. What came before is kept.`,
+  [Ending.TURNED]: t`Recording ended when the phone was turned: a recording has one shape. What came before is kept.`,
+  [Ending.FULL]: t`Recording ended because this phone has no room left. What came before is kept.`,
+  [Ending.BROKEN]: t`Recording broke off. What came before is kept.`,
+  [Ending.CAMERA]: t`Recording ended because the camera went away. What came before is kept.`,
 };
 
 /** From `start` until its promise `ended`, which gives the recording's description. */

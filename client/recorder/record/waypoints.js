@@ -1,12 +1,16 @@
 // Measured points of the walk: `{name, time, position}`. `time` is null until the point is marked; `position` holds three
 // numbers or nulls, in metres.
 
+import { t } from "../shared/text.js";
+
 export const FEWEST = 3; // that fix a map's frame
+const END = "E"; // the name of the walk's end
+const DOUBLE_TAP_S = 1; // within which a second tap is taken for the first
 const LEAST_SPREAD = 0.02; // of the points across the line through them, to their extent along it
 
 /** The points of a walk as the paper has it: W1, W2, W3 and E, the end. */
 export function planned() {
-  return ["W1", "W2", "W3", "E"].map(empty);
+  return ["W1", "W2", "W3", END].map(empty);
 }
 
 /** A point that is not marked or measured yet. */
@@ -28,8 +32,15 @@ export function nextRow(waypoints) {
   return row < 0 ? waypoints.length : row;
 }
 
-/** The waypoints after the next is marked at `time`. */
+/** The waypoints with one more, before the end of the walk while that is still to come. */
+export function added(waypoints) {
+  const end = waypoints.findIndex(({ name, time }) => name === END && time === null);
+  return waypoints.toSpliced(end < 0 ? waypoints.length : end, 0, empty(freeName(waypoints)));
+}
+
+/** The waypoints after the next is marked at `time`; as they were where that is the second tap of a double one. */
 export function marked(waypoints, time) {
+  if (waypoints.some((waypoint) => waypoint.time !== null && time - waypoint.time < DOUBLE_TAP_S)) return waypoints;
   const row = nextRow(waypoints);
   const waypoint = waypoints[row] ?? empty(freeName(waypoints));
   return waypoints.toSpliced(row, 1, { ...waypoint, time });
@@ -52,13 +63,13 @@ export function complete(waypoints) {
 export function problem(waypoints) {
   const named = waypoints.map(({ name }) => name);
   const twice = named.find((name, i) => named.indexOf(name) !== i);
-  if (twice) return `Two waypoints are called ${twice}.`;
+  if (twice) return t`Two waypoints are called ${twice}.`;
   const usable = complete(waypoints);
-  if (usable.length === 0) return "No waypoint is both marked and measured. The map gets a frame of its own.";
+  if (usable.length === 0) return t`No waypoint is both marked and measured. The map gets a frame of its own.`;
   if (usable.length < FEWEST)
-    return `${usable.length} of at least ${FEWEST} waypoints are marked and measured. Without more the map gets a frame of its own.`;
+    return t`${usable.length} of at least ${FEWEST} waypoints are marked and measured. Without more the map gets a frame of its own.`;
   if (onOneLine(usable.map(({ position }) => position)))
-    return "The waypoints lie on one line, which leaves the rotation about it open. Measure one more off that line, or clear their coordinates.";
+    return t`The waypoints lie on one line, which leaves the rotation about it open. Measure one more off that line, or clear their coordinates.`;
   return null;
 }
 

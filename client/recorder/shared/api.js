@@ -1,6 +1,7 @@
 // The service over HTTP: one function per kind of call, errors in one shape, and the API key where one is asked for.
 
 import { ask, h } from "./dom.js";
+import { t } from "./text.js";
 
 const BASE = new URL("../../", import.meta.url);
 const KEY = "rholoc-api-key";
@@ -27,21 +28,33 @@ export function path(texts, ...values) {
   return texts.reduce((whole, text, i) => whole + encodeURIComponent(values[i - 1]) + text);
 }
 
+/** The key that is stored in this browser, or null. */
+export const storedKey = () => localStorage.getItem(KEY);
+
+/** Store a key in this browser, or none. The page's `keychange` event says so. */
+export function storeKey(key) {
+  if (key) localStorage.setItem(KEY, key);
+  else localStorage.removeItem(KEY);
+  dispatchEvent(new Event("keychange"));
+}
+
 /** The headers that prove who asks; none without a key. For uploads that do not go through `request`. */
 export function authorization() {
-  const key = localStorage.getItem(KEY);
+  const key = storedKey();
   return key ? { Authorization: `Bearer ${key}` } : {};
 }
 
 /**
- * The response of the service. Without a key that is good enough the user is asked for one, once.
+ * The response of the service. Where the stored key is missing, not valid or not allowed to do this, the user is asked
+ * for another, until one will do or the question is closed.
  * @throws {ApiError} for every other answer, and with the code `unreachable` where there is none.
  */
 export async function request(where, { query, headers, ...options } = {}) {
   const response = await send(url(where, query), { ...options, headers: { ...headers, ...authorization() } });
   if (response.ok) return response;
   const error = await errorOf(response);
-  if (response.status === 401 && (await askForKey(error))) return request(where, { query, headers, ...options });
+  const keyWouldHelp = response.status === 401 || error.code === "forbidden";
+  if (keyWouldHelp && (await askForKey(error))) return request(where, { query, headers, ...options });
   throw error;
 }
 
@@ -79,8 +92,8 @@ async function send(address, options) {
     if (error.name === "AbortError") throw error;
     throw new ApiError({
       code: "unreachable",
-      message: "The server does not answer.",
-      hint: "Check the connection and try again.",
+      message: t`The server does not answer.`,
+      hint: t`Check the connection and try again.`,
     });
   }
 }
@@ -90,7 +103,7 @@ export async function errorOf(response) {
   try {
     return new ApiError(await response.json(), response.status);
   } catch {
-    return new ApiError({ code: "internal", message: `The server answered with ${response.status}.` }, response.status);
+    return new ApiError({ code: "internal", message: t`The server answered with ${response.status}.` }, response.status);
   }
 }
 
@@ -101,22 +114,48 @@ export function askForKey(error) {
   asking ??= (async () => {
     const field = h("input", { name: "key", type: "password", required: true, autocomplete: "current-password" });
     const answer = await ask(
-      "API key",
+      t`API key`,
       [
         h("p", {}, error.message),
-        h("label", {}, "Key", field),
-        h(
-          "p",
-          { class: "small muted" },
-          "It is kept in this browser. Whoever runs the server makes keys with ",
-          h("code", {}, "rholoc key create"),
-          ".",
-        ),
+        h("label", {}, t`Key`, field),
+        h("p", { class: "small muted" }, t`It is kept in this browser. Whoever runs the server makes keys with rholoc key create.`),
       ],
-      h("button", { class: "primary" }, "Use this key"),
-      async (form) => localStorage.setItem(KEY, form.get("key").trim()),
+      h("button", { class: "primary" }, t`Use this key`),
+      async (form) => storeKey(form.get("key").trim()),
     );
     return answer !== null;
   })().finally(() => (asking = null));
   return asking;
+}
+
+/** Change or remove the stored key. */
+export async function changeKey() {
+  const field = h("input", { name: "key", type: "password", autocomplete: "off" });
+  const shown = `${storedKey()?.slice(0, 8)}…`;
+  const answer = await ask(
+    t`API key`,
+    [
+      h("p", {}, t`This browser uses the key ${shown}`),
+      h("label", {}, t`Another key`, field),
+    ],
+    [
+      h("button", { class: "primary", value: "use" }, t`Use this key`),
+      h("button", { class: "danger", value: "remove" }, t`Remove the key`),
+    ],
+    async (form, chosen) => {
+      const key = String(form.get("key")).trim();
+      if (chosen === "use" && !key) throw new Error(t`Type a key, or remove the one that is stored.`);
+      storeKey(chosen === "remove" ? null : key);
+    },
+  );
+  if (answer) location.reload();
+}
+
+/** A button of the page's head that changes the key; hidden while there is none. */
+export function keyButton() {
+  const button = h("button", { type: "button", class: "key", "aria-label": t`API key`, onclick: changeKey }, "⚿");
+  const show = () => (button.hidden = !storedKey());
+  addEventListener("keychange", show);
+  show();
+  return button;
 }

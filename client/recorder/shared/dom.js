@@ -1,5 +1,7 @@
 // Elements without markup: every text is set as text, so that no name can ever be read as HTML.
 
+import { t } from "./text.js";
+
 /**
  * An element. `properties` are attributes, except: functions `on…` listen, `class` may be a list, false or null is left
  * out, true is an empty attribute. Children are elements, strings, numbers, or lists of them; null and false are skipped.
@@ -32,17 +34,20 @@ function nodes(children) {
 
 /**
  * A dialog around `content`, opened; the promise gives what its form was submitted with (the value of the button), or
- * null when it was closed. `check` may refuse by throwing; its message is shown in the dialog.
+ * null when it was closed. `check` gets the form's data and that value, and may refuse by throwing; its message is shown
+ * in the dialog. Where something would be lost, the button that keeps it has the focus.
  */
 export function ask(title, content, buttons, check = async () => {}) {
   const problem = h("p", { class: "notice bad", role: "alert", hidden: true });
+  const losing = [buttons].flat().every((button) => button.classList.contains("danger"));
+  const cancel = h("button", { type: "button", autofocus: losing, onclick: () => dialog.close() }, t`Cancel`);
   const form = h(
     "form",
     { class: "stack", method: "dialog" },
     h("h2", {}, title),
     content,
     problem,
-    h("div", { class: "row" }, buttons, h("button", { type: "button", onclick: () => dialog.close() }, "Cancel")),
+    h("div", { class: "row" }, buttons, cancel),
   );
   const dialog = h("dialog", { "aria-label": title }, form);
   return new Promise((resolve) => {
@@ -52,7 +57,7 @@ export function ask(title, content, buttons, check = async () => {}) {
       const chosen = event.submitter;
       if (chosen) chosen.disabled = true;
       try {
-        await check(new FormData(form));
+        await check(new FormData(form), chosen?.value);
         answer = chosen?.value || "ok";
         dialog.close();
       } catch (error) {

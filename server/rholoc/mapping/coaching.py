@@ -3,24 +3,30 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import asdict
+from typing import Any
 
 import numpy as np
 
 from rholoc.errors import InvalidRecording, MappingFailed
 from rholoc.geometry import FloatArray
 from rholoc.recordings import Look, Recording, advise, look_through, measure_walk
-from rholoc.reports import CoachingReport
 
 
-def coach(recording: Recording, looks: Sequence[Look], times: FloatArray, T_map_camera: FloatArray) -> CoachingReport:
+def coach(recording: Recording, looks: Sequence[Look], times: FloatArray, T_map_camera: FloatArray) -> dict[str, Any]:
     """The section of a map's report on one recording, from its frames' looks and poses (N, 4, 4) at times (N,)."""
     figures = measure_walk(recording, looks, times, T_map_camera)
-    return CoachingReport(recording.name, figures, recording.warnings, advise(figures))
+    return {
+        "recording": recording.name,
+        "warnings": [asdict(warning) for warning in recording.warnings],
+        "figures": figures.to_json(),
+        "advice": [advice.to_json() for advice in advise(figures)],
+    }
 
 
-def advice_line(coaching: Sequence[CoachingReport]) -> str:
+def advice_line(coaching: Sequence[dict[str, Any]]) -> str:
     """All advices of the sections in one line; empty for good walks."""
-    texts = [advice.text for section in coaching for advice in section.advice]
+    texts = [advice["text"] for section in coaching for advice in section["advice"]]
     return f"next time: {' '.join(texts)}" if texts else ""
 
 
@@ -30,5 +36,5 @@ def with_advice(failure: MappingFailed, recording: Recording) -> MappingFailed:
         section = coach(recording, look_through(recording.frames), np.zeros(0), np.zeros((0, 4, 4)))
     except InvalidRecording:
         return failure
-    texts = [warning.text for warning in section.warnings] + [advice.text for advice in section.advice]
+    texts = [found["text"] for found in (*section["warnings"], *section["advice"])]
     return MappingFailed(failure.message, " ".join([failure.hint, *texts]).strip())

@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
+import os
 import re
 import threading
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from uuid import uuid4
 
 from rholoc.errors import Conflict, InvalidInput, InvalidMap, InvalidName, UnknownMap
 from rholoc.maps.files import replace_file
-from rholoc.maps.map import Map
-from rholoc.maps.rho_file import SUFFIX, load_map, map_to_bytes
+from rholoc.maps.map import Map, MapInfo
+from rholoc.maps.rho_file import SUFFIX, load_info, load_map, map_to_bytes
 
 _NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9._-]{0,63}")
 _NAMES_SHOWN = 5
 _ALL = "all"
+_PREVIOUS = ".previous"  # the folder within a library's that keeps the maps that were replaced
 
 
 def is_name(name: str) -> bool:
@@ -143,10 +146,7 @@ class MapLibrary:
         Raises:
             InvalidName, InvalidMap, StorageFull, InvalidInput: nothing was replaced.
         """
-        path = self.path(name)
-        data = map_to_bytes(map_)
-        self._make_folder()
-        replace_file(path, data)
+        self._put(name, map_to_bytes(map_), lambda _: map_)
 
     def put_file(self, name: str, source: Path | bytes) -> Map:
         """Store the content of a ``.rho`` file under a name, replacing the map that was there; returns the map.
@@ -154,14 +154,20 @@ class MapLibrary:
         Raises:
             InvalidName, InvalidMap, StorageFull, InvalidInput: nothing was replaced.
         """
-        path = self.path(name)
         data = source if isinstance(source, bytes) else _read(source)
+        return self._put(name, data, lambda arrived: _loaded_as(arrived, name))
+
+    def _put(self, name: str, data: bytes, read: Callable[[Path], Map]) -> Map:
+        """Store a file under a name, once ``read`` has found a map in it; keep the map that was there."""
+        path = self.path(name)
         self._make_folder()
         arrived = self.folder / f".{uuid4().hex}.upload"  # in the same folder, so that it can be renamed into place
         replace_file(arrived, data, called=path.name)
         try:
-            map_ = _loaded_as(arrived, name)
-            arrived.replace(path)
+            map_ = read(arrived)
+            with self._lock:
+                self._keep_previous(name)
+                arrived.replace(path)
         finally:
             arrived.unlink(missing_ok=True)
         return map_
@@ -183,8 +189,52 @@ class MapLibrary:
                 raise Conflict(f"The map {name} was changed meanwhile.", "Try again: the change starts from it then.")
             self.put(name, next_version)
 
+    def previous(self, name: str) -> MapInfo | None:
+        """The description of the map that was last replaced under a name; None where there is none to restore.
+
+        Raises:
+            InvalidName: it is not a name.
+        """
+        try:
+            return load_info(self._previous_path(name))
+        except InvalidMap:
+            return None
+
+    def restore(self, name: str) -> None:
+        """Put the map that was last replaced back in its place; the present one is kept in turn.
+
+        Raises:
+            InvalidName: it is not a name.
+            UnknownMap: there is no such map.
+            Conflict: none was replaced.
+            InvalidMap: the one that was replaced cannot be read; nothing was changed.
+        """
+        with self._lock:
+            path, previous = self.path(name), self._previous_path(name)
+            self.stat(name)
+            if not previous.is_file():
+                raise Conflict(f"The map {name} has not replaced another.", "There is nothing to restore.")
+            load_map(previous, f"The map before {name}")
+            present = previous.with_name(f".{uuid4().hex}.present")
+            _link(path, present)
+            previous.replace(path)
+            present.replace(previous)
+
+    def _previous_path(self, name: str) -> Path:
+        return self.folder / _PREVIOUS / self.path(name).name
+
+    def _keep_previous(self, name: str) -> None:
+        """Keep the map that is about to be replaced, if there is one, in place of the one kept before it."""
+        path, previous = self.path(name), self._previous_path(name)
+        if not path.is_file():
+            return
+        previous.parent.mkdir(exist_ok=True)
+        arrived = previous.with_name(f".{uuid4().hex}.kept")
+        _link(path, arrived)
+        arrived.replace(previous)
+
     def delete(self, name: str) -> None:
-        """Delete a map.
+        """Delete a map, and the one that it replaced.
 
         Raises:
             InvalidName: it is not a name.
@@ -196,6 +246,7 @@ class MapLibrary:
                 self.path(name).unlink()
             except FileNotFoundError as error:
                 raise self._unknown(name) from error
+            self._previous_path(name).unlink(missing_ok=True)
 
     def rename(self, name: str, new_name: str) -> None:
         """Give a map another name.
@@ -212,6 +263,9 @@ class MapLibrary:
             if new.exists():
                 raise Conflict(f"There is a map {new_name} already.", "Choose another name, or delete that map first.")
             old.rename(new)
+            self._previous_path(new_name).unlink(missing_ok=True)
+            if self._previous_path(name).is_file():
+                self._previous_path(name).rename(self._previous_path(new_name))
             self._cache.pop(name, None)
 
     def _make_folder(self) -> None:
@@ -224,6 +278,18 @@ class MapLibrary:
         names = self.names()
         known = ", ".join(names[:_NAMES_SHOWN]) + (", …" if len(names) > _NAMES_SHOWN else "")
         return UnknownMap(f"There is no map {name}.", f"There are: {known}." if names else "There are none yet.")
+
+
+def _link(path: Path, other: Path) -> None:
+    """Give a file a second name; on file systems without hard links, a copy of it.
+
+    Raises:
+        StorageFull: the disk is full.
+    """
+    try:
+        os.link(path, other)
+    except OSError:
+        replace_file(other, path.read_bytes(), called=path.name)
 
 
 def _read(path: Path) -> bytes:

@@ -21,8 +21,8 @@ from rholoc.density.tensor import DEGREES, TensorDensities
 from rholoc.errors import InvalidMap, UnknownMap
 from rholoc.geometry import FloatArray, IntArray, poses_from_rows, rows_from_poses
 from rholoc.maps.files import replace_file
-from rholoc.maps.info import DensityKind, MapInfo, info_from_json, info_to_json
-from rholoc.maps.map import Map
+from rholoc.maps.info_json import info_from_json, info_to_json
+from rholoc.maps.map import DensityKind, Map, MapInfo
 from rholoc.maps.observations import Observations, packed_pixels, source_cameras, unpacked_pixels
 from rholoc.maps.validation import validate_map
 
@@ -126,6 +126,21 @@ def load_map(path: Path, called: str | None = None) -> Map:
     except InvalidMap as error:
         raise InvalidMap(f"{called}: {error.message}", error.hint or _HINT) from error
     return map_
+
+
+def load_info(path: Path) -> MapInfo:
+    """The description in a map's file, without its arrays.
+
+    Raises:
+        InvalidMap: it is not a map, or cannot be read.
+    """
+    try:
+        with safe_open(path, framework="numpy") as file:
+            metadata = file.metadata() or {}
+    except (SafetensorError, OSError, ValueError) as error:
+        raise InvalidMap(f"{path.name} is corrupt, truncated, or not a map: {error}.", _HINT) from error
+    _check_format(path.name, metadata)
+    return info_from_json(metadata.get("info", ""))
 
 
 def _check_format(called: str, metadata: Mapping[str, str]) -> None:

@@ -4,19 +4,30 @@ from __future__ import annotations
 
 import numpy as np
 
+from rholoc.geometry import IntArray
 from rholoc.maps.export import landmark_sigmas
 from rholoc.maps.map import Map
 
 
-def map_to_scene(map_: Map) -> bytes:
+def map_to_scene(map_: Map, most_landmarks: int | None = None) -> bytes:
     """Landmarks and views as little-endian numbers, one array after the other.
 
     Two uint32, the numbers F and K; (F, 4) float32 of each landmark's x, y, z and standard deviation; (K, 7) float32 of
-    each view's x, y, z, heading and the number of the recording that it comes from. Lengths in metres.
+    each view's x, y, z, heading and the number of the recording that it comes from; where the map knows the colours of
+    its landmarks, (F, 3) uint8, red, green and blue. Lengths in metres. Of more than ``most_landmarks``, as many are
+    chosen evenly.
     """
     views = len(map_.view_times)
     sources = np.zeros(views) if map_.observations is None else map_.observations.view_sources
     landmarks = np.column_stack([map_.landmarks, landmark_sigmas(map_)])
     path = np.column_stack([map_.view_positions, map_.view_headings, sources])
+    landmarks = landmarks[evenly(len(landmarks), most_landmarks)]
     counts = np.array([len(landmarks), views])
     return counts.astype("<u4").tobytes() + landmarks.astype("<f4").tobytes() + path.astype("<f4").tobytes()
+
+
+def evenly(count: int, most: int | None) -> IntArray:
+    """The rows of at most ``most`` of ``count``, evenly chosen; all of them where ``most`` is None."""
+    if most is None or count <= most:
+        return np.arange(count)
+    return np.arange(most) * count // most

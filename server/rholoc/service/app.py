@@ -37,6 +37,7 @@ from rholoc.service.localizers import Localizers
 from rholoc.service.metrics import Metered, Metrics
 from rholoc.service.middleware import RequestBoundary
 from rholoc.service.openapi import install
+from rholoc.service.renderings import Renderings
 from rholoc.service.routes import ROUTERS
 from rholoc.service.settings import Settings
 from rholoc.service.state import State
@@ -67,6 +68,7 @@ def create_app(settings: Settings | None = None) -> FastAPI:
             if state.worker is not None:
                 state.worker.stop()
             state.compute.close()
+            await state.renderings.close()
             state.jobs.close()
 
     app = FastAPI(
@@ -108,6 +110,7 @@ def _start(settings: Settings, metrics: Metrics) -> State:
         library=library,
         cameras=CameraLibrary(settings.maps_dir),
         localizers=Localizers(library, settings.min_confidence),
+        renderings=Renderings(settings.data_dir / "renderings", library),
         compute=compute,
         metrics=metrics,
         recordings=recordings,

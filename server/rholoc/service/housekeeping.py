@@ -15,7 +15,7 @@ _log = structlog.get_logger("rholoc.service")
 
 
 async def keep_house(state: State) -> None:
-    """Until it is cancelled: remove expired uploads, and recordings whose retention has passed."""
+    """Until it is cancelled: remove expired uploads, pictures of maps that changed, recordings past their retention."""
     while True:
         try:
             await run_in_threadpool(_clean, state)
@@ -26,4 +26,5 @@ async def keep_house(state: State) -> None:
 
 def _clean(state: State) -> None:
     state.uploads.sweep()
+    state.renderings.sweep()
     state.jobs.delete_mapped_recordings(state.settings.recording_retention_days * _DAY_S)

@@ -12,6 +12,7 @@ from rholoc.maps import CameraLibrary, MapLibrary
 from rholoc.service.compute import ComputePool
 from rholoc.service.localizers import Localizers
 from rholoc.service.metrics import Metrics
+from rholoc.service.renderings import Renderings
 from rholoc.service.settings import Settings
 
 
@@ -23,6 +24,7 @@ class State:
     library: MapLibrary
     cameras: CameraLibrary
     localizers: Localizers
+    renderings: Renderings
     compute: ComputePool
     metrics: Metrics
     recordings: RecordingStore

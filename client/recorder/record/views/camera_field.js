@@ -2,16 +2,17 @@
 
 import { authorization, url } from "../../shared/api.js";
 import { fill, h } from "../../shared/dom.js";
+import { t } from "../../shared/text.js";
 
 /** A labelled choice, hidden where the server knows no camera or does not answer; `changed` hears a name, or null. */
 export function cameraField(chosen, changed) {
   const select = h("select", { onchange: () => changed(select.value || null) });
-  const field = h("label", { hidden: true }, "Camera", select);
+  const field = h("label", { hidden: true }, t`Camera`, select);
   names().then((known) => {
     field.hidden = known.length === 0;
     fill(
       select,
-      h("option", { value: "" }, "Unknown: found out while mapping"),
+      h("option", { value: "" }, t`Unknown: found out while mapping`),
       known.map((name) => h("option", { value: name, selected: name === chosen }, name)),
     );
   });

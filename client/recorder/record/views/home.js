@@ -1,11 +1,12 @@
 // What there is on this phone, and the way to a new recording.
 
 import { ask, fill, h } from "../../shared/dom.js";
+import { field, nameField } from "../../shared/name_choice.js";
+import { t } from "../../shared/text.js";
 import { draft, keepDraft } from "../draft.js";
 import { missing } from "../problem.js";
 import { askForSensors } from "../sensors.js";
 import { State } from "../store.js";
-import { mapNameField } from "./map_name.js";
 import { waypointList } from "./waypoint_list.js";
 import { duration, moment, size } from "./words.js";
 
@@ -16,6 +17,8 @@ export async function homeView({ content, store }) {
   const recordings = await store.recordings();
   const { map, waypoints } = draft();
   const lack = missing();
+  const name = nameField(map);
+  name.addEventListener("input", () => name.checkValidity() && keepDraft({ map: name.value }));
   const form = h(
     "form",
     {
@@ -26,22 +29,22 @@ export async function homeView({ content, store }) {
         location.hash = "#/live";
       },
     },
-    h("h2", {}, "New recording"),
-    mapNameField(map, (name) => keepDraft({ map: name })),
-    h("details", {}, h("summary", {}, "Measured points"), waypointList(waypoints, (changed) => keepDraft({ waypoints: changed }))),
-    h("button", { class: "primary", disabled: lack !== null }, "Open the camera"),
-    h("p", { class: "small muted" }, "Walk slowly, keep texture in view, and come back to where you began."),
+    h("h2", {}, t`New recording`),
+    field(t`Name of the map`, name),
+    h("details", {}, h("summary", {}, t`Measured points`), waypointList(waypoints, (changed) => keepDraft({ waypoints: changed }))),
+    h("button", { class: "primary", disabled: lack !== null }, t`Open the camera`),
+    h("p", { class: "small muted" }, t`Walk slowly, keep texture in view, and come back to where you began.`),
   );
   fill(
     content,
     h(
       "div",
       { class: "stack narrow" },
-      h("h1", {}, "Record a walk"),
+      h("h1", {}, t`Record a walk`),
       lack && h("div", { class: "notice bad", role: "alert" }, h("strong", {}, lack.title), " ", lack.advice),
       await roomNotice(),
       form,
-      recordings.length > 0 && h("h2", {}, "On this phone"),
+      recordings.length > 0 && h("h2", {}, t`On this phone`),
       recordings.length > 0 && h("ul", { class: "cards recordings" }, recordings.map((recording) => card(recording, store))),
     ),
   );
@@ -50,16 +53,16 @@ export async function homeView({ content, store }) {
 async function roomNotice() {
   const { quota, usage } = (await navigator.storage?.estimate?.()) ?? {};
   if (!quota || quota - usage > LITTLE_ROOM_BYTES) return null;
-  return h("p", { class: "notice warn" }, `This phone has little room left: ${size(quota - usage)}. A minute takes about 60 MB.`);
+  return h("p", { class: "notice warn" }, t`This phone has little room left: ${size(quota - usage)}. A minute takes about 60 MB.`);
 }
 
 function card(recording, store) {
   const { id, state, map, job } = recording;
   const [badge, kind, action, address] = {
-    [State.RECORDING]: ["broken off", "warn", "Look at it", `#/review/${id}`],
-    [State.STOPPED]: ["not sent", "warn", "Look at it", `#/review/${id}`],
-    [State.SENDING]: ["not sent yet", "warn", "Go on sending", `#/send/${id}`],
-    [State.UPLOADED]: ["sent", "good", "See its job", `#/send/${id}`],
+    [State.RECORDING]: [t`broken off`, "warn", t`Look at it`, `#/review/${id}`],
+    [State.STOPPED]: [t`not sent`, "warn", t`Look at it`, `#/review/${id}`],
+    [State.SENDING]: [t`not sent yet`, "warn", t`Go on sending`, `#/send/${id}`],
+    [State.UPLOADED]: [t`sent`, "good", t`See its job`, `#/send/${id}`],
   }[state];
   const item = h(
     "li",
@@ -70,7 +73,7 @@ function card(recording, store) {
       "div",
       { class: "row" },
       h("a", { class: "button", href: address }, action),
-      h("button", { class: "danger", onclick: () => remove(recording, store, item) }, job ? "Remove from the list" : "Delete"),
+      h("button", { class: "danger", onclick: () => remove(recording, store, item) }, job ? t`Remove from the list` : t`Delete`),
     ),
   );
   return item;
@@ -79,7 +82,7 @@ function card(recording, store) {
 async function remove(recording, store, item) {
   const lost = recording.state !== State.UPLOADED;
   const sure =
-    !lost || (await ask("Delete this recording?", h("p", {}, "It is only on this phone."), h("button", { class: "danger primary" }, "Delete")));
+    !lost || (await ask(t`Delete this recording?`, h("p", {}, t`It is only on this phone.`), h("button", { class: "danger primary" }, t`Delete`)));
   if (!sure) return;
   await store.remove(recording.id);
   item.remove();

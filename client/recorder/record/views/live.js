@@ -1,20 +1,22 @@
 // The camera's picture, what is measured meanwhile, and the buttons of a recording.
 
 import { fill, h } from "../../shared/dom.js";
-import { facesAway, lightMeter, openCamera } from "../camera.js";
+import { t, translated } from "../../shared/text.js";
+import { facesAway, openCamera, pictureMeter } from "../camera.js";
 import { advice, LEAST_RATE_HZ, rollDegrees, turnRate } from "../coaching.js";
 import { draft, keepDraft } from "../draft.js";
 import { Problem } from "../problem.js";
+import { Readings } from "../readings.js";
 import { askForSensors, Sensors } from "../sensors.js";
 import { Take } from "../take.js";
 import { complete, freeName, marked, nextRow } from "../waypoints.js";
-import { lightCurve } from "./light_curve.js";
+import { meters } from "./meters.js";
 import { waypointList } from "./waypoint_list.js";
-import { duration, percent, size } from "./words.js";
+import { duration, size } from "./words.js";
 
 const MEASURE_MS = 250;
 const CALM_MS = 1200; // how long an advice stays at least
-const SMOOTHING = 0.5; // of brightness, from one measurement to the next
+const SMOOTHING = 0.5; // of what is measured, from one measurement to the next
 
 /** Preview, then recording. */
 export async function liveView({ content, store }) {
@@ -49,9 +51,9 @@ function refusal(problem, open) {
     h(
       "div",
       { class: "row" },
-      h("button", { class: "primary", onclick: again }, "Try again"),
-      sensors && h("button", { onclick: () => open(false) }, "Record video alone"),
-      h("a", { class: "button", href: "#/" }, "Back"),
+      h("button", { class: "primary", onclick: again }, t`Try again`),
+      sensors && h("button", { onclick: () => open(false) }, t`Record video alone`),
+      h("a", { class: "button", href: "#/" }, t`Back`),
     ),
   );
 }
@@ -59,29 +61,28 @@ function refusal(problem, open) {
 class Live {
   #take = null;
   #marks = draft().waypoints.map((waypoint) => ({ ...waypoint, time: null }));
-  #light = null;
-  #lights = [];
+  #smooth = { light: null, texture: null, sharpness: null };
+  #readings = new Readings();
   #advised = { code: null, since: 0 };
 
   constructor(store) {
     this.store = store;
     this.sensors = new Sensors();
-    this.video = h("video", { muted: true, playsinline: true, autoplay: true, "aria-label": "The camera's picture" });
+    this.video = h("video", { muted: true, playsinline: true, autoplay: true, "aria-label": t`The camera's picture` });
     this.video.muted = true;
     this.time = h("strong", { class: "time", role: "timer", hidden: true });
-    this.imu = h("span", { class: "badge" }, "Sensors …");
-    this.lightBadge = h("span", { class: "badge" }, "Light …");
-    this.curve = lightCurve();
+    this.imu = h("span", { class: "badge" }, t`Sensors …`);
+    this.meters = meters();
     this.advice = h("p", { class: "advice", role: "status", "aria-live": "polite" });
     this.waypoint = h("button", { class: "waypoint", disabled: true, onclick: () => this.mark() });
-    this.record = h("button", { class: "shutter", "aria-label": "Record", disabled: true, onclick: () => this.toggle() });
-    this.points = h("button", { onclick: () => this.editPoints() }, "Points");
-    this.back = h("a", { class: "button", href: "#/" }, "Back");
+    this.record = h("button", { class: "shutter", "aria-label": t`Record`, disabled: true, onclick: () => this.toggle() });
+    this.points = h("button", { onclick: () => this.editPoints() }, t`Points`);
+    this.back = h("a", { class: "button", href: "#/" }, t`Back`);
     this.element = h(
       "section",
-      { class: "viewfinder", "aria-label": "Recording" },
+      { class: "viewfinder", "aria-label": t`Recording` },
       this.video,
-      h("div", { class: "readings" }, this.time, this.imu, this.lightBadge, this.curve.element),
+      h("div", { class: "readings" }, this.time, this.imu, this.meters.element),
       this.advice,
       h("div", { class: "controls" }, this.waypoint, h("div", { class: "row" }, this.back, this.record, this.points)),
     );
@@ -93,7 +94,7 @@ class Live {
     this.stream = await openCamera();
     this.video.srcObject = this.stream;
     await this.video.play();
-    this.meter = lightMeter(this.video);
+    this.meter = pictureMeter(this.video);
     this.timer = setInterval(() => this.measure(), MEASURE_MS);
     this.wakeLock = await navigator.wakeLock?.request("screen").catch(() => null);
     this.record.disabled = false;
@@ -123,27 +124,29 @@ class Live {
       screenAngle: screen.orientation?.angle ?? 0,
       facesAway: facesAway(this.stream),
     };
-    this.#lights = [];
+    this.#readings = new Readings();
     this.#take = new Take(this.store, recording, this);
     this.#take.start();
     this.#take.ended.then((ended) => this.end(ended));
     this.element.classList.add("recording");
     this.time.hidden = false;
     this.back.hidden = true;
-    this.record.setAttribute("aria-label", "Stop");
+    this.record.setAttribute("aria-label", t`Stop`);
     this.showWaypoint();
     this.measure();
   }
 
   async end(recording) {
-    const lights = this.#lights;
-    const kept = { ...recording, waypoints: this.#marks, darkest: lights.length ? Math.min(...lights) : null };
+    const { darkest } = this.#readings;
+    const kept = { ...recording, waypoints: this.#marks, darkest, seconds: this.#readings.seconds() };
     await this.store.save(kept);
     location.hash = `#/review/${recording.id}`;
   }
 
   mark() {
-    this.#marks = marked(this.#marks, Take.now());
+    const marks = marked(this.#marks, Take.now());
+    if (marks === this.#marks) return;
+    this.#marks = marks;
     navigator.vibrate?.(50);
     this.remember();
   }
@@ -158,15 +161,15 @@ class Live {
   showWaypoint() {
     const next = this.#marks[nextRow(this.#marks)] ?? { name: freeName(this.#marks), position: [null] };
     const measured = next.position.every(Number.isFinite);
-    const told = measured ? next.position.map((value) => value.toFixed(2)).join(", ") : "coordinates may follow later";
-    fill(this.waypoint, h("strong", {}, next.name), h("span", { class: "small" }, this.#take ? told : "Mark points while recording"));
+    const told = measured ? next.position.map((value) => value.toFixed(2)).join(", ") : t`coordinates may follow later`;
+    fill(this.waypoint, h("strong", {}, next.name), h("span", { class: "small" }, this.#take ? told : t`Mark points while recording`));
     this.waypoint.disabled = this.#take === null;
-    this.points.textContent = `Points (${complete(this.#marks).length})`;
+    this.points.textContent = t`Points (${complete(this.#marks).length})`;
   }
 
   editPoints() {
     const list = waypointList(this.#marks, (waypoints) => (this.#marks = waypoints), this.#take?.recording.started);
-    const dialog = h("dialog", { class: "wide", "aria-label": "Points" }, h("div", { class: "stack" }, h("h2", {}, "Measured points"), list, h("button", { class: "primary", onclick: () => dialog.close() }, "Done")));
+    const dialog = h("dialog", { class: "wide", "aria-label": t`Points` }, h("div", { class: "stack" }, h("h2", {}, t`Measured points`), list, h("button", { class: "primary", onclick: () => dialog.close() }, t`Done`)));
     dialog.addEventListener("close", () => {
       dialog.remove();
       this.remember();
@@ -178,25 +181,34 @@ class Live {
   measure() {
     const now = Take.now();
     const rows = this.sensors.recent(now);
-    const seen = this.meter();
-    this.#light = seen === null || this.#light === null ? seen : SMOOTHING * this.#light + (1 - SMOOTHING) * seen;
     const imuHz = this.sensors.hertz(now);
     this.showImu(imuHz);
-    if (this.#light !== null) this.lightBadge.textContent = `Light ${percent(this.#light)}`;
+    const turnDegS = rows.length ? turnRate(rows) : null;
+    const measured = { ...this.smoothed(this.meter()), turnDegS };
+    this.meters.show(measured);
     if (this.#take) {
-      if (this.#light !== null) this.#lights.push(this.#light);
-      this.curve.show(this.#lights);
       const { elapsed, recording } = this.#take;
+      this.#readings.add(elapsed, measured);
+      recording.seconds = this.#readings.seconds(); // kept with the next part
       this.time.textContent = `${duration(elapsed)} · ${size(recording.bytes)}`;
     }
     const rollDeg = rows.length ? rollDegrees(rows.at(-1).slice(1, 4), screen.orientation?.angle) : null;
-    this.advise(advice({ turnDegS: turnRate(rows), light: this.#light, rollDeg, imuHz }));
+    this.advise(advice({ ...measured, rollDeg, imuHz }));
+  }
+
+  /** Measurements of the picture that do not flicker. */
+  smoothed(seen) {
+    for (const [name, value] of Object.entries(seen)) {
+      const before = this.#smooth[name];
+      this.#smooth[name] = value === null || before === null ? value : SMOOTHING * before + (1 - SMOOTHING) * value;
+    }
+    return { ...this.#smooth };
   }
 
   showImu(imuHz) {
     const { missing } = this.sensors;
     const slow = imuHz !== null && imuHz < LEAST_RATE_HZ;
-    const text = missing?.length ? `No ${missing.join(", no ")}: video only` : imuHz === null ? "No motion sensors: video only" : `Sensors ${Math.round(imuHz)} Hz`;
+    const text = missing?.length ? t`No ${missing.map(translated).join(t`, no `)}: video only` : imuHz === null ? t`No motion sensors: video only` : t`Sensors ${Math.round(imuHz)} Hz`;
     this.imu.textContent = text;
     this.imu.className = `badge ${slow || imuHz === null ? "warn" : "good"}`;
   }

@@ -1,22 +1,26 @@
 // A recording on its way to the server, and its job there.
 
 import { fill, h } from "../../shared/dom.js";
+import { Existing } from "../../shared/name_choice.js";
+import { t } from "../../shared/text.js";
+import { inPlainWords, Trust, whatToDo } from "../../shared/trust.js";
 import { followJob } from "../job.js";
+import { mapNames } from "../map_names.js";
 import { archive } from "../recording.js";
 import { State } from "../store.js";
 import { upload } from "../upload.js";
 import { percent, size } from "./words.js";
 
 const STAGES = {
-  received: "Received",
-  read: "Reading the recording",
-  keyframes: "Choosing keyframes",
-  features: "Finding features",
-  poses: "Finding where each frame was taken",
-  observations: "Linking observations",
-  densities: "Fitting densities",
-  report: "Testing the map",
-  published: "Published",
+  received: t`Received`,
+  read: t`Reading the recording`,
+  keyframes: t`Choosing keyframes`,
+  features: t`Finding features`,
+  poses: t`Finding where each frame was taken`,
+  observations: t`Linking observations`,
+  densities: t`Fitting densities`,
+  report: t`Testing the map`,
+  published: t`Published`,
 };
 
 /** Upload, going on where an earlier try stood; then the job, stage by stage. */
@@ -26,16 +30,34 @@ export async function sendView({ content, store, id }) {
   const page = new SendPage(recording);
   fill(content, page.element);
   const leaving = new AbortController();
+  const change = async () => {
+    await store.save({ ...recording, state: State.STOPPED, location: null });
+    location.hash = `#/review/${id}`;
+  };
   run(page, store, recording, leaving.signal).catch((error) => {
-    if (!leaving.signal.aborted) page.failed(error, () => location.reload());
+    if (!leaving.signal.aborted) page.failed(error, () => location.reload(), recording.state !== State.UPLOADED && change);
   });
   return () => leaving.abort();
 }
 
 async function run(page, store, recording, signal) {
-  if (recording.state !== State.UPLOADED) recording = await send(page, store, recording, signal);
+  if (recording.state !== State.UPLOADED) {
+    if (await wantsChoice(recording)) {
+      await store.save({ ...recording, state: State.STOPPED });
+      location.hash = `#/review/${recording.id}`;
+      return;
+    }
+    recording = await send(page, store, recording, signal);
+  }
   page.sent();
-  page.ended(await followJob(recording.job, (job) => page.jobChanged(job), signal));
+  const lost = (error) => page.waiting(error, t`The page goes on by itself when it can.`);
+  page.ended(await followJob(recording.job, (job) => page.jobChanged(job), signal, lost));
+}
+
+/** Whether there is a map of that name, and nobody has said what is to become of it: the server was away then. */
+async function wantsChoice({ location, map, asked }) {
+  if (location || asked) return false;
+  return Boolean((await mapNames())?.includes(map));
 }
 
 /** The description of the uploaded recording, whose parts are not needed any more. */
@@ -46,7 +68,8 @@ async function send(page, store, recording, signal) {
     if (waiting) page.waiting(waiting);
     if (location !== undefined) await store.save(Object.assign(recording, { location }));
   };
-  const { map, kind = "build", camera } = recording;
+  const { map, camera } = recording;
+  const kind = recording.kind ?? Existing.REPLACE;
   const metadata = { filename: `${map}.zip`, map, kind, ...(camera && { camera }) };
   const job = await upload(file, { metadata, location: recording.location ?? null, hear, signal });
   const uploaded = { ...recording, state: State.UPLOADED, job };
@@ -56,18 +79,18 @@ async function send(page, store, recording, signal) {
 
 class SendPage {
   constructor(recording) {
-    this.title = h("h1", {}, "Sending");
-    this.bar = h("progress", { max: 1, value: "0", "aria-label": "Progress" });
-    this.text = h("p", { role: "status" }, "Getting ready …");
+    this.title = h("h1", {}, t`Sending`);
+    this.bar = h("progress", { max: 1, value: "0", "aria-label": t`Progress` });
+    this.text = h("p", { role: "status" }, t`Getting ready …`);
     this.notice = h("div", { class: "notice warn", role: "alert", hidden: true });
     this.stages = h("ol", { class: "stages", hidden: true }, Object.entries(STAGES).map(([stage, words]) => h("li", { "data-stage": stage }, words)));
     this.actions = h("div", { class: "row" });
-    this.closing = h("p", { class: "muted" }, "You may close this page: sending goes on when you open it again.");
+    this.closing = h("p", { class: "muted" }, t`You may close this page: sending goes on when you open it again.`);
     this.element = h(
       "div",
       { class: "stack narrow" },
       this.title,
-      h("p", { class: "muted" }, "For the map ", h("strong", {}, recording.map)),
+      h("p", { class: "muted" }, t`For the map ${recording.map}`),
       this.closing,
       this.bar,
       this.text,
@@ -80,27 +103,30 @@ class SendPage {
   sending(sent, whole) {
     this.notice.hidden = true;
     this.bar.value = sent / whole;
-    this.text.textContent = `${size(sent)} of ${size(whole)}, ${percent(sent / whole)}`;
+    this.text.textContent = t`${size(sent)} of ${size(whole)}, ${percent(sent / whole)}`;
   }
 
-  waiting(error) {
-    if (!this.bar.value) this.text.textContent = "Not begun yet.";
+  waiting(error, comfort = t`Nothing is lost: sending goes on by itself when it can.`) {
+    if (!this.bar.value && !this.closing.hidden) this.text.textContent = t`Not begun yet.`;
     this.notice.hidden = false;
-    fill(this.notice, h("strong", {}, "The server cannot be reached."), " Nothing is lost: sending goes on by itself when it can. ", h("span", { class: "muted" }, error.summary));
+    this.notice.className = "notice warn";
+    const why = h("span", { class: "muted" }, error.summary);
+    fill(this.notice, h("strong", {}, t`The server cannot be reached.`), " ", comfort, " ", why);
   }
 
   sent() {
-    this.title.textContent = "The server makes the map";
+    this.title.textContent = t`The server makes the map`;
     this.notice.hidden = true;
     this.closing.hidden = true;
     this.stages.hidden = false;
-    this.text.textContent = "Sent. It is no longer needed on this phone.";
+    this.text.textContent = t`Sent. It is no longer needed on this phone.`;
     this.bar.removeAttribute("value");
   }
 
   jobChanged({ stage, progress, message, state }) {
+    this.notice.hidden = true;
     this.bar.value = progress;
-    this.text.textContent = state === "queued" ? "Waiting for a worker" : message || STAGES[stage];
+    this.text.textContent = state === "queued" ? t`Waiting for a worker` : message || STAGES[stage];
     const items = [...this.stages.children];
     const now = items.findIndex((item) => item.dataset.stage === stage);
     items.forEach((item, i) => {
@@ -110,27 +136,37 @@ class SendPage {
     });
   }
 
-  ended({ state, error, map }) {
-    const again = h("a", { class: "button", href: "#/" }, "Record another");
+  ended({ state, error, map, warnings }) {
+    const again = h("a", { class: "button", href: "#/" }, t`Record another`);
     if (state === "published") {
       const where = encodeURIComponent(map);
-      this.title.textContent = "The map is ready";
-      this.text.textContent = "";
-      fill(this.actions, h("a", { class: "button primary", href: `./#/maps/${where}` }, "See the map"), h("a", { class: "button", href: `./#/try/${where}` }, "Try it"), again);
+      const doubtful = warnings.length > 0;
+      this.title.textContent = doubtful ? t`The map is made, but do not rely on it` : t`The map is ready`;
+      this.text.textContent = doubtful ? whatToDo(Trust.NO) : "";
+      if (doubtful) this.tell({ message: warnings.map((why) => inPlainWords(why).plain).join(" "), hint: "" });
+      const see = h("a", { class: ["button", !doubtful && "primary"], href: `./#/maps/${where}` }, t`See the map`);
+      const walk = h("a", { class: "button primary", href: "#/" }, t`Walk again`);
+      const tryIt = h("a", { class: "button", href: `./#/try/${where}` }, t`Try it`);
+      fill(this.actions, doubtful ? [walk, see] : [see, tryIt, again]);
       return;
     }
-    this.title.textContent = state === "cancelled" ? "The job was cancelled" : "No map came of it";
+    this.title.textContent = state === "cancelled" ? t`The job was cancelled` : t`Mapping failed`;
     this.bar.hidden = true;
-    this.tell(error ?? { message: "The server keeps the recording.", hint: "" });
-    fill(this.actions, h("a", { class: "button", href: "./#/jobs" }, "All jobs"), again);
+    this.tell(error ?? { message: t`The server keeps the recording.`, hint: "" });
+    fill(this.actions, h("a", { class: "button", href: "./#/jobs" }, t`All jobs`), again);
   }
 
-  failed(error, again) {
-    this.title.textContent = "It could not be sent";
+  failed(error, again, change) {
+    this.title.textContent = t`It could not be sent`;
     this.closing.hidden = true;
-    this.text.textContent = "The recording is still on this phone.";
+    this.text.textContent = t`The recording is still on this phone.`;
     this.tell({ message: error.summary ?? error.message, hint: error.hint ?? "" });
-    fill(this.actions, h("button", { class: "primary", onclick: again }, "Try again"), h("a", { class: "button", href: "#/" }, "Later"));
+    fill(
+      this.actions,
+      h("button", { class: "primary", onclick: again }, t`Try again`),
+      change && h("button", { onclick: change }, t`Change it`),
+      h("a", { class: "button", href: "#/" }, t`Later`),
+    );
   }
 
   tell({ message, hint }) {

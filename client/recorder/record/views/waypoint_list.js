@@ -1,7 +1,8 @@
 // The measured points of a walk, to be typed before, while or after recording.
 
 import { fill, h } from "../../shared/dom.js";
-import { coordinate, empty, freeName } from "../waypoints.js";
+import { t } from "../../shared/text.js";
+import { added, coordinate } from "../waypoints.js";
 import { duration } from "./words.js";
 
 const AXES = ["x", "y", "z"];
@@ -23,7 +24,7 @@ export function waypointList(waypoints, changed, started = 0) {
   }
 
   function item({ name, time, position }, row) {
-    const named = h("input", { "aria-label": `Name of point ${row + 1}`, value: name, maxlength: 40, oninput: () => type(row, { name: named.value.trim() }) });
+    const named = h("input", { "aria-label": t`Name of point ${row + 1}`, value: name, maxlength: 40, oninput: () => type(row, { name: named.value.trim() }) });
     const unmark = () => set(waypoints.with(row, { ...waypoints[row], time: null }));
     return h(
       "li",
@@ -31,9 +32,9 @@ export function waypointList(waypoints, changed, started = 0) {
       named,
       position.map((value, axis) => number(row, axis, value)),
       time === null
-        ? h("span", { class: "mark muted small" }, "not marked")
-        : h("button", { type: "button", class: "mark", "aria-label": `Unmark ${name}`, onclick: unmark }, duration(time - started), h("span", { class: "muted" }, "✕")),
-      h("button", { type: "button", class: "remove", "aria-label": `Remove ${name}`, onclick: () => set(waypoints.toSpliced(row, 1)) }, "Remove"),
+        ? h("span", { class: "mark muted small" }, t`not marked`)
+        : h("button", { type: "button", class: "mark", "aria-label": t`Unmark ${name}`, onclick: unmark }, duration(time - started), h("span", { class: "muted" }, "✕")),
+      h("button", { type: "button", class: "remove", "aria-label": t`Remove ${name}`, onclick: () => set(waypoints.toSpliced(row, 1)) }, t`Remove`),
     );
   }
 
@@ -42,7 +43,7 @@ export function waypointList(waypoints, changed, started = 0) {
       inputmode: "text", // the decimal keyboards of phones have no minus
       autocomplete: "off",
       placeholder: `${AXES[axis]} m`,
-      "aria-label": `${AXES[axis]} of ${waypoints[row].name} in metres`,
+      "aria-label": t`${AXES[axis]} of ${waypoints[row].name} in metres`,
       value: value === null ? "" : String(value),
       oninput: () => {
         const typed = coordinate(field.value);
@@ -60,9 +61,9 @@ export function waypointList(waypoints, changed, started = 0) {
     h(
       "p",
       { class: "small muted" },
-      "Where the camera is at a point, in metres, z up. Three or more that are not on one line give the map your frame; without them it gets one of its own.",
+      t`Where the camera is at a point, in metres, z up. Three or more that are not on one line give the map your frame; without them it gets one of its own.`,
     ),
     list,
-    h("div", {}, h("button", { type: "button", onclick: () => set([...waypoints, empty(freeName(waypoints))]) }, "Add a point")),
+    h("div", {}, h("button", { type: "button", onclick: () => set(added(waypoints)) }, t`Add a point`)),
   );
 }

@@ -36,34 +36,35 @@ from rholoc.maps import (
     MapLibrary,
     check_map_name,
     check_observations,
-    consistency_m,
     expected_error_m,
     is_coefficient_table,
     load_map,
     map_to_scene,
     read_coefficient_table,
+    reported_metres,
     trust_of,
 )
-from rholoc.maps.preview import preview_png
-from rholoc.maps.report_picture import report_png
+from rholoc.maps.rendering import Rendering
 from rholoc.service.access import NEEDS_ADMIN, NEEDS_MAP, NEEDS_READ
 from rholoc.service.bodies import save_body
 from rholoc.service.errors import InvalidRequest
 from rholoc.service.openapi import BINARY, failures, request_body
+from rholoc.service.renderings import etag_of
 from rholoc.service.routes.jobs import job_out
 from rholoc.service.schemas import (
     CameraIn,
+    CoverageOut,
     ForgetIn,
     JobOut,
     MapDetail,
     MapList,
     MapPatch,
-    MapReportOut,
+    MapReport,
     MapSummary,
     MergeIn,
     UpdateIn,
 )
-from rholoc.service.state import Service
+from rholoc.service.state import Service, State
 from rholoc.trajectory import Scale
 
 router = APIRouter(prefix="/v1/maps", tags=["maps"])
@@ -170,6 +171,9 @@ async def download_map(
     headers = {"Content-Disposition": f'attachment; filename="{map_name}{format.ending}"'}
     if format is ExportFormat.RHO and degree is None and features is None:
         return FileResponse(service.library.path(map_name), headers=headers, media_type=format.media_type)
+    if format is ExportFormat.PNG:
+        rendered = await service.renderings.get(map_name, Rendering.PREVIEW)
+        return Response(rendered.content, headers=headers, media_type=format.media_type)
     chosen = None if features is None else parse_features(features)
     map_ = await run_in_threadpool(service.library.get, map_name)
     pieces = await service.compute.run(lambda: export_map(map_, format, title=map_name, degree=degree, features=chosen))
@@ -182,11 +186,11 @@ async def download_map(
     summary="A map's own quality report",
     responses=failures(*_FAILURES),
 )
-async def get_report(map_name: str, service: Service) -> MapReportOut:
+async def get_report(map_name: str, service: Service) -> MapReport:
     """What the map found out about itself while it was built: coverage, residuals, and how consistent it is:
     frames of the same walk, held out, localized in it."""
     info = (await run_in_threadpool(service.library.get, map_name)).info
-    return MapReportOut(map=map_name, map_id=info.id, map_version=info.version, report=info.report)
+    return MapReport(map=map_name, map_id=info.id, map_version=info.version, report=info.report)
 
 
 @router.get(
@@ -199,10 +203,38 @@ async def get_report(map_name: str, service: Service) -> MapReportOut:
         **failures(*_FAILURES, Busy),
     },
 )
-async def get_report_picture(map_name: str, service: Service) -> Response:
+async def get_report_picture(map_name: str, request: Request, service: Service) -> Response:
     """Coverage by position and heading, how consistent frames held out are with it, what the landmarks are worth."""
-    map_ = await run_in_threadpool(service.library.get, map_name)
-    return Response(await service.compute.run(lambda: report_png(map_, map_name)), media_type="image/png")
+    return await _rendered(request, service, map_name, Rendering.REPORT, "image/png")
+
+
+@router.get(
+    "/{map_name}/coverage",
+    dependencies=[NEEDS_READ],
+    summary="Where a map works",
+    response_class=Response,
+    responses={
+        200: {"model": CoverageOut, "description": "Landmarks in view, by position and heading."},
+        **failures(*_FAILURES, Busy),
+    },
+)
+async def get_coverage(map_name: str, request: Request, service: Service) -> Response:
+    """How many landmarks a camera like the map's sees from places on a grid around the walk, in each of twelve
+    directions. `sufficient` of them are enough to expect a pose."""
+    return await _rendered(request, service, map_name, Rendering.COVERAGE, "application/json")
+
+
+@router.post(
+    "/{map_name}/restore",
+    dependencies=[NEEDS_MAP],
+    summary="Restore the map before",
+    responses=failures(*_FAILURES, Conflict),
+)
+async def restore_map(map_name: str, service: Service) -> MapDetail:
+    """The map that was last replaced under this name takes its place again, and the present one is kept in turn:
+    restoring twice changes nothing."""
+    await run_in_threadpool(service.library.restore, map_name)
+    return await run_in_threadpool(_detail, service.library, map_name)
 
 
 @router.post(
@@ -265,11 +297,23 @@ async def forget_source(map_name: str, wanted: ForgetIn, service: Service) -> Ma
         **failures(*_FAILURES),
     },
 )
-async def get_scene(map_name: str, service: Service) -> Response:
+async def get_scene(
+    map_name: str,
+    request: Request,
+    service: Service,
+    landmarks: Annotated[
+        int | None, Query(ge=1, description="at most so many, evenly chosen; default: all", examples=[1500])
+    ] = None,
+) -> Response:
     """Little-endian: two uint32, the numbers F of landmarks and K of views; F × 4 float32: x, y, z, standard deviation;
-    K × 7 float32: x, y, z, heading, the number of the recording. Lengths in metres."""
+    K × 7 float32: x, y, z, heading, the number of the recording; where the map knows its colours, F × 3 uint8: red,
+    green, blue. Lengths in metres."""
+    etag = etag_of(await run_in_threadpool(service.library.stat, map_name), "scene", landmarks)
+    if _is_kept(request, etag):
+        return _unchanged(etag)
     map_ = await run_in_threadpool(service.library.get, map_name)
-    return Response(await run_in_threadpool(map_to_scene, map_), media_type="application/octet-stream")
+    scene = await run_in_threadpool(map_to_scene, map_, landmarks)
+    return Response(scene, media_type="application/octet-stream", headers=_caching(etag))
 
 
 @router.get(
@@ -282,10 +326,33 @@ async def get_scene(map_name: str, service: Service) -> Response:
         **failures(*_FAILURES, Busy),
     },
 )
-async def get_preview(map_name: str, service: Service) -> Response:
+async def get_preview(map_name: str, request: Request, service: Service) -> Response:
     """Landmarks, the walk, waypoints."""
-    map_ = await run_in_threadpool(service.library.get, map_name)
-    return Response(await service.compute.run(lambda: preview_png(map_, title=map_name)), media_type="image/png")
+    return await _rendered(request, service, map_name, Rendering.PREVIEW, "image/png")
+
+
+async def _rendered(request: Request, service: State, name: str, kind: Rendering, media_type: str) -> Response:
+    """A rendering, or 304 where the browser has it."""
+    etag = await run_in_threadpool(service.renderings.etag, name, kind)
+    if _is_kept(request, etag):
+        return _unchanged(etag)
+    rendered = await service.renderings.get(name, kind)
+    return Response(rendered.content, media_type=media_type, headers=_caching(rendered.etag))
+
+
+def _caching(etag: str) -> dict[str, str]:
+    """A browser keeps the answer, and asks before each use whether it has changed."""
+    return {"ETag": etag, "Cache-Control": "private, no-cache"}
+
+
+def _is_kept(request: Request, etag: str) -> bool:
+    """Whether the browser says that it has this version."""
+    kept = {tag.strip().removeprefix("W/") for tag in request.headers.get("if-none-match", "").split(",")}
+    return etag in kept or "*" in kept
+
+
+def _unchanged(etag: str) -> Response:
+    return Response(status_code=304, headers=_caching(etag))
 
 
 def _check_learns(library: MapLibrary, name: str) -> None:
@@ -331,7 +398,7 @@ def _summary(library: MapLibrary, name: str) -> dict[str, object]:
         "trusted": trust.trusted,
         "trust_reason": trust.reason,
         "expected_error_m": expected_error_m(info),
-        "consistency_m": consistency_m(info),
+        "consistency_m": reported_metres(info, "held_out", "median_m"),
         "camera": _camera(info.camera),
     }
 
@@ -341,7 +408,13 @@ def _detail(library: MapLibrary, name: str) -> MapDetail:
     bounds = None
     if len(map_):
         bounds = [map_.landmarks.min(axis=0).tolist(), map_.landmarks.max(axis=0).tolist()]
-    fields = {"sources": map_.info.sources, "waypoints": map_.info.waypoints, "bounds_m": bounds}
+    before = library.previous(name)
+    fields = {
+        "sources": list(map_.info.sources),
+        "waypoints": list(map_.info.waypoints),
+        "bounds_m": bounds,
+        "previous": None if before is None else {"id": before.id, "version": before.version, "created": before.created},
+    }
     return MapDetail.model_validate({**_summary(library, name), **fields})
 
 

@@ -1,0 +1,228 @@
+// Where a map works: places from above, and at each a wedge for every direction that a camera may look in.
+
+import { resolvedColour } from "../shared/colours.js";
+import { fill, h } from "../shared/dom.js";
+import { t } from "../shared/text.js";
+
+// The least number of landmarks in view, as a share of what suffices, and its colour: from plenty to none. Blue against
+// orange is told apart by everyone.
+const LEVELS = [
+  [4, "#08519c"],
+  [2, "#3182bd"],
+  [1, "#7fb8dd"],
+  [0.5, "#fdcb8a"],
+  [0.25, "#f08a4b"],
+  [0, "#c23b22"],
+];
+const RADIUS = 0.47; // of a rose, in steps
+const MARGIN_STEPS = 1.2; // around the roses
+const MAX_HEIGHT = 560; // px
+const BARS_M = [0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50, 100];
+
+/**
+ * The drawing with its legend and what is said of the place pointed at. `coverage` is what `/v1/maps/{map}/coverage`
+ * answers; `look(T_map_camera)` hears of a place and direction that was clicked.
+ */
+export function coverageView(coverage, map, signal, look) {
+  if (!coverage.cells.length) return h("p", { class: "muted" }, t`The map has no views, so nobody knows where it works.`);
+  const canvas = h("canvas", { class: "coverage", tabindex: 0, role: "img", "aria-label": summary(coverage) });
+  const said = h("p", { class: "small", role: "status" }, t`Point at a place, or use the arrow keys; a click shows it in the room.`);
+  const unit = map.scale === "metric" ? "m" : t`units`;
+  const rose = { cell: null, heading: 0 };
+  const draw = () => drawCoverage(canvas, coverage, map, unit, rose);
+  const choose = (cell, heading) => {
+    Object.assign(rose, { cell, heading });
+    said.textContent = sayPlace(coverage, cell, heading, unit);
+    draw();
+  };
+  canvas.addEventListener("pointermove", (event) => {
+    const found = roseAt(canvas, coverage, event.offsetX, event.offsetY);
+    if (found) choose(found.cell, found.heading);
+  });
+  canvas.addEventListener("click", () => rose.cell !== null && look(cameraAt(coverage, rose.cell, rose.heading)));
+  canvas.addEventListener("keydown", (event) => {
+    if (event.key === "Enter" && rose.cell !== null) look(cameraAt(coverage, rose.cell, rose.heading));
+    else {
+      const next = moved(coverage, rose, event.key);
+      if (!next) return;
+      choose(next.cell, next.heading);
+    }
+    event.preventDefault();
+  });
+  const observer = new ResizeObserver(draw);
+  observer.observe(canvas);
+  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", draw, { signal });
+  signal.addEventListener("abort", () => observer.disconnect());
+  return h("div", { class: "card stack" }, h("p", {}, summary(coverage)), canvas, said, legend(coverage.sufficient));
+}
+
+/** One sentence on the whole. */
+export function summary({ share_sufficient: share, positions_sufficient: places, sufficient }) {
+  const [all, some] = [share, places].map((value) => Math.round(100 * value));
+  return t`Near the walk, a camera sees ${sufficient} landmarks or more in ${all} % of all places and directions, and in at least one direction at ${some} % of the places.`;
+}
+
+/** What is said of one place and direction. */
+export function sayPlace(coverage, cell, heading, unit) {
+  const [x, y] = position(coverage, cell).map((value) => value.toFixed(2));
+  const seen = coverage.counts[cell][heading];
+  const degrees = Math.round(coverage.headings_deg[heading]);
+  const [, verdict] = [
+    [1, t`it works`],
+    [0.5, t`it may fail`],
+    [0, t`it will fail`],
+  ].find(([share]) => seen >= share * coverage.sufficient);
+  return t`At ${x}, ${y} ${unit}, looking ${degrees}°: ${seen} landmarks in view; ${verdict}.`;
+}
+
+/** The camera (T_map_camera, 4 × 4) that stands in a cell and looks in a heading. */
+export function cameraAt({ origin, axes, step, pitch_deg: pitch = 0, cells, headings_deg: headings }, cell, heading) {
+  const up = cross(axes[0], axes[1]);
+  const [angle, tilt] = [headings[heading], pitch].map((value) => (value * Math.PI) / 180);
+  const level = [0, 1, 2].map((i) => Math.cos(angle) * axes[0][i] + Math.sin(angle) * axes[1][i]);
+  const forward = level.map((value, i) => Math.cos(tilt) * value + Math.sin(tilt) * up[i]);
+  const right = cross(level, up);
+  const down = cross(forward, right);
+  const at = [0, 1, 2].map((i) => origin[i] + step * (cells[cell][0] * axes[0][i] + cells[cell][1] * axes[1][i]));
+  return [0, 1, 2].map((i) => [right[i], down[i], forward[i], at[i]]).concat([[0, 0, 0, 1]]);
+}
+
+/** The rose that a key moves to: the nearest one in its direction, or the next heading with shift. */
+export function moved({ cells, headings_deg: headings }, { cell, heading }, key) {
+  const step = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] }[key];
+  if (key === "PageUp" || key === "PageDown")
+    return cell === null
+      ? null
+      : { cell, heading: (heading + (key === "PageUp" ? 1 : headings.length - 1)) % headings.length };
+  if (!step) return null;
+  if (cell === null) return { cell: 0, heading };
+  const here = cells[cell];
+  const along = (one) => (one[0] - here[0]) * step[0] + (one[1] - here[1]) * step[1];
+  const aside = (one) => Math.abs((one[0] - here[0]) * step[1]) + Math.abs((one[1] - here[1]) * step[0]);
+  const ahead = cells.map((one, i) => [along(one) + 4 * aside(one), i]).filter(([, i]) => along(cells[i]) > 0);
+  return ahead.length ? { cell: ahead.reduce((best, one) => (one[0] < best[0] ? one : best))[1], heading } : null;
+}
+
+const cross = ([a, b, c], [x, y, z]) => [b * z - c * y, c * x - a * z, a * y - b * x];
+const dot = (a, b) => a.reduce((sum, value, i) => sum + value * b[i], 0);
+
+/** Where a cell is on the plane, in the map's unit. */
+function position({ origin, axes, step, cells }, cell) {
+  return [0, 1].map((axis) => dot(origin, axes[axis]) + step * cells[cell][axis]);
+}
+
+/** Plane → pixels, north up. */
+function placement(coverage, width, height) {
+  const [columns, rows] = [0, 1].map((axis) => coverage.cells.map((cell) => cell[axis]));
+  const [west, east, south, north] = [Math.min(...columns), Math.max(...columns), Math.min(...rows), Math.max(...rows)];
+  const pixels = Math.min(width / (east - west + 2 * MARGIN_STEPS), height / (north - south + 2 * MARGIN_STEPS));
+  const toCell = (x, y) => [0, 1].map((axis) => ([x, y][axis] - dot(coverage.origin, coverage.axes[axis])) / coverage.step);
+  const cell = (column, row) => [
+    width / 2 + pixels * (column - (west + east) / 2),
+    height / 2 - pixels * (row - (south + north) / 2),
+  ];
+  return { pixels, cell, point: (x, y) => cell(...toCell(x, y)) };
+}
+
+function roseAt(canvas, coverage, x, y) {
+  const place = placement(coverage, canvas.clientWidth, canvas.clientHeight);
+  const offsets = coverage.cells.map((cell) => {
+    const [cx, cy] = place.cell(...cell);
+    return [x - cx, cy - y];
+  });
+  const apart = offsets.map(([dx, dy]) => Math.hypot(dx, dy));
+  const cell = apart.indexOf(Math.min(...apart));
+  if (apart[cell] > place.pixels) return null;
+  const width = 360 / coverage.headings_deg.length;
+  const angle = (Math.atan2(offsets[cell][1], offsets[cell][0]) * 180) / Math.PI;
+  return { cell, heading: ((Math.round(angle / width) % coverage.headings_deg.length) + coverage.headings_deg.length) % coverage.headings_deg.length };
+}
+
+function drawCoverage(canvas, coverage, map, unit, chosen) {
+  const ratio = Math.min(devicePixelRatio, 2);
+  const wanted = placement(coverage, canvas.clientWidth, Infinity);
+  const rows = coverage.cells.map((cell) => cell[1]);
+  const tall = Math.min(MAX_HEIGHT, wanted.pixels * (Math.max(...rows) - Math.min(...rows) + 2 * MARGIN_STEPS));
+  canvas.style.height = `${Math.round(tall)}px`;
+  const [width, height] = [canvas.clientWidth, canvas.clientHeight];
+  Object.assign(canvas, { width: Math.round(width * ratio), height: Math.round(height * ratio) });
+  const context = canvas.getContext("2d");
+  context.scale(ratio, ratio);
+  const token = (name) => resolvedColour(canvas, name);
+  const place = placement(coverage, width, height);
+  drawRoses(context, coverage, place, token("--surface"));
+  if (chosen.cell !== null) drawChosen(context, coverage, place, chosen, token("--ink"));
+  drawWaypoints(context, coverage, place, map.waypoints, token);
+  drawBar(context, coverage.step, place.pixels, unit, height, token("--ink"));
+}
+
+function wedge(context, x, y, radius, coverage, heading) {
+  const half = Math.PI / coverage.headings_deg.length;
+  const angle = (-coverage.headings_deg[heading] * Math.PI) / 180; // the canvas counts clockwise
+  context.beginPath();
+  context.moveTo(x, y);
+  context.arc(x, y, radius, angle - half, angle + half);
+  context.closePath();
+}
+
+function drawRoses(context, coverage, place, gap) {
+  context.strokeStyle = gap;
+  context.lineWidth = 0.5;
+  coverage.cells.forEach((cell, i) => {
+    const [x, y] = place.cell(...cell);
+    coverage.counts[i].forEach((seen, heading) => {
+      wedge(context, x, y, RADIUS * place.pixels, coverage, heading);
+      context.fillStyle = colourOf(seen / coverage.sufficient);
+      context.fill();
+      context.stroke();
+    });
+  });
+}
+
+const colourOf = (share) => LEVELS.find(([least]) => share >= least)[1];
+
+function drawChosen(context, coverage, place, { cell, heading }, ink) {
+  const [x, y] = place.cell(...coverage.cells[cell]);
+  wedge(context, x, y, 0.6 * place.pixels, coverage, heading);
+  context.strokeStyle = ink;
+  context.lineWidth = 2;
+  context.stroke();
+}
+
+function drawWaypoints(context, { axes }, place, waypoints, token) {
+  context.font = "600 13px system-ui, sans-serif";
+  for (const { name, position } of waypoints) {
+    const [x, y] = place.point(dot(position, axes[0]), dot(position, axes[1]));
+    context.fillStyle = token("--ink");
+    context.strokeStyle = token("--surface");
+    context.lineWidth = 3;
+    context.strokeText(name, x + 7, y - 5);
+    context.fillText(name, x + 7, y - 5);
+    context.lineWidth = 2;
+    context.beginPath();
+    context.rect(x - 4, y - 4, 8, 8);
+    context.stroke();
+    context.fill();
+  }
+}
+
+function drawBar(context, step, pixels, unit, height, ink) {
+  const bar = BARS_M.findLast((one) => (one / step) * pixels <= 120) ?? BARS_M[0];
+  context.strokeStyle = context.fillStyle = ink;
+  context.lineWidth = 3;
+  context.beginPath();
+  context.moveTo(8, height - 8);
+  context.lineTo(8 + (bar / step) * pixels, height - 8);
+  context.stroke();
+  context.font = "12px system-ui, sans-serif";
+  context.fillText(`${bar} ${unit}`, 8, height - 14);
+}
+
+function legend(sufficient) {
+  const item = ([least, colour]) => {
+    const patch = h("span", { class: "patch" });
+    patch.style.background = colour;
+    return h("li", {}, patch, least ? `≥ ${Math.round(least * sufficient)}` : t`fewer`);
+  };
+  return fill(h("ul", { class: "coverage-legend small muted", "aria-label": t`Landmarks in view` }), LEVELS.map(item));
+}

@@ -1,0 +1,17 @@
+// What `/v1/maps/{map}/scene` answers.
+
+export const STRIDE_LANDMARK = 4; // x, y, z, standard deviation
+export const STRIDE_VIEW = 7; // x, y, z, heading, recording
+
+/**
+ * `{features, landmarks, views, colours}`: the number of landmarks, their figures, those of the views, and three bytes for
+ * each landmark, red, green and blue, or null where the map does not know its colours.
+ */
+export function readScene(buffer) {
+  const [features, count] = new Uint32Array(buffer, 0, 2);
+  const landmarks = new Float32Array(buffer, 8, features * STRIDE_LANDMARK);
+  const views = new Float32Array(buffer, 8 + landmarks.byteLength, count * STRIDE_VIEW);
+  const end = 8 + landmarks.byteLength + views.byteLength;
+  const coloured = features > 0 && buffer.byteLength >= end + 3 * features;
+  return { features, landmarks, views, colours: coloured ? new Uint8Array(buffer, end, 3 * features) : null };
+}

@@ -1,0 +1,92 @@
+// A map's name, and what is to happen where there is a map of that name.
+
+import { h } from "./dom.js";
+import { t } from "./text.js";
+
+/** What becomes of a map that has the name already. */
+export const Existing = Object.freeze({ LEARN: "update", REPLACE: "build" });
+
+/**
+ * A field for a name and, once it is that of a map, the question what to do: nothing is chosen beforehand.
+ *
+ * `names` are those of the maps there are, `learns` says whether what is uploaded can be learned by one. Gives
+ * `{element, input, value, kind, asked, suggest(name), know(names)}`; `changed` hears of each change.
+ */
+export function nameChoice({ names = [], learns = true, value = "", kind = null, changed = () => {} }) {
+  const name = nameField(value);
+  const choices = [
+    learns && [Existing.LEARN, t`The map learns it, and keeps what it knows`],
+    [Existing.REPLACE, t`The map is replaced; the one before can be restored`],
+  ].filter(Boolean);
+  const group = `existing-${crypto.randomUUID()}`;
+  const radios = choices.map(([choice, text]) => {
+    const radio = h("input", { type: "radio", name: group, value: choice, checked: choice === kind, onchange: () => changed() });
+    return { radio, label: h("label", { class: "check" }, radio, text) };
+  });
+  const free = h("button", { type: "button", onclick: () => suggest(name.value) }, t`Use another name`);
+  const legend = h("legend", {});
+  const question = h("fieldset", { class: "notice warn stack" }, legend, radios.map(({ label }) => label), free);
+
+  function show() {
+    const exists = names.includes(name.value);
+    question.hidden = !exists;
+    legend.textContent = t`There is a map ${name.value}. What is to be done?`;
+    for (const { radio } of radios) radio.required = exists;
+  }
+
+  /** Propose a name that no map has. */
+  function suggest(wanted) {
+    const root = wanted.replace(/-\d+$/, "");
+    let free = wanted;
+    for (let number = 2; names.includes(free); number++) free = `${root}-${number}`;
+    name.value = free;
+    show();
+    changed();
+  }
+
+  name.addEventListener("input", () => {
+    show();
+    changed();
+  });
+  show();
+  return {
+    element: h("div", { class: "stack" }, field(t`Name of the map`, name), question),
+    input: name,
+    get value() {
+      return name.value;
+    },
+    /** What was chosen where there is such a map, else that a new one is built. */
+    get kind() {
+      if (!names.includes(name.value)) return Existing.REPLACE;
+      return radios.find(({ radio }) => radio.checked)?.radio.value ?? null;
+    },
+    /** Whether there is such a map, so that a choice was needed. */
+    get asked() {
+      return names.includes(name.value);
+    },
+    suggest,
+    know(all) {
+      names = all;
+      show();
+    },
+  };
+}
+
+/** A field with its label. */
+export function field(text, input, note) {
+  return h("label", {}, text, input, note && h("span", { class: "small muted" }, note));
+}
+
+/** The field of a map's name. */
+export const nameField = (value = "") =>
+  h("input", {
+    name: "name",
+    value,
+    required: true,
+    maxlength: 64,
+    pattern: "[A-Za-z0-9_][A-Za-z0-9._\\-]*",
+    autocomplete: "off",
+    autocapitalize: "none",
+    spellcheck: "false",
+    title: t`Letters, digits, . _ and -, the first a letter, a digit or _`,
+  });

@@ -1,0 +1,33 @@
+// What people read, in their language: t`There is no map ${name}.` gives the sentence of texts.js, or itself.
+
+import { GERMAN } from "./texts.js";
+
+/** The language that the page speaks: the browser's where there are texts in it, else English. */
+export const language = globalThis.navigator?.language?.toLowerCase().startsWith("de") ? "de" : "en";
+
+const texts = language === "de" ? GERMAN : {};
+
+/** A sentence with its values put in; a template is looked up with {0}, {1} … in place of the values. */
+export function t(parts, ...values) {
+  return translated(key(parts), values);
+}
+
+/** A sentence that is not written where it is shown: of a table, or of the page's markup. */
+export function translated(text, values = []) {
+  return (texts[text] ?? text).replace(/\{(\d)\}/g, (_, i) => String(values[i]));
+}
+
+/** What a template is called in texts.js. */
+export function key(parts) {
+  return parts.slice(1).reduce((whole, part, i) => `${whole}{${i}}${part}`, parts[0]);
+}
+
+/** Say the page's language, and put its markup into it: the texts and labels of elements with `data-text`. */
+export function translatePage() {
+  document.documentElement.lang = language;
+  for (const element of document.querySelectorAll("[data-text]")) {
+    if (element.hasAttribute("aria-label"))
+      element.setAttribute("aria-label", translated(element.getAttribute("aria-label")));
+    if (!element.children.length) element.textContent = translated(element.textContent);
+  }
+}

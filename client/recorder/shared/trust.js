@@ -1,0 +1,51 @@
+// Whether a map can be relied on, why, and what to do where it cannot.
+
+import { t } from "./text.js";
+
+/** How far a map may be relied on. */
+export const Trust = Object.freeze({ YES: "yes", NO: "no", UNKNOWN: "unknown" });
+
+/** What a map says of itself; null where it does not know, or the server does not send it. */
+export const trustOf = ({ trusted }) => (trusted === true ? Trust.YES : trusted === false ? Trust.NO : Trust.UNKNOWN);
+
+/** What a map's report says of mistakes in measured points. It comes with its map, from anywhere, and may say anything. */
+export function mistakesIn(report) {
+  const walks = [report?.trajectories ?? [], report?.learned ?? []].flat();
+  return walks.map((walk) => walk?.waypoint_mistake).filter((text) => typeof text === "string" && text);
+}
+
+/** A reason as the server gives it, and where it is full of figures, what they mean. */
+export function inPlainWords(why) {
+  if (typeof why !== "string" || !why) return null;
+  const disagree = /Two reconstructions disagree[^.]*(\.\d[^.]*)*\./;
+  const agree = /Two reconstructions agree[^.]*(\.\d[^.]*)*\./;
+  const unchecked = /Only \d+ of \d+ keyframes could be checked\./;
+  if (disagree.test(why))
+    return {
+      plain: why.replace(
+        disagree,
+        t`Reconstructed twice from different pictures, the walk came out in two different shapes: somewhere the map is wrong.`,
+      ),
+      technical: why,
+    };
+  if (agree.test(why))
+    return {
+      plain: why.replace(agree, t`Reconstructed twice from different pictures, the walk came out in the same shape.`),
+      technical: why,
+    };
+  if (unchecked.test(why))
+    return {
+      plain: why.replace(unchecked, t`Too little of the walk could be reconstructed a second time to check its shape.`),
+      technical: why,
+    };
+  return { plain: why, technical: null };
+}
+
+/** What to do about a map that cannot be relied on; `mistakes` are of measured points. */
+export function whatToDo(trust, mistakes = []) {
+  if (trust === Trust.YES) return null;
+  if (mistakes.length) return t`Measure that point again, correct it, and map the recording again.`;
+  if (trust === Trust.NO)
+    return t`Record the walk again: slowly, sideways rather than turning on the spot, and back to where you began. Measured points let the map check itself.`;
+  return t`Build it again with this version to have it checked.`;
+}

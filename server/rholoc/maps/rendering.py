@@ -1,0 +1,81 @@
+"""What is drawn and computed of a map to be looked at. As a program, a process that does nothing else.
+
+It reads requests from its standard input, a line of JSON each, ``{"source", "name", "kind", "target"}``, and answers
+with a line, ``{}`` once the rendering is in the file ``target``, else ``{"error", "hint"}``. It ends with its input.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from collections.abc import Callable
+from enum import StrEnum
+from pathlib import Path
+from typing import TextIO
+
+from rholoc.errors import RholocError
+from rholoc.maps.coverage import coverage_of
+from rholoc.maps.files import replace_file
+from rholoc.maps.map import Map
+from rholoc.maps.rho_file import load_map
+
+_NICENESS = 10
+
+
+class Rendering(StrEnum):
+    """What is made of a map; the value ends the file's name."""
+
+    PREVIEW = "preview.png"
+    REPORT = "report.png"
+    COVERAGE = "coverage.json"
+
+
+def render(map_: Map, name: str, kind: Rendering) -> bytes:
+    """A rendering of a map called ``name``."""
+    return _RENDERERS[kind](map_, name)
+
+
+def serve(requests: TextIO, answers: TextIO) -> None:
+    """Answer requests until there are no more."""
+    for line in requests:
+        answers.write(json.dumps(_answer(json.loads(line))) + "\n")
+        answers.flush()
+
+
+def _answer(request: dict[str, str]) -> dict[str, str]:
+    name = request["name"]
+    try:
+        map_ = load_map(Path(request["source"]), f"{name}.rho")
+        replace_file(Path(request["target"]), render(map_, name, Rendering(request["kind"])), called="a picture")
+    except RholocError as error:
+        return {"error": error.message, "hint": error.hint}
+    return {}
+
+
+def _preview(map_: Map, name: str) -> bytes:
+    from rholoc.maps.preview import preview_png  # matplotlib is loaded only where something is drawn
+
+    return preview_png(map_, title=name)
+
+
+def _report(map_: Map, name: str) -> bytes:
+    from rholoc.maps.report_picture import report_png
+
+    return report_png(map_, name)
+
+
+def _coverage(map_: Map, _name: str) -> bytes:
+    return json.dumps(coverage_of(map_).to_json(), separators=(",", ":"), allow_nan=False).encode()
+
+
+_RENDERERS: dict[Rendering, Callable[[Map, str], bytes]] = {
+    Rendering.PREVIEW: _preview,
+    Rendering.REPORT: _report,
+    Rendering.COVERAGE: _coverage,
+}
+
+
+if __name__ == "__main__":
+    os.nice(_NICENESS)
+    serve(sys.stdin, sys.stdout)

@@ -1,0 +1,149 @@
+"""What is drawn and computed of maps to be looked at: made once for each version, by a process of its own, and kept.
+
+The threads that answer robots have no part in it: there is one process, niced, and what it made is served from a file,
+with an ETag, until the map changes.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import hashlib
+import json
+import sys
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+from starlette.concurrency import run_in_threadpool
+
+from rholoc import __version__
+from rholoc.errors import Busy, InvalidMap, RholocError
+from rholoc.maps import MapLibrary, MapStat
+from rholoc.maps.rendering import Rendering
+
+_IDLE_S = 120.0  # after which the process is let go, and its memory with it
+_MAX_WAITING = 200
+_RETRY_AFTER_S = 5.0
+_ATTEMPTS = 2  # the process may be killed for its memory
+_LONGEST_S = 120.0
+
+
+@dataclass(frozen=True)
+class Rendered:
+    """A rendering and the tag that changes with it."""
+
+    content: bytes
+    etag: str
+
+
+def etag_of(stat: MapStat, *parts: object) -> str:
+    """An HTTP entity tag of what this version of rholoc makes of a map's file, and of further parts."""
+    text = repr((__version__, stat.name, stat.signature, *parts))
+    return f'"{hashlib.blake2b(text.encode(), digest_size=12).hexdigest()}"'
+
+
+class Renderings:
+    """Renderings of a library's maps, kept in a folder. Used from the event loop's thread alone."""
+
+    def __init__(self, folder: Path, library: MapLibrary) -> None:
+        self._folder = folder
+        self._library = library
+        self._process: asyncio.subprocess.Process | None = None
+        self._turn = asyncio.Lock()
+        self._making: dict[Path, asyncio.Task[None]] = {}
+        self._idle: asyncio.TimerHandle | None = None
+
+    def etag(self, name: str, kind: Rendering) -> str:
+        """The tag of a rendering, whether it was made yet or not.
+
+        Raises:
+            InvalidName, UnknownMap: as :meth:`rholoc.maps.MapLibrary.stat`.
+        """
+        return etag_of(self._library.stat(name), kind)
+
+    async def get(self, name: str, kind: Rendering) -> Rendered:
+        """A rendering of the map as it is now. Who asks while it is being made waits for the same work.
+
+        Raises:
+            InvalidName, UnknownMap, InvalidMap: there is no such map, or it cannot be read.
+            Busy: very many others are waited for, or the process that draws was killed.
+        """
+        etag = await run_in_threadpool(self.etag, name, kind)
+        path = self._folder / f"{etag.strip(chr(34))}-{kind}"
+        kept = await run_in_threadpool(_read, path)
+        if kept is None:
+            await asyncio.shield(self._made(name, kind, path))
+            kept = await run_in_threadpool(path.read_bytes)
+        return Rendered(kept, etag)
+
+    def _made(self, name: str, kind: Rendering, path: Path) -> asyncio.Task[None]:
+        """The work that makes a rendering: what is being made already is not made twice."""
+        if path not in self._making:
+            if len(self._making) >= _MAX_WAITING:
+                raise Busy("Very many pictures are being drawn.", "Try again after Retry-After.", _RETRY_AFTER_S)
+            self._making[path] = asyncio.create_task(self._make(name, kind, path))
+            self._making[path].add_done_callback(lambda _: self._making.pop(path))
+        return self._making[path]
+
+    async def _make(self, name: str, kind: Rendering, path: Path) -> None:
+        await run_in_threadpool(lambda: self._folder.mkdir(parents=True, exist_ok=True))
+        request = {"source": str(self._library.path(name)), "name": name, "kind": kind, "target": str(path)}
+        async with self._turn:
+            for _ in range(_ATTEMPTS):
+                answer = await self._ask(request)
+                if answer is not None:
+                    break
+            else:
+                raise Busy("The process that draws was killed.", "Try again after Retry-After.", _RETRY_AFTER_S)
+        if "error" in answer:
+            raise InvalidMap(answer["error"], answer["hint"])
+
+    async def _ask(self, request: dict[str, str]) -> dict[str, str] | None:
+        """The process's answer; None where it ended without one."""
+        if self._idle is not None:
+            self._idle.cancel()
+        if self._process is None or self._process.returncode is not None:
+            pipe = asyncio.subprocess.PIPE
+            command = (sys.executable, "-m", "rholoc.maps.rendering")
+            self._process = await asyncio.create_subprocess_exec(*command, stdin=pipe, stdout=pipe)
+        assert self._process.stdin is not None
+        assert self._process.stdout is not None
+        line = b""
+        with suppress(ConnectionError, TimeoutError):
+            self._process.stdin.write(json.dumps(request).encode() + b"\n")
+            await self._process.stdin.drain()
+            line = await asyncio.wait_for(self._process.stdout.readline(), _LONGEST_S)
+        if not line:
+            await self.close()
+            return None
+        loop = asyncio.get_running_loop()
+        self._idle = loop.call_later(_IDLE_S, lambda: loop.create_task(self.close()))
+        answer: dict[str, str] = json.loads(line)
+        return answer
+
+    def sweep(self) -> None:
+        """Remove what was made of maps that are no longer there, or have changed since. Safe in any thread."""
+        current = set()
+        for name in self._library.names():
+            with suppress(RholocError):  # deleted meanwhile
+                current |= {self.etag(name, kind).strip('"') for kind in Rendering}
+        for path in self._folder.glob("*-*"):
+            if path.name.partition("-")[0] not in current:
+                path.unlink(missing_ok=True)
+
+    async def close(self) -> None:
+        """End the process; what is being made is given up."""
+        if self._idle is not None:
+            self._idle.cancel()
+        process, self._process = self._process, None
+        if process is not None:
+            with suppress(ProcessLookupError):
+                process.kill()
+            await process.wait()
+
+
+def _read(path: Path) -> bytes | None:
+    try:
+        return path.read_bytes()
+    except FileNotFoundError:
+        return None

@@ -1,0 +1,203 @@
+"""Trying a map: what is shown belongs to what was asked last, and says how far it can be relied on."""
+
+from __future__ import annotations
+
+import re
+from contextlib import suppress
+from dataclasses import replace
+
+import cv2
+import httpx
+import numpy as np
+import pytest
+from playwright.sync_api import Error, Page, expect
+
+from rholoc.maps import TrajectoryTable, trajectory_csv
+
+COPY = """(canvas) => {
+    const copy = Object.assign(document.createElement("canvas"), {width: canvas.width, height: canvas.height});
+    const context = copy.getContext("2d", {willReadFrequently: true});
+    context.drawImage(canvas, 0, 0);
+    const {data} = context.getImageData(0, 0, copy.width, copy.height);
+    return RESULT;
+}"""
+CIRCLES = COPY.replace("RESULT", "data.filter((red, i) => i % 4 === 0 && data[i + 1] > red + 80).length")
+DRAWN = COPY.replace("RESULT", "data.some((value) => value > 0)")
+
+
+@pytest.fixture(scope="module")
+def running(service, picture_world):
+    """The service with maps of other cameras and of doubtful walks."""
+    maps = service.settings.maps_dir
+    wide = replace(picture_world.map_.info.camera, width=1280, height=720, fx=1040.0, fy=1040.0, cx=639.5, cy=359.5)
+    (maps / "wide.rho").write_bytes(picture_world.rho(camera=wide))
+    why = "A waypoint is missed by 0.31 m."
+    report = {"trajectories": [{"method": "visual", "trusted": False, "why": why}]}
+    (maps / "doubtful.rho").write_bytes(picture_world.rho(report=report))
+    return service
+
+
+def take(page: Page, *files: object) -> None:
+    for file in files:
+        page.get_by_label("Picture or trajectory").set_input_files(file)
+
+
+@pytest.fixture(scope="module")
+def pictures(tmp_path_factory, picture_world):
+    """Files: the map's own picture, a blank one, one of another shape, and no picture at all."""
+    folder = tmp_path_factory.mktemp("pictures")
+    (folder / "frame.png").write_bytes(picture_world.png())
+    (folder / "blank.png").write_bytes(cv2.imencode(".png", np.full((480, 640), 128, np.uint8))[1].tobytes())
+    tall = cv2.resize(picture_world.image, (360, 480))
+    (folder / "tall.png").write_bytes(cv2.imencode(".png", tall)[1].tobytes())
+    (folder / "text.png").write_bytes(b"no picture")
+    return folder
+
+
+def test_a_file_that_is_no_picture_clears_the_picture_before(desk_browser, running, pictures, opened, settled):
+    with opened(desk_browser, running.url, "try/room") as page:
+        take(settled(page), pictures / "frame.png")
+        expect(page.locator(".answer")).to_contain_text("localized")
+        canvas = page.locator("canvas.frame")
+        assert canvas.evaluate(CIRCLES) > 500
+        take(page, pictures / "text.png")
+        expect(page.get_by_role("alert")).to_contain_text("not a picture")
+        assert not canvas.evaluate(DRAWN)
+        expect(canvas).to_have_attribute("aria-label", "No picture yet")
+
+
+def test_an_error_takes_the_circles_off_the_picture(desk_browser, running, pictures, opened, settled):
+    with opened(desk_browser, running.url, "try/room", failures=1) as page:
+        take(settled(page), pictures / "frame.png")
+        expect(page.locator(".answer")).to_contain_text("localized")
+        answer = {"code": "busy", "message": "Much to do.", "hint": "Wait.", "request_id": "1"}
+        page.route("**/localize*", lambda route: route.fulfill(status=503, json=answer))
+        page.get_by_text("Camera options").click()
+        page.get_by_label("hand-held").uncheck()
+        expect(page.get_by_role("alert")).to_contain_text("Much to do.")
+        assert page.locator("canvas.frame").evaluate(CIRCLES) == 0
+
+
+def test_an_older_answer_does_not_take_the_place_of_a_newer(desk_browser, running, pictures, opened, settled):
+    with opened(desk_browser, running.url, "try/room") as page:
+        settled(page)
+        held = []
+        page.route("**/localize*", lambda route: held.append(route) if not held else route.continue_())
+        take(page, pictures / "frame.png", pictures / "blank.png")
+        expect(page.locator(".answer")).to_contain_text("too blank, dark or blurred")
+        with suppress(Error):  # a page that has given the older question up takes no answer to it
+            held[0].continue_()
+        page.wait_for_timeout(1000)
+        expect(page.locator(".answer")).to_contain_text("too blank, dark or blurred")
+        assert page.locator("canvas.frame").evaluate(CIRCLES) == 0
+
+
+def test_changed_options_try_the_picture_again(desk_browser, running, pictures, opened, settled):
+    asked: list[str] = []
+    with opened(desk_browser, running.url, "try/room") as page:
+        page.on("request", lambda request: "localize" in request.url and asked.append(request.url))
+        take(settled(page), pictures / "frame.png")
+        expect(page.locator(".answer")).to_contain_text("localized")
+        page.get_by_text("Camera options").click()
+        page.get_by_label("hand-held").uncheck()
+        expect(page.locator(".answer")).to_contain_text("localized")
+        page.wait_for_timeout(200)
+    assert ["dof=6" in url for url in asked] == [True, False]
+
+
+def test_a_typed_field_of_view_is_asked_for_and_claims_no_confidence(desk_browser, running, pictures, opened, settled):
+    with opened(desk_browser, running.url, "try/room") as page:
+        take(settled(page), pictures / "frame.png")
+        expect(page.locator(".answer")).to_contain_text(re.compile(r"confidence (over )?\d+ %"))
+        page.get_by_text("Camera options").click()
+        page.get_by_label("Which camera took it?").select_option("another, by its field of view")
+        expect(page.get_by_role("alert")).to_contain_text("Type the picture's horizontal field of view")
+        page.get_by_label("Horizontal field of view").fill("63.2")
+        page.get_by_label("Horizontal field of view").press("Tab")
+        answer = page.locator(".answer")
+        expect(answer).to_contain_text("localized")
+        expect(answer).to_contain_text("confidence unknown")
+        expect(answer).to_contain_text("typed, not measured")
+        expect(answer).to_contain_text(re.compile(r"Off by aboutunknown"))
+
+
+def test_no_answer_claims_to_be_certain(desk_browser, running, pictures, opened, settled):
+    with opened(desk_browser, running.url, "try/room") as page:
+        settled(page)
+
+        def certain(route):
+            answer = route.fetch().json()
+            route.fulfill(json={**answer, "confidence": 0.9996})
+
+        page.route("**/localize*", certain)
+        take(page, pictures / "frame.png")
+        expect(page.locator(".answer")).to_contain_text("confidence over 99 %")
+
+
+def test_a_map_that_is_not_trusted_says_so_beside_its_answers(desk_browser, running, pictures, opened, settled):
+    with opened(desk_browser, running.url, "try/doubtful") as page:
+        take(settled(page), pictures / "frame.png")
+        expect(page.locator(".answer")).to_contain_text("The map itself is not trusted")
+        expect(page.locator("main .badge").first).to_have_text("not trusted")
+
+
+@pytest.mark.parametrize("size", [(640, 480), (480, 640), (640, 360)], ids=["4:3", "portrait", "16:9"])
+@pytest.mark.parametrize("name", ["room", "wide"])
+def test_a_camera_of_any_shape_is_taken(desk_browser, running, picture_world, opened, settled, name, size):
+    """Cameras of another shape than the map's send what they see with intrinsics that belong to it."""
+    with opened(desk_browser, running.url, f"try/{name}") as page:
+        settled(page)
+        asked: list[str] = []
+        page.on("request", lambda request: "localize" in request.url and asked.append(request.url))
+        page.evaluate(
+            """([width, height]) => {
+                const canvas = Object.assign(document.createElement("canvas"), {width, height});
+                const context = canvas.getContext("2d");
+                setInterval(() => { context.fillStyle = `hsl(${performance.now() / 10} 50% 50%)`;
+                    context.fillRect(0, 0, width, height); }, 50);
+                navigator.mediaDevices.getUserMedia = async () => canvas.captureStream(10);
+            }""",
+            list(size),
+        )
+        page.get_by_role("button", name="Use the camera").click()
+        expect(page.locator(".answer")).to_contain_text("frames a second")
+        page.get_by_role("button", name="Stop the camera").click()
+        expect(page.get_by_role("alert")).to_have_count(0)
+    camera = 520 if name == "room" else 1040
+    scale = max(size) / (640 if name == "room" else 1280)
+    assert all(float(httpx.URL(url).params["fx"]) == pytest.approx(camera * scale, abs=0.1) for url in asked)
+
+
+def test_trajectories_roll_and_the_frustum_has_the_pictures_shape(
+    desk_browser, running, picture_world, opened, settled
+):
+    with opened(desk_browser, running.url, "try/wide") as page:
+        settled(page)
+        rolled = replace_roll(picture_world.pose.T_map_camera, np.radians(30))
+        table = TrajectoryTable(np.array([0.0]), np.array([0]), rolled[None], np.ones(1), np.array([9]))
+        read = page.evaluate(
+            "async (text) => (await import('/web/console/trajectory.js')).readTrajectory(text)[0].T",
+            trajectory_csv(table),
+        )
+        np.testing.assert_allclose(read, rolled, atol=1e-4)
+        without = "\n".join(",".join(line.split(",")[:7]) for line in trajectory_csv(table).splitlines())
+        upright = page.evaluate(
+            "async (text) => (await import('/web/console/trajectory.js')).readTrajectory(text)[0].T", without
+        )
+        np.testing.assert_allclose(upright, picture_world.pose.T_map_camera, atol=1e-4)
+        extents = page.evaluate(
+            """async () => {
+                const m = await import('/web/console/intrinsics.js');
+                const camera = {width: 1280, height: 720, fx: 1040, fy: 1040, cx: 639.5, cy: 359.5, distortion: []};
+                return m.halfExtents(m.intrinsicsFor(camera, 640, 360), 640, 360);
+            }"""
+        )
+        assert extents[0] / extents[1] == pytest.approx(16 / 9)
+
+
+def replace_roll(T_map_camera, roll):
+    """The pose turned about its optical axis."""
+    cos, sin = np.cos(roll), np.sin(roll)
+    turn = np.eye(4)
+    turn[:2, :2] = [[cos, -sin], [sin, cos]]
+    return T_map_camera @ turn
