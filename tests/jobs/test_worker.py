@@ -132,6 +132,35 @@ def test_a_database_that_fails_at_the_end_costs_nothing(busy_site: Site) -> None
     engine.dispose()
 
 
+def test_a_disk_that_is_full_as_a_build_ends_keeps_no_job_running(busy_site: Site) -> None:
+    engine = open_database(busy_site.data_dir)
+    tables = ("rholoc_jobs", "workflow_status", "operation_outputs")
+    put = busy_site.control.count("put")
+    seen = busy_site.control.count("report")
+    busy_site.control.hold("report")
+    job = busy_site.submit(map_name="cramped")
+    busy_site.wait_at("report", seen + 1)
+    with engine.begin() as connection:
+        for table in tables:
+            for change in ("INSERT", "UPDATE"):
+                connection.execute(
+                    sa.text(
+                        f"CREATE TRIGGER full_{table}_{change} BEFORE {change} ON {table} "
+                        "BEGIN SELECT RAISE(FAIL, 'database or disk is full'); END"
+                    )
+                )
+    busy_site.control.let_go("report")
+    time.sleep(2 * TIMING.dead_after_s)
+    assert busy_site.queue.get(job.id).state is JobState.RUNNING
+    with engine.begin() as connection:
+        for table in tables:
+            for change in ("INSERT", "UPDATE"):
+                connection.execute(sa.text(f"DROP TRIGGER full_{table}_{change}"))
+    done = busy_site.wait_for(job, JobState.PUBLISHED, JobState.FAILED)
+    assert (done.state, busy_site.control.count("put")) == (JobState.PUBLISHED, put + 1)
+    engine.dispose()
+
+
 def test_a_database_that_is_locked_for_a_while_is_waited_for(busy_site: Site) -> None:
     engine = open_database(busy_site.data_dir)
     seen = busy_site.control.count("poses")

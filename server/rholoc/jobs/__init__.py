@@ -1,6 +1,6 @@
 """Durable mapping jobs: recordings on disk, the queue, and the workers that turn one into the other's maps."""
 
-from rholoc.jobs.build_process import Limits
+from rholoc.jobs.build_process import Limits, memory_bytes
 from rholoc.jobs.embedded import EmbeddedWorker
 from rholoc.jobs.job import Job, JobKind, JobOptions, JobState
 from rholoc.jobs.pipeline import MappingPipeline, MappingTask, Pipeline
@@ -27,5 +27,6 @@ __all__ = [
     "Upload",
     "UploadStore",
     "Worker",
+    "memory_bytes",
     "run_worker",
 ]

@@ -25,8 +25,10 @@ from rholoc.progress import ProgressListener, Stage
 
 _log = logging.getLogger("rholoc.jobs")
 
+_CONTAINER_MEMORY = Path("/sys/fs/cgroup/memory.max")
 _NICENESS = 10  # requests of localization come first
 _SEND_EVERY_S = 0.1
+_RESERVED_BYTES = 2**30  # that libraries and threads reserve and never touch
 _EXIT_TAKES_S = 0.05
 _STAT_GROUP, _STAT_PAGES = 2, 21  # fields of /proc/PID/stat after the process's name
 
@@ -42,6 +44,16 @@ class Limits:
 
     time_s: float = math.inf
     memory_bytes: float = math.inf
+
+
+def memory_bytes() -> float:
+    """How much memory this machine has, or its container may use, whichever is less."""
+    machine = float(os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
+    try:
+        container = _CONTAINER_MEMORY.read_text(encoding="ascii").strip()
+    except OSError:
+        return machine
+    return min(machine, float(container)) if container.isdigit() else machine
 
 
 @dataclass(frozen=True)
@@ -85,7 +97,7 @@ def build_in_process(
     """
     context = multiprocessing.get_context("spawn")
     ours, theirs = context.Pipe()
-    process = context.Process(target=_child, args=(pipeline, task, theirs), name="rholoc-build")
+    process = context.Process(target=_child, args=(pipeline, task, theirs, limits), name="rholoc-build")
     process.start()
     theirs.close()
     try:
@@ -193,21 +205,34 @@ def _kill(process: SpawnProcess) -> None:
     process.close()
 
 
-def _child(pipeline: Pipeline, task: MappingTask, connection: Connection) -> None:
+def _child(pipeline: Pipeline, task: MappingTask, connection: Connection, limits: Limits) -> None:
     os.setsid()
     os.nice(_NICENESS)
+    _limit_memory(limits.memory_bytes)
     listener = _Listener(connection)
     threading.Thread(target=_watch_worker, args=(connection, listener), daemon=True).start()
-    failure = run_build(pipeline, task, listener)
+    failure = run_build(pipeline, task, listener, limits)
     listener.send(Finished(failure))
 
 
-def run_build(pipeline: Pipeline, task: MappingTask, listener: ProgressListener) -> Failure | None:
+def _limit_memory(memory_bytes: float) -> None:
+    """Let one large allocation fail at once; what grows slowly the worker sees."""
+    if math.isfinite(memory_bytes):
+        _, hard = resource.getrlimit(resource.RLIMIT_DATA)
+        soft = int(memory_bytes) + _RESERVED_BYTES
+        resource.setrlimit(resource.RLIMIT_DATA, (soft if hard == resource.RLIM_INFINITY else min(soft, hard), hard))
+
+
+def run_build(
+    pipeline: Pipeline, task: MappingTask, listener: ProgressListener, limits: Limits = Limits()
+) -> Failure | None:
     """Run ``pipeline.build`` in this process; returns why it failed, or None."""
     try:
         pipeline.build(task, listener)
     except RholocError as error:
         return describe(error)
+    except MemoryError:
+        return _too_much_memory(limits.memory_bytes)
     except OSError as error:
         return describe(storage_full()) if is_full(error) else unexpected(error)
     except Exception as error:

@@ -15,6 +15,8 @@ from rholoc.jobs.job import Job, JobOptions, JobState
 from rholoc.progress import Stage
 
 LOG_LINES = 50
+MAX_LINE_LENGTH = 500  # of what a job says: others read it, too
+MAX_WARNINGS = 20
 DEAD_AFTER_S = 15.0  # since the last heartbeat
 _ID_LENGTH = 32
 
@@ -175,6 +177,7 @@ class JobTable:
 
     def note(self, lease: Lease, stage: Stage, fraction: float, message: str) -> None:
         """Note progress; a line is added to the log when there is news."""
+        message = shortened(message)
         with self._engine.begin() as connection:
             row = connection.execute(sa.select(jobs_table).where(*_held(lease))).mappings().first()
             if row is None:
@@ -216,20 +219,22 @@ class JobTable:
         Returns:
             Whether the lease was still good; else nothing is noted.
         """
-        lines = [*(f"warning: {warning}" for warning in warnings), "published"]
-        values = {"stage": Stage.PUBLISHED, "progress": 1.0, "warnings": list(warnings)}
+        told = [shortened(warning) for warning in warnings[:MAX_WARNINGS]]
+        lines = [*(f"warning: {warning}" for warning in told), "published"]
+        values = {"stage": Stage.PUBLISHED, "progress": 1.0, "warnings": told}
         return self._end(lease, JobState.PUBLISHED, "published", lines, **values)
 
     def fail(self, lease: Lease, failure: Failure) -> bool:
         """Note why the job failed. Returns as :meth:`publish` does."""
+        message = shortened(failure.message)
         return self._end(
             lease,
             JobState.FAILED,
-            failure.message,
-            [f"failed: {failure.message}"],
+            message,
+            [f"failed: {message}"],
             error_code=failure.code,
-            error_message=failure.message,
-            error_hint=failure.hint,
+            error_message=message,
+            error_hint=shortened(failure.hint),
         )
 
     def _end(self, lease: Lease, state: JobState, message: str, lines: Sequence[str], **values: Any) -> bool:
@@ -287,6 +292,12 @@ class WorkerTable:
         with self._engine.begin() as connection:
             connection.execute(workers_table.delete().where(workers_table.c.heartbeat < oldest))
             return set(connection.execute(sa.select(workers_table.c.id)).scalars())
+
+
+def shortened(text: str) -> str:
+    """A line of a job: its beginning, where it is too long to be kept; well-formed, where it is not."""
+    line = text if len(text) <= MAX_LINE_LENGTH else f"{text[: MAX_LINE_LENGTH - 1]}…"
+    return line.encode("utf-8", "replace").decode()
 
 
 def overall(stage: Stage, fraction: float) -> float:

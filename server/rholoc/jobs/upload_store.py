@@ -14,14 +14,16 @@ from dataclasses import asdict, dataclass
 from io import RawIOBase
 from pathlib import Path
 
-from rholoc.errors import Conflict, InvalidRecording, RholocError, TooLarge, UnknownJob
+from rholoc.errors import Busy, Conflict, InvalidRecording, RholocError, TooLarge, UnknownJob
 from rholoc.jobs.disk import storage_full, telling_full_disk
 from rholoc.jobs.job import Job, JobOptions
 from rholoc.jobs.queue import JobQueue
 from rholoc.jobs.recording_store import RecordingStore, is_recording_id, sanitized, unknown_recording
-from rholoc.recordings import START_BYTES, ZIP_SUFFIX, check_archive, check_file_name, check_file_start
+from rholoc.recordings import MAX_FILES, START_BYTES, ZIP_SUFFIX, check_archive, check_file_name, check_file_start
 
 _PREFIX = ".upload-"
+_LOCK_TIMEOUT_S = 2.0
+_LOCK_POLL_S = 0.02
 _PLAN_FILE = ".upload.json"  # no uploaded file can be called so: their names start with no dot
 
 
@@ -61,14 +63,18 @@ class UploadStore:
     folder.
     """
 
-    def __init__(self, recordings: RecordingStore, jobs: JobQueue, expires_after_s: float) -> None:
+    def __init__(
+        self, recordings: RecordingStore, jobs: JobQueue, expires_after_s: float, max_files: int = MAX_FILES
+    ) -> None:
         """Open the store.
 
         Args:
             recordings: where whole uploads go.
             jobs: where their jobs are queued.
             expires_after_s: how long an upload is kept without a further byte.
+            max_files: how many files a ZIP file may hold.
         """
+        self._max_files = max_files
         self._recordings = recordings
         self._jobs = jobs
         self._expires_after_s = expires_after_s
@@ -183,7 +189,7 @@ class UploadStore:
         self._check_start(upload_id, path)
         if path.suffix.lower() == ZIP_SUFFIX:
             with self._removing_if_refused(upload_id):
-                check_archive(path)
+                check_archive(path, max_files=self._max_files)
 
     @contextmanager
     def _removing_if_refused(self, upload_id: str) -> Iterator[None]:
@@ -203,14 +209,31 @@ class UploadStore:
 
     @contextmanager
     def _locked(self, upload_id: str) -> Iterator[_Plan]:
-        """The plan of an unfinished upload that nobody else changes meanwhile. Raises FileNotFoundError."""
+        """The plan of an unfinished upload that nobody else changes meanwhile.
+
+        Raises:
+            FileNotFoundError: there is no such upload.
+            Busy: somebody else is at it for longer than a request waits.
+        """
         folder = self._folder(upload_id)
         descriptor = os.open(folder, os.O_RDONLY)
         try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX)
+            _lock(descriptor)
             yield _read_plan(folder / _PLAN_FILE)
         finally:
             os.close(descriptor)
+
+
+def _lock(descriptor: int) -> None:
+    """Lock a file without keeping a thread from other requests for long. Raises Busy."""
+    last_s = time.monotonic() + _LOCK_TIMEOUT_S
+    while True:
+        try:
+            return fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            if time.monotonic() > last_s:
+                raise Busy("Another request is at work on this upload.", "Try again.") from None
+            time.sleep(_LOCK_POLL_S)
 
 
 def _read_plan(path: Path) -> _Plan:

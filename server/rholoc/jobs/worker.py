@@ -76,6 +76,7 @@ class Worker:
         self._stopping = threading.Event()
         self._idle = threading.Condition()
         self._leases: set[Lease] = set()
+        self._left_before: set[str] = set()
 
     def start(self) -> None:
         """Begin to take jobs, in threads and processes of its own.
@@ -252,12 +253,23 @@ class Worker:
         living = self._workers.living(self._timing.dead_after_s)
         pending = self._client.list_workflows(status="PENDING", name=WORKFLOW_NAME, load_input=False, load_output=False)
         orphans = [workflow.workflow_id for workflow in pending if workflow.executor_id not in living]
+        orphans += self._left_behind({one.workflow_id for one in pending if one.executor_id == self.id})
         if orphans:
-            _log.warning("taking over %d jobs of dead workers", len(orphans))
+            _log.warning("taking over %d jobs that nobody works on", len(orphans))
             self._client.resume_workflows(orphans, queue_name=QUEUE_NAME)
         for workflow in self._stopped_workflows():
             _log.warning("beginning the workflow %s again", workflow)
             self._client.rewind_workflow(workflow, queue_name=QUEUE_NAME)
+
+    def _left_behind(self, own: set[str]) -> set[str]:
+        """Of this worker's pending workflows those that no thread of it works on, now or at the sweep before.
+
+        A full disk that keeps a workflow's end from being noted leaves it so.
+        """
+        with self._idle:
+            left = own - {lease.workflow for lease in self._leases}
+        found, self._left_before = left & self._left_before, left
+        return found
 
     def _stopped_workflows(self) -> set[str]:
         """Workflows that ended without the end of their job: the database failed when it was to be noted."""

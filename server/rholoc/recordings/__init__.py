@@ -1,6 +1,6 @@
 """What a phone hands in: one reader per format, video, IMU, waypoints."""
 
-from rholoc.recordings.archive import check_archive
+from rholoc.recordings.archive import MAX_FILES, check_archive
 from rholoc.recordings.camera_file import CameraFile, read_camera_json, write_camera_json
 from rholoc.recordings.coaching import Advice, AdviceKind, WalkFigures, advise
 from rholoc.recordings.contents import START_BYTES, ZIP_SUFFIX, check_file_name, check_file_start
@@ -27,6 +27,7 @@ from rholoc.recordings.walk_figures import Look, look_at, look_through, measure_
 from rholoc.recordings.waypoints import check_waypoints_fix_frame, read_waypoints_csv, write_waypoints_csv
 
 __all__ = [
+    "MAX_FILES",
     "START_BYTES",
     "ZIP_SUFFIX",
     "Advice",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import os
 import shutil
 import stat
 import zipfile
@@ -12,9 +13,14 @@ from contextlib import contextmanager
 from pathlib import Path, PurePosixPath
 
 from rholoc.errors import InvalidRecording, StorageFull, TooLarge
+from rholoc.recordings.contents import START_BYTES, check_file_start
+from rholoc.recordings.video import VIDEO_SUFFIXES
 
 DEFAULT_MAX_BYTES = 8 * 2**30  # unpacked
 MAX_FILES = 100_000
+_ENTRY_BYTES = 512  # of the table of contents, for a file with a long path
+_END, _END64, _ENTRY = b"PK\x05\x06", b"PK\x06\x06", b"PK\x01\x02"
+_END_BYTES, _MAX_COMMENT_BYTES, _END64_BYTES = 22, 65535, 76
 MAX_RATIO = 200.0  # unpacked to packed; tables of numbers reach 20, bombs 1000
 _PACK_AGAIN = "Pack the recording's own files, and nothing else."
 _RATIO_FREE_BYTES = 2**20  # below this size a ratio says nothing
@@ -22,37 +28,42 @@ _RATIO_FREE_BYTES = 2**20  # below this size a ratio says nothing
 _IGNORED = ("__MACOSX", ".DS_Store", "Thumbs.db")
 
 
-def unpack(archive: Path, folder: Path, max_bytes: int = DEFAULT_MAX_BYTES) -> Path:
+def unpack(archive: Path, folder: Path, max_bytes: int = DEFAULT_MAX_BYTES, max_files: int = MAX_FILES) -> Path:
     """Unpack a ZIP file into ``folder``; returns the folder of the recording in it.
 
     That is ``folder`` itself, or the only folder packed when everything lies in one.
 
     Raises:
-        InvalidRecording: not a ZIP file, damaged, encrypted, or with an entry that would land outside the folder or is
-            a link.
+        InvalidRecording: not a ZIP file, damaged, encrypted, or with an entry that would land outside the folder, is a
+            link, or is not what its name says.
         TooLarge: it would unpack to more than ``max_bytes``, too many files, or is packed tighter than honest data.
         StorageFull: the disk is full.
 
     What had been unpacked before an error stays in ``folder``: the caller, who made it, removes it.
     """
-    with _opened(archive) as packed:
+    with _opened(archive, max_files) as packed:
         for entry in _checked_entries(packed, archive, max_bytes):
             _unpack_entry(packed, entry, folder)
     return _recording_folder(folder)
 
 
-def check_archive(archive: Path, max_bytes: int = DEFAULT_MAX_BYTES) -> None:
-    """Refuse what :func:`unpack` would refuse by the ZIP file's table of contents alone; nothing is unpacked.
+def check_archive(archive: Path, max_bytes: int = DEFAULT_MAX_BYTES, max_files: int = MAX_FILES) -> None:
+    """Refuse what :func:`unpack` would refuse by the ZIP file's table of contents and how its videos begin; nothing is
+    unpacked.
 
     Raises: as :func:`unpack` does.
     """
-    with _opened(archive) as packed:
-        _checked_entries(packed, archive, max_bytes)
+    with _opened(archive, max_files) as packed:
+        for entry in _checked_entries(packed, archive, max_bytes):
+            if PurePosixPath(entry.filename).suffix.lower() in VIDEO_SUFFIXES and not entry.is_dir():
+                with packed.open(entry) as source:
+                    check_file_start(entry.filename, source.read(START_BYTES))
 
 
 @contextmanager
-def _opened(archive: Path) -> Iterator[zipfile.ZipFile]:
+def _opened(archive: Path, max_files: int) -> Iterator[zipfile.ZipFile]:
     try:
+        _check_directory(archive, max_files)
         with zipfile.ZipFile(archive) as packed:
             yield packed
     except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError, UnicodeError) as error:
@@ -63,6 +74,32 @@ def _opened(archive: Path) -> Iterator[zipfile.ZipFile]:
         if error.errno in (errno.ENOSPC, errno.EDQUOT):
             raise StorageFull(f"No room left to unpack {archive.name}.", "Free some space and try again.") from error
         raise InvalidRecording(f"{archive.name} cannot be unpacked: {error.strerror}.") from error
+
+
+def _check_directory(archive: Path, max_files: int) -> None:
+    """Refuse a table of contents of too many entries before it is read: each takes a thousand times its bytes.
+
+    Raises:
+        TooLarge: there are more than ``max_files``.
+    """
+    with archive.open("rb") as file:
+        size = file.seek(0, os.SEEK_END)
+        file.seek(max(0, size - _END_BYTES - _MAX_COMMENT_BYTES - _END64_BYTES))
+        tail = file.read()
+        end = len(tail) - _END_BYTES if tail[-_END_BYTES:].startswith(_END) else tail.rfind(_END)
+        if end < 0:
+            return  # not a ZIP file, as will be said
+        length = int.from_bytes(tail[end + 12 : end + 16], "little")
+        end64 = tail.rfind(_END64, 0, end)
+        if end64 >= 0:
+            length = max(length % 2**32, int.from_bytes(tail[end64 + 40 : end64 + 48], "little"))
+        too_many = length > _ENTRY_BYTES * max_files and length < size
+        if not too_many:
+            start = max(0, size - len(tail) + end - length - _END64_BYTES)
+            file.seek(start)
+            too_many = file.read(min(length, size) + _END64_BYTES).count(_ENTRY) > max_files
+    if too_many:
+        raise TooLarge(f"{archive.name} holds more than {max_files} files and folders.", _PACK_AGAIN)
 
 
 def _checked_entries(packed: zipfile.ZipFile, archive: Path, max_bytes: int) -> list[zipfile.ZipInfo]:
@@ -104,8 +141,12 @@ def _unpack_entry(packed: zipfile.ZipFile, entry: zipfile.ZipInfo, folder: Path)
         return
     target.parent.mkdir(parents=True, exist_ok=True)
     # zipfile stops at the declared size, so what is declared bounds what is written.
-    with packed.open(entry) as source, target.open("wb") as sink:
-        shutil.copyfileobj(source, sink, 2**20)
+    with packed.open(entry) as source:
+        start = source.read(START_BYTES)
+        check_file_start(entry.filename, start)
+        with target.open("wb") as sink:
+            sink.write(start)
+            shutil.copyfileobj(source, sink, 2**20)
 
 
 def _recording_folder(folder: Path) -> Path:

@@ -11,8 +11,9 @@ import numpy as np
 
 from rholoc.errors import InvalidCamera
 from rholoc.geometry import Camera, FloatArray, is_rotation
-from rholoc.recordings.csv_table import read_text
+from rholoc.recordings.csv_table import read_json, shortened
 
+_MAX_BYTES = 2**20
 _MAX_READOUT_S = 0.2
 _INTRINSICS = ("width", "height", "fx", "fy", "cx", "cy")
 
@@ -42,10 +43,7 @@ def read_camera_json(path: Path) -> CameraFile:
     Raises:
         InvalidCamera: not JSON, a part of the intrinsics is missing, or a value is absurd.
     """
-    try:
-        values = json.loads(read_text(path, InvalidCamera))
-    except ValueError as error:
-        raise InvalidCamera(f"{path.name} is not JSON: {error}.") from error
+    values = read_json(path, InvalidCamera, _MAX_BYTES)
     if not isinstance(values, dict):
         raise InvalidCamera(f"{path.name} does not hold a JSON object.", _hint())
     gravity_included = values.get("gravity_included", True)
@@ -95,7 +93,7 @@ def _fps(values: dict[str, Any], path: Path) -> float | None:
     if fps is None:
         return None
     if isinstance(fps, bool) or not isinstance(fps, int | float) or not 0 < fps < 10_000:
-        raise InvalidCamera(f"{path.name}: {fps!r} is not a number of frames a second.")
+        raise InvalidCamera(f"{path.name}: {shortened(repr(fps))} is not a number of frames a second.")
     return float(fps)
 
 
@@ -104,9 +102,8 @@ def _readout_s(values: dict[str, Any], path: Path) -> float | None:
     if readout_s is None:
         return None
     if isinstance(readout_s, bool) or not isinstance(readout_s, int | float) or not 0 <= readout_s <= _MAX_READOUT_S:
-        raise InvalidCamera(
-            f"{path.name}: a read-out time of {readout_s!r} s is not possible.", "Leave it out if unknown."
-        )
+        given = shortened(repr(readout_s))
+        raise InvalidCamera(f"{path.name}: a read-out time of {given} s is not possible.", "Leave it out if unknown.")
     return float(readout_s) or None
 
 

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import csv
-import io
-from collections.abc import Sequence
+import json
+from array import array
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -13,47 +16,47 @@ from rholoc.errors import InvalidInput, InvalidRecording
 from rholoc.geometry import FloatArray
 
 MAX_TABLE_BYTES = 2**29
+MAX_TABLE_ROWS = 3_000_000  # four hours at 200 Hz
+MAX_JSON_BYTES = 2**26
 _MOST_SHOWN = 200  # characters of a table in a message
 
 
-def read_text(path: Path, error: type[InvalidInput] = InvalidRecording) -> str:
+def read_text(path: Path, error: type[InvalidInput] = InvalidRecording, max_bytes: int = MAX_TABLE_BYTES) -> str:
     """The text of a UTF-8 file, a byte order mark left out.
 
     Raises:
-        error: the file is missing, unreadable, not text, or over 512 MiB.
+        error: the file is missing, unreadable, not text, or over ``max_bytes``.
+    """
+    with _telling(path, error):
+        _check_size(path, error, max_bytes)
+        return path.read_text(encoding="utf-8-sig")
+
+
+def read_json(path: Path, error: type[InvalidInput] = InvalidRecording, max_bytes: int = MAX_JSON_BYTES) -> Any:
+    """What a JSON file holds.
+
+    Raises:
+        error: the file cannot be read, is over ``max_bytes``, not JSON, or nested too deep.
     """
     try:
-        if path.stat().st_size > MAX_TABLE_BYTES:
-            raise error(f"{path.name} is larger than {MAX_TABLE_BYTES // 2**20} MiB.", "Record for a shorter time.")
-        text = path.read_text(encoding="utf-8-sig")
-    except FileNotFoundError as cause:
-        raise error(f"{path.name} does not exist.", f"Looked for it at {path}.") from cause
-    except OSError as cause:
-        raise error(f"{path.name} cannot be read: {cause.strerror}.") from cause
-    except UnicodeDecodeError as cause:
-        raise error(f"{path.name} is not a text file.", "Save it as CSV in UTF-8.") from cause
-    return text
+        return json.loads(read_text(path, error, max_bytes))
+    except RecursionError as cause:
+        raise error(f"{path.name} is not JSON that can be read: it is nested too deep.", "Write plain JSON.") from cause
+    except ValueError as cause:
+        raise error(f"{path.name} is not JSON: {cause}.") from cause
 
 
-def read_rows(path: Path, error: type[InvalidInput] = InvalidRecording) -> tuple[list[str], list[dict[str, str]]]:
+def read_rows(
+    path: Path, error: type[InvalidInput] = InvalidRecording, max_rows: int = MAX_TABLE_ROWS
+) -> tuple[list[str], list[dict[str, str]]]:
     """The header's names (lower case) and one dict per row of a CSV file; blank lines are skipped.
 
     Raises:
-        error: the file cannot be read, is empty, or a row has another number of columns than the header.
+        error: the file cannot be read, is empty, has more than ``max_rows``, or a row has another number of columns
+            than the header.
     """
-    try:
-        lines = [
-            row for row in csv.reader(io.StringIO(read_text(path, error)), strict=True) if any(map(str.strip, row))
-        ]
-    except csv.Error as cause:
-        raise error(f"{path.name} is not a CSV table: {cause}.") from cause
-    if not lines:
-        raise error(f"{path.name} is empty.", "It needs a header row and rows of values.")
-    header = [name.strip().lower() for name in lines[0]]
-    for line, row in enumerate(lines[1:], start=2):
-        if len(row) != len(header):
-            raise error(f"{path.name}, row {line}: {len(row)} values under {len(header)} column names.")
-    return header, [dict(zip(header, map(str.strip, row), strict=True)) for row in lines[1:]]
+    with _rows(path, error, max_rows) as (header, rows):
+        return header, [dict(zip(header, row, strict=True)) for row in rows]
 
 
 def read_numbers(
@@ -61,20 +64,67 @@ def read_numbers(
 ) -> dict[str, FloatArray]:
     """The named columns of a CSV file with a header row, each (N,) float64, N ≥ 1; further columns are ignored.
 
+    Row by row: a table takes the memory of its numbers, not of its text.
+
     Raises:
-        error: a column is missing, there are no rows, or a value is not a finite number.
+        error: a column is missing, there are no rows or more than ``MAX_TABLE_ROWS``, or a value is not a finite
+            number.
     """
-    header, rows = read_rows(path, error)
-    require_columns(path, header, columns, error)
-    if not rows:
+    values = {column: array("d") for column in columns}
+    with _rows(path, error, MAX_TABLE_ROWS) as (header, rows):
+        require_columns(path, header, columns, error)
+        places = [(header.index(column), column, values[column]) for column in columns]
+        for line, row in enumerate(rows, start=2):
+            for place, column, numbers in places:
+                numbers.append(parse_number(row[place], path, line, column, error))
+    if not values[columns[0]]:
         raise error(f"{path.name} has a header, but no rows.", "Record again, or leave the file out.")
-    return {
-        column: np.array(
-            [parse_number(row[column], path, line, column, error) for line, row in enumerate(rows, start=2)],
-            dtype=np.float64,
-        )
-        for column in columns
-    }
+    return {column: np.frombuffer(numbers, dtype=np.float64) for column, numbers in values.items()}
+
+
+@contextmanager
+def _rows(path: Path, error: type[InvalidInput], max_rows: int) -> Iterator[tuple[list[str], Iterator[list[str]]]]:
+    """A CSV file's header, and its rows as they are read; what is wrong with it is raised inside the block."""
+    with _telling(path, error):
+        _check_size(path, error, MAX_TABLE_BYTES)
+        with path.open(encoding="utf-8-sig", newline="") as file:
+            lines = (row for row in csv.reader(file, strict=True) if any(map(str.strip, row)))
+            first = next(lines, None)
+            if first is None:
+                raise error(f"{path.name} is empty.", "It needs a header row and rows of values.")
+            header = [name.strip().lower() for name in first]
+            yield header, _checked_rows(lines, len(header), path, error, max_rows)
+
+
+def _checked_rows(
+    lines: Iterator[list[str]], columns: int, path: Path, error: type[InvalidInput], max_rows: int
+) -> Iterator[list[str]]:
+    for line, row in enumerate(lines, start=2):
+        if line - 1 > max_rows:
+            raise error(f"{path.name} has more than {max_rows} rows.", "Record for a shorter time.")
+        if len(row) != columns:
+            raise error(f"{path.name}, row {line}: {len(row)} values under {columns} column names.")
+        yield [value.strip() for value in row]
+
+
+@contextmanager
+def _telling(path: Path, error: type[InvalidInput]) -> Iterator[None]:
+    """Whatever reading a text file raises becomes ``error``."""
+    try:
+        yield
+    except FileNotFoundError as cause:
+        raise error(f"{path.name} does not exist.", f"Looked for it at {path}.") from cause
+    except OSError as cause:
+        raise error(f"{path.name} cannot be read: {cause.strerror}.") from cause
+    except UnicodeDecodeError as cause:
+        raise error(f"{path.name} is not a text file.", "Save it as CSV in UTF-8.") from cause
+    except csv.Error as cause:
+        raise error(f"{path.name} is not a CSV table: {cause}.") from cause
+
+
+def _check_size(path: Path, error: type[InvalidInput], max_bytes: int) -> None:
+    if path.stat().st_size > max_bytes:
+        raise error(f"{path.name} is larger than {max_bytes / 2**20:g} MiB.", "Record for a shorter time.")
 
 
 def require_columns(path: Path, header: Sequence[str], columns: Sequence[str], error: type[InvalidInput]) -> None:
@@ -86,7 +136,7 @@ def require_columns(path: Path, header: Sequence[str], columns: Sequence[str], e
     missing = [column for column in columns if column not in header]
     if missing:
         raise error(
-            f"{path.name} has no column {', '.join(missing)}; its header is '{_shown(','.join(header))}'.",
+            f"{path.name} has no column {', '.join(missing)}; its header is '{shortened(','.join(header))}'.",
             f"The first row must be {','.join(columns)}.",
         )
 
@@ -102,11 +152,12 @@ def parse_number(text: str, path: Path, line: int, column: str, error: type[Inva
     except ValueError:
         value = np.nan
     if not np.isfinite(value):
-        raise error(f"{path.name}, row {line}: '{_shown(text)}' under {column} is not a finite number.")
+        raise error(f"{path.name}, row {line}: '{shortened(text)}' under {column} is not a finite number.")
     return value
 
 
-def _shown(text: str) -> str:
+def shortened(text: str) -> str:
+    """Text for a message: its first 200 characters."""
     return text if len(text) <= _MOST_SHOWN else f"{text[:_MOST_SHOWN]}…"
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from rholoc.errors import InvalidRecording
 from rholoc.geometry import FloatArray, IntArray
 from rholoc.recordings.csv_table import read_numbers, require_increasing, write_numbers
+from rholoc.recordings.imu_normalisation import checked_span
 
 FRAME_COLUMNS = ("frame", "timestamp")
 
@@ -19,11 +20,11 @@ def read_frames_csv(path: Path) -> tuple[IntArray, FloatArray]:
     """As :func:`read_frame_numbers`, with times that increase.
 
     Raises:
-        InvalidRecording: as there, or times do not increase.
+        InvalidRecording: as there, or times do not increase, or span more than two days.
     """
     numbers, times = read_frame_numbers(path)
     require_increasing(times, path)
-    return numbers, times
+    return numbers, checked_span(times, "frames")
 
 
 def read_frame_numbers(path: Path) -> tuple[IntArray, FloatArray]:

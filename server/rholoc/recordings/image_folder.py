@@ -14,6 +14,7 @@ from rholoc.errors import InvalidImage, InvalidRecording
 from rholoc.geometry import ByteArray, FloatArray, IntArray
 from rholoc.recordings.frames_table import read_frames_csv
 from rholoc.recordings.image import IMAGE_SUFFIXES, image_size, read_image
+from rholoc.recordings.video import check_frame_size
 
 DEFAULT_FPS = 30.0  # assumed where neither a table of times nor camera.json says otherwise
 
@@ -144,4 +145,5 @@ def _common_size(paths: Sequence[Path]) -> tuple[int, int]:
             )
         size = this
     assert size is not None
+    check_frame_size(paths[0].name, *size)
     return size

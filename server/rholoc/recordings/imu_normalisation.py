@@ -28,6 +28,7 @@ _PER_SECOND = {"s": 1.0, "ms": 1e3, "µs": 1e6, "ns": 1e9}  # divided by, which 
 _LONGEST_IMU_INTERVAL_S = 0.4
 _SHORTEST_FRAME_INTERVAL_S = 0.002
 _LONGEST_FRAME_INTERVAL_S = 4.0
+MAX_SPAN_S = 48 * 3600.0  # from the first row of a table to its last
 _MAX_DROPPED = 0.05  # share of rows whose time does not advance
 _GAP_INTERVALS = 5.0  # a gap is this many usual intervals …
 _GAP_S = 0.1  # … and at least this long
@@ -129,7 +130,24 @@ def frame_times_s(times: FloatArray, says: str) -> tuple[FloatArray, tuple[Recor
     plausible = len(steps) == 0 or _SHORTEST_FRAME_INTERVAL_S < np.median(steps) <= _LONGEST_FRAME_INTERVAL_S
     unit = says if plausible else time_unit(times, 1000 * _SHORTEST_FRAME_INTERVAL_S) or says
     warnings = () if unit == says else (_unit_warning("frames", unit, says),)
-    return times / _PER_SECOND[unit], warnings
+    return checked_span(times / _PER_SECOND[unit], "frames"), warnings
+
+
+def checked_span(times: FloatArray, what: str) -> FloatArray:
+    """Times (M,) in seconds as they are, if they span no more than two days.
+
+    A single wrong time would otherwise stand for years of samples to be filled in.
+
+    Raises:
+        InvalidRecording: they span more.
+    """
+    span_s = float(np.ptp(times)) if len(times) else 0.0
+    if span_s > MAX_SPAN_S:
+        raise InvalidRecording(
+            f"The times of the {what} span {span_s:.6g} s; {MAX_SPAN_S:g} s are allowed.",
+            "One of them is wrong, or several recordings are in one table: record again, or repair it.",
+        )
+    return times
 
 
 def advancing_rows(times: FloatArray, what: str) -> tuple[IntArray, tuple[RecordingWarning, ...]]:
@@ -252,7 +270,7 @@ def _is_one(length_g: float) -> bool:
 
 
 def _on_clock(what: str, sensors: list[Samples], says: str, warnings: list[RecordingWarning]) -> list[Samples]:
-    """Sensors with the same times, in seconds, without the rows that do not advance; notes what is amiss with them."""
+    """Sensors with the same times, in seconds, without the rows that do not advance; notes what is wrong with them."""
     times = sensors[0].times
     unit = time_unit(times)
     if unit is None and len(times) >= _FEWEST_TO_MEASURE:
@@ -263,7 +281,7 @@ def _on_clock(what: str, sensors: list[Samples], says: str, warnings: list[Recor
     unit = unit or says
     if unit != says:
         warnings.append(_unit_warning(what, unit, says))
-    times = times / _PER_SECOND[unit]
+    times = checked_span(times / _PER_SECOND[unit], what)
     rows, dropped = advancing_rows(times, what)
     warnings += [*dropped, *rate_warnings(times[rows], what)]
     return [Samples(times[rows], samples.values[rows]) for samples in sensors]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,7 +12,7 @@ import numpy as np
 
 from rholoc.errors import InvalidRecording
 from rholoc.geometry import FloatArray
-from rholoc.recordings.csv_table import parse_number, read_text, require_columns
+from rholoc.recordings.csv_table import MAX_TABLE_ROWS, parse_number, read_text, require_columns
 
 _UNIT = re.compile(r"\[[^\]]*\]|\([^)]*\)")  # of a column's name
 _HEAD_BYTES = 4096
@@ -25,14 +25,26 @@ class LoggedTable:
     Attributes:
         path: its file.
         header: the columns' names, lower case, without units; empty where there is none.
-        rows: one list of fields a row, all of one length.
+        lines: one a row, all of as many fields.
+        columns: how many.
+        blanks: whether blanks separate them, not commas.
         first_line: the number of the first row's line.
     """
 
     path: Path
     header: tuple[str, ...]
-    rows: list[list[str]]
+    lines: list[str]
+    columns: int
+    blanks: bool
     first_line: int
+
+    def __len__(self) -> int:
+        return len(self.lines)
+
+    @property
+    def rows(self) -> Iterator[list[str]]:
+        """The fields of each row."""
+        return (_fields(line, self.blanks) for line in self.lines)
 
     def named(self, *names: str) -> FloatArray:
         """The named columns, (N, len(names)).
@@ -48,18 +60,17 @@ class LoggedTable:
         Raises:
             InvalidRecording: there are fewer columns, or a value is not a finite number.
         """
-        if max(columns) >= len(self.rows[0]):
-            raise InvalidRecording(f"{self.path.name} has {len(self.rows[0])} columns; {max(columns) + 1} are meant.")
-        fits = len(self.header) == len(self.rows[0])
+        if max(columns) >= self.columns:
+            raise InvalidRecording(f"{self.path.name} has {self.columns} columns; {max(columns) + 1} are expected.")
+        fits = len(self.header) == self.columns
         names = [self.header[column] if fits else f"column {column + 1}" for column in columns]
-        values = [
-            [
-                parse_number(row[column], self.path, line, name, InvalidRecording)
+        values = np.empty((len(self), len(columns)))
+        for number, row in enumerate(self.rows):
+            values[number] = [
+                parse_number(row[column], self.path, self.first_line + number, name, InvalidRecording)
                 for column, name in zip(columns, names, strict=True)
             ]
-            for line, row in enumerate(self.rows, start=self.first_line)
-        ]
-        return np.array(values, dtype=np.float64)
+        return values
 
     def text(self, name: str) -> list[str]:
         """The named column as text.
@@ -72,8 +83,8 @@ class LoggedTable:
 
     def _places(self, names: Sequence[str]) -> list[int]:
         require_columns(self.path, self.header, names, InvalidRecording)
-        if len(self.header) != len(self.rows[0]):
-            raise InvalidRecording(f"{self.path.name} has {len(self.header)} names over {len(self.rows[0])} columns.")
+        if len(self.header) != self.columns:
+            raise InvalidRecording(f"{self.path.name} has {len(self.header)} names over {self.columns} columns.")
         return [self.header.index(name) for name in names]
 
 
@@ -81,22 +92,26 @@ def read_logged_table(path: Path) -> LoggedTable:
     """Read a table whose rows begin with a number; the last line before them is the header.
 
     Raises:
-        InvalidRecording: the file cannot be read, has no rows, or rows of different lengths.
+        InvalidRecording: the file cannot be read, has no rows, more than ``MAX_TABLE_ROWS``, or rows of different
+            lengths.
     """
     lines = read_text(path).splitlines()
     first = next((number for number, line in enumerate(lines) if _begins_with_number(line)), None)
     if first is None:
         raise InvalidRecording(f"{path.name} has no rows.", "Record again, or leave the file out.")
     blanks = "," not in lines[first]
-    rows: list[list[str]] = []
+    rows: list[str] = []
+    columns = len(_fields(lines[first], blanks))
     for number, line in enumerate(lines[first:], start=first + 1):
         if not line.strip() or line.startswith("#"):
             continue
-        fields = _fields(line, blanks)
-        if rows and len(fields) != len(rows[0]):
-            raise InvalidRecording(f"{path.name}, line {number}: {len(fields)} values, not {len(rows[0])} as before.")
-        rows.append(fields)
-    return LoggedTable(path, _header(lines[:first], blanks), rows, first + 1)
+        found = len(_fields(line, blanks))
+        if found != columns:
+            raise InvalidRecording(f"{path.name}, line {number}: {found} values, not {columns} as before.")
+        if len(rows) == MAX_TABLE_ROWS:
+            raise InvalidRecording(f"{path.name} has more than {MAX_TABLE_ROWS} rows.", "Record for a shorter time.")
+        rows.append(line)
+    return LoggedTable(path, _header(lines[:first], blanks), rows, columns, blanks, first + 1)
 
 
 def header_of(path: Path) -> tuple[str, ...]:

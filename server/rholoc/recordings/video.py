@@ -16,6 +16,9 @@ from rholoc.geometry import ByteArray, FloatArray, IntArray
 
 VIDEO_SUFFIXES = frozenset({".mp4", ".mov", ".m4v", ".webm", ".mkv", ".avi"})
 
+MIN_FRAME_SIDE = 16
+MAX_FRAME_PIXELS = 7680 * 4320
+
 # What a broken file makes the decoders say goes to stderr past every handler; our error says it once, in one line.
 os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # AV_LOG_QUIET; read when the first video is opened
 cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
@@ -88,12 +91,28 @@ def _retrieved_size(capture: cv2.VideoCapture) -> tuple[int, int] | None:
     return (image.shape[1], image.shape[0]) if decoded and image is not None else None
 
 
+def check_frame_size(name: str, width: int, height: int) -> None:
+    """Refuse frames of a size that no camera's video has, by what a file's header says.
+
+    Raises:
+        InvalidRecording: a side is shorter than 16 pixels, or there are more pixels than 8K has.
+    """
+    if min(width, height) < MIN_FRAME_SIDE or width * height > MAX_FRAME_PIXELS:
+        raise InvalidRecording(
+            f"The frames of {name} are of {width}×{height} pixels; at least {MIN_FRAME_SIDE} a side and at most "
+            f"{MAX_FRAME_PIXELS} are allowed.",
+            "Record at 1080p, or scale the video down.",
+        )
+
+
 @contextmanager
 def _opened(path: Path) -> Iterator[cv2.VideoCapture]:
     capture = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
     try:
         if not capture.isOpened():
             raise InvalidRecording(f"{path.name} is not a video that can be opened.", _HINT)
+        width, height = (int(capture.get(side)) for side in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT))
+        check_frame_size(path.name, width, height)
         yield capture
     finally:
         capture.release()

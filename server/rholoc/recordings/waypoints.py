@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 import csv
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
 from rholoc.errors import InvalidWaypoints
-from rholoc.recordings.csv_table import parse_number, read_rows, require_columns
+from rholoc.recordings.csv_table import parse_number, read_rows, require_columns, shortened
 from rholoc.recordings.recording import FrameSource, Waypoint
 
 MIN_WAYPOINTS = 3
+MAX_WAYPOINTS = 1000
+MAX_NAME_LENGTH = 100
 MIN_SPREAD_RATIO = 0.02  # of their extent across the line that fits them best to that along it
 
+_NAMES_SHOWN = 5
 _COLUMNS_HINT = (
     "The first row must be name,time,x,y,z or name,frame,x,y,z: seconds or a frame's number, metres; or name,x,y,z, "
     "the rows in the order of the walk, where the camera paused at each."
@@ -27,20 +31,20 @@ def read_waypoints_csv(path: Path, frames: FrameSource) -> tuple[Waypoint, ...]:
     They may be collinear; :func:`check_waypoints_fix_frame` tells whether they fix a frame.
 
     Raises:
-        InvalidWaypoints: other columns, fewer than three, an empty or repeated name, a value that is not finite, a
-            time outside the recording, or a frame that is not in it.
+        InvalidWaypoints: other columns, fewer than three, more than 1000, an empty, repeated or overlong name, a value
+            that is not finite, a time outside the recording, or a frame that is not in it.
     """
-    header, rows = read_rows(path, InvalidWaypoints)
+    header, rows = read_rows(path, InvalidWaypoints, MAX_WAYPOINTS)
     moment = next((column for column in ("time", "frame") if column in header), None)
     if moment is None and not {"name", "x", "y", "z"} <= set(header):
-        raise InvalidWaypoints(f"{path.name} has other columns: '{','.join(header)}'.", _COLUMNS_HINT)
+        raise InvalidWaypoints(f"{path.name} has other columns: '{shortened(','.join(header))}'.", _COLUMNS_HINT)
     require_columns(path, header, ("name", *([moment] if moment else []), "x", "y", "z"), InvalidWaypoints)
     waypoints = tuple(_waypoint(row, line, moment, path, frames) for line, row in enumerate(rows, start=2))
     _require_enough(waypoints)
-    names = [waypoint.name for waypoint in waypoints]
-    repeated = sorted({name for name in names if names.count(name) > 1})
+    counted = Counter(waypoint.name for waypoint in waypoints)
+    repeated = sorted(name for name, count in counted.items() if count > 1)
     if repeated:
-        raise InvalidWaypoints(f"{path.name} names {', '.join(repeated)} more than once.", "Give each its own name.")
+        raise InvalidWaypoints(f"{path.name} names {_listed(repeated)} more than once.", "Give each its own name.")
     return waypoints
 
 
@@ -70,11 +74,15 @@ def check_waypoints_fix_frame(waypoints: Sequence[Waypoint]) -> None:
     positions = np.array([waypoint.position for waypoint in waypoints])
     along, across, _ = np.linalg.svd(positions - positions.mean(axis=0), compute_uv=False)
     if across <= MIN_SPREAD_RATIO * along:
-        names = ", ".join(waypoint.name for waypoint in waypoints)
+        names = _listed([waypoint.name for waypoint in waypoints])
         raise InvalidWaypoints(
             f"The waypoints {names} lie on one line: they leave the rotation about it open.",
             "Measure one more, well off that line.",
         )
+
+
+def _listed(names: Sequence[str]) -> str:
+    return ", ".join(names[:_NAMES_SHOWN]) + (f" and {len(names) - _NAMES_SHOWN} more" if names[_NAMES_SHOWN:] else "")
 
 
 def _require_enough(waypoints: Sequence[Waypoint]) -> None:
@@ -89,6 +97,11 @@ def _waypoint(row: dict[str, str], line: int, moment: str | None, path: Path, fr
     name = row["name"]
     if not name:
         raise InvalidWaypoints(f"{path.name}, row {line}: the waypoint has no name.")
+    if len(name) > MAX_NAME_LENGTH or not name.isprintable():
+        raise InvalidWaypoints(
+            f"{path.name}, row {line}: '{shortened(name)}' is not a valid waypoint name.",
+            f"Use at most {MAX_NAME_LENGTH} printable characters.",
+        )
     x, y, z = (parse_number(row[column], path, line, column, InvalidWaypoints) for column in ("x", "y", "z"))
     if moment is None:
         return Waypoint(name, float("nan"), (x, y, z))

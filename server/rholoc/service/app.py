@@ -114,7 +114,7 @@ def _start(settings: Settings, metrics: Metrics) -> State:
         compute=compute,
         metrics=metrics,
         recordings=recordings,
-        uploads=UploadStore(recordings, jobs, settings.upload_expires_s),
+        uploads=UploadStore(recordings, jobs, settings.upload_expires_s, settings.max_upload_files),
         jobs=jobs,
         worker=_worker(settings) if settings.worker else None,
     )

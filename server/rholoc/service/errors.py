@@ -109,6 +109,7 @@ STATUS: Mapping[type[RholocError], int] = {
 }
 
 TUS_VERSION = "1.0.0"  # the protocol of resumable uploads
+_MAX_TEXT = 1000  # of a message: it may quote what was sent
 _DISK_FULL = (errno.ENOSPC, errno.EDQUOT)
 
 
@@ -148,7 +149,8 @@ def invalid_request(found: Any) -> InvalidRequest:
 
 def error_body(error: RholocError, request_id: str) -> dict[str, str]:
     """The one shape of all errors."""
-    return {"code": error.code, "message": error.message, "hint": error.hint, "request_id": request_id}
+    message, hint = (text[:_MAX_TEXT].encode("utf-8", "replace").decode() for text in (error.message, error.hint))
+    return {"code": error.code, "message": message, "hint": hint, "request_id": request_id}
 
 
 def error_headers(error: RholocError) -> dict[str, str]:

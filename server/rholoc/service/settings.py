@@ -9,9 +9,11 @@ from pathlib import Path
 from pydantic import Field, SecretStr
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
-from rholoc.jobs import Limits
+from rholoc.jobs import Limits, memory_bytes
 from rholoc.localization import MIN_CONFIDENCE
 from rholoc.service.guard import KeyPolicy
+
+_JOB_MEMORY_SHARE = 0.75
 
 
 class Settings(BaseSettings):
@@ -70,9 +72,12 @@ class Settings(BaseSettings):
         ge=0,
         description="How long a recording is kept after its map was published; inf: until it is deleted.",
     )
-    job_time_limit_s: float = Field(default=math.inf, gt=0, description="How long one mapping job may take.")
+    job_time_limit_s: float = Field(default=6 * 3600, gt=0, description="How long one mapping job may take.")
     job_memory_gib: float = Field(
-        default=math.inf, gt=0, description="How much memory the processes of one mapping job may hold, on Linux."
+        default_factory=lambda: _JOB_MEMORY_SHARE * memory_bytes() / 2**30,
+        gt=0,
+        description="How much memory the processes of one mapping job may hold, on Linux; default: three quarters of "
+        "the machine's or the container's.",
     )
     max_upload_files: int = Field(
         default=20_000, ge=1, description="The most files one upload of a recording may hold."

@@ -57,7 +57,7 @@ def read(folder: Path) -> Recording:
     table = read_logged_table(folder / "Frames.txt")
     times, unit_warnings = frame_times_s(table.numbered(0)[:, 0], "s")
     timed = _frames(folder, times)
-    intrinsics = table.numbered(2, 3, 4, 5)[timed.rows] if len(table.rows[0]) == 6 else None
+    intrinsics = table.numbered(2, 3, 4, 5)[timed.rows] if table.columns == 6 else None
     poses = read_arkit_poses(folder / "ARposes.txt", timed.frames)
     imu, imu_warnings = _imu(folder)
     imu, sign_warnings = with_sign_by_poses(imu, timed.frames.times, poses)

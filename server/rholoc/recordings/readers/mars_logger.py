@@ -84,7 +84,7 @@ def _unit(path: Path) -> str:
 
 def _intrinsics(metadata: LoggedTable) -> FloatArray:
     """fx, fy, cx, cy (N, 4); NaN where the app does not log them."""
-    values = np.full((len(metadata.rows), 4), np.nan)
+    values = np.full((len(metadata), 4), np.nan)
     for place, name in enumerate(("fx", "fy", "cx", "cy")):
         if name in metadata.header:
             values[:, place] = metadata.named(name)[:, 0]

@@ -11,7 +11,6 @@ top-left one. Intrinsics may stand with each frame instead. The unit of length i
 
 from __future__ import annotations
 
-import json
 import math
 from pathlib import Path
 from typing import Any
@@ -20,7 +19,7 @@ import numpy as np
 
 from rholoc.errors import InvalidCamera, InvalidRecording, InvalidTrajectory
 from rholoc.geometry import Camera, FloatArray, is_rotation
-from rholoc.recordings.csv_table import read_text
+from rholoc.recordings.csv_table import read_json
 from rholoc.recordings.readers._apple import opencv_camera
 from rholoc.recordings.readers._frames import listed_file, untimed_images
 from rholoc.recordings.readers.colmap import SCALE_WARNING
@@ -67,10 +66,7 @@ def read(folder: Path) -> Recording:
 
 
 def _read_json(path: Path) -> dict[str, Any]:
-    try:
-        values = json.loads(read_text(path))
-    except (ValueError, RecursionError) as error:
-        raise InvalidRecording(f"{path.name} is not JSON.") from error
+    values = read_json(path)
     frames = values.get("frames") if isinstance(values, dict) else None
     if not isinstance(frames, list) or not frames or not all(isinstance(frame, dict) for frame in frames):
         raise InvalidRecording(f"{path.name} lists no frames.", "It needs 'frames', each with its transform_matrix.")

@@ -138,11 +138,11 @@ async def _receive(request: Request, pending: PendingRecording, service: State) 
         await read_multipart(request, limit, service.settings.max_upload_files, write)
     )
     options = await checked_options(fields, service)
-    await run_in_threadpool(_check_files, starts, pending)
+    await run_in_threadpool(_check_files, starts, pending, service.settings.max_upload_files)
     return fields, options
 
 
-def _check_files(starts: Mapping[str, bytes], pending: PendingRecording) -> None:
+def _check_files(starts: Mapping[str, bytes], pending: PendingRecording, max_files: int) -> None:
     """Refuse files that are together no recording. Raises InvalidRecording, TooLarge."""
     for name, start in starts.items():
         if len(start) < START_BYTES:
@@ -153,4 +153,4 @@ def _check_files(starts: Mapping[str, bytes], pending: PendingRecording) -> None
     if len(starts) == 1:
         check_file_name(*starts)
     if zips:
-        check_archive(pending.path(*zips))
+        check_archive(pending.path(*zips), max_files=max_files)
