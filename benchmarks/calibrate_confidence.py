@@ -54,12 +54,14 @@ def answers(localizer: Localizer, query: Query) -> Verified | None:
     settled: list[Verified] = []
 
     def note(verified: Verified, metric: Metric) -> float:
-        settled.append(verified)
-        return confidence_of(verified, metric)
+        confidence = confidence_of(verified, metric)
+        if not settled or confidence > confidence_of(settled[0], metric):
+            settled[:] = [verified]
+        return confidence
 
     with mock.patch.object(localizer_module, "confidence_of", note):
         localizer.localize(query)
-    return settled[-1] if settled else None
+    return settled[0] if settled else None
 
 
 def thinned(features: FeatureSet, rng: np.random.Generator) -> Iterator[tuple[float, FeatureSet]]:

@@ -37,7 +37,7 @@ from rholoc.features.extractors import _orb, sift
 from rholoc.geometry import FloatArray
 from rholoc.localization import Localization, Localizer, Query
 from rholoc.mapping import BuildOptions, build_map
-from rholoc.maps import Map, load_map, save_map
+from rholoc.maps import Map, expected_error_m, load_map, save_map, trust_of
 from rholoc.progress import Stage
 from rholoc.recordings import Recording, Waypoint, read_recording
 from rholoc.simulation import simulate_recording
@@ -50,7 +50,7 @@ JPEG_QUALITY = 95
 SURE = 0.9  # confidence from which an answer speaks of itself as right
 RIGHT_M, RIGHT_DEG = 0.10, 5.0  # what confidence speaks of
 CHI2_95_OF_3 = 7.815
-WORST_IS_LOW = {"within_5cm_5deg", "sure_right", "covered", "sure", "localized"}
+WORST_IS_LOW = {"within_5cm_5deg", "sure_right", "covered", "views_covered", "sure", "localized"}
 
 
 class Stopwatch:
@@ -79,7 +79,8 @@ class Figures:
     p90_cm: float | None
     median_deg: float | None
     expected_error_cm: float | None
-    map_error_median_cm: float | None
+    map_error_rms_cm: float
+    views_covered: float | None
     trusted: bool
     why: str
     sure: float
@@ -153,11 +154,10 @@ def run(cache: Path, seed: int, draw: int, noise_px: float, maps: Path | None) -
         answers, truth = localize(map_, read_recording(second)), read_frame_poses(second / "truth.csv").T_map_camera
     truth = truth[::EVERY][: len(answers)]
     first_truth = read_frame_poses(recording_of(cache, seed, 1) / "truth.csv")
-    map_error_cm = 100 * errors_of_views(map_, first_truth.times, first_truth.T_map_camera)
+    off_m = errors_of_views(map_, first_truth.times, first_truth.T_map_camera)
     estimated = np.array([np.full((4, 4), np.nan) if a.pose is None else a.pose.T_map_camera for a in answers])
     errors = trajectory_errors(estimated, truth)
     figures = evaluate(errors)
-    trajectory = map_.info.report["trajectories"][0]
     sure = np.array([answer.confidence >= SURE for answer in answers])
     return Figures(
         seed=seed,
@@ -168,9 +168,10 @@ def run(cache: Path, seed: int, draw: int, noise_px: float, maps: Path | None) -
         p90_cm=figures.p90_cm,
         median_deg=figures.median_deg,
         expected_error_cm=expected_error_cm(map_),
-        map_error_median_cm=float(np.median(map_error_cm)),
-        trusted=bool(trajectory["trusted"]),
-        why=str(trajectory["why"]),
+        map_error_rms_cm=float(100 * np.sqrt(np.mean(np.sum(off_m**2, axis=1)))),
+        views_covered=views_covered(map_, off_m),
+        trusted=trust_of(map_.info).trusted is True,
+        why=trust_of(map_.info).reason,
         sure=float(sure.mean()),
         sure_right=float(errors.within(RIGHT_M, RIGHT_DEG)[sure].mean()) if sure.any() else None,
         covered=covered(answers, estimated, truth, errors),
@@ -193,15 +194,25 @@ def localize(map_: Map, recording: Recording) -> list[Localization]:
 
 
 def errors_of_views(map_: Map, times: FloatArray, T_map_camera: FloatArray) -> FloatArray:
-    """How far (K,) metres the map's own views are from where the camera truly was."""
+    """By how much (K, 3) metres the map's own views are off from where the camera truly was."""
     rows = np.abs(times - map_.view_times[:, None]).argmin(axis=1)
-    return np.asarray(np.linalg.norm(map_.view_positions - T_map_camera[rows, :3, 3], axis=1))
+    return np.asarray(map_.view_positions - T_map_camera[rows, :3, 3])
+
+
+def views_covered(map_: Map, off_m: FloatArray) -> float | None:
+    """The share of the map's views whose true position lies inside the 95 % ellipsoid of their own covariance."""
+    spread = map_.known_view_covariances[:, :3, :3].astype(np.float64)
+    known = np.isfinite(spread[:, 0, 0])
+    if not known.any():
+        return None
+    squared = np.einsum("ki,ki->k", off_m[known], np.linalg.solve(spread[known], off_m[known, :, None])[..., 0])
+    return float((squared <= CHI2_95_OF_3).mean())
 
 
 def expected_error_cm(map_: Map) -> float | None:
-    """What the map says of itself."""
-    held_out = map_.info.report.get("held_out", {})
-    return None if held_out.get("median_m") is None else 100 * held_out["median_m"]
+    """What the map says of itself: the root mean square."""
+    expected_m = expected_error_m(map_.info)
+    return None if expected_m is None else 100 * expected_m
 
 
 def covered(

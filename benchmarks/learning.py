@@ -74,7 +74,7 @@ def main() -> None:
     localized_s, localized = timed(lambda: update_map(before, replace(last, poses=None)))
     alone = build_map([last], GIVEN)
     merge_s, merged = timed(lambda: merge_maps(before, alone))
-    forget_s, left = timed(lambda: forget_recording(merged, merged.info.sources[-1]["id"]))
+    forget_s, left = timed(lambda: forget_recording(merged, merged.info.sources[-1].id))
     figures = {
         "rebuild": {"cpu_s": rebuild_s, "of_rebuild": 1.0, **described(whole, queries)},
         "before": described(before, queries),

@@ -53,7 +53,7 @@ def main() -> None:
         images = list(read_recording(second.path).frames.images(range(len(second.times))))
         estimated = localized(map_, images, second)
         _write_queries({row: images[row] for row in choose_queries(estimated, second)}, second)
-        points = [(point["name"], np.asarray(point["position"])) for point in map_.info.waypoints]
+        points = [(point.name, np.asarray(point.position)) for point in map_.info.waypoints]
         save_figure(plot_top_view(estimated, second.T_map_camera, map_.landmarks, points), PICTURE)
     print(f"maps/testsite.rho: {size_bytes} bytes, {len(map_)} landmarks")
 

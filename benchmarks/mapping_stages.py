@@ -18,6 +18,7 @@ from pathlib import Path
 from rholoc.jobs import JobOptions, MappingPipeline, MappingTask
 from rholoc.maps import MapLibrary
 from rholoc.progress import Stage
+from rholoc.reports import report_to_json
 from rholoc.simulation import simulate_recording
 from rholoc.trajectory import PoseMethod
 
@@ -57,7 +58,7 @@ def main() -> None:
         "cores": len(os.sched_getaffinity(0)),
         "stages_s": {str(stage): round(clock.seconds[stage], 1) for stage in Stage if clock.seconds[stage]},
         "total_s": round(sum(clock.seconds.values()), 1),
-        "held_out": report["held_out"],
+        "held_out": report_to_json(report.held_out),
         "warnings": list(warnings),
     }
     print(json.dumps(figures) if arguments.json else "\n".join(f"{name:12} {value}" for name, value in figures.items()))

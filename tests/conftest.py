@@ -21,9 +21,10 @@ from rholoc.features import FeatureSet, Metric, get_extractor
 from rholoc.geometry import ByteArray, Camera, FloatArray, Pose, poses_from_rows
 from rholoc.mapping.assembly import assemble
 from rholoc.mapping.landmarks import select_stable, triangulate
-from rholoc.mapping.memory import source_camera, with_landmarks
+from rholoc.mapping.memory import with_landmarks
 from rholoc.mapping.observations import Views, link_observations
-from rholoc.maps import DensityKind, Map, MapInfo, map_to_bytes
+from rholoc.maps import DensityKind, Map, MapInfo, MapWaypoint, Source, map_to_bytes
+from rholoc.reports import HeldOutReport, MapReport
 
 if TYPE_CHECKING:
     from fastapi import FastAPI
@@ -87,9 +88,9 @@ def picture_world() -> PictureWorld:
         upright=True,
         created="2026-01-02T03:04:05Z",
         camera=camera,
-        sources=({"name": "walk", "frames": 4},),
-        waypoints=({"name": "W1", "position": [1.0, 2.0, 1.5], "residual_m": 0.01},),
-        report={"held_out": 4, "median_cm": 1.5},
+        sources=(Source("walk", frames=4),),
+        waypoints=(MapWaypoint("W1", (1.0, 2.0, 1.5), 0.01),),
+        report=MapReport(features=n, views=views, held_out=HeldOutReport(4, 4, median_m=0.015, p90_m=0.02)),
     )
     map_ = Map(
         info=info,
@@ -151,7 +152,7 @@ class PointRoom:
         seen = [self.see(pose, seed) for seed, pose in enumerate(poses)]
         views = Views.from_features([self.camera] * len(T), T, np.arange(len(T)) / 10, seen)
         landmarks = select_stable(views, triangulate(views, link_observations(views, Metric.HAMMING)), 300)
-        source = {"id": f"{name}-id", "name": name, "camera": source_camera(self.camera)}
+        source = Source(name, f"{name}-id", self.camera)
         kind = DensityKind.RAY
         info = MapInfo("0" * 32, 1, kind, "gray", True, True, "2026-01-01T00:00:00Z", self.camera, (source,))
         return with_landmarks(assemble(info, views, landmarks, np.zeros(len(T), dtype=np.int64), Metric.HAMMING))

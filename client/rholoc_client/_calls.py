@@ -121,9 +121,10 @@ def localize_features(maps: Maps, features: Features, options: Mapping[str, Any]
 def localize_options(
     camera: Camera | str | None,
     prior: Prior | None,
-    dof: int | None,
+    dof: int | str | None,
     gravity: tuple[float, float, float] | None,
     deadline_ms: float | None,
+    intrinsics: str | None = None,
 ) -> dict[str, Any]:
     """The options of a localization as the service takes them; what is None is left out."""
     given = {
@@ -132,6 +133,7 @@ def localize_options(
         "dof": dof,
         "gravity": gravity,
         "deadline_ms": deadline_ms,
+        "intrinsics": intrinsics,
     }
     return _without_none(given)
 

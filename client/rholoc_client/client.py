@@ -71,9 +71,10 @@ class Client:
         *,
         camera: Camera | str | None = None,
         prior: Prior | None = None,
-        dof: int | None = None,
+        dof: int | str | None = None,
         gravity: Vector3 | None = None,
         deadline_ms: float | None = None,
+        intrinsics: str | None = None,
     ) -> Localization:
         """Where a picture was taken. "No pose" is an answer: look at ``localized``.
 
@@ -82,11 +83,13 @@ class Client:
             image: a JPEG or PNG as bytes or as a path, or an array (H, W, 3) BGR or (H, W) grey of uint8.
             camera: the picture's intrinsics, or a stored camera's name; without, the map's own serve where they fit.
             prior: where the pose is expected.
-            dof: 5 (the camera does not roll, the service's default) or 6.
+            dof: "auto" (the service's default: 6, roll being improbable where the map's own views were upright), 5 (the
+                camera does not roll) or 6.
             gravity: the direction of gravity (down) in the camera frame.
             deadline_ms: how long the service may take.
+            intrinsics: "unknown" where nothing is known of the camera; the answer's ``camera`` has it as estimated.
         """
-        options = localize_options(camera, prior, dof, gravity, deadline_ms)
+        options = localize_options(camera, prior, dof, gravity, deadline_ms, intrinsics)
         return self._send(_calls.localize_image(maps, image, options))
 
     def localize_descriptors(
@@ -96,12 +99,13 @@ class Client:
         *,
         camera: Camera | str | None = None,
         prior: Prior | None = None,
-        dof: int | None = None,
+        dof: int | str | None = None,
         gravity: Vector3 | None = None,
         deadline_ms: float | None = None,
+        intrinsics: str | None = None,
     ) -> Localization:
         """Where a picture was taken, from its features alone. Arguments as of :meth:`localize`."""
-        options = localize_options(camera, prior, dof, gravity, deadline_ms)
+        options = localize_options(camera, prior, dof, gravity, deadline_ms, intrinsics)
         return self._send(_calls.localize_features(maps, features, options))
 
     def maps(self) -> list[MapSummary]:
@@ -324,12 +328,13 @@ class AsyncClient:
         *,
         camera: Camera | str | None = None,
         prior: Prior | None = None,
-        dof: int | None = None,
+        dof: int | str | None = None,
         gravity: Vector3 | None = None,
         deadline_ms: float | None = None,
+        intrinsics: str | None = None,
     ) -> Localization:
         """As :meth:`Client.localize`."""
-        options = localize_options(camera, prior, dof, gravity, deadline_ms)
+        options = localize_options(camera, prior, dof, gravity, deadline_ms, intrinsics)
         return await self._send(_calls.localize_image(maps, image, options))
 
     async def localize_descriptors(
@@ -339,12 +344,13 @@ class AsyncClient:
         *,
         camera: Camera | str | None = None,
         prior: Prior | None = None,
-        dof: int | None = None,
+        dof: int | str | None = None,
         gravity: Vector3 | None = None,
         deadline_ms: float | None = None,
+        intrinsics: str | None = None,
     ) -> Localization:
         """As :meth:`Client.localize_descriptors`."""
-        options = localize_options(camera, prior, dof, gravity, deadline_ms)
+        options = localize_options(camera, prior, dof, gravity, deadline_ms, intrinsics)
         return await self._send(_calls.localize_features(maps, features, options))
 
     async def maps(self) -> list[MapSummary]:

@@ -91,6 +91,16 @@ class Pose:
 
 
 @dataclass(frozen=True)
+class Diagnosis:
+    """The likeliest cause for which there is no pose: its name for programs, and a sentence each on what it looks like
+    and what to try."""
+
+    cause: str
+    message: str
+    hint: str
+
+
+@dataclass(frozen=True)
 class Localization:
     """The answer for one frame.
 
@@ -107,6 +117,10 @@ class Localization:
         timings_ms: milliseconds by stage, as the service measured them.
         map_trusted: whether the frame poses that the map was built on passed every check; None where it does not say.
         expected_error_m: how far the map itself is expected to be off here, root mean square; None where unknown.
+        diagnosis: the likeliest cause where there is no pose, else None.
+        near_prior: whether the pose lies where the prior has it; None without a prior.
+        camera: the camera as estimated, where its intrinsics were unknown.
+        focal_sigma_px: one sigma of its focal length.
     """
 
     localized: bool
@@ -123,6 +137,10 @@ class Localization:
     timings_ms: Mapping[str, float]
     map_trusted: bool | None = None
     expected_error_m: float | None = None
+    diagnosis: Diagnosis | None = None
+    near_prior: bool | None = None
+    camera: Camera | None = None
+    focal_sigma_px: float | None = None
 
 
 @dataclass(frozen=True)
@@ -214,7 +232,8 @@ def parse_pose(answer: Mapping[str, Any]) -> Pose:
 
 def parse_localization(answer: Mapping[str, Any]) -> Localization:
     """The JSON of an answer → :class:`Localization`."""
-    covariance = answer["covariance"]
+    covariance, diagnosis, camera = answer["covariance"], answer.get("diagnosis"), dict(answer.get("camera") or {})
+    focal_sigma_px = camera.pop("focal_sigma_px", None)
     return Localization(
         localized=answer["localized"],
         reason=answer["reason"],
@@ -230,6 +249,10 @@ def parse_localization(answer: Mapping[str, Any]) -> Localization:
         timings_ms=dict(answer["timings_ms"]),
         map_trusted=answer.get("map_trusted"),
         expected_error_m=answer.get("expected_error_m"),
+        diagnosis=None if diagnosis is None else Diagnosis(**diagnosis),
+        near_prior=answer.get("near_prior"),
+        camera=Camera(**camera) if camera else None,
+        focal_sigma_px=focal_sigma_px,
     )
 
 

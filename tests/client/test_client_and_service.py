@@ -14,6 +14,7 @@ import pytest
 import rholoc_client
 from rholoc.features import get_extractor
 from rholoc.jobs import RecordingStore
+from rholoc.reports import MapReport, report_from_json
 from rholoc_client import AsyncClient, Camera, Client, ConnectionFailed, Features, JobFailed, Prior, WaitTimedOut
 
 ONE_SHORT_DESCRIPTOR = Features(640, 480, [(1, 2)], [b"x"])
@@ -104,7 +105,7 @@ def test_maps(client, picture_world):
     assert client.upload_map("copy", content).landmarks == room.landmarks
     assert client.rename_map("copy", "other").name == "other"
     client.delete_map("other")
-    assert client.map_report("room") == picture_world.map_.info.report
+    assert report_from_json(MapReport, client.map_report("room")) == picture_world.map_.info.report
     assert client.map_preview("room").startswith(b"\x89PNG")
     assert client.map_report_picture("room").startswith(b"\x89PNG")
     assert client.download_map("room", "ply").startswith(b"ply\n")

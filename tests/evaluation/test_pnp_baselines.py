@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from rholoc.evaluation.baselines import MatchSet, Solver, distinct, likeliest_first, solve
+from rholoc.evaluation.baselines import MatchSet, Solver, distinct, solve
 from rholoc.evaluation.errors import trajectory_errors
 from rholoc.geometry import Camera, FloatArray, Pose
 from rholoc.localization.matches import Matches
@@ -48,7 +48,7 @@ def test_points_that_all_coincide_give_no_pose(solver: Solver) -> None:
 
 def test_matches_are_sorted_and_thinned_by_their_chances() -> None:
     matches = Matches(np.arange(4), np.arange(4), np.array([0.2, 0.9, 0.3, 0.9]))
-    assert likeliest_first(matches).detections.tolist() == [1, 3, 2, 0]
+    assert matches.likeliest_first().detections.tolist() == [1, 3, 2, 0]
     assert distinct(matches).detections.tolist() == [1, 2, 3]
 
 

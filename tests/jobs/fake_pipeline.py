@@ -18,6 +18,7 @@ from rholoc.geometry import Camera
 from rholoc.jobs import MappingPipeline, MappingTask, Timing, run_worker
 from rholoc.maps import DensityKind, Map, MapInfo, save_map
 from rholoc.progress import ProgressListener, Stage
+from rholoc.reports import MapReport, TrajectoryReport
 
 TIMING = Timing(poll_s=0.1, heartbeat_s=0.25, dead_after_s=1.5, cancel_grace_s=0.5)
 BUILD_STAGES: tuple[Stage, ...] = tuple(stage for stage in Stage if stage not in (Stage.RECEIVED, Stage.PUBLISHED))
@@ -131,7 +132,9 @@ def tiny_map(trusted: bool = True) -> Map:
         upright=True,
         created="2025-01-01T00:00:00Z",
         camera=Camera(width=640, height=480, fx=500.0, fy=500.0, cx=320.0, cy=240.0),
-        report={"trajectories": [{"trusted": trusted, "why": "Two reconstructions disagree."}]},
+        report=MapReport(
+            trajectories=(TrajectoryReport("visual", 9, trusted=trusted, why="Two reconstructions disagree."),)
+        ),
     )
     return Map(
         info=info,

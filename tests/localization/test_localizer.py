@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from rholoc.errors import InvalidDescriptors
 from rholoc.features import FeatureSet
 from rholoc.geometry import Pose, pose_matrix
-from rholoc.localization import Dof, Localizer, Prior, Query, Reason
+from rholoc.localization import Cause, Dof, Localizer, Prior, Query, Reason
 
 
 def _off(answer: Any, truth: Pose) -> tuple[float, float]:
@@ -75,9 +75,35 @@ def test_a_prior_is_used_and_kept_to(localizer: Localizer, point_room: Any) -> N
     answer = localizer.localize(Query(features, point_room.camera, prior=Prior(near, 0.5, 0.3)))
     assert _off(answer, truth)[0] < 0.03
     assert "seed" not in answer.timings_ms  # tracking needs no search
-    far = Pose(pose_matrix(truth.R_map_camera, truth.position + np.array([3.0, 0.0, 0.0])))
-    answer = localizer.localize(Query(features, point_room.camera, prior=Prior(far, 0.5, 0.3)))
+    assert answer.near_prior
+
+
+@pytest.mark.parametrize("turned_deg", [0, 90])
+def test_a_wrong_prior_is_recovered_from(localizer: Localizer, point_room: Any, turned_deg: float) -> None:
+    truth = point_room.walk(9)[4]
+    turn = Rotation.from_euler("z", turned_deg, degrees=True).as_matrix()
+    far = Pose(pose_matrix(turn @ truth.R_map_camera, truth.position + np.array([5.0, 0.0, 0.0])))
+    answer = localizer.localize(Query(point_room.see(truth, 8), point_room.camera, prior=Prior(far, 0.5, 0.3)))
+    assert _off(answer, truth)[0] < 0.03
+    assert answer.near_prior is False
+
+
+def test_a_roll_that_only_the_request_forbids_is_named(localizer: Localizer, point_room: Any) -> None:
+    held = point_room.walk(7)[3]
+    rolled = point_room.see(Pose.from_heading(held.position, held.heading, roll=0.5), 5)
+    answer = localizer.localize(Query(rolled, point_room.camera, Dof.UPRIGHT))
     assert not answer.localized
+    assert answer.diagnosis is not None
+    assert answer.diagnosis.cause is Cause.ROLLED
+    assert "29°" in answer.diagnosis.message
+
+
+def test_a_camera_that_rolls_in_an_upright_map_needs_no_option(localizer: Localizer, point_room: Any) -> None:
+    held = point_room.walk(7)[3]
+    for roll in (0.0, 0.1, 0.5, -2.0):
+        truth = Pose.from_heading(held.position, held.heading, roll=roll)
+        answer = localizer.localize(Query(point_room.see(truth, 5), point_room.camera))
+        assert _off(answer, truth)[0] < 0.02, roll
 
 
 def test_gravity_that_contradicts_forbids_an_answer(localizer: Localizer, point_room: Any) -> None:
@@ -85,7 +111,10 @@ def test_gravity_that_contradicts_forbids_an_answer(localizer: Localizer, point_
     features, down = point_room.see(truth, 8), truth.R_map_camera.T @ np.array([0, 0, -1.0])
     agreed = localizer.localize(Query(features, point_room.camera, Dof.FREE, gravity=down))
     assert _off(agreed, truth)[0] < 0.03
-    assert not localizer.localize(Query(features, point_room.camera, Dof.FREE, gravity=-down)).localized
+    contradicted = localizer.localize(Query(features, point_room.camera, Dof.FREE, gravity=-down))
+    assert not contradicted.localized
+    assert contradicted.diagnosis is not None
+    assert contradicted.diagnosis.cause is Cause.WRONG_GRAVITY
 
 
 def test_another_room_is_refused(localizer: Localizer, point_room: Any) -> None:
@@ -103,17 +132,23 @@ def test_another_room_is_refused(localizer: Localizer, point_room: Any) -> None:
         assert not answer.localized
         assert answer.pose is None
         assert answer.reason is not None
+        assert answer.diagnosis is not None
+        assert answer.diagnosis.cause is Cause.UNKNOWN_PLACE
 
 
 def test_nothing_to_see_is_an_answer(localizer: Localizer, point_room: Any) -> None:
     answer = localizer.localize(Query(FeatureSet.empty(32), point_room.camera))
     assert answer.reason is Reason.NO_FEATURES
+    assert answer.diagnosis is not None
+    assert answer.diagnosis.cause is Cause.TOO_LITTLE_TEXTURE
 
 
 def test_a_deadline_that_has_passed_is_an_answer(localizer: Localizer, point_room: Any) -> None:
     features = point_room.see(point_room.walk(5)[2], 3)
     answer = localizer.localize(Query(features, point_room.camera, deadline_s=0.0))
     assert answer.reason is Reason.DEADLINE
+    assert answer.diagnosis is not None
+    assert answer.diagnosis.cause is Cause.TOO_LITTLE_TIME
 
 
 def test_descriptors_of_another_kind_are_refused(localizer: Localizer, point_room: Any) -> None:

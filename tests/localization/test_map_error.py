@@ -20,6 +20,7 @@ from rholoc.localization.map_error import (
 )
 from rholoc.mapping.uncertainty import storable_covariances
 from rholoc.maps import Map
+from rholoc.reports import MapReport, TrajectoryReport
 
 
 def covariance(sigma_m: float, seed: int) -> np.ndarray:
@@ -68,7 +69,7 @@ def test_views_that_do_not_know_are_left_out() -> None:
 def displaced(map_: Map, spread: np.ndarray) -> Map:
     """The map, which as a whole may be moved by what has this covariance (6, 6) at the origin."""
     at_views = [carried_covariances(spread[None], np.zeros((1, 3)), x)[0] for x in map_.view_positions]
-    report = {"trajectories": [{"trusted": True, "why": ""}]}
+    report = MapReport(trajectories=(TrajectoryReport("given", trusted=True),))
     return replace(
         map_, view_covariances=storable_covariances(np.array(at_views)), info=replace(map_.info, report=report)
     )
@@ -105,7 +106,7 @@ def test_an_answer_in_an_untrusted_map_is_less_sure_but_comes(room_map: Map, poi
     query = Query(point_room.see(pose, 5), point_room.camera)
     answers = []
     for trusted in (True, False):
-        report = {"trajectories": [{"trusted": trusted, "why": "Measured."}]}
+        report = MapReport(trajectories=(TrajectoryReport("given", trusted=trusted, why="Measured."),))
         map_ = replace(room_map, info=replace(room_map.info, report=report))
         answers.append(Localizer(map_, min_confidence=0.9).localize(query))
     assert all(answer.localized for answer in answers)

@@ -136,10 +136,10 @@ def test_a_recording_registers_itself_and_the_map_grows(walks: Walks, tmp_path: 
     updated = update_map(walks.map_, walks.recording)
     assert_untouched(walks.map_, before)
     assert (updated.info.id, updated.info.version) == (walks.map_.info.id, 2)
-    assert [source["name"] for source in updated.info.sources] == ["first", "walk-2"]
+    assert [source.name for source in updated.info.sources] == ["first", "walk-2"]
     assert len(updated) > len(walks.map_)
     assert off_the_points(updated, walks.room) < 0.03
-    assert updated.info.report["learned"][0]["features_seen_again"] > 100
+    assert updated.info.report.learned[0].features_seen_again > 100
     save_map(updated, tmp_path / "updated.rho")
     check_observations(load_map(tmp_path / "updated.rho"), "The map")
     nearby = walks.room.walk(80, sideways_m=0.1)[30:50:5]
@@ -239,7 +239,7 @@ def test_a_name_that_several_recordings_have_is_not_enough(walks: Walks) -> None
 def test_maps_that_overlap_are_merged_in_the_frame_of_the_first(walks: Walks) -> None:
     other = moved_map(walks.room.map_of(walks.poses, "second"), TURN)
     merged = merge_maps(walks.map_, other)
-    assert [source["name"] for source in merged.info.sources] == ["first", "second"]
+    assert [source.name for source in merged.info.sources] == ["first", "second"]
     assert merged.info.id not in (walks.map_.info.id, other.info.id)
     assert off_the_points(merged, walks.room) < 0.03
     assert len(walks.map_) < len(merged) < len(walks.map_) + len(other) - 100  # what both know is one
@@ -247,7 +247,7 @@ def test_maps_that_overlap_are_merged_in_the_frame_of_the_first(walks: Walks) ->
     np.testing.assert_allclose(left.landmarks, walks.map_.landmarks, rtol=0, atol=1e-6)
     # what both learned counts once
     again = merge_maps(merged, moved_map(merged_with_third(walks, other), TURN))
-    assert [source["name"] for source in again.info.sources] == ["first", "second", "third"]
+    assert [source.name for source in again.info.sources] == ["first", "second", "third"]
 
 
 def merged_with_third(walks: Walks, other: Map) -> Map:

@@ -16,10 +16,10 @@ from rholoc.geometry import Camera, FloatArray, IntArray, Pose
 from rholoc.mapping.assembly import assemble
 from rholoc.mapping.joining import join, without_source
 from rholoc.mapping.landmarks import Landmarks
-from rholoc.mapping.memory import source_camera, with_landmarks
+from rholoc.mapping.memory import with_landmarks
 from rholoc.mapping.merging import moved_map
 from rholoc.mapping.observations import Views
-from rholoc.maps import DensityKind, Map, MapInfo, packed_pixels, unpacked_pixels
+from rholoc.maps import DensityKind, Map, MapInfo, Source, packed_pixels, unpacked_pixels
 from rholoc.trajectory.alignment import Similarity
 
 EXACT_M = 1e-6
@@ -53,7 +53,7 @@ class Tracks:
 
 
 def _info(names: Sequence[str]) -> MapInfo:
-    sources = tuple({"id": f"{name}-id", "name": name, "camera": source_camera(CAMERA)} for name in names)
+    sources = tuple(Source(name, f"{name}-id", CAMERA) for name in names)
     return MapInfo("0" * 32, 1, DensityKind.RAY, "gray", True, True, "2026-01-01T00:00:00Z", CAMERA, sources)
 
 
@@ -129,7 +129,7 @@ def test_forgetting_leaves_a_map_that_never_learned_it(seed: int, order: list[in
     map_ = learned(given_tracks, order)
     left = without_source(map_, order.index(forgotten))
     others = [recording for recording in order if recording != forgotten]
-    assert [source["name"] for source in left.info.sources] == [f"walk-{recording}" for recording in others]
+    assert [source.name for source in left.info.sources] == [f"walk-{recording}" for recording in others]
     assert_same_landmarks(left, with_landmarks(given_tracks.map_of(others)))
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -13,6 +14,7 @@ from rholoc.geometry import Pose
 from rholoc.mapping import build_map
 from rholoc.mapping.coaching import advice_line, coach
 from rholoc.recordings import Look, read_recording
+from rholoc.reports import AdviceKind
 
 
 @pytest.fixture
@@ -29,12 +31,12 @@ def test_a_section_holds_what_was_measured_and_advised(dark: Path) -> None:
     recording = read_recording(dark)
     straight = [Pose.from_heading(np.array([t, 0, 1.5]), np.array([1.0, 0, 0])).T_map_camera for t in range(20)]
     section = coach(recording, [Look(120.0, 400)] * 20, recording.frames.times, np.array(straight))
-    assert section["recording"] == "dark"
-    assert section["warnings"] == []
-    assert section["figures"]["nearest_return"] == pytest.approx(1)
-    assert [advice["kind"] for advice in section["advice"]] == ["no_loop"]
-    assert advice_line([section]) == f"next time: {section['advice'][0]['text']}"
-    assert advice_line([{**section, "advice": []}]) == ""
+    assert section.recording == "dark"
+    assert section.warnings == ()
+    assert section.figures.nearest_return == pytest.approx(1)
+    assert [advice.kind for advice in section.advice] == [AdviceKind.NO_LOOP]
+    assert advice_line([section]) == f"next time: {section.advice[0].text}"
+    assert advice_line([replace(section, advice=())]) == ""
 
 
 def test_a_walk_that_gives_no_map_is_told_what_it_lacked(dark: Path) -> None:

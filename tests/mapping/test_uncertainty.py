@@ -49,14 +49,14 @@ def test_a_merged_map_is_as_uncertain_as_both(first: Map, second: Map) -> None:
     own = uncertain.expected_errors_m
     assert (merged.expected_errors_m[30:] > own).all()
     assert (merged.expected_errors_m[30:] < np.hypot(own, 2 * first.expected_errors_m.max())).all()
-    assert merged.info.report["expected_error"]["rms_m"] > first.expected_errors_m.mean()
+    assert merged.info.report.expected_error.rms_m > first.expected_errors_m.mean()
 
 
 def test_what_is_forgotten_is_not_expected_to_err(first: Map, second: Map) -> None:
     merged = merge_maps(first, replace(second, view_covariances=spreads(20, 0.02, seed=1)))
     report = forget_recording(merged, "second").info.report
-    assert len(report["expected_error"]["views_m"]) == 30
-    assert "expected_error" not in forget_recording(merge_maps(first, second), "first").info.report
+    assert len(report.expected_error.views_m) == 30
+    assert forget_recording(merge_maps(first, second), "first").info.report.expected_error is None
 
 
 def test_in_the_frame_of_a_map_that_does_not_know_nothing_is_known(first: Map, second: Map) -> None:
@@ -79,13 +79,11 @@ def test_a_pose_found_in_a_map_knows_no_more_than_the_map(first: Map) -> None:
 def test_the_report_has_the_expected_error_of_the_whole_and_over_the_walk(first: Map) -> None:
     spread = first.view_covariances.copy()
     spread[4] = np.nan
-    section = expected_error(replace(first, view_covariances=spread))["expected_error"]
+    section = expected_error(replace(first, view_covariances=spread))
     errors_m = np.delete(first.expected_errors_m, 4)
-    assert section["rms_m"] == pytest.approx(np.sqrt(np.mean(errors_m**2)))
-    assert section["worst_m"] == pytest.approx(errors_m.max())
-    assert (
-        section["worst_time_s"] == first.view_times[np.argmax(np.where(np.arange(30) == 4, 0, first.expected_errors_m))]
-    )
-    assert section["views_m"][4] is None
-    assert map_statistics(first)["expected_error"]["views_m"][0] == pytest.approx(first.expected_errors_m[0], abs=1e-5)
-    assert "expected_error" not in map_statistics(replace(first, view_covariances=None))
+    assert section.rms_m == pytest.approx(np.sqrt(np.mean(errors_m**2)))
+    assert section.worst_m == pytest.approx(errors_m.max())
+    assert section.worst_time_s == first.view_times[np.argmax(np.where(np.arange(30) == 4, 0, first.expected_errors_m))]
+    assert section.views_m[4] is None
+    assert map_statistics(first).expected_error.views_m[0] == pytest.approx(first.expected_errors_m[0], abs=1e-5)
+    assert map_statistics(replace(first, view_covariances=None)).expected_error is None

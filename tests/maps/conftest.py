@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from rholoc.geometry import Camera, Pose, poses_from_rows
-from rholoc.maps import DensityKind, Map, MapInfo
+from rholoc.maps import DensityKind, Map, MapInfo, MapWaypoint, Source
+from rholoc.reports import HeldOutReport, MapReport
 
 
 def synthetic_map(features: int = 60, views: int = 8, seed: int = 1) -> Map:
@@ -33,13 +34,13 @@ def synthetic_map(features: int = 60, views: int = 8, seed: int = 1) -> Map:
             upright=True,
             created="2026-01-02T03:04:05Z",
             camera=Camera(640, 480, 500.0, 501.0, 319.5, 239.5, (0.1, -0.2, 0.0, 0.001)),
-            sources=({"name": "walk", "frames": 900},),
+            sources=(Source("walk", frames=900),),
             waypoints=(
-                {"name": "W1", "position": [1.6, 0.0, 1.5], "residual_m": 0.012},
-                {"name": "W2", "position": [0.0, 1.2, 1.5], "residual_m": 0.02},
-                {"name": "E", "position": [-1.6, 0.0, 1.5], "residual_m": 0.008},
+                MapWaypoint("W1", (1.6, 0.0, 1.5), 0.012),
+                MapWaypoint("W2", (0.0, 1.2, 1.5), 0.02),
+                MapWaypoint("E", (-1.6, 0.0, 1.5), 0.008),
             ),
-            report={"median_cm": 1.9, "held_out": 40},
+            report=MapReport(features=features, held_out=HeldOutReport(40, 39, median_m=0.019, p90_m=0.03)),
         ),
         channels=rng.integers(1, 3, features).astype(np.uint8),
         landmarks=landmarks.astype(np.float32),

@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 from rholoc.geometry import Camera, Pose, pose_matrix
 from rholoc.maps import Map, coverage_of
 from rholoc.maps.coverage import SUFFICIENT
+from rholoc.reports import report_to_json
 
 
 @pytest.fixture
@@ -41,7 +42,7 @@ def test_who_looks_at_the_wall_sees_it_and_who_turns_away_does_not(wall_map: Map
     middle = np.argmin(np.linalg.norm(coverage.positions - (0, 0, 1.5), axis=1))
     assert coverage.counts[middle, 0] == 200
     assert (coverage.counts[:, 4:9] == 0).all()
-    assert 0 < coverage.summary()["share_sufficient"] < 0.6
+    assert 0 < coverage.share_sufficient < 0.6
 
 
 def test_positions_lie_within_reach_of_the_walk_at_its_height(wall_map: Map) -> None:
@@ -80,7 +81,7 @@ def test_a_map_that_is_not_upright_is_covered_alike(wall_map: Map) -> None:
     np.testing.assert_allclose(coverage.up, turn.apply([0, 0, 1]), atol=1e-6)
     assert np.linalg.det(np.vstack([coverage.axes, coverage.up])) == pytest.approx(1)
     assert coverage.counts.max() == level.counts.max() == 200
-    assert coverage.summary()["share_sufficient"] == pytest.approx(level.summary()["share_sufficient"], abs=0.05)
+    assert coverage.share_sufficient == pytest.approx(level.share_sufficient, abs=0.05)
 
 
 def test_a_long_walk_takes_longer_steps_and_still_fits_the_report(make_map) -> None:
@@ -89,14 +90,14 @@ def test_a_long_walk_takes_longer_steps_and_still_fits_the_report(make_map) -> N
     assert coverage.step_m > 0.25
     assert 0 < len(coverage.cells) <= 250
     worst = replace(coverage, counts=np.full_like(coverage.counts, 9999))
-    assert len(json.dumps(worst.to_json(), separators=(",", ":"))) < 20_000
+    assert len(json.dumps(report_to_json(worst.report()), separators=(",", ":"))) < 20_000
 
 
 def test_the_unit_of_length_does_not_matter_where_it_is_arbitrary(wall_map: Map) -> None:
     loose = replace(wall_map, info=replace(wall_map.info, metric=False))
     small, large_coverage = coverage_of(loose), coverage_of(_stretched(loose, 40))
     assert large_coverage.step_m == pytest.approx(40 * small.step_m, rel=1e-4)
-    assert large_coverage.summary()["share_sufficient"] == pytest.approx(small.summary()["share_sufficient"], abs=0.02)
+    assert large_coverage.share_sufficient == pytest.approx(small.share_sufficient, abs=0.02)
 
 
 @pytest.mark.parametrize(("features", "views"), [(0, 0), (0, 1), (1, 0), (3, 1)])
@@ -104,4 +105,4 @@ def test_small_maps_have_a_coverage(make_map, features: int, views: int) -> None
     coverage = coverage_of(make_map(features=features, views=views))
     assert coverage.counts.shape == (len(coverage.cells), 12)
     assert coverage.counts.max(initial=0) < SUFFICIENT
-    assert coverage.to_json()["share_sufficient"] == 0.0
+    assert coverage.report().share_sufficient == 0.0

@@ -18,19 +18,21 @@ from safetensors.numpy import save_file
 
 from rholoc.density.tensor import fit_tensors
 from rholoc.errors import InvalidInput, InvalidMap, RholocError, StorageFull, UnknownMap
-from rholoc.mapping.memory import source_camera
 from rholoc.maps import (
     DensityKind,
     Map,
     Observations,
+    Source,
     load_map,
     map_to_bytes,
     packed_pixels,
     save_map,
     unpacked_pixels,
 )
+from rholoc.maps.info import info_from_json, info_to_json
 from rholoc.maps.rho_file import _checksum
 from rholoc.maps.validation import ARRAY_NAMES
+from rholoc.reports import MapReport
 
 _SHARED_FOLDER = settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None, max_examples=150)
 
@@ -104,7 +106,7 @@ def whole_map(make_map) -> Map:
     map_: Map = make_map()
     rng = np.random.default_rng(4)
     camera = map_.info.camera
-    sources = tuple({"id": name, "name": name, "camera": source_camera(camera)} for name in ("first", "second"))
+    sources = tuple(Source(name, name, camera) for name in ("first", "second"))
     pixels = rng.uniform([-0.5, -0.5], [639.4, 479.4], (len(map_.observation_features), 2))
     observations = Observations(
         unpacked_pixels(packed_pixels(pixels, camera), camera),
@@ -184,9 +186,32 @@ def test_arrays_of_later_versions_are_left_out(room_map: Map, tmp_path: Path) ->
 
 
 def test_a_report_with_numpy_numbers_and_nan_is_stored_as_json(room_map: Map, tmp_path: Path) -> None:
-    report = {"median_cm": np.float32(2.5), "n": np.int64(3), "nan": float("nan"), "list": np.array([1.0, np.inf])}
+    report = MapReport(features=np.int64(3), views_per_feature_median=np.float32(2.5), landmark_sigma_p90_m=np.nan)
     save_map(replace(room_map, info=replace(room_map.info, report=report)), tmp_path / "room.rho")
-    assert load_map(tmp_path / "room.rho").info.report == {"median_cm": 2.5, "n": 3, "nan": None, "list": [1.0, None]}
+    assert load_map(tmp_path / "room.rho").info.report == MapReport(features=3, views_per_feature_median=2.5)
+
+
+@pytest.mark.parametrize(
+    ("broken", "where"),
+    [
+        ({"report": {"held_out": 4}}, "report.held_out"),
+        ({"report": {"coverage": {"median": 3}}}, "report.coverage.share_sufficient"),
+        ({"report": [1]}, "report"),
+        ({"version": "first"}, "version"),
+        ({"density": "fog"}, "density"),
+        ({"sources": [{"frames": 3}]}, "sources.0.name"),
+        ({"waypoints": [{"name": "W1", "position": [1.0, 2.0]}]}, "waypoints.0.position"),
+        ({"camera": {"width": 0, "height": 0, "fx": 1, "fy": 1, "cx": 0, "cy": 0}}, "image size"),
+        ({"camera": None}, "camera"),
+    ],
+)
+def test_a_description_that_is_broken_is_refused_and_says_where(
+    room_map: Map, broken: dict[str, object], where: str
+) -> None:
+    description = json.loads(info_to_json(room_map.info))
+    with pytest.raises(InvalidMap, match=where) as caught:
+        info_from_json(json.dumps(description | broken))
+    assert "\n" not in str(caught.value)
 
 
 def test_the_map_of_a_kitchen_is_small(make_map) -> None:

@@ -48,12 +48,12 @@ def test_the_second_half_registers_itself_and_makes_the_map_no_worse(real_data: 
     assert (after < 0.05).sum() >= (before < 0.05).sum() >= 0.9 * len(before)
     assert np.median(after) < np.median(before) + 0.002
     assert np.median(after) < 0.015
-    left = forget_recording(updated, updated.info.sources[1]["id"])
+    left = forget_recording(updated, updated.info.sources[1].id)
     np.testing.assert_allclose(left.landmarks, first_half.landmarks, rtol=0, atol=1e-6)
 
     built = build_map([second], BuildOptions(poses=PoseMethod.GIVEN, report=False))
     merged = merge_maps(first_half, built)
-    assert merged.info.report["learned"][0]["residual_median_m"] < 0.03
+    assert merged.info.report.learned[0].residual_median_m < 0.03
     assert np.median(errors_m(merged, real_data)) < np.median(before) + 0.002
 
 

@@ -57,9 +57,10 @@ def test_the_map_is_small(localizer: Localizer) -> None:
 
 
 def test_the_map_knows_itself(localizer: Localizer) -> None:
-    held_out = localizer.map.info.report["held_out"]
-    assert held_out["localized"] == held_out["frames"]
-    assert held_out["recall_5cm_5deg"] >= 0.95
+    held_out = localizer.map.info.report.held_out
+    assert held_out is not None
+    assert held_out.localized == held_out.frames
+    assert held_out.recall_5cm_5deg >= 0.95
 
 
 def test_another_room_is_refused(localizer: Localizer, real_data: Path) -> None:

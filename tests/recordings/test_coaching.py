@@ -27,6 +27,7 @@ from rholoc.recordings import (
 from rholoc.recordings.missing_images import MissingImages
 from rholoc.recordings.stillness import is_still
 from rholoc.recordings.walk_figures import look_through, nearest_return
+from rholoc.reports import report_to_json
 
 GOOD = {"turn_deg_s": 30.0, "brightness": 120.0, "bare_share": 0.0, "pauses": 3, "waypoints": 3, "nearest_return": 0.05}
 
@@ -52,7 +53,7 @@ def test_one_figure_makes_one_advice_that_states_it(figure: str, value: float, k
     assert advice.figure == value
     assert f"{value:.0%}" in advice.text or f"{value:.0f}" in advice.text
     assert "\n" not in advice.text
-    assert advice.to_json()["kind"] == kind.value
+    assert report_to_json(advice)["kind"] == kind.value
 
 
 def test_a_look_measures_light_and_corners() -> None:

@@ -9,13 +9,18 @@ import numpy as np
 import pytest
 
 from rholoc.reports import (
+    Advice,
+    AdviceKind,
     CalibrationReport,
     ImuReport,
     InertialComparison,
+    MapReport,
     TrajectoryReport,
     report_from_json,
     report_to_json,
 )
+from rholoc.service import Settings, create_app
+from rholoc.service.examples import REPORT
 
 FULL = TrajectoryReport(
     method="visual-inertial",
@@ -46,7 +51,7 @@ def test_a_reason_in_place_of_imu_figures_comes_back() -> None:
 
 
 def test_members_without_a_value_are_left_out_and_required_ones_are_null() -> None:
-    assert TrajectoryReport("given", 3).to_json() == {"method": "given", "frames": 3, "trusted": True, "why": ""}
+    assert TrajectoryReport("given", 3).to_json() == {"method": "given", "frames": 3, "why": ""}
     assert report_to_json(CalibrationReport(1.0, 2.0, None, True, ""))["centre_sigma_px"] is None
 
 
@@ -64,3 +69,16 @@ def test_numbers_of_numpy_become_plain_and_what_is_not_finite_becomes_null() -> 
 def test_json_that_is_no_report_is_refused(broken: object) -> None:
     with pytest.raises(ValueError, match=r"TrajectoryReport|method|frames"):
         report_from_json(TrajectoryReport, broken)
+
+
+def test_what_was_walked_later_is_still_read() -> None:
+    later = {"kind": "a_later_kind", "text": "Walk backwards.", "figure": 1.0, "limit": 0.5}
+    assert report_from_json(Advice, later).kind == "a_later_kind"
+    assert report_from_json(Advice, later | {"kind": "too_fast"}).kind is AdviceKind.TOO_FAST
+
+
+def test_the_example_of_a_report_is_a_report_and_what_is_sent() -> None:
+    document = create_app(Settings()).openapi()
+    example = document["components"]["schemas"]["MapReportOut"]["example"]["report"]
+    assert report_from_json(MapReport, example) == REPORT
+    assert report_from_json(MapReport, json.loads(json.dumps(report_to_json(REPORT)))) == REPORT

@@ -146,6 +146,8 @@ def test_missing_intrinsics(service, picture_world):
         {"fx": "wide"},
         {"dof": 7},
         {"dof": "many"},
+        {"dof": "AUTO"},
+        {"intrinsics": "maybe"},
         {"deadline_ms": -1},
         {"prior_position": "1,2"},
         {"prior_position": "here", "prior_heading": "1,0,0"},

@@ -15,7 +15,7 @@ import pytest
 from rholoc.features import get_extractor
 from rholoc.localization import Localizer
 
-STAGES = {"queue", "decode", "extract", "match", "seed", "ascend", "verify", "total"}
+STAGES = {"queue", "decode", "extract", "match", "seed", "ascend", "verify", "diagnose", "total"}
 
 
 def descriptor_query(world, **options):
@@ -222,3 +222,30 @@ def test_the_agreeing_matches_are_told_on_request(service, picture_world):
     T_camera_map = np.linalg.inv(answer["pose"]["T_map_camera"])
     projected = picture_world.camera.project(landmarks @ T_camera_map[:3, :3].T + T_camera_map[:3, 3])
     assert np.median(np.linalg.norm(projected - pixels, axis=1)) < 2
+
+
+def test_a_frame_that_is_not_localized_is_answered_with_the_likeliest_cause(service, picture_world):
+    wrong = send_picture(service, picture_world, fx=700, fy=700, cx=319.5, cy=239.5).json()
+    assert not wrong["localized"] or wrong["confidence"] < 1
+    black = cv2.imencode(".png", np.zeros_like(picture_world.image))[1].tobytes()
+    url, png = f"{service.url}/v1/maps/room/localize", {"Content-Type": "image/png"}
+    diagnosis = httpx.post(url, content=black, headers=png).json()["diagnosis"]
+    assert diagnosis["cause"] == "too_dark"
+    assert diagnosis["message"].endswith(".")
+    assert diagnosis["hint"].endswith(".")
+    assert send_picture(service, picture_world).json()["diagnosis"] is None
+
+
+def test_unknown_intrinsics_are_estimated(service, picture_world):
+    answer = send_picture(service, picture_world, intrinsics="unknown").json()
+    assert answer["camera"] is None or answer["camera"]["focal_sigma_px"] > 0
+    assert send_picture(service, picture_world).json()["camera"] is None
+    refused = send_picture(service, picture_world, intrinsics="unknown", fx=500)
+    assert (refused.status_code, refused.json()["code"]) == (422, "invalid_camera")
+
+
+def test_degrees_of_freedom_are_named_in_every_way(service, picture_world):
+    for dof in ("auto", 5, 6):
+        assert send_picture(service, picture_world, dof=dof).json()["localized"]
+        body = descriptor_query(picture_world, dof=dof)
+        assert httpx.post(f"{service.url}/v1/maps/room/localize", json=body).json()["localized"]

@@ -7,6 +7,7 @@ import httpx
 import numpy as np
 
 from rholoc.maps import load_map
+from rholoc.reports import MapReport, report_from_json
 
 
 def test_maps_are_listed(service, picture_world):
@@ -25,7 +26,7 @@ def test_a_map_tells_of_itself(service, picture_world):
     assert room["waypoints"][0]["name"] == "W1"
     np.testing.assert_allclose(room["bounds_m"][0], picture_world.map_.landmarks.min(axis=0))
     report = httpx.get(service.url + "/v1/maps/room/report").json()
-    assert report["report"] == picture_world.map_.info.report
+    assert report_from_json(MapReport, report["report"]) == picture_world.map_.info.report
     assert report["map_version"] == 3
 
 

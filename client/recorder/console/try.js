@@ -99,7 +99,7 @@ class Trial {
     this.#question.abort();
     this.#question = new AbortController();
     const intrinsics = this.intrinsicsOf(source.width, source.height);
-    const query = { ...intrinsics.query, ...prior, dof: this.rolls.checked ? 6 : 5, with_matches: true };
+    const query = { ...intrinsics.query, ...prior, dof: this.rolls.checked ? "auto" : 5, with_matches: true };
     let found;
     try {
       found = await call("POST", path`v1/maps/${this.map.name}/localize`, {

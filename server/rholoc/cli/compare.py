@@ -50,7 +50,7 @@ def compare(
     features: Annotated[
         str | None, typer.Option(metavar="gray|rgb|lab|lab3|sift", help="The features that all methods share.")
     ] = None,
-    dof: Annotated[int, typer.Option(min=5, max=6, help="5: the camera does not roll; 6: roll is estimated too.")] = 6,
+    dof: options.DofOption = "6",
     tensor: Annotated[bool, typer.Option(help="Run the tensor density too.")] = True,
     retrieval: Annotated[bool, typer.Option(help="Run the pipeline of SIFT, retrieval and poselib too.")] = True,
     lighting: Annotated[
@@ -80,10 +80,9 @@ def compare(
         _lighting_pairs(lighting_pairs, chosen, out, as_json)
     else:
         from rholoc.evaluation.compare import CompareOptions
-        from rholoc.localization import Dof
         from rholoc.mapping import DEFAULT_FEATURES
 
-        settings = CompareOptions(features or DEFAULT_FEATURES, Dof(dof), tensor, retrieval)
+        settings = CompareOptions(features or DEFAULT_FEATURES, options.dof(dof), tensor, retrieval)
         read = [_read(path, camera, truth) for path in recordings or []]
         asked = None if queries is None else _read(queries, camera, truth)
         walks, query_sets = _split(read, asked, map_frames, query_frames or [])

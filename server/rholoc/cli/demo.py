@@ -212,7 +212,7 @@ def _evaluation(files: _Files, table: TrajectoryTable, every: int) -> Evaluation
     truth = read_frame_poses(files.truth / "walk-2.csv")
     pairs = pair_poses(read_frame_poses(files.trajectory), truth, slice(0, None, every))
     map_ = load_map(files.maps / f"{MAP_NAME}.rho")
-    waypoints = [(str(point["name"]), np.asarray(point["position"])) for point in map_.info.waypoints]
+    waypoints = [(point.name, np.asarray(point.position)) for point in map_.info.waypoints]
     save_figure(plot_top_view(pairs.estimated, pairs.truth, map_.landmarks, waypoints, _TITLE), files.top_view)
     return evaluate(trajectory_errors(pairs.estimated, pairs.truth))
 

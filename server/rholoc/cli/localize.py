@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from itertools import islice
@@ -19,7 +20,7 @@ from rholoc.errors import InvalidCamera, InvalidInput
 if TYPE_CHECKING:
     import rholoc_client
     from rholoc.geometry import ByteArray, Camera
-    from rholoc.localization import Dof, Localization, Localizer
+    from rholoc.localization import Dof, Intrinsics, Localization, Localizer
     from rholoc.maps import MapInfo, TrajectoryTable
     from rholoc.recordings import FrameSource, Recording
 
@@ -36,29 +37,39 @@ def localize(
         "trajectory.csv"
     ),
     frames: options.Frames = None,
-    camera: options.Camera = None,
-    dof: Annotated[int, typer.Option(min=5, max=6, help="5: the camera does not roll; 6: roll is estimated too.")] = 5,
+    camera: Annotated[
+        str | None,
+        typer.Option(
+            metavar="FX,FY,CX,CY[,K1,K2,P1,P2[,K3]]|NAME|unknown",
+            help="Intrinsics in pixels of the frames, or a camera that `rholoc camera` keeps, instead of the "
+            "recording's own; unknown: the focal length is estimated with each pose.",
+        ),
+    ] = None,
+    dof: options.DofOption = "auto",
     min_confidence: Annotated[
         float | None, typer.Option(min=0.0, max=1.0, help="Poses of lower confidence are not given out.")
     ] = None,
     as_json: options.Json = False,
 ) -> None:
     """Localize frames in a map and write the trajectory (Table 6). Frames without a pose get no row."""
-    from rholoc.localization import MIN_CONFIDENCE, Dof, Localizer
+    from rholoc.localization import MIN_CONFIDENCE, Intrinsics, Localizer
     from rholoc.maps import load_map, write_trajectory_csv
     from rholoc.recordings import read_recording
 
+    degrees_of_freedom = options.dof(dof)
     if not out.parent.is_dir():
         raise InvalidInput(f"There is no folder {out.parent} to write the trajectory to.", "Make it first.")
     map_ = load_map(map_file)
-    recording = read_recording(source, camera=options.named_camera(camera), frames=frames)
-    used_camera = _camera(recording, map_.info)
+    known = Intrinsics.UNKNOWN if camera == Intrinsics.UNKNOWN else Intrinsics.GIVEN
+    given = None if known is Intrinsics.UNKNOWN else options.named_camera(camera)
+    recording = read_recording(source, camera=given, frames=frames)
+    used_camera = _guessed(recording) if known is Intrinsics.UNKNOWN else _camera(recording, map_.info)
     localizer = Localizer(map_, MIN_CONFIDENCE if min_confidence is None else min_confidence)
     count = len(recording.frames.times)
     start_s = time.perf_counter()
     with frame_progress("localizing", count) as advance:
         answers, frame_s = [], []
-        for answer, taken_s in _localize_frames(localizer, recording.frames, used_camera, Dof(dof)):
+        for answer, taken_s in _localize_frames(localizer, recording.frames, used_camera, degrees_of_freedom, known):
             answers.append(answer)
             frame_s.append(taken_s)
             advance()
@@ -72,12 +83,24 @@ def localize(
         "trajectory": str(out),
         "metric": map_.info.metric,
     }
+    if causes := likeliest_causes(answers):
+        figures["not_localized"] = causes
     if as_json:
         print_json(figures)
     else:
         print_figures(f"{source} in {map_file.name}", {name: str(value) for name, value in figures.items()})
+        for cause in causes:
+            print_notice(f"{cause['frames']} not localized: {cause['message']} {cause['hint']}")
     if not map_.info.metric:
         print_notice("This map's unit of length is arbitrary: nothing measured fixed its scale.")
+
+
+def _guessed(recording: Recording) -> Camera:
+    """A camera of the frames' size, its focal length to be estimated."""
+    from rholoc.geometry import Camera
+
+    width, height = recording.frames.size
+    return Camera(width, height, max(width, height), max(width, height), (width - 1) / 2, (height - 1) / 2)
 
 
 def _camera(recording: Recording, info: MapInfo) -> Camera:
@@ -91,20 +114,33 @@ def _camera(recording: Recording, info: MapInfo) -> Camera:
 
 
 def _localize_frames(
-    localizer: Localizer, frames: FrameSource, camera: Camera, dof: Dof
+    localizer: Localizer, frames: FrameSource, camera: Camera, dof: Dof, known: Intrinsics
 ) -> Iterator[tuple[Localization, float]]:
     """The answers for all frames in their order, and the seconds that each took, its features included."""
     from rholoc.localization import Query
 
     def answer(image: ByteArray) -> tuple[Localization, float]:
         start_s = time.perf_counter()
-        answered = localizer.localize(Query(localizer.extractor.extract(image), camera, dof))
+        answered = localizer.localize(
+            Query(localizer.extractor.extract(image), camera, dof, intrinsics=known, image=image)
+        )
         return answered, time.perf_counter() - start_s
 
     images = frames.images(range(len(frames.times)))
     with ThreadPoolExecutor(_THREADS) as pool:
         while batch := list(islice(images, _BATCH)):
             yield from pool.map(answer, batch)
+
+
+def likeliest_causes(answers: Sequence[Localization]) -> list[dict[str, str | int]]:
+    """Why frames were not localized: each cause with its count, and what to try, the most frequent first."""
+    found = [answer.diagnosis for answer in answers if answer.diagnosis is not None]
+    counts = Counter(diagnosis.cause for diagnosis in found)
+    example = {diagnosis.cause: diagnosis for diagnosis in reversed(found)}
+    return [
+        {"cause": cause.value, "frames": count, "message": example[cause].message, "hint": example[cause].hint}
+        for cause, count in counts.most_common()
+    ]
 
 
 def trajectory_table(

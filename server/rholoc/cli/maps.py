@@ -292,7 +292,7 @@ def _print_map(map_: Map, path: Path, as_json: bool) -> None:
 
 
 def _map_figures(map_: Map, path: Path) -> dict[str, Any]:
-    from rholoc.maps.info_json import info_to_json
+    from rholoc.maps.info import info_to_json
 
     counts = {
         "file": str(path),

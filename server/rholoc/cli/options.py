@@ -11,6 +11,7 @@ import typer
 
 if TYPE_CHECKING:
     from rholoc.geometry import Camera as GeometryCamera
+    from rholoc.localization import Dof
 
 _Choice = TypeVar("_Choice", bound=StrEnum)
 
@@ -23,6 +24,15 @@ Camera = Annotated[
         metavar="FX,FY,CX,CY[,K1,K2,P1,P2[,K3]]|NAME",
         help="Intrinsics in pixels of the frames, with OpenCV's distortion, or a camera that `rholoc camera` keeps; "
         "instead of the recording's own.",
+    ),
+]
+DofOption = Annotated[
+    str,
+    typer.Option(
+        "--dof",
+        metavar="auto|5|6",
+        help="5: the camera does not roll; 6: roll is estimated too; auto: 6, roll being improbable where the map's "
+        "own views were upright.",
     ),
 ]
 Frames = Annotated[
@@ -43,6 +53,16 @@ def named_camera(text: str | None) -> GeometryCamera | str | None:
     from rholoc.maps import CameraLibrary
 
     return CameraLibrary(Path(os.environ.get(MAPS_VARIABLE, DEFAULT_MAPS))).named_in(text)
+
+
+def dof(text: str) -> Dof:
+    """The degrees of freedom that ``--dof`` names."""
+    from rholoc.localization import Dof
+
+    named = {str(one.value): one for one in Dof}
+    if text not in named:
+        raise typer.BadParameter(f"'{text}' is not one of {', '.join(named)}.", param_hint="--dof")
+    return named[text]
 
 
 def choice(kind: type[_Choice], text: str, option: str) -> _Choice:

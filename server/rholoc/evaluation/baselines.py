@@ -13,12 +13,12 @@ from enum import StrEnum
 
 import cv2
 import numpy as np
-import poselib
 
 from rholoc.geometry import Camera, FloatArray, pose_matrix
 from rholoc.localization import Query
 from rholoc.localization.map_index import MapIndex
 from rholoc.localization.matches import Matches
+from rholoc.localization.ransac import lo_ransac
 from rholoc.localization.verification import FINAL_TOLERANCE_PX, climb, evidence_of, settle
 
 _FEWEST_MATCHES = 4
@@ -73,11 +73,6 @@ def distinct(matches: Matches) -> Matches:
     return matches.take(np.flatnonzero(matches.chances >= _DISTINCT_CHANCE))
 
 
-def likeliest_first(matches: Matches) -> Matches:
-    """The matches by their chances, descending."""
-    return matches.take(np.argsort(-matches.chances, kind="stable"))
-
-
 def refine_by_density(
     index: MapIndex, query: Query, rays: FloatArray, matches: Matches, T_map_camera: FloatArray
 ) -> FloatArray:
@@ -117,22 +112,9 @@ def _solve_cv2(pixels: FloatArray, points: FloatArray, camera: Camera, options: 
 
 
 def _solve_poselib(pixels: FloatArray, points: FloatArray, camera: Camera, options: RansacOptions) -> FloatArray | None:
-    pinhole = {
-        "model": "PINHOLE",
-        "width": camera.width,
-        "height": camera.height,
-        "params": [camera.fx, camera.fy, camera.cx, camera.cy],
-    }
-    settings = {
-        "max_iterations": options.iterations,
-        "max_reproj_error": options.threshold_px,
-        "success_prob": options.confidence,
-        "progressive_sampling": True,
-    }
-    pose, report = poselib.estimate_absolute_pose(pixels, points, pinhole, settings, {})
-    if report["num_inliers"] < _FEWEST_MATCHES:
-        return None
-    return _inverted(np.asarray(pose.R), np.asarray(pose.t))
+    plane = (pixels - (camera.cx, camera.cy)) / (camera.fx, camera.fy)
+    found = lo_ransac(plane, points, camera.focal, options.threshold_px, options.iterations, success=options.confidence)
+    return None if found is None else found[0]
 
 
 def _inverted(R_camera_map: FloatArray, t: FloatArray) -> FloatArray:

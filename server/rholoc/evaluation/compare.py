@@ -17,7 +17,6 @@ from rholoc.evaluation.baselines import (
     RansacOptions,
     Solver,
     distinct,
-    likeliest_first,
     refine_by_density,
     solve,
 )
@@ -142,7 +141,7 @@ class Comparison:
         """All figures, JSON-serialisable."""
         return {
             "features": self.options.features,
-            "dof": int(self.options.dof),
+            "dof": self.options.dof.value,
             "ransac": {"iterations": self.options.ransac.iterations, "threshold_px": self.options.ransac.threshold_px},
             "map": {"landmarks": len(self.map_), "views": len(self.map_.view_times), "build_s": self.build_s},
             "queries": [
@@ -215,10 +214,10 @@ class _Bench:
         """The matches that solvers start from, and the milliseconds that they took."""
         index = self.ray.index
         start = time.perf_counter()
-        everywhere = likeliest_first(index.match_everywhere(features))
+        everywhere = index.match_everywhere(features).likeliest_first()
         everywhere_ms = 1e3 * (time.perf_counter() - start)
         places = vote_for_places(index, everywhere, 1, _VIEWS_EACH, None) if len(everywhere) else []
-        within = likeliest_first(index.match_within(features, places[0].landmarks)) if places else Matches.none()
+        within = index.match_within(features, places[0].landmarks).likeliest_first() if places else Matches.none()
         place_ms = 1e3 * (time.perf_counter() - start)
         return {
             MatchSet.EVERYWHERE: (everywhere, everywhere_ms),
@@ -278,7 +277,7 @@ def _build(
 
 def _view_images(recordings: Sequence[Recording], map_: Map) -> Iterator[ByteArray]:
     """The images of a map's views, recording after recording as they were built from."""
-    counts = [int(source["views"]) for source in map_.info.sources]
+    counts = [source.views or 0 for source in map_.info.sources]
     ends = np.cumsum(counts)
     for recording, start, end in zip(recordings, ends - counts, ends, strict=True):
         rows = np.searchsorted(recording.frames.times, map_.view_times[start:end])

@@ -74,7 +74,9 @@ class DescriptorIndex:
 def descriptor_distances(a: ByteArray, b: ByteArray, metric: Metric) -> FloatArray:
     """The distances between descriptors of the same row: a (N, B), b (N, B) → (N,) float32."""
     if metric is Metric.HAMMING:
-        return np.asarray(np.bitwise_count(a ^ b).sum(axis=1, dtype=np.int32).astype(np.float32))
+        differing = a ^ b
+        words = differing.view(np.uint64) if a.shape[1] % 8 == 0 else differing  # eight bytes at a time are quicker
+        return np.asarray(np.bitwise_count(words).sum(axis=1, dtype=np.int32).astype(np.float32))
     difference = a.astype(np.float32) - b.astype(np.float32)
     return np.asarray(np.sqrt(np.einsum("nd,nd->n", difference, difference)))
 

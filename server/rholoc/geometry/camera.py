@@ -94,6 +94,10 @@ class Camera:
             cy=(self.cy + 0.5) * sy - 0.5,
         )
 
+    def zoomed(self, scale: float) -> Camera:
+        """The same camera with ``scale`` times the focal length."""
+        return replace(self, fx=self.fx * scale, fy=self.fy * scale)
+
     def fitted(self, width: int, height: int) -> Camera:
         """The camera for its images as they are, ``width`` × ``height``: resized where they are of the same shape.
 

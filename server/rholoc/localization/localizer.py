@@ -10,27 +10,25 @@ import numpy as np
 
 from rholoc.errors import InvalidDescriptors
 from rholoc.features import Extractor, get_extractor
-from rholoc.geometry import FloatArray, Pose
-from rholoc.localization.ascent import upright
+from rholoc.geometry import Camera, FloatArray, Pose
+from rholoc.localization.ascent import Evidence, Optimum, upright
 from rholoc.localization.confidence import MIN_CONFIDENCE, confidence_of
+from rholoc.localization.diagnosis import TOO_LITTLE_TIME, Cause, Diagnosis, diagnose_picture, wrong_camera
+from rholoc.localization.focal import FocalEstimate, check_focal, focal_seed, verify_with_focal
 from rholoc.localization.map_index import MapIndex
 from rholoc.localization.map_uncertainty import with_map_error
 from rholoc.localization.matches import Matches
-from rholoc.localization.seeds import Place, minimal_samples, vote_for_places
-from rholoc.localization.types import Dof, Localization, Prior, Query, Reason
-from rholoc.localization.verification import (
-    Verified,
-    better,
-    climb,
-    distance_between,
-    evidence_of,
-    verify,
-)
+from rholoc.localization.ransac import lo_ransac
+from rholoc.localization.seeds import Place, minimal_samples, place_of_prior, vote_for_places
+from rholoc.localization.types import Dof, Intrinsics, Localization, Prior, Query, Reason
+from rholoc.localization.verification import Verified, climb, distance_between, evidence_of, verify
 from rholoc.maps import Map
 
 _MIN_FEATURES = 8
+_FEW_FEATURES = 40
 _MAX_GRAVITY_ERROR_RAD = np.deg2rad(10.0)
 _MAX_UPRIGHT_ROLL_RAD = np.deg2rad(15.0)
+_TRACKING_RADII_PX = (30.0, 5.0)  # around a prior: what a camera turns and moves in a twentieth of a second
 
 
 @dataclass(frozen=True)
@@ -40,14 +38,18 @@ class SearchOptions:
     Attributes:
         places: the most places that are searched for a seed.
         views_each: how many views that see the same landmarks make up a place.
-        samples: minimal samples drawn in each place.
-        seeds: the best samples of a place that are ascended from.
+        ransac_samples: the most and the least samples of LO-RANSAC in each place.
+        ransac_tolerance_px: how far off a match may be that agrees with a sample.
+        samples: minimal samples scored by the density in each place where RANSAC's pose is not conclusive.
+        seeds: the best of them that are ascended from.
         seed_tolerances_px: the tolerances of that ascent, narrowing.
         conclusive: the confidence at which the search stops.
     """
 
     places: int = 8
     views_each: int = 10
+    ransac_samples: tuple[int, int] = (1000, 30)
+    ransac_tolerance_px: float = 12.0
     samples: int = 150
     seeds: int = 2
     seed_tolerances_px: tuple[float, ...] = (24.0, 12.0, 6.0)
@@ -73,6 +75,70 @@ class _Stopwatch:
         return self.deadline_s is not None and time.perf_counter() - self.started > self.deadline_s
 
 
+@dataclass(frozen=True, eq=False)
+class _Found:
+    """A pose that may be the answer.
+
+    Attributes:
+        verified: the pose and what speaks for it.
+        camera: the camera that it was found with.
+        focal: what the matches say of that camera's focal length.
+        confidence: 0..1, the probability that the pose is within 10 cm and 5°.
+        near_prior: whether it lies where it was expected.
+        recognized: the confidence that it would have if the focal length were right: that it is the right place.
+    """
+
+    verified: Verified
+    camera: Camera
+    focal: FocalEstimate
+    confidence: float
+    near_prior: bool
+    recognized: float
+
+
+@dataclass
+class _Search:
+    """What a search has come to so far.
+
+    Attributes:
+        query: the frame.
+        watch: its time.
+        matches: how many features match anywhere, or near the prior.
+        best: the likeliest pose where it was expected.
+        elsewhere: the likeliest pose where it was not.
+        reason: why there is none, should there be none.
+        place: the place that most matches speak for.
+    """
+
+    query: Query
+    watch: _Stopwatch
+    matches: int = 0
+    best: _Found | None = None
+    elsewhere: _Found | None = None
+    reason: Reason = Reason.NO_AGREEMENT
+    place: Place | None = None
+
+    def add(self, found: _Found | None) -> None:
+        """Take in a candidate."""
+        if found is None:
+            return
+        if found.near_prior:
+            self.best = _likelier(self.best, found)
+        else:
+            self.elsewhere = _likelier(self.elsewhere, found)
+
+    def is_over(self, conclusive: float) -> bool:
+        """Whether a candidate is so sure that nothing further need be looked at."""
+        return any(found is not None and found.recognized >= conclusive for found in (self.best, self.elsewhere))
+
+    def outcome(self, conclusive: float) -> _Found | None:
+        """The candidate to answer with: one that contradicts the prior only where it is sure and the other is not."""
+        surely_elsewhere = self.elsewhere is not None and self.elsewhere.confidence >= conclusive
+        if self.best is not None and (self.best.confidence >= MIN_CONFIDENCE or not surely_elsewhere):
+            return self.best
+        return self.elsewhere if surely_elsewhere else self.best
+
+
 class Localizer:
     """Localizes frames in one map. Building it makes the index; calls may come from several threads.
 
@@ -94,35 +160,20 @@ class Localizer:
         return get_extractor(self.map.info.features)
 
     def localize(self, query: Query) -> Localization:
-        """The pose of one frame, by equation (1).
+        """The pose of one frame, by equation (1); where there is none, the likeliest cause.
 
         Raises:
             InvalidDescriptors: the features are not of the map's kind.
         """
         watch = _Stopwatch(query.deadline_s)
         self._check(query)
-        if not self.map.info.upright:
-            query = replace(query, gravity=None)
-        if len(query.features) < _MIN_FEATURES:
-            return _refusal(Reason.NO_FEATURES, 0, watch)
-        rays = query.camera.rays(query.features.pixels)
-        tracked = self._track(query, rays)
-        watch.lap("verify")
-        if tracked is not None and self._conclusive(tracked):
-            return self._answer(tracked, query.dof, len(tracked.matches), watch)
-        everywhere = self.index.match_everywhere(query.features)
-        watch.lap("match")
-        if len(everywhere) < _MIN_FEATURES:
-            return self._settle(tracked, query.dof, Reason.NO_MATCHES, len(everywhere), watch)
-        best = tracked
-        for place in self._places(everywhere, query.prior):
-            if watch.late:
-                return self._settle(best, query.dof, Reason.DEADLINE, len(everywhere), watch)
-            found = self._search(place, query, rays, watch)
-            best = better(best, found)
-            if best is found and self._conclusive(found):
-                break
-        return self._settle(best, query.dof, Reason.NO_AGREEMENT, len(everywhere), watch)
+        search = self._search(self._adapted(query), watch)
+        answer = self._answer(search)
+        if answer.localized:
+            return answer
+        diagnosis = self._diagnose(search, answer)
+        watch.lap("diagnose")
+        return replace(answer, diagnosis=diagnosis)
 
     def _check(self, query: Query) -> None:
         wanted = self.extractor
@@ -133,86 +184,212 @@ class Localizer:
                 f"Extract '{wanted.name}' features for this map.",
             )
 
-    def _places(self, matches: Matches, prior: Prior | None) -> Iterator[Place]:
-        options = self.options
-        yield from vote_for_places(self.index, matches, options.places, options.views_each, prior)
+    def _adapted(self, query: Query) -> Query:
+        """The query without what means nothing in this map."""
+        if not self.map.info.upright:
+            query = replace(query, gravity=None)
+        if query.dof is Dof.AUTO and not self.index.seen_upright:
+            query = replace(query, dof=Dof.FREE)
+        return query
 
-    def _track(self, query: Query, rays: FloatArray) -> Verified | None:
-        """The pose near the prior, if there is a prior and it holds."""
-        if query.prior is None:
-            return None
-        distance_m = max(
-            float(np.median(np.linalg.norm(self._nearby(query.prior) - query.prior.pose.position, axis=1))), 0.5
-        )
-        radius_px = query.camera.focal * min(query.prior.radius_m / distance_m + query.prior.radius_rad, 0.12)
-        found = verify(self.index, query, rays, query.prior.pose.T_map_camera, radius_px)
-        return found if found is not None and _permitted(found, query) else None
+    def _search(self, query: Query, watch: _Stopwatch) -> _Search:
+        """Look near the prior, then in one place after the other."""
+        search = _Search(query, watch)
+        if len(query.features) < _MIN_FEATURES:
+            search.reason = Reason.NO_FEATURES
+            return search
+        rays = query.camera.rays(query.features.pixels)
+        if query.prior is not None and query.intrinsics is Intrinsics.GIVEN:
+            tracked = verify(self.index, query, rays, query.prior.pose.T_map_camera, _TRACKING_RADII_PX)
+            search.matches = 0 if tracked is None else len(tracked.wide)
+            search.add(self._checked(tracked, query, None if tracked is None else tracked.wide))
+            watch.lap("verify")
+        if search.is_over(self.options.conclusive):
+            return search
+        for place in self._places(search):
+            if watch.late:
+                search.reason = Reason.DEADLINE
+                break
+            search.place = search.place or place
+            look = self._look if query.intrinsics is Intrinsics.GIVEN else self._look_with_any_focal
+            for found in look(place, query, rays, watch):
+                search.add(found)
+                if search.is_over(self.options.conclusive):
+                    return search
+        return search
 
-    def _nearby(self, prior: Prior) -> FloatArray:
-        present = self.index.landmarks[self.index.present(prior.pose.position)]
-        return present if len(present) else self.index.landmarks
+    def _places(self, search: _Search) -> Iterator[Place]:
+        """Where to look: about the prior, then where matches with the whole map point to."""
+        query, options = search.query, self.options
+        if query.prior is not None:
+            near = place_of_prior(self.index, query.prior, options.views_each)
+            if near is not None:
+                yield near
+        everywhere = self.index.match_everywhere(query.features)
+        search.matches = len(everywhere)
+        search.watch.lap("match")
+        if len(everywhere) < _MIN_FEATURES:
+            search.reason = Reason.NO_MATCHES
+            return
+        yield from vote_for_places(self.index, everywhere, options.places, options.views_each, query.prior)
 
-    def _search(self, place: Place, query: Query, rays: FloatArray, watch: _Stopwatch) -> Verified | None:
-        """The best pose that matches within one place lead to."""
+    def _look(self, place: Place, query: Query, rays: FloatArray, watch: _Stopwatch) -> Iterator[_Found | None]:
+        """Poses that matches within one place lead to: from LO-RANSAC, then from samples scored by the density."""
         matches = self.index.match_within(query.features, place.landmarks)
         watch.lap("match")
         evidence = evidence_of(self.index, matches, rays, query.camera)
+        seed = self._ransac_seed(matches, query, rays)
+        watch.lap("seed")
+        optimum = None
+        if seed is not None and _plausible(seed, query):
+            optimum = self._climb(matches, evidence, [seed], query, watch)
+            yield self._verified(optimum, query, rays, matches, watch)
         samples = minimal_samples(
             evidence, matches.chances, matches.detections, self.options.samples, 4 * self.options.seeds
         )
         seeds = [T for T in samples if _plausible(T, query)][: self.options.seeds]
         watch.lap("seed")
+        other = self._climb(matches, evidence, seeds, query, watch)
+        if other is not None and (optimum is None or other.value > optimum.value):
+            yield self._verified(other, query, rays, matches, watch)
+
+    def _ransac_seed(self, matches: Matches, query: Query, rays: FloatArray) -> FloatArray | None:
+        ordered = matches.likeliest_first()
+        seen = rays[ordered.detections]
+        found = lo_ransac(
+            seen[:, :2] / seen[:, 2:],
+            self.index.landmarks[ordered.landmarks],
+            query.camera.focal,
+            self.options.ransac_tolerance_px,
+            *self.options.ransac_samples,
+        )
+        return None if found is None else found[0]
+
+    def _climb(
+        self, matches: Matches, evidence: Evidence, seeds: list[FloatArray], query: Query, watch: _Stopwatch
+    ) -> Optimum | None:
         tolerances_px = self.options.seed_tolerances_px
         optima = [climb(self.index, matches, evidence, T, tolerances_px, query.dof) for T in seeds]
         watch.lap("ascend")
-        if not optima:
-            return None
-        best = max(optima, key=lambda optimum: optimum.value)
-        found = verify(self.index, query, rays, best.T_map_camera)
+        return max(optima, key=lambda optimum: optimum.value, default=None)
+
+    def _verified(
+        self, optimum: Optimum | None, query: Query, rays: FloatArray, matches: Matches, watch: _Stopwatch
+    ) -> _Found | None:
+        found = None if optimum is None else verify(self.index, query, rays, optimum.T_map_camera)
+        checked = self._checked(found, query, matches)
         watch.lap("verify")
-        return found if found is not None and _permitted(found, query) else None
+        return checked
 
-    def _conclusive(self, verified: Verified | None) -> bool:
-        return verified is not None and confidence_of(verified, self.index.metric) >= self.options.conclusive
+    def _look_with_any_focal(
+        self, place: Place, query: Query, rays: FloatArray, watch: _Stopwatch
+    ) -> Iterator[_Found | None]:
+        """As :meth:`_look`, the focal length estimated along with the pose."""
+        matches = self.index.match_within(query.features, place.landmarks)
+        watch.lap("match")
+        seed = focal_seed(self.index, matches, query, self.options.ransac_samples[0])
+        watch.lap("seed")
+        if seed is None:
+            return
+        T_map_camera, camera = seed
+        found = verify_with_focal(self.index, replace(query, camera=camera), T_map_camera, matches)
+        watch.lap("verify")
+        if found is not None:
+            verified, focal, refined = found
+            if _true_to_gravity(verified.optimum.T_map_camera, query.gravity):
+                yield self._candidate(verified, refined, focal)
 
-    def _settle(
-        self, best: Verified | None, dof: Dof, otherwise: Reason, matches: int, watch: _Stopwatch
-    ) -> Localization:
-        return _refusal(otherwise, matches, watch) if best is None else self._answer(best, dof, matches, watch)
+    def _checked(self, verified: Verified | None, query: Query, matches: Matches | None) -> _Found | None:
+        """A verified pose as a candidate, its camera's focal length held against what is seen."""
+        if verified is None or matches is None or not _true_to_gravity(verified.optimum.T_map_camera, query.gravity):
+            return None
+        return self._candidate(verified, query, check_focal(self.index, query, verified, matches))
 
-    def _answer(self, verified: Verified, dof: Dof, matches: int, watch: _Stopwatch) -> Localization:
-        confidence = confidence_of(verified, self.index.metric)
+    def _candidate(self, verified: Verified, query: Query, focal: FocalEstimate) -> _Found:
+        recognized = confidence_of(verified, self.index.metric)
+        near_prior = _near_prior(verified.optimum.T_map_camera, query.prior)
+        return _Found(verified, query.camera, focal, recognized * focal.belief, near_prior, recognized)
+
+    def _answer(self, search: _Search) -> Localization:
+        found = search.outcome(self.options.conclusive)
+        if found is None:
+            return _refusal(search.reason, search.matches, search.watch)
+        query, verified = search.query, found.verified
         agreeing = verified.optimum.density > 0
-        T_map_camera = upright(verified.optimum.T_map_camera) if dof is Dof.UPRIGHT else verified.optimum.T_map_camera
-        localized = confidence >= self.min_confidence
-        pixels = verified.pixels[agreeing]
+        T_map_camera = verified.optimum.T_map_camera
+        if query.dof is Dof.UPRIGHT:
+            T_map_camera = upright(T_map_camera)
+        localized = found.confidence >= self.min_confidence
+        estimated = query.intrinsics is Intrinsics.UNKNOWN
         answer = Localization(
             localized=localized,
             reason=None if localized else Reason.LOW_CONFIDENCE,
             pose=Pose(T_map_camera) if localized else None,
             covariance=verified.covariance if localized else None,
-            confidence=confidence,
-            matches=matches,
+            confidence=found.confidence,
+            matches=search.matches,
             inliers=verified.inliers,
-            inlier_pixels=pixels,
+            inlier_pixels=verified.pixels[agreeing],
             inlier_features=verified.matches.landmarks[agreeing],
-            timings_ms=watch.timings_ms,
+            timings_ms=search.watch.timings_ms,
+            near_prior=None if query.prior is None else found.near_prior,
+            camera=found.camera if estimated else None,
+            focal_sigma_px=found.focal.sigma_px if estimated else None,
         )
         return with_map_error(self.index, answer)
 
+    def _diagnose(self, search: _Search, answer: Localization) -> Diagnosis:
+        """The likeliest cause of a refusal: what was asked for may be at fault, the camera, or the picture."""
+        query, watch = search.query, search.watch
+        if answer.reason is Reason.DEADLINE or watch.late:
+            return TOO_LITTLE_TIME
+        freed = replace(query, dof=Dof.FREE, gravity=None)
+        if query.dof is Dof.UPRIGHT or query.gravity is not None:
+            found = self._search(freed, watch).outcome(self.options.conclusive)
+            if found is not None and found.confidence >= self.options.conclusive:
+                return _contradicted(found, query)
+        best = search.outcome(self.options.conclusive)
+        if best is not None and best.focal.belief < self.min_confidence:
+            return wrong_camera(query.camera.focal, best.focal.focal_px)
+        if search.place is not None and query.intrinsics is Intrinsics.GIVEN:
+            rays = query.camera.rays(query.features.pixels)
+            for refocused in self._look_with_any_focal(search.place, freed, rays, watch):
+                if refocused is not None and refocused.confidence >= self.options.conclusive:
+                    return wrong_camera(query.camera.focal, refocused.focal.focal_px)
+        return diagnose_picture(query.image, self.map, len(query.features), _FEW_FEATURES)
+
+
+def _likelier(a: _Found | None, b: _Found) -> _Found:
+    """The one that more speaks for."""
+    if a is None:
+        return b
+    return a if (a.confidence, a.verified.optimum.value) >= (b.confidence, b.verified.optimum.value) else b
+
+
+def _contradicted(found: _Found, query: Query) -> Diagnosis:
+    """Which of the request's constraints a sure pose breaks."""
+    T = found.verified.optimum.T_map_camera
+    if not _true_to_gravity(T, query.gravity):
+        return Diagnosis(
+            Cause.WRONG_GRAVITY,
+            "The picture fits the map, but not with the gravity that was sent.",
+            "Send the direction of gravity (down) in the camera frame: x right, y down, z forward.",
+        )
+    rolled_deg = abs(np.degrees(Pose(T).roll))
+    return Diagnosis(
+        Cause.ROLLED,
+        f"The picture fits the map, with the camera rolled by {rolled_deg:.0f}°; an upright camera was asked for.",
+        "Ask with dof auto.",
+    )
+
 
 def _plausible(T_map_camera: FloatArray, query: Query) -> bool:
-    """Whether a seed may be what is asked for: upright where that is assumed, near the prior, true to gravity."""
+    """Whether a seed may be what is asked for: upright where that is demanded, true to gravity."""
     if query.dof is Dof.UPRIGHT:
         _, rolled = distance_between(T_map_camera, upright(T_map_camera))
         if rolled > _MAX_UPRIGHT_ROLL_RAD:
             return False
-    return _near_prior(T_map_camera, query.prior) and _true_to_gravity(T_map_camera, query.gravity)
-
-
-def _permitted(found: Verified, query: Query) -> bool:
-    T = found.optimum.T_map_camera
-    return _near_prior(T, query.prior) and _true_to_gravity(T, query.gravity)
+    return _true_to_gravity(T_map_camera, query.gravity)
 
 
 def _near_prior(T_map_camera: FloatArray, prior: Prior | None) -> bool:

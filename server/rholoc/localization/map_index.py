@@ -19,6 +19,8 @@ from rholoc.maps import Map, Trust, trust_of
 
 _CANDIDATES = 4
 _CHANCE_SAMPLES = 20_000
+_MOST_VIEWS = 0.8
+_UPRIGHT_LEAN_RAD = np.deg2rad(4.0)  # a hand that holds a phone upright keeps within it
 
 
 class MapIndex:
@@ -30,7 +32,9 @@ class MapIndex:
         self.landmarks = map_.landmarks.astype(np.float64)
         self.covariances = map_.covariances.astype(np.float64)
         self.view_positions = map_.view_positions
+        self.view_headings = map_.view_headings
         self._first_descriptor = np.searchsorted(map_.descriptor_features, np.arange(len(map_) + 1))
+        self._descriptor_counts = np.diff(self._first_descriptor)
         self._medoids = self._first_descriptor[:-1]
         self.tensors = None if map_.fitted is None else TensorIndex.of(map_.fitted, len(map_))
         self._everywhere = DescriptorIndex(map_.descriptors[self._medoids], map_.channels, self.metric)
@@ -60,6 +64,14 @@ class MapIndex:
     def covisibility(self) -> FloatArray:
         """(K, K) how many features two views share."""
         return np.asarray((self.visibility @ self.visibility.T).todense())
+
+    @cached_property
+    def seen_upright(self) -> bool:
+        """Whether the map's own views were taken by a camera held upright."""
+        if not self.map.info.upright or len(self.map.T_map_camera) == 0:
+            return False
+        lean_rad = np.arcsin(np.clip(np.abs(self.map.T_map_camera[:, 2, 0]), 0, 1))  # of the camera's x axis
+        return bool(np.quantile(lean_rad, _MOST_VIEWS) < _UPRIGHT_LEAN_RAD)
 
     @cached_property
     def chance_of_likeness(self) -> float:
@@ -128,22 +140,21 @@ class MapIndex:
 
     def descriptor_rows(self, landmarks: IntArray) -> IntArray:
         """The rows of all descriptors of the given landmarks."""
-        starts, ends = self._first_descriptor[landmarks], self._first_descriptor[landmarks + 1]
-        counts = ends - starts
+        starts, counts = self._first_descriptor[landmarks], self._descriptor_counts[landmarks]
         return np.repeat(starts - np.cumsum(counts) + counts, counts) + np.arange(counts.sum())
 
     def distances_to(self, features: FeatureSet, detections: IntArray, landmarks: IntArray) -> FloatArray:
         """The distance (M,) of each detection to its landmark's nearest descriptor; inf across channels."""
-        starts, ends = self._first_descriptor[landmarks], self._first_descriptor[landmarks + 1]
         best = np.full(len(detections), np.inf, dtype=np.float32)
-        for step in range(int((ends - starts).max(initial=0))):
-            has = np.flatnonzero(starts + step < ends)
-            rows = starts[has] + step
-            distance = descriptor_distances(
-                features.descriptors[detections[has]], self.map.descriptors[rows], self.metric
-            )
-            best[has] = np.minimum(best[has], distance)
-        best[features.channels[detections] != self.map.channels[landmarks]] = np.inf
+        comparable = np.flatnonzero(features.channels[detections] == self.map.channels[landmarks])
+        if len(comparable) == 0:
+            return best
+        detections, landmarks = detections[comparable], landmarks[comparable]
+        rows, counts = self.descriptor_rows(landmarks), self._descriptor_counts[landmarks]
+        distances = descriptor_distances(
+            features.descriptors[np.repeat(detections, counts)], self.map.descriptors[rows], self.metric
+        )
+        best[comparable] = np.minimum.reduceat(distances, np.cumsum(counts) - counts)
         return best
 
     def _matches(self, index: DescriptorIndex, rows: IntArray, features: FeatureSet, mutual: bool) -> Matches:

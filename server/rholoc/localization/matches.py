@@ -35,6 +35,10 @@ class Matches:
         """The matches at ``index``, in that order."""
         return Matches(self.detections[index], self.landmarks[index], self.chances[index])
 
+    def likeliest_first(self) -> Matches:
+        """The matches by their chances, descending."""
+        return self.take(np.argsort(-self.chances, kind="stable"))
+
     @classmethod
     def none(cls) -> Matches:
         """No matches."""

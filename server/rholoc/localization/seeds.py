@@ -15,6 +15,7 @@ from rholoc.localization.types import Prior
 
 _SEED = 20250  # samples are drawn from a generator with this seed: the same query gives the same answer
 _SCORE_TOLERANCE_PX = 12.0
+_BESIDE_M, _ASIDE_RAD = 1.0, np.deg2rad(30.0)  # how far from a pose a view still shows much the same
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,6 +57,18 @@ def vote_for_places(index: MapIndex, matches: Matches, most: int, views_each: in
         open_[companions[: max(views_each // 2, 1)]] = False
         open_[view] = False
     return places
+
+
+def place_of_prior(index: MapIndex, prior: Prior, views_each: int) -> Place | None:
+    """The part of the map that is seen from about a prior: by the views that stand and look most like it."""
+    apart_m = np.linalg.norm(index.view_positions - prior.pose.position, axis=1)
+    turned = np.arccos(np.clip(index.view_headings @ prior.pose.heading, -1, 1))
+    within = (apart_m < prior.radius_m + _BESIDE_M) & (turned < prior.radius_rad + _ASIDE_RAD)
+    nearest = np.argsort(apart_m + turned, kind="stable")
+    chosen = nearest[within[nearest]][:views_each]
+    if len(chosen) == 0:
+        return None
+    return Place(int(chosen[0]), np.unique(index.visibility[chosen].indices), np.inf)
 
 
 def minimal_samples(

@@ -18,7 +18,7 @@ import numpy as np
 
 from rholoc.density.tensor import TARGET_RADIUS, Peaks, TensorDensities
 from rholoc.geometry import FloatArray, IntArray
-from rholoc.localization.ascent import Evidence, Optimum, moved, upright, upright_axes
+from rholoc.localization.ascent import Evidence, Optimum, moved, roll_prior, upright, upright_axes
 from rholoc.localization.matches import Matches
 from rholoc.localization.types import Dof
 
@@ -169,11 +169,12 @@ def _step(voices: _Voices, T: FloatArray, tolerance_px: float, dof: Dof) -> Floa
         axes[:3, :3], axes[3:, 3:] = np.eye(3), upright_axes(T)
     peaks, fall, density = voices.at(T, tolerance_px)
     weight = _weights(voices, fall, density)
-    slope = -(weight @ peaks.drop_gradient) @ axes
+    pull, stiffness = roll_prior(T, dof) if dof is Dof.AUTO else (np.zeros(6), np.zeros((6, 6)))
+    slope = (pull - weight @ peaks.drop_gradient) @ axes
     J = peaks.offset_jacobian @ axes
     size = J.shape[2]
     weighted = (2 * weight[:, None, None]) * (peaks.fall @ J)
-    curvature = J.reshape(-1, size).T @ weighted.reshape(-1, size)
+    curvature = J.reshape(-1, size).T @ weighted.reshape(-1, size) + axes.T @ stiffness @ axes
     step = np.linalg.solve(curvature + (1e-6 * np.trace(curvature) / size + 1e-12) * np.eye(size), slope)
     length = max(float(np.linalg.norm(step[:3])) / _STEP_M, float(np.linalg.norm(step[3:])) / _STEP_RAD, 1.0)
     return np.asarray(step / length)

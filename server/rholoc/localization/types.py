@@ -3,17 +3,26 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from enum import IntEnum, StrEnum
+from enum import Enum, StrEnum
 
 from rholoc.features import FeatureSet
-from rholoc.geometry import Camera, FloatArray, IntArray, Pose
+from rholoc.geometry import ByteArray, Camera, FloatArray, IntArray, Pose
+from rholoc.localization.diagnosis import Diagnosis
 
 
-class Dof(IntEnum):
+class Dof(Enum):
     """The degrees of freedom that are estimated."""
 
+    AUTO = "auto"  # six; where the map's own views were upright, roll is improbable but not forbidden
     UPRIGHT = 5  # position and heading; the camera rolls by no more than a hand does: the paper's model
     FREE = 6  # position, heading and roll
+
+
+class Intrinsics(StrEnum):
+    """What is known of a camera."""
+
+    GIVEN = "given"  # the query's camera holds
+    UNKNOWN = "unknown"  # its focal length is only a guess, to be estimated along with the pose
 
 
 class Reason(StrEnum):
@@ -28,7 +37,7 @@ class Reason(StrEnum):
 
 @dataclass(frozen=True)
 class Prior:
-    """A pose that the answer is expected near.
+    """A pose that the answer is expected near. One that is elsewhere is given only where it is sure, and says so.
 
     Attributes:
         pose: the expected pose.
@@ -53,14 +62,18 @@ class Query:
         gravity: (3,) the direction of gravity in the camera frame (down), or None. Poses that contradict it by more
             than 10° are not considered; in a map that is not known to be upright it says nothing.
         deadline_s: seconds that the answer may take, or None.
+        intrinsics: whether the camera's focal length is known.
+        image: the picture itself, (H, W, 3) BGR, for the diagnosis of a refusal; or None.
     """
 
     features: FeatureSet
     camera: Camera
-    dof: Dof = Dof.UPRIGHT
+    dof: Dof = Dof.AUTO
     prior: Prior | None = None
     gravity: FloatArray | None = None
     deadline_s: float | None = None
+    intrinsics: Intrinsics = Intrinsics.GIVEN
+    image: ByteArray | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +91,11 @@ class Localization:
         inliers: how many of them agree with the pose.
         inlier_pixels: (I, 2) pixels of those.
         inlier_features: (I,) their rows in the map.
-        timings_ms: milliseconds by stage: match, seed, ascend, verify.
+        timings_ms: milliseconds by stage: match, seed, ascend, verify, diagnose.
+        near_prior: whether the pose is where the prior expects it; None without a prior.
+        camera: the camera as estimated, where its focal length was unknown.
+        focal_sigma_px: one sigma of that focal length.
+        diagnosis: the likeliest cause, where there is no pose.
         map_trusted: whether the frame poses that the map was built on passed every check; None where it does not say.
         expected_error_m: how far the map itself is expected to be off at the pose (root mean square, metres); None
             where the map does not know, or there is no pose.
@@ -94,5 +111,9 @@ class Localization:
     inlier_pixels: FloatArray
     inlier_features: IntArray
     timings_ms: dict[str, float] = field(default_factory=dict)
+    near_prior: bool | None = None
+    camera: Camera | None = None
+    focal_sigma_px: float | None = None
+    diagnosis: Diagnosis | None = None
     map_trusted: bool | None = None
     expected_error_m: float | None = None

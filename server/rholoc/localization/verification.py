@@ -14,7 +14,7 @@ from rholoc.localization.matches import Matches
 from rholoc.localization.tensor_ascent import ascend_tensors
 from rholoc.localization.types import Dof, Query
 
-_SEARCH_RADII_PX = (14.0, 5.0)
+SEARCH_RADII_PX = (14.0, 5.0)
 FINAL_TOLERANCE_PX = 4.0
 _MIN_MATCHES = 6
 _VIEWS_ALIKE = 10
@@ -30,6 +30,8 @@ class Verified:
         evidence: what they say.
         pixels: (M, 2) the pixels of the matched detections.
         by_chance: how many detections chance alone would match.
+        wide: the matches of the first, widest search.
+        focal_free: whether the focal length is an estimate, too: the covariance then knows it.
     """
 
     optimum: Optimum
@@ -37,11 +39,13 @@ class Verified:
     evidence: Evidence
     pixels: FloatArray
     by_chance: float
+    wide: Matches
+    focal_free: bool = False
 
     @cached_property
     def covariance(self) -> FloatArray:
         """(6, 6) of position (m) and rotation (rad, map frame, from the left)."""
-        return covariance_at(self.evidence, self.optimum, FINAL_TOLERANCE_PX)
+        return covariance_at(self.evidence, self.optimum, FINAL_TOLERANCE_PX, self.focal_free)
 
     @property
     def inliers(self) -> int:
@@ -90,34 +94,31 @@ def settle(index: MapIndex, matches: Matches, evidence: Evidence, optimum: Optim
 
 
 def verify(
-    index: MapIndex, query: Query, rays: FloatArray, T_map_camera: FloatArray, first_radius_px: float = 0.0
+    index: MapIndex,
+    query: Query,
+    rays: FloatArray,
+    T_map_camera: FloatArray,
+    radii_px: tuple[float, ...] = SEARCH_RADII_PX,
+    focal_free: bool = False,
 ) -> Verified | None:
-    """Match again around a pose (4, 4) and ascend, with a narrowing radius; None where too little is found.
-
-    A ``first_radius_px`` beyond the usual ones widens the search for poses known only roughly, as a prior is.
-    """
-    radii = (first_radius_px, first_radius_px / 2) if first_radius_px > _SEARCH_RADII_PX[0] else ()
-    T, found = T_map_camera, None
-    for radius in (*radii, *_SEARCH_RADII_PX):
+    """Match again around a pose (4, 4) and ascend, within each radius in turn; None where too little is found."""
+    T, found, wide = T_map_camera, None, None
+    for radius in radii_px:
         matches, by_chance = index.match_near(query.features, query.camera, T, radius)
         if len(matches) < _MIN_MATCHES:
             return None
+        wide = wide or matches
         evidence = evidence_of(index, matches, rays, query.camera)
         tolerances_px = (radius, radius / 2, FINAL_TOLERANCE_PX)
         optimum = climb(index, matches, evidence, T, tolerances_px, query.dof)
         optimum = settle(index, matches, evidence, optimum, query.dof)
         T, found = (
             optimum.T_map_camera,
-            Verified(optimum, matches, evidence, query.features.pixels[matches.detections], by_chance),
+            Verified(
+                optimum, matches, evidence, query.features.pixels[matches.detections], by_chance, wide, focal_free
+            ),
         )
     return found
-
-
-def better(a: Verified | None, b: Verified | None) -> Verified | None:
-    """The likelier of two."""
-    if a is None or b is None:
-        return a or b
-    return a if a.optimum.value >= b.optimum.value else b
 
 
 def distance_between(a: FloatArray, b: FloatArray) -> tuple[float, float]:

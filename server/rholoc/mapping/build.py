@@ -6,7 +6,6 @@ import uuid
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
-from typing import Any
 
 import numpy as np
 
@@ -22,15 +21,15 @@ from rholoc.mapping.landmarks import (
     select_stable,
     triangulate,
 )
-from rholoc.mapping.memory import recording_id, source_camera, with_landmarks
+from rholoc.mapping.memory import recording_id, with_landmarks
 from rholoc.mapping.observations import Views, link_observations
 from rholoc.mapping.report import HeldOut, map_report
 from rholoc.mapping.tensor_fit import DEFAULT_DEGREE, fit_map_tensors
 from rholoc.mapping.uncertainty import storable_covariances
 from rholoc.mapping.views import choose_views
-from rholoc.maps import DensityKind, Map, MapInfo
+from rholoc.maps import DensityKind, Map, MapInfo, MapWaypoint, Source
 from rholoc.progress import ProgressListener, Stage, silent
-from rholoc.recordings import Look, Recording, look_at
+from rholoc.recordings import Look, Recording, Waypoint, look_at
 from rholoc.trajectory import PoseMethod, Scale, Trajectory, estimate_trajectory
 
 DEFAULT_FEATURES = "lab3"
@@ -96,16 +95,17 @@ def build_map(
     if options.density is DensityKind.TENSOR:
         map_ = fit_map_tensors(map_, options.degree, progress)
     progress(Stage.DENSITIES, 1.0, f"{len(map_.descriptors)} descriptors")
-    report = map_report(map_, held_out if options.report else HeldOut.none(), progress)
-    report["trajectories"] = [walk.trajectory.report.to_json() for walk in walks]
-    report["coaching"] = [
-        coach(walk.recording, seen, walk.trajectory.times, walk.trajectory.T_map_camera)
-        for walk, seen in zip(walks, looks, strict=True)
-    ]
-    map_.info.report.update(report)
-    if line := advice_line(report["coaching"]):
+    report = replace(
+        map_report(map_, held_out if options.report else HeldOut.none(), progress),
+        trajectories=tuple(walk.trajectory.report for walk in walks),
+        coaching=tuple(
+            coach(walk.recording, seen, walk.trajectory.times, walk.trajectory.T_map_camera)
+            for walk, seen in zip(walks, looks, strict=True)
+        ),
+    )
+    if line := advice_line(report.coaching):
         progress(Stage.REPORT, 1.0, line)
-    return map_
+    return replace(map_, info=replace(map_.info, report=report))
 
 
 def _walk(recording: Recording, options: BuildOptions, progress: ProgressListener) -> _Walk:
@@ -213,23 +213,19 @@ def _view_covariances(walks: Sequence[_Walk]) -> FloatArray | None:
     return np.concatenate(parts).astype(np.float32)
 
 
-def _source(walk: _Walk, options: BuildOptions) -> dict[str, Any]:
-    return {
-        "id": recording_id(walk.recording),
-        "name": walk.recording.name,
-        "camera": source_camera(walk.trajectory.camera),
-        "frames": len(walk.recording.frames.times),
-        "posed": len(walk.trajectory.rows),
-        "views": len(walk.views),
-        "held_out": len(walk.held_out),
-        "poses": str(options.poses),
-    }
+def _source(walk: _Walk, options: BuildOptions) -> Source:
+    return Source(
+        id=recording_id(walk.recording),
+        name=walk.recording.name,
+        camera=walk.trajectory.camera,
+        frames=len(walk.recording.frames.times),
+        posed=len(walk.trajectory.rows),
+        views=len(walk.views),
+        held_out=len(walk.held_out),
+        poses=str(options.poses),
+    )
 
 
-def _waypoint(waypoint: Any, walk: _Walk) -> dict[str, Any]:
+def _waypoint(waypoint: Waypoint, walk: _Walk) -> MapWaypoint:
     residuals = walk.trajectory.report.waypoint_residuals_m or {}
-    return {
-        "name": waypoint.name,
-        "position": list(waypoint.position),
-        "residual_m": residuals.get(waypoint.name),
-    }
+    return MapWaypoint(waypoint.name, waypoint.position, residuals.get(waypoint.name))

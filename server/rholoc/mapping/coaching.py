@@ -3,30 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict
-from typing import Any
 
 import numpy as np
 
 from rholoc.errors import InvalidRecording, MappingFailed
 from rholoc.geometry import FloatArray
 from rholoc.recordings import Look, Recording, advise, look_through, measure_walk
+from rholoc.reports import CoachingReport
 
 
-def coach(recording: Recording, looks: Sequence[Look], times: FloatArray, T_map_camera: FloatArray) -> dict[str, Any]:
+def coach(recording: Recording, looks: Sequence[Look], times: FloatArray, T_map_camera: FloatArray) -> CoachingReport:
     """The section of a map's report on one recording, from its frames' looks and poses (N, 4, 4) at times (N,)."""
     figures = measure_walk(recording, looks, times, T_map_camera)
-    return {
-        "recording": recording.name,
-        "warnings": [asdict(warning) for warning in recording.warnings],
-        "figures": figures.to_json(),
-        "advice": [advice.to_json() for advice in advise(figures)],
-    }
+    return CoachingReport(recording.name, figures, recording.warnings, advise(figures))
 
 
-def advice_line(coaching: Sequence[dict[str, Any]]) -> str:
+def advice_line(coaching: Sequence[CoachingReport]) -> str:
     """All advices of the sections in one line; empty for good walks."""
-    texts = [advice["text"] for section in coaching for advice in section["advice"]]
+    texts = [advice.text for section in coaching for advice in section.advice]
     return f"next time: {' '.join(texts)}" if texts else ""
 
 
@@ -36,5 +30,5 @@ def with_advice(failure: MappingFailed, recording: Recording) -> MappingFailed:
         section = coach(recording, look_through(recording.frames), np.zeros(0), np.zeros((0, 4, 4)))
     except InvalidRecording:
         return failure
-    texts = [found["text"] for found in (*section["warnings"], *section["advice"])]
+    texts = [warning.text for warning in section.warnings] + [advice.text for advice in section.advice]
     return MappingFailed(failure.message, " ".join([failure.hint, *texts]).strip())

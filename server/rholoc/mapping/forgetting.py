@@ -7,6 +7,7 @@ from rholoc.mapping.forms import as_learned, ray_form
 from rholoc.mapping.joining import without_source
 from rholoc.maps import Map, MapInfo, check_observations
 from rholoc.progress import ProgressListener, silent
+from rholoc.reports import LearningReport
 
 
 def forget_recording(map_: Map, recording: str, progress: ProgressListener = silent) -> Map:
@@ -22,13 +23,13 @@ def forget_recording(map_: Map, recording: str, progress: ProgressListener = sil
     if len(map_.info.sources) == 1:
         raise Conflict(f"{recording} is all that the map was learned from.", "Delete the map instead.")
     after = without_source(ray_form(map_), row)
-    return as_learned(map_, after, {"forgotten": map_.info.sources[row]["id"]}, progress)
+    return as_learned(map_, after, LearningReport(map_.info.version + 1, forgotten=map_.info.sources[row].id), progress)
 
 
 def _source_row(info: MapInfo, recording: str) -> int:
-    rows = [row for row, source in enumerate(info.sources) if source["id"] == recording]
-    rows = rows or [row for row, source in enumerate(info.sources) if source["name"] == recording]
-    sources = ", ".join(f"{source['name']} ({source['id']})" for source in info.sources)
+    rows = [row for row, source in enumerate(info.sources) if source.id == recording]
+    rows = rows or [row for row, source in enumerate(info.sources) if source.name == recording]
+    sources = ", ".join(f"{source.name} ({source.id})" for source in info.sources)
     if not rows:
         raise InvalidInput(f"The map never learned from {recording}.", f"It learned from: {sources}.")
     if len(rows) > 1:

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 from rholoc.mapping.report import map_statistics
 from rholoc.mapping.tensor_fit import fit_map_tensors
 from rholoc.maps import DensityKind, Map
 from rholoc.progress import ProgressListener, silent
+from rholoc.reports import LearningReport
 
 
 def ray_form(map_: Map) -> Map:
@@ -16,16 +16,20 @@ def ray_form(map_: Map) -> Map:
     return replace(map_, info=replace(map_.info, density=DensityKind.RAY), fitted=None)
 
 
-def as_learned(before: Map, after: Map, figures: dict[str, Any], progress: ProgressListener = silent) -> Map:
+def as_learned(before: Map, after: Map, learned: LearningReport, progress: ProgressListener = silent) -> Map:
     """The next version of a map: ``after``, of ``ray`` form, in the form that ``before`` has, its report brought up.
 
-    ``figures`` say what was learned; the report lists them under ``learned``.
+    ``learned`` says what was learned; the report keeps it.
     """
-    version = before.info.version + 1
-    learned = [*before.info.report.get("learned", []), {"version": version, **figures}]
-    kept = {name: section for name, section in before.info.report.items() if name != "expected_error"}
-    report = kept | map_statistics(after) | {"learned": learned}
-    after = replace(after, info=replace(after.info, version=version, report=report))
+    report = before.info.report
+    report = replace(
+        map_statistics(after),
+        held_out=report.held_out,
+        trajectories=report.trajectories,
+        coaching=report.coaching,
+        learned=(*report.learned, learned),
+    )
+    after = replace(after, info=replace(after.info, version=learned.version, report=report))
     if before.fitted is not None:
         after = fit_map_tensors(after, before.fitted.degree, progress)
     return after

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -17,14 +16,15 @@ from rholoc.mapping.coaching import coach
 from rholoc.mapping.forms import as_learned, ray_form
 from rholoc.mapping.joining import join
 from rholoc.mapping.landmarks import Landmarks, extend_and_merge, select_stable, triangulate
-from rholoc.mapping.memory import recording_id, source_camera
+from rholoc.mapping.memory import recording_id
 from rholoc.mapping.observations import Views, link_observations
-from rholoc.mapping.registration import MIN_FOUND, SURE, Alignment, align_to_found, find_frames, without_jumps
+from rholoc.mapping.registration import MIN_FOUND, SURE, Alignment, Found, align_to_found, find_frames, without_jumps
 from rholoc.mapping.uncertainty import uncertainty_in
 from rholoc.mapping.views import choose_views
-from rholoc.maps import Map, MapInfo, check_observations
+from rholoc.maps import Map, MapInfo, Source, check_observations
 from rholoc.progress import ProgressListener, Stage, silent
 from rholoc.recordings import Recording, look_through
+from rholoc.reports import LearningReport
 from rholoc.trajectory import PoseMethod, Scale, estimate_trajectory
 
 _FEATURES_PER_VIEW = 400
@@ -54,6 +54,7 @@ class _Walk:
     """The frames of a recording that are learned from: camera, times (K,), T_map_camera (K, 4, 4), features of each.
 
     ``residual`` is how far a pose may be off from the map on its own: metres and radians, standard deviations.
+    ``figures`` are what is known so far of the report.
     """
 
     camera: Camera
@@ -61,7 +62,7 @@ class _Walk:
     T_map_camera: FloatArray
     features: list[FeatureSet]
     poses: str
-    figures: dict[str, Any]
+    figures: LearningReport
     residual: tuple[float, float]
 
 
@@ -82,7 +83,7 @@ def update_map(
     options = options or UpdateOptions()
     check_observations(map_, "The map")
     id_ = recording_id(recording)
-    if any(source["id"] == id_ for source in map_.info.sources):
+    if any(source.id == id_ for source in map_.info.sources):
         raise Conflict(f"The map has learned {recording.name} already.", "Forget it first, to learn it anew.")
     known = ray_form(map_)
     localizer = Localizer(known, min_confidence=SURE)
@@ -93,14 +94,14 @@ def update_map(
         walk = _aligned_walk(localizer, recording, method, progress)
     views = Views.from_features([walk.camera] * len(walk.times), walk.T_map_camera, walk.times, walk.features)
     labels, new = _recognize(localizer, views, progress)
-    source = {
-        "id": id_,
-        "name": recording.name,
-        "camera": source_camera(walk.camera),
-        "frames": len(recording.frames.times),
-        "views": len(views),
-        "poses": walk.poses,
-    }
+    source = Source(
+        id=id_,
+        name=recording.name,
+        camera=walk.camera,
+        frames=len(recording.frames.times),
+        views=len(views),
+        poses=walk.poses,
+    )
     seen, landmarks = _seen_landmarks(known, labels, new)
     info = replace(known.info, sources=(source,), waypoints=())
     learned = assemble(info, views, landmarks, np.zeros(len(views), dtype=np.int64), localizer.extractor.metric)
@@ -109,14 +110,16 @@ def update_map(
         learned = replace(learned, view_covariances=spread)
     joined = join(known, learned, seen)
     progress(Stage.DENSITIES, 0.9, f"{len(joined)} features, {len(known)} of them known before")
-    figures = walk.figures | {
-        "source": id_,
-        "views": len(views),
-        "features_seen_again": int((seen >= 0).sum()),
-        "features_new": int((seen < 0).sum()),
-        "coaching": coach(recording, look_through(recording.frames), walk.times, walk.T_map_camera),
-    }
-    return as_learned(map_, joined, figures, progress)
+    report = replace(
+        walk.figures,
+        version=map_.info.version + 1,
+        source=id_,
+        views=len(views),
+        features_seen_again=int((seen >= 0).sum()),
+        features_new=int((seen < 0).sum()),
+        coaching=coach(recording, look_through(recording.frames), walk.times, walk.T_map_camera),
+    )
+    return as_learned(map_, joined, report, progress)
 
 
 def _localized_walk(localizer: Localizer, recording: Recording, progress: ProgressListener) -> _Walk:
@@ -130,7 +133,7 @@ def _localized_walk(localizer: Localizer, recording: Recording, progress: Progre
     found = find_frames(localizer, frames, np.arange(len(rows)), recording.name, progress)
     found = without_jumps(found, times[rows], recording.name)
     views = found.rows[choose_views(found.T_map_camera[found.rows], hold_out=False, step=_VIEW_STEP)[0]]
-    figures = {"frames_tried": found.tried, "frames_found": len(found.rows)}
+    figures = LearningReport(0, frames_tried=found.tried, frames_found=len(found.rows))
     return _Walk(
         camera,
         times[rows[views]],
@@ -157,8 +160,7 @@ def _aligned_walk(localizer: Localizer, recording: Recording, method: PoseMethod
     metric = localizer.map.info.metric and trajectory.scale is Scale.METRIC
     own = trajectory.T_map_camera[views]
     alignment = align_to_found(own, found, metric, recording.name)
-    figures = {"frames_tried": found.tried, "frames_found": len(found.rows), **alignment_figures(alignment)}
-    figures |= {"trusted": trajectory.report.trusted, "why": trajectory.report.why}
+    figures = replace(alignment_report(alignment, found), trusted=trajectory.report.trusted, why=trajectory.report.why)
     return _Walk(
         trajectory.camera,
         trajectory.times[views],
@@ -170,13 +172,16 @@ def _aligned_walk(localizer: Localizer, recording: Recording, method: PoseMethod
     )
 
 
-def alignment_figures(alignment: Alignment) -> dict[str, Any]:
-    """What a report says of an alignment."""
-    return {
-        "residual_median_m": alignment.residual_m,
-        "residual_median_deg": float(np.degrees(alignment.residual_rad)),
-        "scale": alignment.similarity.scale,
-    }
+def alignment_report(alignment: Alignment, found: Found) -> LearningReport:
+    """What is reported of an alignment to frames found; the version is not known yet."""
+    return LearningReport(
+        version=0,
+        frames_tried=found.tried,
+        frames_found=len(found.rows),
+        residual_median_m=alignment.residual_m,
+        residual_median_deg=float(np.degrees(alignment.residual_rad)),
+        scale=alignment.similarity.scale,
+    )
 
 
 def _features(

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
-from dataclasses import asdict, dataclass, replace
-from typing import Any
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from rholoc.density.ray import landmarks_from_information
 from rholoc.errors import InvalidRecording
-from rholoc.geometry import BoolArray, Camera, FloatArray, IntArray
+from rholoc.geometry import BoolArray, FloatArray, IntArray
 from rholoc.mapping.landmarks import estimate_information
 from rholoc.maps import Map, Observations, check_observations, source_cameras, validate_map
 from rholoc.recordings import Recording
@@ -46,11 +45,6 @@ def recording_id(recording: Recording) -> str:
     with contextlib.suppress(InvalidRecording):  # a damaged frame is no matter as long as nobody needs it
         digest.update(next(iter(recording.frames.images([0]))).tobytes())
     return digest.hexdigest()
-
-
-def source_camera(camera: Camera) -> dict[str, Any]:
-    """A camera as a source keeps it."""
-    return asdict(camera) | {"distortion": list(camera.distortion)}
 
 
 def observed_rays(map_: Map) -> ObservedRays:

@@ -16,7 +16,7 @@ from rholoc.geometry import Camera, IntArray, poses_from_rows, rows_from_poses
 from rholoc.localization import Localizer
 from rholoc.mapping.forms import as_learned, ray_form
 from rholoc.mapping.joining import join, without_source
-from rholoc.mapping.learning import alignment_figures
+from rholoc.mapping.learning import alignment_report
 from rholoc.mapping.memory import with_landmarks
 from rholoc.mapping.registration import SURE, align_to_found, find_frames
 from rholoc.mapping.uncertainty import moved_covariances, uncertainty_in
@@ -43,8 +43,8 @@ def merge_maps(a: Map, b: Map, progress: ProgressListener = silent) -> Map:
         Cancelled: ``progress`` asked to stop.
     """
     _check_alike(a, b)
-    shared = {source["id"] for source in a.info.sources}
-    if all(source["id"] in shared for source in b.info.sources):
+    shared = {source.id for source in a.info.sources}
+    if all(source.id in shared for source in b.info.sources):
         raise Conflict("The first map has learned all that the second has.", "There is nothing to merge.")
     b = _without_shared(ray_form(b), shared)
     localizer = Localizer(ray_form(a), min_confidence=SURE)
@@ -56,14 +56,14 @@ def merge_maps(a: Map, b: Map, progress: ProgressListener = silent) -> Map:
     same = _same_features(localizer, moved, progress)
     merged = join(localizer.map, moved, same)
     progress(Stage.DENSITIES, 1.0, f"{len(merged)} features, {int((same >= 0).sum())} of them in both maps")
-    figures = alignment_figures(alignment) | {
-        "merged": b.info.id,
-        "frames_tried": found.tried,
-        "frames_found": len(found.rows),
-        "features_in_both": int((same >= 0).sum()),
-        "features_new": int((same < 0).sum()),
-    }
-    merged = as_learned(a, merged, figures, progress)
+    report = replace(
+        alignment_report(alignment, found),
+        version=a.info.version + 1,
+        merged=b.info.id,
+        features_in_both=int((same >= 0).sum()),
+        features_new=int((same < 0).sum()),
+    )
+    merged = as_learned(a, merged, report, progress)
     created = datetime.now(UTC).isoformat(timespec="seconds")
     version = max(a.info.version, b.info.version) + 1
     return replace(merged, info=replace(merged.info, id=uuid.uuid4().hex, version=version, created=created))
@@ -80,7 +80,7 @@ def moved_map(map_: Map, similarity: Similarity) -> Map:
         info=replace(
             map_.info,
             waypoints=tuple(
-                waypoint | {"position": similarity.points(np.array([waypoint["position"]]))[0].tolist()}
+                replace(waypoint, position=tuple(similarity.points(np.array([waypoint.position]))[0].tolist()))
                 for waypoint in map_.info.waypoints
             ),
         ),
@@ -109,8 +109,8 @@ def _check_alike(a: Map, b: Map) -> None:
         )
 
 
-def _without_shared(map_: Map, shared: set[str]) -> Map:
-    rows = [row for row, source in enumerate(map_.info.sources) if source["id"] in shared]
+def _without_shared(map_: Map, shared: set[str | None]) -> Map:
+    rows = [row for row, source in enumerate(map_.info.sources) if source.id in shared]
     for row in reversed(rows):
         map_ = without_source(map_, row)
     return map_

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from rholoc.geometry import FloatArray
 from rholoc.localization.map_error import map_covariance_at
 from rholoc.maps import Map
+from rholoc.reports import ExpectedError
 from rholoc.trajectory.alignment import Similarity
 
 _NEAREST = 10  # views of a map that say how uncertain it is at a place
@@ -50,21 +49,16 @@ def moved_covariances(covariances: FloatArray, similarity: Similarity) -> FloatA
     return storable_covariances(J @ covariances.astype(np.float64) @ J.T)
 
 
-def expected_error(map_: Map) -> dict[str, Any]:
-    """The report's section on how far a map's views are expected to be from the truth; empty where it is not known.
-
-    ``rms_m`` of all, ``worst_m`` and the time of the worst, ``views_m`` of each view in order, null where unknown.
-    """
+def expected_error(map_: Map) -> ExpectedError | None:
+    """How far a map's views are expected to be from the truth; None where it is not known."""
     errors_m = map_.expected_errors_m
     known = np.flatnonzero(np.isfinite(errors_m))
     if len(known) == 0:
-        return {}
+        return None
     worst = int(known[np.argmax(errors_m[known])])
-    return {
-        "expected_error": {
-            "rms_m": float(np.sqrt(np.mean(errors_m[known] ** 2))),
-            "worst_m": float(errors_m[worst]),
-            "worst_time_s": float(map_.view_times[worst]),
-            "views_m": [round(float(error), 5) if np.isfinite(error) else None for error in errors_m],
-        }
-    }
+    return ExpectedError(
+        rms_m=float(np.sqrt(np.mean(errors_m[known] ** 2))),
+        worst_m=float(errors_m[worst]),
+        worst_time_s=float(map_.view_times[worst]),
+        views_m=tuple(round(float(error), 5) if np.isfinite(error) else None for error in errors_m),
+    )

@@ -5,8 +5,9 @@ from rholoc.maps.coefficient_reading import is_coefficient_table, read_coefficie
 from rholoc.maps.coefficient_table import coefficient_table, write_coefficient_table
 from rholoc.maps.coverage import Coverage, coverage_of
 from rholoc.maps.export import landmark_sigmas, map_to_ply, map_to_vtp
+from rholoc.maps.info import DensityKind, MapInfo, MapWaypoint, Source
 from rholoc.maps.library import MapLibrary, MapStat, check_map_name
-from rholoc.maps.map import DensityKind, Map, MapInfo
+from rholoc.maps.map import Map
 from rholoc.maps.observations import (
     Observations,
     check_observations,
@@ -25,7 +26,7 @@ from rholoc.maps.trajectory_table import (
     view_trajectory,
     write_trajectory_csv,
 )
-from rholoc.maps.trust import Trust, expected_error_m, reported_metres, trust_of
+from rholoc.maps.trust import Trust, consistency_m, expected_error_m, trust_of
 from rholoc.maps.validation import validate_map
 
 __all__ = [
@@ -37,13 +38,16 @@ __all__ = [
     "MapInfo",
     "MapLibrary",
     "MapStat",
+    "MapWaypoint",
     "ObservationTable",
     "Observations",
+    "Source",
     "TrajectoryTable",
     "Trust",
     "check_map_name",
     "check_observations",
     "coefficient_table",
+    "consistency_m",
     "coverage_of",
     "expected_error_m",
     "is_coefficient_table",
@@ -58,7 +62,6 @@ __all__ = [
     "packed_pixels",
     "read_coefficient_table",
     "read_trajectory_csv",
-    "reported_metres",
     "save_map",
     "source_cameras",
     "trajectory_csv",

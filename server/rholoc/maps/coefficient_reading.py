@@ -24,7 +24,8 @@ from rholoc.maps.coefficient_table import (
     VIEW_NUMBERS,
     table_columns,
 )
-from rholoc.maps.map import DensityKind, Map, MapInfo
+from rholoc.maps.info import DensityKind, MapInfo, Source
+from rholoc.maps.map import Map
 from rholoc.maps.rho_file import unpacked_covariances, unpacked_poses
 from rholoc.maps.validation import validate_map
 
@@ -290,7 +291,7 @@ def _info(name: str, kind: DensityKind, shared: list[str]) -> MapInfo:
         upright=upright == "1",
         created=datetime.now(UTC).isoformat(timespec="seconds"),
         camera=intrinsics,
-        sources=({"name": name},),
+        sources=(Source(name),),
     )
 
 

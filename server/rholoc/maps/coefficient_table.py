@@ -22,7 +22,8 @@ from rholoc.density.tensor import TARGET_RADIUS, VARIABLES
 from rholoc.errors import InvalidMap
 from rholoc.geometry import Camera, FloatArray, IntArray, rows_from_poses
 from rholoc.maps.files import replace_file
-from rholoc.maps.map import DensityKind, Map
+from rholoc.maps.info import DensityKind
+from rholoc.maps.map import Map
 from rholoc.maps.tables import descriptor_hex
 from rholoc.maps.validation import validate_map
 

@@ -16,6 +16,7 @@ from scipy.spatial import cKDTree
 from rholoc.density.presence import Presence
 from rholoc.geometry import BoolArray, Camera, FloatArray, IntArray
 from rholoc.maps.map import Map
+from rholoc.reports import CoverageReport
 
 HEADINGS = 12
 SUFFICIENT = 60  # landmarks in view with which localization is to be expected
@@ -58,29 +59,28 @@ class Coverage:
         """(C, 3) metres, map frame."""
         return np.asarray(self.origin + self.step_m * self.cells @ self.axes)
 
-    def summary(self) -> dict[str, Any]:
-        """Figures on the whole: of all positions and headings, and of the best heading of each position."""
-        if self.counts.size == 0:
-            return {"share_sufficient": 0.0, "positions_sufficient": 0.0, "median": 0.0}
-        sufficient = self.counts >= SUFFICIENT
-        return {
-            "share_sufficient": round(float(sufficient.mean()), 4),
-            "positions_sufficient": round(float(sufficient.any(axis=1).mean()), 4),
-            "median": float(np.median(self.counts)),
-        }
+    @property
+    def share_sufficient(self) -> float:
+        """Of all positions and headings, those that see enough landmarks."""
+        return float((self.counts >= SUFFICIENT).mean()) if self.counts.size else 0.0
 
-    def to_json(self) -> dict[str, Any]:
-        """As a map's report keeps it; less than 20 kB as text."""
-        return self.summary() | {
-            "sufficient": SUFFICIENT,
-            "origin": np.round(self.origin, 4).tolist(),
-            "axes": np.round(self.axes, 6).tolist(),
-            "step": round(self.step_m, 6),
-            "pitch_deg": round(self.pitch_deg, 1),
-            "headings_deg": self.headings_deg.tolist(),
-            "cells": self.cells.tolist(),
-            "counts": self.counts.tolist(),
-        }
+    def report(self) -> CoverageReport:
+        """For a map's report; less than 20 kB as JSON."""
+        sufficient = self.counts >= SUFFICIENT
+        some = self.counts.size > 0
+        return CoverageReport(
+            share_sufficient=round(self.share_sufficient, 4),
+            positions_sufficient=round(float(sufficient.any(axis=1).mean()), 4) if some else 0.0,
+            median=float(np.median(self.counts)) if some else 0.0,
+            sufficient=SUFFICIENT,
+            origin=tuple(np.round(self.origin, 4).tolist()),
+            axes=_rows(np.round(self.axes, 6)),
+            step=round(self.step_m, 6),
+            pitch_deg=round(self.pitch_deg, 1),
+            headings_deg=tuple(self.headings_deg.tolist()),
+            cells=_rows(self.cells),
+            counts=_rows(self.counts),
+        )
 
 
 def coverage_of(map_: Map) -> Coverage:
@@ -107,6 +107,10 @@ def coverage_of(map_: Map) -> Coverage:
     if len(map_):
         _count(map_, coverage)
     return coverage
+
+
+def _rows(array: FloatArray | IntArray) -> tuple[tuple[Any, ...], ...]:
+    return tuple(map(tuple, array.tolist()))
 
 
 def _plane(rotations: FloatArray, upright: bool) -> tuple[FloatArray, FloatArray]:

@@ -15,11 +15,16 @@ def landmark_sigmas(map_: Map) -> FloatArray:
     return np.asarray(np.sqrt(np.trace(map_.covariances.astype(np.float64), axis1=1, axis2=2) / 3))
 
 
+def view_sigmas(map_: Map) -> FloatArray:
+    """(K,) metres: the same of each view's position; 0 where that is not known."""
+    return np.asarray(np.nan_to_num(map_.expected_errors_m) / np.sqrt(3))
+
+
 def map_to_ply(map_: Map) -> bytes:
     """The map as an ASCII PLY file: landmarks, then views, as vertices; the view path as edges.
 
-    Vertex properties: ``x y z`` in metres, ``sigma_m`` (0 for views), ``channel`` (255 for views), and the heading
-    ``nx ny nz`` (0 for landmarks).
+    Vertex properties: ``x y z`` in metres, ``sigma_m`` (0 for views that do not know theirs), ``channel`` (255 for
+    views), and the heading ``nx ny nz`` (0 for landmarks).
     """
     features, views = len(map_), len(map_.view_times)
     edges = max(views - 1, 0)
@@ -39,7 +44,7 @@ def map_to_ply(map_: Map) -> bytes:
     text = io.StringIO()
     text.write("\n".join(header) + "\n")
     landmarks = np.column_stack([map_.landmarks, np.zeros((features, 3)), landmark_sigmas(map_), map_.channels])
-    path = np.column_stack([map_.view_positions, map_.view_headings, np.zeros(views), np.full(views, 255)])
+    path = np.column_stack([map_.view_positions, map_.view_headings, view_sigmas(map_), np.full(views, 255)])
     np.savetxt(text, np.vstack([landmarks, path]), fmt=["%.5f"] * 7 + ["%d"])
     np.savetxt(text, features + np.column_stack([np.arange(edges), np.arange(1, edges + 1)]), fmt="%d")
     return text.getvalue().encode("ascii")
@@ -61,7 +66,7 @@ def map_to_vtp(map_: Map) -> bytes:
     )
     path = _piece(
         map_.view_positions,
-        np.zeros(views),
+        view_sigmas(map_),
         np.full(views, 255),
         map_.view_headings,
         np.arange(views)[None] if views > 1 else np.zeros((0, 0), int),

@@ -12,7 +12,8 @@ from uuid import uuid4
 
 from rholoc.errors import Conflict, InvalidInput, InvalidMap, InvalidName, UnknownMap
 from rholoc.maps.files import replace_file
-from rholoc.maps.map import Map, MapInfo
+from rholoc.maps.info import MapInfo
+from rholoc.maps.map import Map
 from rholoc.maps.rho_file import SUFFIX, load_info, load_map, map_to_bytes
 
 _NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9._-]{0,63}")

@@ -2,54 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from enum import StrEnum
+from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
 from rholoc.density.tensor import TensorDensities
-from rholoc.geometry import ByteArray, Camera, FloatArray, IntArray
+from rholoc.geometry import ByteArray, FloatArray, IntArray
+from rholoc.maps.info import MapInfo
 from rholoc.maps.observations import Observations
-
-
-class DensityKind(StrEnum):
-    """The form of equation (3) that a map's densities take."""
-
-    RAY = "ray"  # in s = (bearing, position): exact, from information sums
-    TENSOR = "tensor"  # in s = (u, v, position, heading): the paper's own, fitted
-
-
-@dataclass(frozen=True)
-class MapInfo:
-    """What a map says of itself.
-
-    Attributes:
-        id: unique for each built map, 32 hex digits.
-        version: 1 for a new map, counted up with every update.
-        density: the form of its densities.
-        features: the extractor's name.
-        metric: False where the unit of length is arbitrary; every answer then says so.
-        upright: whether z points up.
-        created: ISO 8601 time, UTC.
-        camera: the intrinsics of the first recording.
-        sources: a dict per recording: name, frames, pose method, density of keyframes …
-        waypoints: measured points: name, position, residual_m.
-        report: what the map found out about itself while it was built (JSON).
-    """
-
-    id: str
-    version: int
-    density: DensityKind
-    features: str
-    metric: bool
-    upright: bool
-    created: str
-    camera: Camera
-    sources: tuple[dict[str, Any], ...] = ()
-    waypoints: tuple[dict[str, Any], ...] = ()
-    report: dict[str, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)

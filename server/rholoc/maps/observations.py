@@ -78,16 +78,10 @@ def observations_fit(map_: Map, observations: Observations) -> bool:
             bool(((rows >= 0) & (rows < count)).all())
             for rows in (observations.view_sources, observations.descriptor_sources)
         )
-        and all({"id", "name", "camera"} <= source.keys() for source in map_.info.sources)
+        and all(source.id is not None and source.camera is not None for source in map_.info.sources)
     )
 
 
 def source_cameras(map_: Map) -> list[Camera]:
-    """The camera of each source."""
-    try:
-        return [
-            Camera(**source["camera"] | {"distortion": tuple(source["camera"]["distortion"])})
-            for source in map_.info.sources
-        ]
-    except (KeyError, TypeError, InvalidInput) as error:
-        raise InvalidMap(f"A source of the map has a broken camera: {error}.", "Take another copy.") from error
+    """The camera of each source; the map's own where a source does not say."""
+    return [source.camera or map_.info.camera for source in map_.info.sources]

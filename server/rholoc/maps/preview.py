@@ -87,10 +87,10 @@ def _plot_path(axes: Axes, map_: Map) -> None:
 
 def _plot_waypoints(axes: Axes, map_: Map) -> None:
     for waypoint in map_.info.waypoints:
-        x, y = waypoint["position"][:2]
+        x, y = waypoint.position[:2]
         axes.plot(x, y, marker="D", markersize=6, color=_MARKED, markeredgecolor="white", zorder=5)
         axes.annotate(
-            str(waypoint["name"]),
+            waypoint.name,
             (x, y),
             (6, 6),
             textcoords="offset points",

@@ -19,6 +19,7 @@ from rholoc.maps.coverage import coverage_of
 from rholoc.maps.files import replace_file
 from rholoc.maps.map import Map
 from rholoc.maps.rho_file import load_map
+from rholoc.reports import report_to_json
 
 _NICENESS = 10
 
@@ -66,7 +67,7 @@ def _report(map_: Map, name: str) -> bytes:
 
 
 def _coverage(map_: Map, _name: str) -> bytes:
-    return json.dumps(coverage_of(map_).to_json(), separators=(",", ":"), allow_nan=False).encode()
+    return json.dumps(report_to_json(coverage_of(map_).report()), separators=(",", ":"), allow_nan=False).encode()
 
 
 _RENDERERS: dict[Rendering, Callable[[Map, str], bytes]] = {

@@ -8,7 +8,6 @@ from __future__ import annotations
 import io
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -25,6 +24,8 @@ from rholoc.geometry import FloatArray
 from rholoc.maps.coverage import SUFFICIENT, Coverage, coverage_of
 from rholoc.maps.export import landmark_sigmas
 from rholoc.maps.map import Map
+from rholoc.maps.trust import expected_error_m, trust_of
+from rholoc.reports import MapReport
 
 _GREEN = "#1a7f5a"
 _INK = "#22303c"
@@ -60,7 +61,10 @@ def report_png(map_: Map, title: str = "") -> bytes:
     _plot_coverage(figure, figure.add_subplot(grid[:, 0]), map_, coverage_of(map_))
     unit, factor = ("cm", 100.0) if map_.info.metric else ("units", 1.0)
     _plot_errors(figure.add_subplot(grid[0, 1]), map_.info.report, unit, factor)
-    _plot_confidences(figure.add_subplot(grid[0, 2]), _held_out(map_.info.report), unit, factor)
+    if np.isfinite(map_.expected_errors_m).any():
+        _plot_expected_error(figure.add_subplot(grid[0, 2]), map_, unit, factor)
+    else:
+        _plot_confidences(figure.add_subplot(grid[0, 2]), _held_out(map_.info.report), unit, factor)
     _plot_sigmas(figure.add_subplot(grid[1, 1]), map_, unit, factor)
     _plot_views_per_landmark(figure.add_subplot(grid[1, 2]), map_)
     png = io.BytesIO()
@@ -68,19 +72,13 @@ def report_png(map_: Map, title: str = "") -> bytes:
     return png.getvalue()
 
 
-def _held_out(report: dict[str, Any]) -> _HeldOut | None:
-    """What the report says of single frames, if it says it, and soundly: maps come from anywhere."""
-    section = report.get("held_out")
-    if not isinstance(section, dict):
+def _held_out(report: MapReport) -> _HeldOut | None:
+    """What the report says of single frames, if it does."""
+    frames = report.held_out
+    if frames is None or not frames.errors_m or len(frames.errors_m) != len(frames.confidences or ()):
         return None
-    try:
-        errors = [math.inf if error is None else float(error) for error in section["errors_m"]]
-        confidences = [float(confidence) for confidence in section["confidences"]]
-    except (KeyError, TypeError, ValueError):
-        return None
-    if not errors or len(errors) != len(confidences) or any(math.isnan(value) for value in (*errors, *confidences)):
-        return None
-    return _HeldOut(np.array(errors), np.array(confidences))
+    errors = [math.inf if error is None else error for error in frames.errors_m]
+    return _HeldOut(np.array(errors), np.array(frames.confidences))
 
 
 def _plot_coverage(figure: Figure, axes: Axes, map_: Map, coverage: Coverage) -> None:
@@ -143,10 +141,10 @@ def _plot_path(axes: Axes, places: FloatArray, headings: FloatArray) -> None:
 
 def _plot_waypoints(axes: Axes, map_: Map, coverage: Coverage) -> None:
     for waypoint in map_.info.waypoints:
-        place = coverage.axes @ np.array(waypoint["position"], dtype=np.float64)
+        place = coverage.axes @ np.array(waypoint.position, dtype=np.float64)
         axes.plot(*place, marker="D", markersize=6, color=_MARKED, markeredgecolor="white", zorder=6)
         axes.annotate(
-            str(waypoint["name"]),
+            waypoint.name,
             (float(place[0]), float(place[1])),
             (6, 6),
             textcoords="offset points",
@@ -173,7 +171,6 @@ def _frame(axes: Axes, coverage: Coverage, places: FloatArray, unit: str) -> Non
 
 
 def _caption(map_: Map, coverage: Coverage) -> str:
-    summary = coverage.summary()
     unit = "m" if map_.info.metric else "units"
     info = map_.info
     scale = "" if info.metric else " · scale arbitrary"
@@ -181,12 +178,21 @@ def _caption(map_: Map, coverage: Coverage) -> str:
     return (
         f"{len(map_)} landmarks · {len(map_.view_times)} views · {info.features}, {info.density.value}"
         f"{scale}{upright}\n"
-        f"{summary['share_sufficient']:.0%} of positions and headings see {SUFFICIENT} landmarks or more (green); "
-        f"{coverage.step_m:.2g} {unit} grid, camera {coverage.pitch_deg:+.0f}°"
+        f"{coverage.share_sufficient:.0%} of positions and headings see {SUFFICIENT} landmarks or more (green); "
+        f"{coverage.step_m:.2g} {unit} grid, camera {coverage.pitch_deg:+.0f}°\n"
+        f"{_trust(map_)}"
     )
 
 
-def _plot_errors(axes: Axes, report: dict[str, Any], unit: str, factor: float) -> None:
+def _trust(map_: Map) -> str:
+    """One line on whether the map is to be trusted, and how far it is expected to be off."""
+    expected_m, trust = expected_error_m(map_.info), trust_of(map_.info)
+    expected = "unknown" if expected_m is None else f"{100 * expected_m:.1f} cm"
+    trusted = {True: "yes", False: "no", None: "unknown"}[trust.trusted]
+    return f"trusted: {trusted} · expected error {expected}"
+
+
+def _plot_errors(axes: Axes, report: MapReport, unit: str, factor: float) -> None:
     """How large a share of the frames is at most so wrong."""
     _panel(
         axes,
@@ -225,14 +231,13 @@ def _plot_errors(axes: Axes, report: dict[str, Any], unit: str, factor: float) -
     )
 
 
-def _quantiles(report: dict[str, Any], unit: str, factor: float) -> str:
+def _quantiles(report: MapReport, unit: str, factor: float) -> str:
     """What a report without the errors themselves says of them."""
-    try:
-        section = report["held_out"]
-        median, p90 = factor * section["median_m"], factor * section["p90_m"]
-        return f"{section['localized']:d} of {section['frames']:d} localized\n50%: {median:.2g}, 90%: {p90:.2g} {unit}"
-    except (KeyError, TypeError, ValueError):
+    frames = report.held_out
+    if frames is None or frames.median_m is None or frames.p90_m is None:
         return _NO_FRAMES
+    median, p90 = factor * frames.median_m, factor * frames.p90_m
+    return f"{frames.localized} of {frames.frames} localized\n50%: {median:.2g}, 90%: {p90:.2g} {unit}"
 
 
 def _plot_confidences(axes: Axes, held_out: _HeldOut | None, unit: str, factor: float) -> None:
@@ -249,6 +254,17 @@ def _plot_confidences(axes: Axes, held_out: _HeldOut | None, unit: str, factor: 
     axes.scatter(errors, held_out.confidences[found], s=22, color=_GREEN, alpha=0.6, linewidths=0, clip_on=False)
     axes.set_ylim(0, 1.04)
     _logarithmic(axes, 0.7 * float(errors.min()), 1.4 * float(errors.max()))
+
+
+def _plot_expected_error(axes: Axes, map_: Map, unit: str, factor: float) -> None:
+    """How far the views are expected to be from the truth, over the walk."""
+    _panel(axes, "Expected error over the walk", "view", f"root mean square, {unit}")
+    errors = factor * map_.expected_errors_m
+    numbers = np.arange(len(errors))
+    axes.plot(numbers, errors, color=_GREEN, linewidth=1.5)
+    axes.fill_between(numbers, errors, color=_GREEN, alpha=0.12, linewidth=0)
+    axes.set_ylim(0, 1.15 * float(np.nanmax(errors)))
+    axes.set_xlim(0, max(len(errors) - 1, 1))
 
 
 def _plot_sigmas(axes: Axes, map_: Map, unit: str, factor: float) -> None:

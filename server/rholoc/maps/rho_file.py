@@ -21,8 +21,8 @@ from rholoc.density.tensor import DEGREES, TensorDensities
 from rholoc.errors import InvalidMap, UnknownMap
 from rholoc.geometry import FloatArray, IntArray, poses_from_rows, rows_from_poses
 from rholoc.maps.files import replace_file
-from rholoc.maps.info_json import info_from_json, info_to_json
-from rholoc.maps.map import DensityKind, Map, MapInfo
+from rholoc.maps.info import DensityKind, MapInfo, info_from_json, info_to_json
+from rholoc.maps.map import Map
 from rholoc.maps.observations import Observations, packed_pixels, source_cameras, unpacked_pixels
 from rholoc.maps.validation import validate_map
 

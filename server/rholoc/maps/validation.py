@@ -7,7 +7,8 @@ import numpy as np
 from rholoc.density.tensor import TensorDensities, kept_powers
 from rholoc.errors import InvalidMap
 from rholoc.geometry import FloatArray, IntArray
-from rholoc.maps.map import DensityKind, Map
+from rholoc.maps.info import DensityKind
+from rholoc.maps.map import Map
 from rholoc.maps.observations import observations_fit
 
 _ROTATION_TOLERANCE = 1e-3

@@ -2,7 +2,7 @@
 
 from rholoc.recordings.archive import MAX_FILES, check_archive
 from rholoc.recordings.camera_file import CameraFile, read_camera_json, write_camera_json
-from rholoc.recordings.coaching import Advice, AdviceKind, WalkFigures, advise
+from rholoc.recordings.coaching import advise
 from rholoc.recordings.contents import START_BYTES, ZIP_SUFFIX, check_file_name, check_file_start
 from rholoc.recordings.description import describe_recording
 from rholoc.recordings.frames_table import read_frames_csv, write_frames_csv
@@ -11,20 +11,12 @@ from rholoc.recordings.imu_table import read_imu_csv, write_imu_csv
 from rholoc.recordings.memory_frames import MemoryFrames
 from rholoc.recordings.pose_table import PoseTable, read_pose_table
 from rholoc.recordings.reader import read_recording
-from rholoc.recordings.recording import (
-    FrameSource,
-    GivenPoses,
-    Imu,
-    Recording,
-    RecordingFormat,
-    RecordingWarning,
-    WarningKind,
-    Waypoint,
-)
+from rholoc.recordings.recording import FrameSource, GivenPoses, Imu, Recording, RecordingFormat, Waypoint
 from rholoc.recordings.selection import parse_frame_slice
 from rholoc.recordings.stillness import pauses
 from rholoc.recordings.walk_figures import Look, look_at, look_through, measure_walk
 from rholoc.recordings.waypoints import check_waypoints_fix_frame, read_waypoints_csv, write_waypoints_csv
+from rholoc.reports import Advice, AdviceKind, RecordingWarning, WalkFigures, WarningKind
 
 __all__ = [
     "MAX_FILES",

@@ -6,7 +6,8 @@ import numpy as np
 
 from rholoc.geometry import FloatArray
 from rholoc.recordings.imu_normalisation import gap_rows
-from rholoc.recordings.recording import Imu, Recording, RecordingWarning, WarningKind
+from rholoc.recordings.recording import Imu, Recording
+from rholoc.reports import RecordingWarning, WarningKind
 
 _MARGIN_S = 0.5  # frames before and after the IMU's table that do not matter
 

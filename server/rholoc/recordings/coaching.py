@@ -3,71 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
-from enum import StrEnum
-from typing import Any
+
+from rholoc.reports import Advice, AdviceKind, WalkFigures
 
 MAX_TURN_DEG_S = 50.0  # above it a phone's picture of a room blurs by more than a feature's size
 MIN_BRIGHTNESS = 41.0  # of 255; below it cameras expose longer, blur, and add noise
 MAX_BARE_SHARE = 0.1
 MAX_RETURN = 0.15
-
-
-class AdviceKind(StrEnum):
-    """What a walk lacked."""
-
-    TOO_FAST = "too_fast"
-    TOO_DARK = "too_dark"
-    TOO_LITTLE_TEXTURE = "too_little_texture"
-    PAUSES_MISSING = "pauses_missing"
-    NO_LOOP = "no_loop"
-
-
-@dataclass(frozen=True)
-class Advice:
-    """One thing to do better.
-
-    Attributes:
-        kind: what was lacking.
-        text: one line that says what to do, with the figure.
-        figure: what was measured.
-        limit: what it was measured against.
-    """
-
-    kind: AdviceKind
-    text: str
-    figure: float
-    limit: float
-
-    def to_json(self) -> dict[str, Any]:
-        """As JSON."""
-        return asdict(self)
-
-
-@dataclass(frozen=True)
-class WalkFigures:
-    """What was measured of a walk; None where nothing could be.
-
-    Attributes:
-        turn_deg_s: the speed of turning, degrees a second, that is exceeded in a tenth of the walk.
-        brightness: the median over frames of their mean grey level, 0 to 255.
-        bare_share: the share of frames that show too few corners.
-        pauses: how many of the waypoints were rested at, where there are waypoints and an IMU.
-        waypoints: how many waypoints there are.
-        nearest_return: how near the second half of the walk comes to the first, as a share of the way between; small
-            where the walk closes a loop, 1 where it is straight.
-    """
-
-    turn_deg_s: float | None = None
-    brightness: float | None = None
-    bare_share: float | None = None
-    pauses: int | None = None
-    waypoints: int = 0
-    nearest_return: float | None = None
-
-    def to_json(self) -> dict[str, Any]:
-        """As JSON."""
-        return asdict(self)
 
 
 def advise(figures: WalkFigures) -> tuple[Advice, ...]:

@@ -12,6 +12,7 @@ from rholoc.recordings.coaching import advise
 from rholoc.recordings.recording import FrameSource, GivenPoses, Imu, Recording, Waypoint
 from rholoc.recordings.stillness import pauses
 from rholoc.recordings.walk_figures import look_through, measure_walk
+from rholoc.reports import report_to_json
 
 
 def describe_recording(recording: Recording) -> dict[str, Any]:
@@ -34,9 +35,9 @@ def describe_recording(recording: Recording) -> dict[str, Any]:
         "imu": None if recording.imu is None else _imu(recording.imu),
         "waypoints": [_waypoint(waypoint) for waypoint in recording.waypoints],
         "poses": None if recording.poses is None else _poses(recording.poses),
-        "warnings": [asdict(warning) for warning in recording.warnings],
-        "figures": figures.to_json(),
-        "advice": [advice.to_json() for advice in advise(figures)],
+        "warnings": [report_to_json(warning) for warning in recording.warnings],
+        "figures": asdict(figures),
+        "advice": [report_to_json(advice) for advice in advise(figures)],
     }
 
 

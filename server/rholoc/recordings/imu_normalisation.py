@@ -19,7 +19,8 @@ from scipy.spatial.transform import Rotation
 
 from rholoc.errors import InvalidRecording
 from rholoc.geometry import FloatArray, IntArray
-from rholoc.recordings.recording import GivenPoses, Imu, RecordingWarning, WarningKind
+from rholoc.recordings.recording import GivenPoses, Imu
+from rholoc.reports import RecordingWarning, WarningKind
 
 STANDARD_GRAVITY = 9.80665  # m/s²
 MIN_RATE_HZ = 25.0  # the paper's floor

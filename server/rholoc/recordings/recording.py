@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Protocol
 
 from rholoc.geometry import BoolArray, ByteArray, Camera, FloatArray, IntArray
+from rholoc.reports import RecordingWarning
 
 
 class RecordingFormat(StrEnum):
@@ -29,34 +30,6 @@ class RecordingFormat(StrEnum):
     SEVEN_SCENES = "7-scenes"
     COLMAP = "colmap"  # text model
     NERFSTUDIO = "nerfstudio"  # transforms.json
-
-
-class WarningKind(StrEnum):
-    """What was found amiss in a recording that can be used all the same."""
-
-    TIME_UNIT = "time_unit"  # times are in another unit than the format says
-    ACCELERATION_UNIT = "acceleration_unit"  # in g where m/s² is meant, or the other way round
-    GRAVITY = "gravity"  # removed where it is said to be included, or the other way round
-    SIGN = "sign"  # the acceleration has Apple's sign where it should not
-    GYROSCOPE_UNIT = "gyroscope_unit"  # degrees where radians are meant
-    LOW_IMU_RATE = "low_imu_rate"
-    IMU_GAP = "imu_gap"
-    FRAME_GAP = "frame_gap"
-    REPEATED_TIMES = "repeated_times"  # rows or frames whose time does not advance, left out
-    FRAME_COUNT = "frame_count"  # the video and its table of times differ
-    NO_OVERLAP = "no_overlap"  # the IMU does not cover the frames
-    SCALE_UNKNOWN = "scale_unknown"  # the poses' unit of length is not stated
-    CAMERA_UNSUPPORTED = "camera_unsupported"  # intrinsics of a model that is not pinhole
-    NOT_USED = "not_used"  # something in the recording that is left aside
-    NO_IMAGES = "no_images"  # times of frames without the frames
-
-
-@dataclass(frozen=True)
-class RecordingWarning:
-    """One thing amiss: what kind, and one line that says what it is and what suffers."""
-
-    kind: WarningKind
-    text: str
 
 
 class FrameSource(Protocol):

@@ -10,9 +10,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from rholoc.geometry import ByteArray, FloatArray
-from rholoc.recordings.coaching import WalkFigures
 from rholoc.recordings.recording import FrameSource, Imu, Recording, Waypoint
 from rholoc.recordings.stillness import pauses
+from rholoc.reports import WalkFigures
 
 _LOOKED_AT = 25  # frames
 _LOOK_WIDTH_PX = 640

@@ -8,7 +8,7 @@ from functools import cache
 from typing import Any, TypeVar, cast
 
 import numpy as np
-from pydantic import TypeAdapter
+from pydantic import TypeAdapter, ValidationError
 
 Report = TypeVar("Report")
 
@@ -45,7 +45,11 @@ def report_from_json(kind: type[Report], value: Any) -> Report:
     Raises:
         ValueError: a member is missing or of another type; names it.
     """
-    report: Report = _adapter(cast("Any", kind)).validate_python(value)
+    try:
+        report: Report = _adapter(cast("Any", kind)).validate_python(value)
+    except ValidationError as error:
+        first = error.errors()[0]
+        raise ValueError(f"{'.'.join(map(str, first['loc'])) or kind.__name__}: {first['msg']}") from error
     return report
 
 

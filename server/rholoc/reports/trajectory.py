@@ -14,14 +14,14 @@ class CalibrationReport:
 
     Attributes:
         focal_px: the focal length.
-        focal_sigma_px: its standard deviation.
+        focal_sigma_px: its standard deviation; None where the adjustment failed.
         centre_sigma_px: that of the principal point; None where it was not observable.
         observable: whether the walk fixes the focal length.
         why: one line on how well the intrinsics are known.
     """
 
     focal_px: float
-    focal_sigma_px: float
+    focal_sigma_px: float | None
     centre_sigma_px: float | None
     observable: bool
     why: str
@@ -92,7 +92,7 @@ class TrajectoryReport:
     Attributes:
         method: a value of :class:`rholoc.trajectory.PoseMethod`.
         frames: how many frames have a pose.
-        trusted: whether every check passed.
+        trusted: whether every check passed; None where that is not known.
         why: one line: which checks failed, or why the poses are trusted.
         up: one line on what fixes the upward direction.
         scale: one line on what fixes the scale.
@@ -114,7 +114,7 @@ class TrajectoryReport:
 
     method: str
     frames: int = 0
-    trusted: bool = True
+    trusted: bool | None = None
     why: str = ""
     up: str | None = None
     scale: str | None = None

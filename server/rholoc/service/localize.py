@@ -6,7 +6,7 @@ import math
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 
 import cv2
 import numpy as np
@@ -14,11 +14,11 @@ import numpy as np
 from rholoc.errors import DeadlineExceeded, InvalidCamera, InvalidDescriptors
 from rholoc.features import Extractor, FeatureSet
 from rholoc.geometry import ByteArray, FloatArray, Pose
-from rholoc.localization import Localization, Localizer, Query, Reason
+from rholoc.localization import TOO_LITTLE_TIME, Localization, Localizer, Query, Reason
 from rholoc.recordings.image import SENT_FORMATS, decode_image
 from rholoc.service.localizers import Localizers
 from rholoc.service.queries import Frame, camera_for, feature_set, gravity_of, prior_of
-from rholoc.service.schemas import LocalizationOut, MatchesOut, PoseOut
+from rholoc.service.schemas import DiagnosisOut, EstimatedCameraOut, LocalizationOut, MatchesOut, PoseOut
 from rholoc.service.settings import Settings
 from rholoc.trajectory import Scale
 
@@ -101,18 +101,18 @@ class _Features:
         self._settings = settings
         self._clock = clock
         self._extracted: dict[str, FeatureSet] = {}
-        self._image: ByteArray | None = None
+        self.image: ByteArray | None = None
         if frame.image is not None:
             with clock.stage("decode"):
-                self._image = decode_image(
+                self.image = decode_image(
                     frame.image, settings.max_image_pixels, SENT_FORMATS, lambda: clock.check(deadline_s)
                 )
 
     @property
     def size(self) -> tuple[int, int]:
         """Width and height of the image in pixels."""
-        if self._image is not None:
-            return self._image.shape[1], self._image.shape[0]
+        if self.image is not None:
+            return self.image.shape[1], self.image.shape[0]
         camera = self._frame.options.camera
         if camera.width is None or camera.height is None:
             raise InvalidCamera(
@@ -123,9 +123,9 @@ class _Features:
     def by(self, extractor: Extractor) -> FeatureSet:
         """The features as this extractor gives them."""
         if extractor.name not in self._extracted:
-            if self._image is not None:
+            if self.image is not None:
                 with self._clock.stage("extract"):
-                    found = extract_bounded(extractor, self._image, self._settings.max_feature_pixels)
+                    found = extract_bounded(extractor, self.image, self._settings.max_feature_pixels)
             else:
                 assert self._frame.features is not None
                 with self._clock.stage("decode"):
@@ -150,7 +150,7 @@ def extract_bounded(extractor: Extractor, image: ByteArray, max_pixels: int) -> 
 def _localize(
     frame: Frame, localizer: Localizer, features: _Features, deadline_s: float, clock: Stopwatch
 ) -> Localization:
-    camera = camera_for(frame.options.camera, features.size, localizer.map.info.camera, frame.stored)
+    camera = camera_for(frame, features.size, localizer.map.info.camera)
     prior, gravity = prior_of(frame.options.prior), gravity_of(frame.options.gravity)
     if clock.elapsed_s >= deadline_s:
         return _too_late()
@@ -158,7 +158,10 @@ def _localize(
     left_s = deadline_s - clock.elapsed_s
     if left_s <= 0:
         return _too_late()
-    answer = localizer.localize(Query(found, camera, frame.options.dof, prior, gravity, left_s))
+    options = frame.options
+    answer = localizer.localize(
+        Query(found, camera, options.dof, prior, gravity, left_s, options.intrinsics, features.image)
+    )
     for stage, duration_ms in answer.timings_ms.items():
         clock.stages_ms[stage] = clock.stages_ms.get(stage, 0.0) + duration_ms
     return answer
@@ -166,7 +169,9 @@ def _localize(
 
 def _too_late() -> Localization:
     nothing = np.zeros(0, np.int64)
-    return Localization(False, Reason.DEADLINE, None, None, 0.0, 0, 0, np.zeros((0, 2)), nothing)
+    return Localization(
+        False, Reason.DEADLINE, None, None, 0.0, 0, 0, np.zeros((0, 2)), nothing, diagnosis=TOO_LITTLE_TIME
+    )
 
 
 def _answer(
@@ -174,7 +179,7 @@ def _answer(
 ) -> LocalizationOut:
     info = localizer.map.info
     total_ms = 1000 * clock.elapsed_s
-    stages = dict.fromkeys(("queue", "decode", "extract", "match", "seed", "ascend", "verify"), 0.0)
+    stages = dict.fromkeys(("queue", "decode", "extract", "match", "seed", "ascend", "verify", "diagnose"), 0.0)
     timings_ms = {**stages, **clock.stages_ms, "total": total_ms}
     given_out = found if found.localized else replace(found, pose=None, covariance=None)
     return LocalizationOut(
@@ -192,7 +197,25 @@ def _answer(
         map_trusted=localizer.index.trust.trusted,
         expected_error_m=found.expected_error_m,
         agreeing=_agreeing(localizer, found) if with_matches else None,
+        diagnosis=None if found.diagnosis is None else DiagnosisOut(**asdict(found.diagnosis)),
+        near_prior=found.near_prior,
+        camera=_estimated_camera(found),
         timings_ms={stage: round(value, 3) for stage, value in timings_ms.items()},
+    )
+
+
+def _estimated_camera(found: Localization) -> EstimatedCameraOut | None:
+    camera = found.camera
+    if camera is None or found.focal_sigma_px is None:
+        return None
+    return EstimatedCameraOut(
+        width=camera.width,
+        height=camera.height,
+        fx=camera.fx,
+        fy=camera.fy,
+        cx=camera.cx,
+        cy=camera.cy,
+        focal_sigma_px=found.focal_sigma_px,
     )
 
 

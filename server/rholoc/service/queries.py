@@ -13,10 +13,12 @@ import numpy as np
 from rholoc.errors import InvalidCamera, InvalidDescriptors, InvalidInput
 from rholoc.features import Extractor, FeatureSet
 from rholoc.geometry import ByteArray, Camera, FloatArray, Pose
-from rholoc.localization import Prior
+from rholoc.localization import Intrinsics, Prior
 from rholoc.service.schemas import CameraIn, FeaturesIn, LocalizeOptions, PriorIn
 
 _CAMERA_HINT = "Send fx, fy, cx, cy (and distortion) of the image, in pixels."
+
+_GUESSED_FOCAL = 0.8  # of the longer side: phones and webcams are near it
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,18 +34,27 @@ class Frame:
     stored: Camera | None = None
 
 
-def camera_for(given: CameraIn, size: tuple[int, int], map_camera: Camera, stored: Camera | None = None) -> Camera:
-    """The intrinsics of an image of ``size`` (width, height) px: those stored under a name, or given, or the map's own.
+def camera_for(frame: Frame, size: tuple[int, int], map_camera: Camera) -> Camera:
+    """The intrinsics of a frame of ``size`` (width, height) px: those stored under a name, or given, or the map's own.
 
-    Either are scaled where they are meant for another size of the same aspect ratio.
+    Either are scaled where they are meant for another size of the same aspect ratio. Where they are unknown, the
+    principal point is the image's centre and the focal length a guess.
 
     Raises:
         InvalidCamera: the intrinsics are absurd, incomplete or for another aspect ratio.
     """
     if min(size) < 1:
         raise InvalidCamera(f"The camera's image size {size[0]}×{size[1]} is not possible.", _CAMERA_HINT)
+    given, stored = frame.options.camera, frame.stored
+    if frame.options.intrinsics is Intrinsics.UNKNOWN:
+        if stored is not None or _has_intrinsics(given):
+            raise InvalidCamera(
+                "The intrinsics are both given and unknown.", "Send the intrinsics, or intrinsics 'unknown'."
+            )
+        guess = _GUESSED_FOCAL * max(size)
+        return Camera(*size, guess, guess, (size[0] - 1) / 2, (size[1] - 1) / 2)
     if stored is not None:
-        if any(value is not None for value in (given.fx, given.fy, given.cx, given.cy)) or given.distortion:
+        if _has_intrinsics(given):
             raise InvalidCamera("The camera is both named and given.", "Send its name, or its intrinsics.")
         return stored.fitted(*size)
     if given.fx is None:
@@ -68,6 +79,10 @@ def camera_for(given: CameraIn, size: tuple[int, int], map_camera: Camera, store
         tuple(given.distortion),
     )
     return camera.fitted(*size)
+
+
+def _has_intrinsics(given: CameraIn) -> bool:
+    return any(value is not None for value in (given.fx, given.fy, given.cx, given.cy)) or bool(given.distortion)
 
 
 def prior_of(given: PriorIn | None) -> Prior | None:

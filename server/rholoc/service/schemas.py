@@ -9,9 +9,11 @@ from pydantic.config import JsonDict
 
 from rholoc.features import Channel
 from rholoc.jobs import JobState
-from rholoc.localization import Dof, Reason
-from rholoc.maps import DensityKind
+from rholoc.localization import Cause, Dof, Intrinsics, Reason
+from rholoc.maps import DensityKind, MapWaypoint, Source
 from rholoc.progress import Stage
+from rholoc.reports import MapReport
+from rholoc.service.examples import REPORT, SOURCE, WAYPOINT, sent
 from rholoc.trajectory import PoseMethod, Scale
 
 _LARGEST_SIZE_PX = 2**31
@@ -142,7 +144,16 @@ class LocalizeOptions(_In):
     )
 
     camera: CameraChoice = Field(default_factory=CameraChoice)
-    dof: Dof = Field(default=Dof.UPRIGHT, description="5: the camera does not roll; 6: roll is estimated too")
+    dof: Dof = Field(
+        default=Dof.AUTO,
+        description="'auto': 6, roll being improbable where the map's own views were upright; 5: the camera does not "
+        "roll; 6: roll is estimated too",
+    )
+    intrinsics: Intrinsics = Field(
+        default=Intrinsics.GIVEN,
+        description="'unknown': the focal length is estimated along with the pose; then no camera may be given but its "
+        "width and height",
+    )
     prior: PriorIn | None = None
     gravity: Vector3 | None = Field(default=None, description="the direction of gravity (down) in the camera frame")
     deadline_ms: float | None = Field(default=None, gt=0, le=600_000, description="how long the answer may take")
@@ -217,6 +228,26 @@ class MatchesOut(_Out):
     landmarks: list[list[float]] = Field(description="x, y, z of the landmark in the map, m")
 
 
+class DiagnosisOut(_Out):
+    """The likeliest cause for which there is no pose, and what to try."""
+
+    cause: Cause
+    message: str = Field(description="one sentence: what it looks like")
+    hint: str = Field(description="one sentence: what to try")
+
+
+class EstimatedCameraOut(_Out):
+    """The camera as estimated from the picture."""
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    focal_sigma_px: float = Field(description="one sigma of fx and fy")
+
+
 class LocalizationOut(_Out):
     """The answer for one frame. ``localized`` false is an answer, not an error."""
 
@@ -244,9 +275,12 @@ class LocalizationOut(_Out):
                 "map_trusted": True,
                 "expected_error_m": 0.012,
                 "agreeing": None,
+                "diagnosis": None,
+                "near_prior": None,
+                "camera": None,
                 "timings_ms": {
                     "queue": 0.1, "decode": 2.1, "extract": 11.0, "match": 9.5, "seed": 14.2, "ascend": 20.3,
-                    "verify": 1.7, "total": 59.4,
+                    "verify": 1.7, "diagnose": 0.0, "total": 59.4,
                 },
             }
         },
@@ -275,8 +309,11 @@ class LocalizationOut(_Out):
         description="how far the map itself is expected to be off here, root mean square, m; null where it is not known"
     )
     agreeing: MatchesOut | None = Field(description="the matches behind `inliers`, where `with_matches` asks for them")
+    diagnosis: DiagnosisOut | None = Field(description="the likeliest cause where there is no pose, else null")
+    near_prior: bool | None = Field(description="whether the pose lies where the prior has it; null without a prior")
+    camera: EstimatedCameraOut | None = Field(description="where `intrinsics` is 'unknown': the camera as estimated")
     timings_ms: dict[str, float] = Field(
-        description="queue, decode, extract, match, seed, ascend, verify, total: milliseconds"
+        description="milliseconds: queue, decode, extract, match, seed, ascend, verify, diagnose, total"
     )
 
 
@@ -285,7 +322,7 @@ _SUMMARY: JsonDict = {
     "id": _MAP_ID,
     "version": 1,
     "density": "ray",
-    "features": "gray",
+    "features": "lab3",
     "scale": "metric",
     "upright": True,
     "created": "2026-01-05T10:00:00Z",
@@ -346,53 +383,18 @@ class MapDetail(MapSummary):
         json_schema_extra={
             "example": {
                 **_SUMMARY,
-                "sources": [{"name": "walk-1", "frames": 900}],
-                "waypoints": [{"name": "W1", "position": [0.0, 0.0, 1.5], "residual_m": 0.01}],
+                "sources": [sent(SOURCE)],
+                "waypoints": [sent(WAYPOINT)],
                 "bounds_m": [[-1.0, -2.0, 0.0], [5.0, 3.0, 2.8]],
                 "previous": None,
             }
         },
     )
 
-    sources: list[dict[str, Any]]
-    waypoints: list[dict[str, Any]]
+    sources: tuple[Source, ...]
+    waypoints: tuple[MapWaypoint, ...]
     bounds_m: list[list[float]] | None = Field(description="the lowest and the highest x, y, z of its landmarks")
     previous: PreviousMap | None = Field(description="the map that it replaced, which can be restored")
-
-
-class CoverageOut(_Out):
-    """Where a map works: C positions on a plane's grid, H headings in it."""
-
-    model_config = ConfigDict(
-        frozen=True,
-        json_schema_extra={
-            "example": {
-                "share_sufficient": 0.83,
-                "positions_sufficient": 0.97,
-                "median": 142.0,
-                "sufficient": 60,
-                "origin": [-1.0, 0.5, 1.5],
-                "axes": [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]],
-                "step": 0.25,
-                "pitch_deg": -4.0,
-                "headings_deg": [0.0, 90.0, 180.0, 270.0],
-                "cells": [[0, 0], [1, 0]],
-                "counts": [[120, 80, 12, 0], [140, 66, 30, 2]],
-            }
-        },
-    )
-
-    share_sufficient: float = Field(description="of all positions and headings, those that see enough landmarks")
-    positions_sufficient: float = Field(description="of all positions, those that do in at least one heading")
-    median: float = Field(description="landmarks in view")
-    sufficient: int = Field(description="landmarks in view with which a pose is to be expected")
-    origin: list[float] = Field(description="the position of cell (0, 0), m, map frame")
-    axes: list[list[float]] = Field(description="2×3: along which a cell's first and second number count")
-    step: float = Field(description="between cells, m")
-    pitch_deg: float = Field(description="how far the camera looks above the plane")
-    headings_deg: list[float] = Field(description="from the first axis towards the second")
-    cells: list[list[int]] = Field(description="C×2: numbers of the cells")
-    counts: list[list[int]] = Field(description="C×H: landmarks in view")
 
 
 class MapList(_Out):
@@ -446,7 +448,7 @@ class ForgetIn(_In):
     source: str = Field(description="its id or name in the map's sources")
 
 
-class MapReport(_Out):
+class MapReportOut(_Out):
     """What the map found out about itself while it was built."""
 
     model_config = ConfigDict(
@@ -456,7 +458,7 @@ class MapReport(_Out):
                 "map": "testsite",
                 "map_id": _MAP_ID,
                 "map_version": 1,
-                "report": {"held_out": 20, "median_cm": 1.4},
+                "report": sent(REPORT),
             }
         },
     )
@@ -464,7 +466,7 @@ class MapReport(_Out):
     map: str
     map_id: str
     map_version: int
-    report: dict[str, Any]
+    report: MapReport
 
 
 class JobError(_Out):

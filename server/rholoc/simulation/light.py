@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 
 from rholoc.geometry import ByteArray, FloatArray
-from rholoc.simulation.scene import Face, Scene, Source
+from rholoc.simulation.scene import Building, Face, Scene, Source
 
 GAMMA = 2.2
 _PATCH_M = 0.12
@@ -26,6 +26,10 @@ _OFF_SURFACE_M = 0.01
 _SAMPLES_PER_SIDE = 3
 _DARKEST_WHITE = 0.01  # cd/m²
 _SMALLEST_SOURCE_PX = 25
+_DARK_ROOMS_IN_A_ROW = 3
+_DARK_SHARE = 0.02  # of the brightest room's light, below which a room is lit by its neighbours
+_SPILL = 0.5  # of their light
+_BRIGHT_SHARE = 0.998  # of a building's surfaces are less bright than white may be, lest walls near lamps be clipped
 _SOFTENING_M2 = 0.15  # keeps a virtual light from blazing at what touches it
 
 
@@ -95,7 +99,42 @@ def white_point(kelvin: float) -> FloatArray:
 
 def light_scene(scene: Scene, light: Light) -> Lighting:
     """Light a scene. Deterministic."""
+    illuminance = _illuminance(scene, _CONDITIONS[light])
+    typical = float(np.median(np.concatenate([e.mean(axis=2).ravel() for e in illuminance])))
+    return _lighting(scene.faces, illuminance, 4.0 * typical, _CONDITIONS[light])
+
+
+def light_building(building: Building, light: Light) -> Lighting:
+    """Light every room by its own windows and lamps, and one that has none by what its neighbours leave it.
+
+    Deterministic. Light that falls through an open door into a room with its own is left out.
+    """
     conditions = _CONDITIONS[light]
+    by_room = [_illuminance(room, conditions) for room in building.rooms]
+    for _ in range(_DARK_ROOMS_IN_A_ROW):
+        means = [float(np.mean([patch.mean() for patch in room])) for room in by_room]
+        brightest = max(means)
+        for room, portals in enumerate(building.portals):
+            if means[room] < _DARK_SHARE * brightest and portals:
+                spill = _SPILL * float(np.mean([means[portal.into] for portal in portals]))
+                by_room[room] = [patch + np.float32(spill) for patch in by_room[room]]
+    illuminance = [patch for room in by_room for patch in room]
+    bright = float(np.quantile(np.concatenate([e.max(axis=2).ravel() for e in illuminance]), _BRIGHT_SHARE))
+    return _lighting(building.faces, illuminance, bright, conditions)
+
+
+def _lighting(faces: list[Face], illuminance: list[FloatArray], brightest: float, conditions: _Conditions) -> Lighting:
+    """Faces under their illuminances (rows, columns, 3), in lux; what is white and lit brighter is clipped."""
+    white = max(brightest / math.pi, _DARKEST_WHITE)
+    glows = {
+        Source.LAMP: conditions.lamp_luminance * white_point(conditions.lamp_kelvin),
+        Source.WINDOW: conditions.sky_luminance * white_point(conditions.sky_kelvin),
+    }
+    return Lighting(tuple(_lit(f, e, glows, white) for f, e in zip(faces, illuminance, strict=True)), white)
+
+
+def _illuminance(scene: Scene, conditions: _Conditions) -> list[FloatArray]:
+    """What falls on each face (rows, columns, 3), in lux."""
     faces = scene.faces
     fine = [_patches(face, _PATCH_M) for face in faces]
     points = np.concatenate([p.reshape(-1, 3) for p in fine])
@@ -132,13 +171,7 @@ def light_scene(scene: Scene, light: Light) -> Lighting:
             b.reshape(*coarse_patch.shape[:2], 3).astype(np.float32), shape[::-1], interpolation=cv2.INTER_LINEAR
         )
         illuminance.append(d.reshape(*shape, 3).astype(np.float32) + soft + remainder.astype(np.float32))
-    typical = float(np.median(np.concatenate([e.mean(axis=2).ravel() for e in illuminance])))
-    white = max(4.0 * typical / math.pi, _DARKEST_WHITE)
-    glows = {
-        Source.LAMP: conditions.lamp_luminance * white_point(conditions.lamp_kelvin),
-        Source.WINDOW: conditions.sky_luminance * white_point(conditions.sky_kelvin),
-    }
-    return Lighting(tuple(_lit(f, e, glows, white) for f, e in zip(faces, illuminance, strict=True)), white)
+    return illuminance
 
 
 def _patches(face: Face, spacing_m: float) -> FloatArray:

@@ -17,12 +17,12 @@ from rholoc.errors import StorageFull
 from rholoc.geometry import ByteArray, Camera, FloatArray, Pose
 from rholoc.recordings import CameraFile, write_camera_json, write_frames_csv, write_imu_csv, write_waypoints_csv
 from rholoc.recordings.waypoints import MIN_WAYPOINTS
-from rholoc.simulation.light import Light, light_scene
+from rholoc.simulation.light import Light, light_building, light_scene
 from rholoc.simulation.render import SAMPLES, Renderer
-from rholoc.simulation.rooms import make_test_site
-from rholoc.simulation.scene import Scene
+from rholoc.simulation.scene import Building, Scene
 from rholoc.simulation.sensor import Exposure, develop, expose, meter
-from rholoc.simulation.walk import R_CAMERA_IMU, Walk, make_walk, measure_imu, measure_waypoints
+from rholoc.simulation.sites import Site, make_site, make_site_walk
+from rholoc.simulation.walk import R_CAMERA_IMU, Motion, measure_imu, measure_waypoints
 
 PHONE_CAMERA = Camera(width=640, height=480, fx=520.0, fy=520.0, cx=319.5, cy=239.5)
 TRUTH_COLUMNS = "timestamp,x,y,z,hx,hy,hz,frame,roll,qx,qy,qz,qw,confidence,inliers"
@@ -44,7 +44,7 @@ class SimulatedRecording:
     """
 
     path: Path
-    walk: Walk
+    walk: Motion
     light: Light
     camera: Camera
     times: FloatArray
@@ -63,12 +63,13 @@ def _report_nothing(fraction: float) -> None:
 def simulate_recording(
     out: Path,
     *,
-    walk: Walk | int = 1,
+    walk: Motion | int = 1,
     light: Light = Light.ARTIFICIAL,
     seconds: float = 30.0,
     seed: int = 0,
     fps: float = 30.0,
-    scene: Scene | None = None,
+    site: Site = Site.ROOM,
+    scene: Scene | Building | None = None,
     camera: Camera = PHONE_CAMERA,
     imu_time_offset_s: float = 0.0,
     readout_s: float = 0.0,
@@ -81,10 +82,11 @@ def simulate_recording(
     in the same map frame, whatever the walk and the light.
 
     Args:
-        walk: a walk, or the number of one of :func:`make_walk`'s.
+        walk: a walk, or the number of one of the site's.
         seconds: the recording's length; less than a whole walk takes ends on the way, and without ``waypoints.csv``
             where it ends before the third.
-        scene: another room than the test site of ``seed``.
+        site: where the walk is: the ``seed``'s room or building.
+        scene: another place than the site.
         imu_time_offset_s: how much later than the camera's the IMU's clock is.
         readout_s: how long a rolling shutter takes from the first row to the last; the frame's time is that of the
             middle row. Noted in ``camera.json``, as phones do that log it.
@@ -94,7 +96,8 @@ def simulate_recording(
         StorageFull: the video cannot be written.
     """
     out.mkdir(parents=True, exist_ok=True)
-    walk = make_walk(walk, seconds, seed) if isinstance(walk, int) else walk
+    walk = make_site_walk(site, walk, seconds, seed) if isinstance(walk, int) else walk
+    scene = _site(site, seed) if scene is None else scene
     times = np.arange(max(1, round(seconds * fps))) / fps
     T_map_camera = walk.T_map_camera(times)
 
@@ -113,7 +116,9 @@ def simulate_recording(
     return SimulatedRecording(out, walk, light, camera, times, T_map_camera)
 
 
-def render_view(scene: Scene, camera: Camera, pose: Pose, light: Light = Light.ARTIFICIAL, seed: int = 0) -> ByteArray:
+def render_view(
+    scene: Scene | Building, camera: Camera, pose: Pose, light: Light = Light.ARTIFICIAL, seed: int = 0
+) -> ByteArray:
     """One photograph (H, W, 3) BGR of a scene, well exposed, the camera at rest. Lighting is kept for the next call."""
     renderer, white = _lit_renderer(scene, light)
     exposure = expose(meter(renderer.radiance(camera.resized(*_METER_SIZE), [pose])), white)
@@ -121,22 +126,28 @@ def render_view(scene: Scene, camera: Camera, pose: Pose, light: Light = Light.A
 
 
 @lru_cache(maxsize=2)
-def _test_site(seed: int) -> Scene:
-    return make_test_site(seed)
+def _site(site: Site, seed: int) -> Scene | Building:
+    return make_site(site, seed)
 
 
 @lru_cache(maxsize=2)
-def _lit_renderer(scene: Scene, light: Light) -> tuple[Renderer, float]:
+def _lit_renderer(scene: Scene | Building, light: Light) -> tuple[Renderer, float]:
     """The renderer of a lit scene, and the luminance of its white in cd/m²."""
-    lighting = light_scene(scene, light)
+    lighting = light_building(scene, light) if isinstance(scene, Building) else light_scene(scene, light)
     return Renderer(scene, lighting.paints), lighting.white_luminance
 
 
 def _film(
-    walk: Walk, times: FloatArray, camera: Camera, light: Light, seed: int, scene: Scene | None, readout_s: float
+    walk: Motion,
+    times: FloatArray,
+    camera: Camera,
+    light: Light,
+    seed: int,
+    scene: Scene | Building,
+    readout_s: float,
 ) -> Iterator[ByteArray]:
     """The frames (H, W, 3) in order, drawn by as many threads as there are cores; NumPy and OpenCV run in parallel."""
-    renderer, white = _lit_renderer(_test_site(seed) if scene is None else scene, light)
+    renderer, white = _lit_renderer(scene, light)
     gains = _metered(renderer, walk, camera, times)
 
     def frame(i: int) -> ByteArray:
@@ -173,7 +184,7 @@ def _read_out(height: int, readout_s: float) -> list[tuple[tuple[int, int], floa
     return [((top, bottom), ((top + bottom) / 2 / height - 0.5) * readout_s) for top, bottom in parts]
 
 
-def _metered(renderer: Renderer, walk: Walk, camera: Camera, times: FloatArray) -> FloatArray:
+def _metered(renderer: Renderer, walk: Motion, camera: Camera, times: FloatArray) -> FloatArray:
     """The gains (N, 3) that auto exposure and white balance settle on, which follow the light with some inertia."""
     steps = np.arange(times[0], times[-1] + _METER_INTERVAL_S, _METER_INTERVAL_S)
     small = camera.resized(*_METER_SIZE)

@@ -8,17 +8,20 @@ pixel and other times within the exposure, gives smooth edges and motion blur at
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import cache
 from itertools import pairwise
 
 import cv2
 import numpy as np
 
 from rholoc.geometry import BoolArray, ByteArray, Camera, FloatArray, IntArray, Pose
-from rholoc.simulation.scene import DrawOrder, Face, Scene
+from rholoc.simulation.scene import Building, DrawOrder, Face, Scene
 
 _NEAR_M = 0.02
+_SMALLEST_EDGE_M2 = 1e-9
+_MOST_ROOMS_DEEP = 8
 _GUTTER_PX = 2
 _MAX_LEVELS = 7
 _ATLAS_WIDTH_PX = 8192
@@ -114,19 +117,47 @@ class _Rows:
         return np.array([[1 / fx, 0, -cx / fx], [0, 1 / fy, -cy / fy], [0, 0, 1]])
 
 
-class Renderer:
-    """Draws a scene whose faces look like ``paints``, one image per face of ``scene.faces``.
+@dataclass(frozen=True, eq=False)
+class _Room:
+    """How one room of a building is painted: its faces' indices in all, its walls' first, then box after box."""
 
-    The camera must have no distortion and stand inside the room, outside of the boxes.
+    draw_order: DrawOrder
+    faces: range
+    groups: list[range]
+
+    @classmethod
+    def of(cls, scene: Scene, first: int) -> _Room:
+        counts = first + np.cumsum([len(scene.room.paints), *(len(box.paints) for box in scene.boxes)])
+        groups = [range(first, int(counts[0])), *(range(a, b) for a, b in pairwise(counts.tolist()))]
+        return cls(DrawOrder(scene.boxes), range(first, int(counts[-1])), groups)
+
+
+_PaintOrder = Callable[[int], tuple[list[int], list[int]]]
+
+
+@dataclass(frozen=True, eq=False)
+class _Layer:
+    """Faces to paint, back to front, and the planes through the eye (N, 3) between which they are seen, or None."""
+
+    faces: list[int]
+    window: FloatArray | None
+
+
+class Renderer:
+    """Draws a scene or a building whose faces look like ``paints``, one image per face of ``scene.faces``.
+
+    The camera must have no distortion and stand inside a room, outside of the boxes. Of a building only what is seen
+    through the openings between the rooms is painted, each room clipped to the opening (Luebke and Georges 1995).
     """
 
-    def __init__(self, scene: Scene, paints: Sequence[ByteArray]) -> None:
+    def __init__(self, scene: Scene | Building, paints: Sequence[ByteArray]) -> None:
         self.scene = scene
+        self._building = scene if isinstance(scene, Building) else Building.of(scene)
         self._faces = scene.faces
         self._atlas = Atlas.of(paints)
-        self._order = DrawOrder(scene.boxes)
-        counts = np.cumsum([len(scene.room.paints), *(len(box.paints) for box in scene.boxes)])
-        self._groups = [range(0, int(counts[0])), *(range(a, b) for a, b in pairwise(counts.tolist()))]
+        self._rooms: list[_Room] = []
+        for room in self._building.rooms:
+            self._rooms.append(_Room.of(room, self._rooms[-1].faces.stop if self._rooms else 0))
         self._corners = np.array([_corners(face) for face in self._faces])
         self._normals = np.array([face.normal for face in self._faces])
         self._texels = np.array([[paint.shape[1], paint.shape[0]] for paint in paints], dtype=np.float64)
@@ -140,7 +171,7 @@ class Renderer:
         """
         top, bottom = rows or (0, camera.height)
         part = _Rows(camera, top, bottom - top)
-        order = self._paint_order(poses[len(poses) // 2].position)
+        order = self._paint_orders(poses[len(poses) // 2].position)
         total = np.zeros((part.height, part.width, 3), np.uint16)
         for i, pose in enumerate(poses):
             total += self._sample(part, pose, order, SAMPLES[i % len(SAMPLES)], _LEVEL_DITHER[i % len(SAMPLES)])
@@ -150,7 +181,7 @@ class Renderer:
     def surface(self, camera: Camera, pose: Pose) -> Surface:
         """The visible surface at the pixels' centres."""
         whole = _Rows(camera, 0, camera.height)
-        ids = self._identify(whole, pose, self._paint_order(pose.position), (0.0, 0.0))[0]
+        ids = self._identify(whole, pose, self._paint_orders(pose.position), (0.0, 0.0))[0]
         T = pose.inverse()
         normals = self._normals @ T[:3, :3].T
         offsets = np.einsum("fk,fk->f", normals, self._corners[:, 0] @ T[:3, :3].T + T[:3, 3])
@@ -160,41 +191,73 @@ class Renderer:
         points = (rays * depth[..., None]) @ pose.R_map_camera.T + pose.position
         return Surface(ids.astype(np.int64), depth, points)
 
-    def _paint_order(self, eye: FloatArray) -> list[int]:
-        """Faces that may be seen from ``eye``, back to front: the room's, then box after box."""
-        facing = np.einsum("fk,fk->f", self._normals, eye - self._corners[:, 0]) > 0
-        order = list(self._groups[0])
-        for box in self._order(eye):
-            order.extend(self._groups[box + 1])
-        return [f for f in order if facing[f]]
+    def _paint_orders(self, eye: FloatArray) -> _PaintOrder:
+        """For any room, its walls and its boxes' faces that may be seen from ``eye``, each back to front."""
+
+        @cache
+        def order(room: int) -> tuple[list[int], list[int]]:
+            painted = self._rooms[room]
+            own = slice(painted.faces.start, painted.faces.stop)
+            facing = np.einsum("fk,fk->f", self._normals[own], eye - self._corners[own, 0]) > 0
+            walls, *boxes = painted.groups
+            furniture = [f for box in painted.draw_order(eye) for f in boxes[box]]
+            first = painted.faces.start
+            return [f for f in walls if facing[f - first]], [f for f in furniture if facing[f - first]]
+
+        return order
+
+    def _layers(self, part: _Rows, T: FloatArray, eye: FloatArray, order: _PaintOrder) -> Iterator[_Layer]:
+        """What is painted over what: walls, then what is seen through their openings, then the boxes before them."""
+
+        def room_seen(room: int, came_from: int | None, window: FloatArray | None, depth: int) -> Iterator[_Layer]:
+            walls, boxes = order(room)
+            if not self._building.portals[room]:
+                yield _Layer(walls + boxes, window)
+                return
+            yield _Layer(walls, window)
+            for portal in self._building.portals[room]:
+                if portal.into == came_from or depth == _MOST_ROOMS_DEEP:
+                    continue
+                opening = _clip(portal.corners @ T[:3, :3].T + T[:3, 3], window)
+                if len(opening) >= 3 and _may_be_seen(part, opening[None])[0]:
+                    yield from room_seen(portal.into, room, _planes_through(opening), depth + 1)
+            yield _Layer(boxes, window)
+
+        return room_seen(self._building.room_at(eye), None, None, 0)
 
     def _identify(
-        self, part: _Rows, pose: Pose, order: list[int], shift: tuple[float, float]
+        self, part: _Rows, pose: Pose, order: _PaintOrder, shift: tuple[float, float]
     ) -> tuple[IntArray, dict[int, tuple[int, int, int, int]]]:
         """The face at each pixel (H, W), sampled ``shift`` from the centres, and the painted faces' bounds."""
         T = pose.inverse()
-        corners = self._corners[order] @ T[:3, :3].T + T[:3, 3]
-        seen = _may_be_seen(part, corners)
         ids = np.zeros((part.height, part.width), np.int16)
-        bounds = {}
-        for f, polygon in zip(np.array(order)[seen].tolist(), corners[seen], strict=True):
-            clipped = _clip_near(polygon)
-            if len(clipped) < 3:
+        bounds: dict[int, tuple[int, int, int, int]] = {}
+        for layer in self._layers(part, T, pose.position, order):
+            if not layer.faces:
                 continue
-            pixels = clipped[:, :2] / clipped[:, 2:] * part.focal_px + np.subtract(part.centre_px, shift)
-            spans = _spans(pixels, part.width, part.height)
-            if spans is None:
-                continue
-            top, left, right = spans
-            x0, x1 = int(left.min()), int(right.max()) + 1
-            columns = np.arange(x0, x1, dtype=np.int16)
-            inside = (columns >= left[:, None]) & (columns <= right[:, None])
-            np.copyto(ids[top : top + len(left), x0:x1], np.int16(f), where=inside)
-            bounds[f] = (top, top + len(left), x0, x1)
+            corners = self._corners[layer.faces] @ T[:3, :3].T + T[:3, 3]
+            seen = _may_be_seen(part, corners)
+            if layer.window is not None:
+                seen &= ~np.any((corners @ layer.window.T < 0).all(axis=1), axis=1)
+            for f, polygon in zip(np.array(layer.faces)[seen].tolist(), corners[seen], strict=True):
+                clipped = _clip_near(_clip(polygon, layer.window))
+                if len(clipped) < 3:
+                    continue
+                pixels = clipped[:, :2] / clipped[:, 2:] * part.focal_px + np.subtract(part.centre_px, shift)
+                spans = _spans(pixels, part.width, part.height)
+                if spans is None:
+                    continue
+                top, left, right = spans
+                x0, x1 = int(left.min()), int(right.max()) + 1
+                columns = np.arange(x0, x1, dtype=np.int16)
+                inside = (columns >= left[:, None]) & (columns <= right[:, None])
+                np.copyto(ids[top : top + len(left), x0:x1], np.int16(f), where=inside)
+                found = (top, top + len(left), x0, x1)
+                bounds[f] = _hull(bounds[f], found) if f in bounds else found
         return ids, bounds
 
     def _sample(
-        self, part: _Rows, pose: Pose, order: list[int], shift: tuple[float, float], dither: float
+        self, part: _Rows, pose: Pose, order: _PaintOrder, shift: tuple[float, float], dither: float
     ) -> ByteArray:
         """One sample per pixel: (H, W, 3)."""
         ids, bounds = self._identify(part, pose, order, shift)
@@ -261,9 +324,37 @@ def _may_be_seen(part: _Rows, polygons: FloatArray) -> BoolArray:
     return np.asarray(~np.any([side.all(axis=1) for side in sides], axis=0))
 
 
+def _hull(a: tuple[int, int, int, int], b: tuple[int, int, int, int]) -> tuple[int, int, int, int]:
+    """The bounds (top, bottom, left, right) around both."""
+    return min(a[0], b[0]), max(a[1], b[1]), min(a[2], b[2]), max(a[3], b[3])
+
+
+def _planes_through(opening: FloatArray) -> FloatArray:
+    """The inward normals (N, 3) of the planes through the eye and the edges of a polygon (N, 3), camera frame."""
+    normals = np.cross(opening, np.roll(opening, -1, axis=0))
+    lengths = np.linalg.norm(normals, axis=1)
+    normals = normals[lengths > _SMALLEST_EDGE_M2] / lengths[lengths > _SMALLEST_EDGE_M2, None]
+    return np.asarray(normals * np.where(normals @ opening.mean(axis=0) < 0, -1.0, 1.0)[:, None])
+
+
+def _clip(polygon: FloatArray, window: FloatArray | None) -> FloatArray:
+    """The part of a polygon (N, 3) on the positive side of the planes through the eye with normals (M, 3)."""
+    if window is None:
+        return polygon
+    for normal in window:
+        if len(polygon) < 3:
+            break
+        polygon = _clip_at(polygon, polygon @ normal)
+    return polygon
+
+
 def _clip_near(polygon: FloatArray) -> FloatArray:
-    """The part of a polygon (N, 3) in the camera frame that lies before the camera (Sutherland and Hodgman)."""
-    depth = polygon[:, 2] - _NEAR_M
+    """The part of a polygon (N, 3) in the camera frame that lies before the camera."""
+    return polygon if len(polygon) < 3 else _clip_at(polygon, polygon[:, 2] - _NEAR_M)
+
+
+def _clip_at(polygon: FloatArray, depth: FloatArray) -> FloatArray:
+    """The part of a polygon (N, 3) where ``depth`` (N,), linear over it, is positive (Sutherland and Hodgman)."""
     if (depth > 0).all():
         return polygon
     kept = []

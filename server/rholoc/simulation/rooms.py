@@ -2,101 +2,29 @@
 
 from __future__ import annotations
 
-import zlib
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from itertools import pairwise
 
-import cv2
 import numpy as np
 
-from rholoc.geometry import BoolArray, ByteArray
 from rholoc.simulation import textures
-from rholoc.simulation.scene import Box, Paint, Scene, Source
+from rholoc.simulation.construction import (
+    FLOOR_PX_PER_M,
+    Builder,
+    Decor,
+    add_bookshelf,
+    add_table,
+    lamp_diffuser,
+    radiator_ribs,
+    window_view,
+)
+from rholoc.simulation.scene import Box, Scene, Source
 from rholoc.simulation.textures import Texture, color
 
 ROOM_SIZE_M = (6.0, 5.0, 2.7)
 START_M = (1.45, 0.95, 1.4)  # from the room's corner on the floor: the origin of the map frame
 
-_FRAME_GRAY = 218  # the frames of windows and lamps, which do not shine themselves
-_WALL_PX_PER_M = 360.0
-_FLOOR_PX_PER_M = 300.0
-_FURNITURE_PX_PER_M = 400.0
-
-
-@dataclass(frozen=True, eq=False)
-class _Decor:
-    """Something painted on a wall: its left edge and its bottom above the floor, its size, all metres."""
-
-    left: float
-    bottom: float
-    width: float
-    height: float
-    texture: Texture
-    source: Source | None = None
-
-
-_Framed = Callable[[int, float, float, float, float], list[_Decor]]
-
-
-@dataclass
-class _Builder:
-    """Collects boxes; every face gets its own random numbers from the room's seed and its own name."""
-
-    seed: int
-    boxes: list[Box] = field(default_factory=list)
-
-    def rng(self, name: str) -> np.random.Generator:
-        return np.random.default_rng([self.seed, zlib.crc32(name.encode())])
-
-    def paint(self, name: str, texture: Texture, width_m: float, height_m: float, px_per_m: float) -> Paint:
-        height, width = max(8, round(height_m * px_per_m)), max(8, round(width_m * px_per_m))
-        return Paint(texture(self.rng(name), height, width))
-
-    def wall(
-        self,
-        name: str,
-        width_m: float,
-        height_m: float,
-        ground: Texture,
-        decor: list[_Decor],
-        px_per_m: float = _WALL_PX_PER_M,
-    ) -> Paint:
-        """A wall's paint with its decor on it."""
-        albedo = self.paint(name, ground, width_m, height_m, px_per_m).albedo
-        glow: BoolArray | None = None
-        source: Source | None = None
-        for i, item in enumerate(decor):
-            x0, x1 = round(item.left * px_per_m), round((item.left + item.width) * px_per_m)
-            y0, y1 = (round((height_m - item.bottom - h) * px_per_m) for h in (item.height, 0.0))
-            image = item.texture(self.rng(f"{name}/{i}"), y1 - y0, x1 - x0)
-            albedo[y0:y1, x0:x1] = image
-            if item.source is not None:
-                glow = np.zeros(albedo.shape[:2], bool) if glow is None else glow
-                glow[y0:y1, x0:x1] = (image != _FRAME_GRAY).any(axis=2)
-                source = item.source
-        return Paint(albedo, glow, source)
-
-    def add(
-        self,
-        name: str,
-        low: tuple[float, float, float],
-        size: tuple[float, float, float],
-        texture: Texture,
-        *,
-        yaw: float = 0.0,
-        hidden: str = "z-",
-        front: dict[str, Texture] | None = None,
-    ) -> None:
-        """A box by its low corner and size, metres; ``hidden`` faces (comma-separated) are not painted."""
-        extent = {"x": (size[1], size[2]), "y": (size[0], size[2]), "z": (size[0], size[1])}
-        paints = {}
-        for face in ("x+", "y+", "x-", "y-", "z+", "z-"):
-            if face not in hidden.split(","):
-                chosen = (front or {}).get(face, texture)
-                paints[face] = self.paint(f"{name}/{face}", chosen, *extent[face[0]], _FURNITURE_PX_PER_M)
-        centre = np.array(low) + 0.5 * np.array(size)
-        self.boxes.append(Box(centre, np.array(size), yaw, paints))
+_Framed = Callable[[int, float, float, float, float], list[Decor]]
 
 
 def make_test_site(seed: int = 0) -> Scene:
@@ -105,7 +33,7 @@ def make_test_site(seed: int = 0) -> Scene:
     Its map frame has its origin at the start of the first walk, ``START_M`` from the room's corner, x and y along
     its walls. Other seeds give other rooms: the same plan with other furniture sizes, posters and colours.
     """
-    build = _Builder(seed)
+    build = Builder(seed)
     rng = build.rng("plan")
 
     def jitter(scale: float) -> float:
@@ -121,7 +49,7 @@ def make_test_site(seed: int = 0) -> Scene:
     )
     length, breadth, height = ROOM_SIZE_M
 
-    def framed(count: int, left: float, right: float, bottom: float, top: float) -> list[_Decor]:
+    def framed(count: int, left: float, right: float, bottom: float, top: float) -> list[Decor]:
         """Posters and paintings side by side between ``left`` and ``right``."""
         slots = np.linspace(left, right, count + 1)
         items = []
@@ -130,24 +58,24 @@ def make_test_site(seed: int = 0) -> Scene:
             tall = min(top - bottom, width * rng.uniform(0.9, 1.5))
             low = bottom + rng.uniform(0, max(top - bottom - tall, 1e-3))
             texture = textures.poster if rng.uniform() < 0.65 else textures.painting
-            items.append(_Decor(a + 0.5 * (b - a - width), low, width, tall, texture))
+            items.append(Decor(a + 0.5 * (b - a - width), low, width, tall, texture))
         return items
 
     # Decor is placed along each wall from its left edge as seen from inside the room.
-    window = _Decor(1.55 + jitter(0.1), 0.95, 1.5, 1.35, _window, Source.WINDOW)
-    back = [window, *framed(3, 3.35, 5.3, 1.15, 2.2), _Decor(0.75, 1.2, 0.5, 0.7, textures.painting)]
+    window = Decor(1.55 + jitter(0.1), 0.95, 1.5, 1.35, window_view, Source.WINDOW)
+    back = [window, *framed(3, 3.35, 5.3, 1.15, 2.2), Decor(0.75, 1.2, 0.5, 0.7, textures.painting)]
     left = [*framed(2, 0.5, 2.0, 1.2, 2.2), *framed(1, 4.15, 4.8, 1.1, 2.1)]
     front = [
-        _Decor(4.55, 0.0, 0.85, 2.05, textures.panel(pale, 1, 2)),
+        Decor(4.55, 0.0, 0.85, 2.05, textures.panel(pale, 1, 2)),
         *framed(1, 3.85, 4.45, 1.2, 2.1),
-        _Decor(5.47, 1.1, 0.08, 0.08, textures.whiteboard),
+        Decor(5.47, 1.1, 0.08, 0.08, textures.whiteboard),
     ]
     right = [
-        _Decor(1.35, 0.0, 0.85, 2.05, textures.panel(oak, 1, 2)),
+        Decor(1.35, 0.0, 0.85, 2.05, textures.panel(oak, 1, 2)),
         *framed(2, 0.1, 1.25, 1.2, 2.2),
         *framed(1, 2.3, 2.75, 1.0, 2.0),
     ]
-    lamps = [_Decor(x, y, 0.6, 0.6, _lamp, Source.LAMP) for x, y in ((4.1, 1.0), (4.1, 3.4), (1.3, 3.3))]
+    lamps = [Decor(x, y, 0.6, 0.6, lamp_diffuser, Source.LAMP) for x, y in ((4.1, 1.0), (4.1, 3.4), (1.3, 3.3))]
     room_paints = {
         "y+": build.wall("back", length, height, ground, back),
         "x-": build.wall("left", breadth, height, accent, left),
@@ -158,10 +86,10 @@ def make_test_site(seed: int = 0) -> Scene:
             length,
             breadth,
             textures.planks(oak),
-            [_Decor(3.1, 1.2, 1.9, 1.35, textures.fabric_pattern)],
-            _FLOOR_PX_PER_M,
+            [Decor(3.1, 1.2, 1.9, 1.35, textures.fabric_pattern)],
+            FLOOR_PX_PER_M,
         ),
-        "z+": build.wall("ceiling", length, breadth, textures.plaster((238, 240, 240)), lamps, _FLOOR_PX_PER_M),
+        "z+": build.wall("ceiling", length, breadth, textures.plaster((238, 240, 240)), lamps, FLOOR_PX_PER_M),
     }
     room = Box(0.5 * np.array(ROOM_SIZE_M), np.array(ROOM_SIZE_M), 0.0, room_paints)
 
@@ -172,10 +100,10 @@ def make_test_site(seed: int = 0) -> Scene:
 
 def make_blank_wall(seed: int = 0) -> Scene:
     """A room of the test site's size without anything in it to hold on to."""
-    build = _Builder(seed)
+    build = Builder(seed)
     white = textures.plaster((236, 238, 238), strength=0.15)
     sizes = {"x": ROOM_SIZE_M[1:], "y": (ROOM_SIZE_M[0], ROOM_SIZE_M[2]), "z": ROOM_SIZE_M[:2]}
-    lamp = [_Decor(2.7, 2.2, 0.6, 0.6, _lamp, Source.LAMP)]
+    lamp = [Decor(2.7, 2.2, 0.6, 0.6, lamp_diffuser, Source.LAMP)]
     paints = {
         face: build.wall(face, *sizes[face[0]], white, lamp if face == "z+" else [], 60.0)
         for face in ("x+", "y+", "x-", "y-", "z+", "z-")
@@ -183,11 +111,11 @@ def make_blank_wall(seed: int = 0) -> Scene:
     return Scene(Box(0.5 * np.array(ROOM_SIZE_M), np.array(ROOM_SIZE_M), 0.0, paints), ()).moved(-np.array(START_M))
 
 
-def _block(build: _Builder, framed: _Framed, ground: Texture) -> None:
+def _block(build: Builder, framed: _Framed, ground: Texture) -> None:
     """The block that cuts the room to an L."""
     length, _, height = ROOM_SIZE_M
     edge_x, edge_y = 3.2, 2.2
-    board = _Decor(0.55, 1.05, 1.35, 0.95, textures.whiteboard)
+    board = Decor(0.55, 1.05, 1.35, 0.95, textures.whiteboard)
     paints = {
         "x-": build.wall("block/x-", edge_y, height, ground, framed(2, 0.15, 2.05, 1.15, 2.15)),
         "y+": build.wall("block/y+", length - edge_x, height, ground, [board, *framed(1, 2.05, 2.7, 1.1, 2.2)]),
@@ -197,7 +125,7 @@ def _block(build: _Builder, framed: _Framed, ground: Texture) -> None:
 
 
 def _furnish(
-    build: _Builder,
+    build: Builder,
     rng: np.random.Generator,
     oak: tuple[int, int, int],
     walnut: tuple[int, int, int],
@@ -208,7 +136,7 @@ def _furnish(
     def jitter(scale: float) -> float:
         return float(rng.uniform(-scale, scale))
 
-    _bookshelf(build, "left shelf", (0.0, 1.05), (0.28, 1.05), walnut, levels=4)
+    add_bookshelf(build, "left shelf", (0.0, 1.05), (0.28, 1.05), walnut, levels=4)
 
     upholstery = textures.cushions(textures.random_color(rng, (0.35, 0.7), (0.35, 0.7)))
     y = 2.55 + jitter(0.1)
@@ -247,12 +175,12 @@ def _furnish(
         (1.4, 0.08, 0.6),
         textures.plaster((225, 228, 228)),
         hidden="y+",
-        front={"y-": _radiator},
+        front={"y-": radiator_ribs},
     )
-    _table(build, "side table", (0.95, 4.42), (0.5, 0.5), 0.55, pale)
+    add_table(build, "side table", (0.95, 4.42), (0.5, 0.5), 0.55, pale)
     build.add("globe box", (1.05, 4.52, 0.55), (0.3, 0.3, 0.34), textures.poster, yaw=0.4)
 
-    _table(build, "desk", (3.95, 2.24), (1.4, 0.62), 0.74, oak)
+    add_table(build, "desk", (3.95, 2.24), (1.4, 0.62), 0.74, oak)
     build.add(
         "monitor",
         (4.25, 2.34, 0.86),
@@ -273,78 +201,9 @@ def _furnish(
     )
     build.add("chair post", (4.63, 2.87, 0.0), (0.07, 0.07, 0.42), textures.plaster((60, 60, 64)))
 
-    _bookshelf(build, "back shelf", (3.45, 4.72), (1.5, 0.28), oak, levels=2)
+    add_bookshelf(build, "back shelf", (3.45, 4.72), (1.5, 0.28), oak, levels=2)
     build.add("plant pot", (3.6, 4.76, 1.01), (0.2, 0.2, 0.2), textures.fabric_pattern, yaw=0.3)
     build.add("box on shelf", (4.2, 4.75, 1.01), (0.45, 0.22, 0.2), textures.cardboard)
 
     build.add("locker", (5.55, 4.45, 0.0), (0.45, 0.5, 1.5 + jitter(0.2)), textures.panel(pale, 1, 2), hidden="z-,x+")
     build.add("bin", (5.62, 2.3, 0.0), (0.28, 0.28, 0.4), textures.poster, yaw=0.2)
-
-
-def _bookshelf(
-    build: _Builder,
-    name: str,
-    corner: tuple[float, float],
-    size: tuple[float, float],
-    tone: tuple[int, int, int],
-    levels: int,
-) -> None:
-    """Boards with rows of books between them; the shelf stands on the floor, ``levels`` high."""
-    board, gap = 0.03, 0.46
-    along_x = size[0] > size[1]
-    for level in range(levels + 1):
-        build.add(
-            f"{name} board {level}", (*corner, level * (board + gap)), (*size, board), textures.wood(tone), hidden=""
-        )
-    for level in range(levels):
-        low, z = 0.02, level * (board + gap) + board
-        rng = build.rng(f"{name} row {level}")
-        reach = (size[0] if along_x else size[1]) - 0.02
-        while reach - low > 0.12:
-            run = min(float(rng.uniform(0.2, 0.55)), reach - low)
-            tall, deep = float(rng.uniform(0.24, 0.36)), 0.28 * float(rng.uniform(0.55, 0.85))
-            if along_x:
-                at, extent = (corner[0] + low, corner[1] + 0.28 - deep, z), (run - 0.03, deep, tall)
-            else:
-                at, extent = (corner[0], corner[1] + low, z), (deep, run - 0.03, tall)
-            build.add(f"{name} books {level} {low:.3f}", at, extent, textures.books)
-            low += run
-
-
-def _table(
-    build: _Builder,
-    name: str,
-    corner: tuple[float, float],
-    size: tuple[float, float],
-    height: float,
-    tone: tuple[int, int, int],
-) -> None:
-    """A board on four legs."""
-    build.add(f"{name} top", (*corner, height - 0.04), (*size, 0.04), textures.wood(tone), hidden="")
-    for i, (x, y) in enumerate(((0, 0), (1, 0), (0, 1), (1, 1))):
-        at = (corner[0] + 0.03 + x * (size[0] - 0.11), corner[1] + 0.03 + y * (size[1] - 0.11), 0.0)
-        build.add(f"{name} leg {i}", at, (0.05, 0.05, height - 0.04), textures.wood(tone, True), hidden="z-,z+")
-
-
-def _window(rng: np.random.Generator, height: int, width: int) -> ByteArray:
-    """A view behind a white cross."""
-    image = textures.outdoors(rng, height, width)
-    bar = max(6, width // 22)
-    for x in (0, (width - bar) // 2, width - bar):
-        image[:, x : x + bar] = _FRAME_GRAY
-    for y in (0, int(0.3 * height), height - bar):
-        image[y : y + bar] = _FRAME_GRAY
-    return image
-
-
-def _lamp(rng: np.random.Generator, height: int, width: int) -> ByteArray:
-    """A lamp's diffuser in its frame."""
-    image = np.full((height, width, 3), 250, np.uint8)
-    cv2.rectangle(image, (0, 0), (width - 1, height - 1), (_FRAME_GRAY,) * 3, max(2, width // 20))
-    return image
-
-
-def _radiator(rng: np.random.Generator, height: int, width: int) -> ByteArray:
-    """Ribs."""
-    ribs = 0.16 * np.sin(np.arange(width, dtype=np.float32) * (2 * np.pi / 22))[None, :]
-    return textures.shaded((222, 224, 224), ribs + 0.02 * textures.noise(rng, height, width, 40, 40))

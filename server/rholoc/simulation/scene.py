@@ -1,7 +1,8 @@
 """Rooms made of textured boxes: one seen from inside, the others, which must not overlap, from outside.
 
 That is all the geometry there is. Posters, windows and doors are painted on the faces, so every visible surface
-is a textured rectangle, and which box hides which follows from separating planes alone.
+is a textured rectangle, and which box hides which follows from separating planes alone. A building is many such rooms,
+which see each other through openings in their walls.
 """
 
 from __future__ import annotations
@@ -154,6 +155,62 @@ class Scene:
                 far = np.minimum(far, np.maximum(first, second))
             hit |= far - near > margin
         return hit
+
+
+@dataclass(frozen=True, eq=False)
+class Portal:
+    """An opening in a room's wall.
+
+    Attributes:
+        corners: (4, 3) metres, map frame, in order around the opening.
+        into: the index of the room that is seen through it.
+    """
+
+    corners: FloatArray
+    into: int
+
+
+@dataclass(frozen=True, eq=False)
+class Building:
+    """Rooms that touch each other, each convex and with its own furniture, in the map frame (z up, metres).
+
+    Attributes:
+        rooms: what each room is, seen from inside.
+        names: of the rooms; doorways and stairs are rooms too.
+        portals: the openings in each room's walls.
+    """
+
+    rooms: tuple[Scene, ...]
+    names: tuple[str, ...]
+    portals: tuple[tuple[Portal, ...], ...]
+
+    @classmethod
+    def of(cls, scene: Scene) -> Building:
+        """A single room without openings."""
+        return cls((scene,), ("room",), ((),))
+
+    @property
+    def faces(self) -> list[Face]:
+        """All faces, room after room."""
+        return [face for room in self.rooms for face in room.faces]
+
+    def moved(self, shift: FloatArray) -> Building:
+        """The same building with everything moved by ``shift`` (3,) metres."""
+        portals = tuple(tuple(Portal(p.corners + shift, p.into) for p in openings) for openings in self.portals)
+        return Building(tuple(room.moved(shift) for room in self.rooms), self.names, portals)
+
+    def room_at(self, point: FloatArray) -> int:
+        """The index of the room that a point (3,) is in, or of the nearest."""
+        return int(np.argmin(self.outside(point[None])[:, 0]))
+
+    def outside(self, points: FloatArray) -> FloatArray:
+        """(rooms, N): how far outside each room's walls points (N, 3) are, metres; negative inside."""
+        return np.stack(
+            [
+                (np.abs((points - room.room.centre) @ room.room.axes.T) - 0.5 * room.room.size).max(axis=1)
+                for room in self.rooms
+            ]
+        )
 
 
 class DrawOrder:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -32,7 +33,7 @@ _STEP_S = 1e-3  # of numerical differentiation
 
 
 @dataclass(frozen=True, eq=False)
-class _Wobble:
+class Wobble:
     """Smooth small motion: sums of sinusoids, (channels, tones)."""
 
     amplitudes: FloatArray
@@ -40,7 +41,7 @@ class _Wobble:
     phases: FloatArray
 
     @classmethod
-    def draw(cls, rng: np.random.Generator, rms: FloatArray, low_hz: float, high_hz: float, tones: int = 7) -> _Wobble:
+    def draw(cls, rng: np.random.Generator, rms: FloatArray, low_hz: float, high_hz: float, tones: int = 7) -> Wobble:
         amplitudes = rng.uniform(0.5, 1.0, (len(rms), tones))
         amplitudes *= (np.asarray(rms) * np.sqrt(2) / np.linalg.norm(amplitudes, axis=1))[:, None]
         frequencies = np.exp(rng.uniform(np.log(low_hz), np.log(high_hz), (len(rms), tones)))
@@ -53,44 +54,43 @@ class _Wobble:
 
 
 @dataclass(frozen=True, eq=False)
-class Walk:
-    """A way and when it is walked. Poses are known at any time, in the map frame.
+class Motion(ABC):
+    """How a phone is carried. Poses are known at any time, in the map frame.
 
     Attributes:
         number: 1 is the walk that the map frame's origin belongs to.
-        departures, arrivals: (4,) seconds, of each leg; in between and at both ends the walker stands still.
-        path: metres walked → (x, y, z); ``gaze``: metres walked → (yaw, pitch) in radians.
-        stations: (5,) metres walked at the waypoints.
         sway: metres, 3 channels; ``tremble``: radians, of yaw, pitch and roll.
         origin: (3,) metres, taken off all positions.
     """
 
     number: int
-    departures: FloatArray
-    arrivals: FloatArray
-    stations: FloatArray
-    path: CubicSpline
-    gaze: CubicSpline
-    sway: _Wobble
-    tremble: _Wobble
+    sway: Wobble
+    tremble: Wobble
     origin: FloatArray
 
     @property
+    @abstractmethod
     def pause_times(self) -> FloatArray:
-        """(5,) seconds: the middle of the pause at each waypoint; the last pause counts ``PAUSE_S`` of itself."""
-        return np.concatenate(
-            [
-                [0.5 * self.departures[0]],
-                0.5 * (self.arrivals[:-1] + self.departures[1:]),
-                [self.arrivals[-1] + 0.5 * PAUSE_S],
-            ]
-        )
+        """Seconds: the middle of the pause at each waypoint."""
+
+    @property
+    @abstractmethod
+    def waypoint_names(self) -> tuple[str, ...]:
+        """The name of the waypoint of each pause."""
+
+    @abstractmethod
+    def way(self, times: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """(N,) seconds → where the way leads (N, 3) metres, and metres a second (N,)."""
+
+    @abstractmethod
+    def gaze_at(self, times: FloatArray) -> FloatArray:
+        """(N,) seconds → (N, 2) yaw and pitch, radians."""
 
     def positions(self, times: FloatArray) -> FloatArray:
         """(N,) seconds → (N, 3) metres."""
         times = np.asarray(times, dtype=np.float64)
-        walked, speed = self._progress(times)
-        position = self.path(walked) + self.sway(times)
+        way, speed = self.way(times)
+        position = way + self.sway(times)
         lift = 1 - np.exp(-((speed / _BOB_SPEED_M_S) ** 2))
         position[:, 2] += _BOB_M * lift * np.sin(2 * np.pi * _BOB_HZ * times)
         return np.asarray(position - self.origin)
@@ -98,7 +98,7 @@ class Walk:
     def rotations(self, times: FloatArray) -> FloatArray:
         """(N,) seconds → R_map_camera (N, 3, 3)."""
         times = np.asarray(times, dtype=np.float64)
-        yaw, pitch = self.gaze(self._progress(times)[0]).T
+        yaw, pitch = self.gaze_at(times).T
         d_yaw, d_pitch, roll = self.tremble(times).T
         yaw, pitch = yaw + d_yaw, pitch + d_pitch
         zero = np.zeros_like(yaw)
@@ -126,6 +126,48 @@ class Walk:
         before = Rotation.from_matrix(self.rotations(np.asarray(times) - _STEP_S))
         after = Rotation.from_matrix(self.rotations(np.asarray(times) + _STEP_S))
         return np.asarray((before.inv() * after).as_rotvec() / (2 * _STEP_S))
+
+
+@dataclass(frozen=True, eq=False)
+class Walk(Motion):
+    """A way through the test site and when it is walked.
+
+    Attributes:
+        departures, arrivals: (4,) seconds, of each leg; in between and at both ends the walker stands still.
+        path: metres walked → (x, y, z); ``gaze``: metres walked → (yaw, pitch) in radians.
+        stations: (5,) metres walked at the waypoints.
+    """
+
+    departures: FloatArray
+    arrivals: FloatArray
+    stations: FloatArray
+    path: CubicSpline
+    gaze: CubicSpline
+
+    @property
+    def pause_times(self) -> FloatArray:
+        """(5,) seconds: the middle of the pause at each waypoint; the last pause counts ``PAUSE_S`` of itself."""
+        return np.concatenate(
+            [
+                [0.5 * self.departures[0]],
+                0.5 * (self.arrivals[:-1] + self.departures[1:]),
+                [self.arrivals[-1] + 0.5 * PAUSE_S],
+            ]
+        )
+
+    @property
+    def waypoint_names(self) -> tuple[str, ...]:
+        """``START``, ``W1`` … ``E``."""
+        return WAYPOINT_NAMES
+
+    def way(self, times: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """(N,) seconds → where the way leads (N, 3) metres, and metres a second (N,)."""
+        walked, speed = self._progress(times)
+        return self.path(walked), speed
+
+    def gaze_at(self, times: FloatArray) -> FloatArray:
+        """(N,) seconds → (N, 2) yaw and pitch, radians."""
+        return np.asarray(self.gaze(self._progress(times)[0]))
 
     def _progress(self, times: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Metres walked and metres a second at the times."""
@@ -170,8 +212,8 @@ def make_walk(number: int = 1, seconds: float = 30.0, seed: int = 0) -> Walk:
         stations=walked,
         path=CubicSpline(walked, stations_m),
         gaze=CubicSpline(knots, np.radians(np.column_stack([yaw_deg, pitch_deg]))),
-        sway=_Wobble.draw(rng, np.array([0.003, 0.003, 0.002]), 0.3, 2.0),
-        tremble=_Wobble.draw(rng, np.radians([0.35, 0.35, 0.3]), 0.3, 2.0),
+        sway=Wobble.draw(rng, np.array([0.003, 0.003, 0.002]), 0.3, 2.0),
+        tremble=Wobble.draw(rng, np.radians([0.35, 0.35, 0.3]), 0.3, 2.0),
         origin=np.zeros(3),
     )
     if number != 1:
@@ -179,7 +221,7 @@ def make_walk(number: int = 1, seconds: float = 30.0, seed: int = 0) -> Walk:
     return replace(walk, origin=walk.positions(np.zeros(1))[0])
 
 
-def measure_waypoints(walk: Walk, seconds: float, noise_m: float = 0.005, seed: int = 0) -> tuple[Waypoint, ...]:
+def measure_waypoints(walk: Motion, seconds: float, noise_m: float = 0.005, seed: int = 0) -> tuple[Waypoint, ...]:
     """The waypoints that the first ``seconds`` of the walk reach, as a person would measure them.
 
     The first walk's ``START`` is the origin by definition. Other walks stop at other places, named ``2.W1`` and so on.
@@ -192,7 +234,7 @@ def measure_waypoints(walk: Walk, seconds: float, noise_m: float = 0.005, seed: 
     prefix = "" if walk.number == 1 else f"{walk.number}."
     return tuple(
         Waypoint(prefix + name, float(time), (float(p[0]), float(p[1]), float(p[2])))
-        for name, time, p in zip(WAYPOINT_NAMES, times, measured, strict=True)
+        for name, time, p in zip(walk.waypoint_names, times, measured, strict=True)
         if time < seconds
     )
 
@@ -208,7 +250,7 @@ class ImuErrors:
 
 
 def measure_imu(
-    walk: Walk,
+    walk: Motion,
     seconds: float,
     rate_hz: float = 100.0,
     errors: ImuErrors | None = None,

@@ -62,7 +62,7 @@ def _given(recording: Recording) -> Trajectory:
         raise InvalidRecording(f"{len(rows)} frames of the recording have a pose; too few for a map.", hint)
     T_map_camera = recording.poses.T_map_camera[rows]
     upright, up = _is_upright(T_map_camera[:, :3, :3])
-    report = TrajectoryReport(PoseMethod.GIVEN.value, len(rows), why="The poses were given.", up=up)
+    report = TrajectoryReport(PoseMethod.GIVEN.value, len(rows), trusted=True, why="The poses were given.", up=up)
     scale = Scale.METRIC if recording.poses.metric else Scale.ARBITRARY
     return Trajectory(
         rows, recording.frames.times[rows], T_map_camera, _known_camera(recording), scale, upright, report

@@ -22,7 +22,8 @@ from rholoc.geometry import Camera, FloatArray
 from rholoc.recordings.csv_table import read_text
 from rholoc.recordings.pose_table import poses_from_rows
 from rholoc.recordings.readers._frames import listed_file, untimed_images
-from rholoc.recordings.recording import GivenPoses, Recording, RecordingFormat, RecordingWarning, WarningKind
+from rholoc.recordings.recording import GivenPoses, Recording, RecordingFormat
+from rholoc.reports import RecordingWarning, WarningKind
 
 SCALE_WARNING = RecordingWarning(
     WarningKind.SCALE_UNKNOWN, "The poses' unit of length is not stated: a map from them is not metric."

@@ -26,15 +26,8 @@ from rholoc.recordings.imu_normalisation import ImuConvention, Samples, frame_ti
 from rholoc.recordings.logged_table import has_columns, read_logged_table
 from rholoc.recordings.pose_table import PoseTable, match_poses, poses_from_rows
 from rholoc.recordings.readers._frames import listed_file, timed_images
-from rholoc.recordings.recording import (
-    FrameSource,
-    GivenPoses,
-    Imu,
-    Recording,
-    RecordingFormat,
-    RecordingWarning,
-    WarningKind,
-)
+from rholoc.recordings.recording import FrameSource, GivenPoses, Imu, Recording, RecordingFormat
+from rholoc.reports import RecordingWarning, WarningKind
 
 _GYROSCOPE = tuple(f"w_rs_s_{axis}" for axis in "xyz")
 _ACCELEROMETER = tuple(f"a_rs_s_{axis}" for axis in "xyz")

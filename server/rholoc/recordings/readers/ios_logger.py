@@ -29,13 +29,8 @@ from rholoc.recordings.logged_table import is_bare_table, read_logged_table
 from rholoc.recordings.missing_images import MissingImages
 from rholoc.recordings.readers._apple import R_LANDSCAPE_CAMERA_IMU, read_arkit_poses
 from rholoc.recordings.readers._frames import TimedFrames, find_video, timed_video
-from rholoc.recordings.recording import (
-    Imu,
-    Recording,
-    RecordingFormat,
-    RecordingWarning,
-    WarningKind,
-)
+from rholoc.recordings.recording import Imu, Recording, RecordingFormat
+from rholoc.reports import RecordingWarning, WarningKind
 
 
 def recognises(folder: Path) -> bool:

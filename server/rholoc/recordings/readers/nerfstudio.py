@@ -23,7 +23,8 @@ from rholoc.recordings.csv_table import read_json
 from rholoc.recordings.readers._apple import opencv_camera
 from rholoc.recordings.readers._frames import listed_file, untimed_images
 from rholoc.recordings.readers.colmap import SCALE_WARNING
-from rholoc.recordings.recording import GivenPoses, Recording, RecordingFormat, RecordingWarning, WarningKind
+from rholoc.recordings.recording import GivenPoses, Recording, RecordingFormat
+from rholoc.reports import RecordingWarning, WarningKind
 
 _FILE = "transforms.json"
 _PINHOLE = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "PERSPECTIVE")

@@ -22,9 +22,10 @@ from rholoc.recordings.imu_normalisation import ImuConvention, Samples, frame_ti
 from rholoc.recordings.imu_table import read_imu_rows
 from rholoc.recordings.pose_table import match_poses, read_pose_table
 from rholoc.recordings.readers._frames import find_video, timed_video
-from rholoc.recordings.recording import FrameSource, Imu, Recording, RecordingFormat, RecordingWarning
+from rholoc.recordings.recording import FrameSource, Imu, Recording, RecordingFormat
 from rholoc.recordings.video import read_video
 from rholoc.recordings.waypoints import read_waypoints_csv
+from rholoc.reports import RecordingWarning
 
 
 def read(folder: Path) -> Recording:

@@ -22,7 +22,8 @@ from rholoc.geometry import Camera, FloatArray, is_rotation
 from rholoc.recordings.csv_table import read_text
 from rholoc.recordings.imu_normalisation import ImuConvention, Samples, normalise_imu
 from rholoc.recordings.readers._frames import require_video, timed_video
-from rholoc.recordings.recording import Imu, Recording, RecordingFormat, RecordingWarning, WarningKind
+from rholoc.recordings.recording import Imu, Recording, RecordingFormat
+from rholoc.reports import RecordingWarning, WarningKind
 
 _INTRINSICS = ("focalLengthX", "focalLengthY", "principalPointX", "principalPointY")
 _ROTATION_TOLERANCE = 1e-2

@@ -24,7 +24,8 @@ from rholoc.recordings.logged_table import LoggedTable, has_columns, read_logged
 from rholoc.recordings.pose_table import poses_from_rows
 from rholoc.recordings.readers._apple import R_LANDSCAPE_CAMERA_IMU, z_up
 from rholoc.recordings.readers._frames import require_video, timed_video
-from rholoc.recordings.recording import GivenPoses, Imu, Recording, RecordingFormat, RecordingWarning
+from rholoc.recordings.recording import GivenPoses, Imu, Recording, RecordingFormat
+from rholoc.reports import RecordingWarning
 
 _POSES = ("x", "y", "z", "qx", "qy", "qz", "qw")
 _IMU = ("timestamp", "a_x", "a_y", "a_z", "alpha_x", "alpha_y", "alpha_z")

@@ -80,7 +80,10 @@ class OptionParameters:
     distortion: Annotated[str | None, Query(description="k1,k2,p1,p2[,k3[,k4,k5,k6]]", examples=["0.02,-0.05,0,0"])] = (
         None
     )
-    dof: Annotated[int | None, Query(description="5 or 6", examples=[6])] = None
+    dof: Annotated[str | None, Query(description="auto, 5 or 6", examples=["auto"])] = None
+    intrinsics: Annotated[
+        str | None, Query(description="'unknown': the focal length is estimated", examples=["unknown"])
+    ] = None
     prior_position: Annotated[str | None, Query(description="x,y,z in m, map frame", examples=["1.2,0.4,1.5"])] = None
     prior_heading: Annotated[str | None, Query(description="hx,hy,hz", examples=["1,0,0"])] = None
     prior_quaternion_xyzw: Annotated[str | None, Query(description="x,y,z,w of R_map_camera")] = None
@@ -110,7 +113,8 @@ class OptionParameters:
         return _given(
             camera=camera or None,
             prior=prior or None,
-            dof=self.dof,
+            dof=int(self.dof) if self.dof is not None and self.dof.isdecimal() else self.dof,
+            intrinsics=self.intrinsics,
             gravity=_numbers("gravity", self.gravity),
             deadline_ms=self.deadline_ms,
             with_matches=self.with_matches,

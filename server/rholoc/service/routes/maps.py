@@ -36,15 +36,16 @@ from rholoc.maps import (
     MapLibrary,
     check_map_name,
     check_observations,
+    consistency_m,
     expected_error_m,
     is_coefficient_table,
     load_map,
     map_to_scene,
     read_coefficient_table,
-    reported_metres,
     trust_of,
 )
 from rholoc.maps.rendering import Rendering
+from rholoc.reports import CoverageReport
 from rholoc.service.access import NEEDS_ADMIN, NEEDS_MAP, NEEDS_READ
 from rholoc.service.bodies import save_body
 from rholoc.service.errors import InvalidRequest
@@ -53,13 +54,12 @@ from rholoc.service.renderings import etag_of
 from rholoc.service.routes.jobs import job_out
 from rholoc.service.schemas import (
     CameraIn,
-    CoverageOut,
     ForgetIn,
     JobOut,
     MapDetail,
     MapList,
     MapPatch,
-    MapReport,
+    MapReportOut,
     MapSummary,
     MergeIn,
     UpdateIn,
@@ -186,11 +186,11 @@ async def download_map(
     summary="A map's own quality report",
     responses=failures(*_FAILURES),
 )
-async def get_report(map_name: str, service: Service) -> MapReport:
+async def get_report(map_name: str, service: Service) -> MapReportOut:
     """What the map found out about itself while it was built: coverage, residuals, and how consistent it is:
     frames of the same walk, held out, localized in it."""
     info = (await run_in_threadpool(service.library.get, map_name)).info
-    return MapReport(map=map_name, map_id=info.id, map_version=info.version, report=info.report)
+    return MapReportOut(map=map_name, map_id=info.id, map_version=info.version, report=info.report)
 
 
 @router.get(
@@ -214,7 +214,7 @@ async def get_report_picture(map_name: str, request: Request, service: Service) 
     summary="Where a map works",
     response_class=Response,
     responses={
-        200: {"model": CoverageOut, "description": "Landmarks in view, by position and heading."},
+        200: {"model": CoverageReport, "description": "Landmarks in view, by position and heading."},
         **failures(*_FAILURES, Busy),
     },
 )
@@ -398,7 +398,7 @@ def _summary(library: MapLibrary, name: str) -> dict[str, object]:
         "trusted": trust.trusted,
         "trust_reason": trust.reason,
         "expected_error_m": expected_error_m(info),
-        "consistency_m": reported_metres(info, "held_out", "median_m"),
+        "consistency_m": consistency_m(info),
         "camera": _camera(info.camera),
     }
 
@@ -410,8 +410,8 @@ def _detail(library: MapLibrary, name: str) -> MapDetail:
         bounds = [map_.landmarks.min(axis=0).tolist(), map_.landmarks.max(axis=0).tolist()]
     before = library.previous(name)
     fields = {
-        "sources": list(map_.info.sources),
-        "waypoints": list(map_.info.waypoints),
+        "sources": map_.info.sources,
+        "waypoints": map_.info.waypoints,
         "bounds_m": bounds,
         "previous": None if before is None else {"id": before.id, "version": before.version, "created": before.created},
     }

@@ -1,0 +1,161 @@
+"""Why a frame was not localized: the likeliest cause, from what the picture shows and from what else was tried."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+import cv2
+import numpy as np
+
+from rholoc.geometry import ByteArray, FloatArray
+from rholoc.maps import Map
+
+_DARK = 30.0  # of 255, the mean grey level
+_DARKER, _BRIGHTER = 0.5, 1.8  # against the pictures that the map was made of
+_TINT = 30.0  # of LAB's A and B together: beyond what lamps that are called white do to a room
+_WORK_WIDTH_PX = 640
+_COARSE_PX = 8
+_BLUR_RATIO = 0.15  # fine against coarse contrast; a sharp picture of a room has more
+
+
+class Cause(StrEnum):
+    """What a frame was most likely not localized for."""
+
+    TOO_DARK = "too_dark"  # the picture is nearly black
+    BLURRED = "blurred"  # the camera moved or was out of focus
+    TOO_LITTLE_TEXTURE = "too_little_texture"  # it shows a bare wall, floor or ceiling
+    OTHER_LIGHT = "other_light"  # the light is far from that of the map's recording
+    WRONG_CAMERA = "wrong_camera"  # another focal length explains the picture, the given one does not
+    ROLLED = "rolled"  # the camera was rolled, and only upright poses were asked for
+    WRONG_GRAVITY = "wrong_gravity"  # the only pose found contradicts the gravity that was sent
+    TOO_LITTLE_TIME = "too_little_time"  # the deadline passed
+    UNKNOWN_PLACE = "unknown_place"  # nothing of the map is to be seen
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """The likeliest cause of a refusal.
+
+    Attributes:
+        cause: for programs.
+        message: one sentence: what it looks like.
+        hint: one sentence: what to try.
+    """
+
+    cause: Cause
+    message: str
+    hint: str
+
+
+TOO_LITTLE_TIME = Diagnosis(
+    Cause.TOO_LITTLE_TIME, "The deadline passed before all places were searched.", "Allow more time."
+)
+
+
+@dataclass(frozen=True)
+class Sight:
+    """What a picture shows of how it was taken.
+
+    Attributes:
+        brightness: the mean grey level, 0 to 255.
+        tint: how far its mean colour is from grey, in LAB's unit.
+        sharpness: contrast between neighbouring pixels against that over eight, in the worse direction.
+    """
+
+    brightness: float
+    tint: float
+    sharpness: float
+
+
+def sight_of(image: ByteArray) -> Sight:
+    """Measure an image (H, W, 3) BGR or (H, W) grey."""
+    height, width = image.shape[:2]
+    if width > _WORK_WIDTH_PX:
+        size = (_WORK_WIDTH_PX, max(1, round(height * _WORK_WIDTH_PX / width)))
+        image = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA))
+    tint = 0.0
+    if image.ndim == 3:
+        mean = image.reshape(-1, 3).mean(axis=0).round().astype(np.uint8)
+        lab = np.asarray(cv2.cvtColor(mean[None, None], cv2.COLOR_BGR2LAB))[0, 0].astype(np.float64)
+        tint = float(np.hypot(lab[1] - 128, lab[2] - 128))
+        image = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY))
+    grey = np.asarray(cv2.GaussianBlur(image.astype(np.float32), (0, 0), 0.7), dtype=np.float64)
+    return Sight(float(grey.mean()), tint, _sharpness(grey))
+
+
+def diagnose_picture(image: ByteArray | None, map_: Map, features: int, fewest: int) -> Diagnosis:
+    """The likeliest cause as far as the picture shows it; without one, or where it is fine: an unknown place.
+
+    Args:
+        image: the picture, or None where only its features were sent.
+        map_: the map that was asked.
+        features: how many features the picture has.
+        fewest: how many are too few.
+    """
+    if image is not None and (found := _from_sight(sight_of(image), map_)) is not None:
+        return found
+    if features < fewest:
+        return Diagnosis(
+            Cause.TOO_LITTLE_TEXTURE,
+            f"The picture has {features} features: it shows hardly anything but a bare surface.",
+            "Turn the camera towards furniture, pictures or shelves.",
+        )
+    return Diagnosis(
+        Cause.UNKNOWN_PLACE,
+        "Nothing in the picture looks enough like what the map has seen.",
+        "Check that it is the right map, and look where the recording looked; or extend the map by a walk from here.",
+    )
+
+
+def wrong_camera(given_px: float, fitting_px: float) -> Diagnosis:
+    """What to say where another focal length than the given one explains the picture."""
+    return Diagnosis(
+        Cause.WRONG_CAMERA,
+        f"The camera's focal length looks wrong: about {fitting_px:.0f} px fits better than {given_px:.0f} px.",
+        "Send the intrinsics of the picture as it is sent, after scaling and cropping; or ask with intrinsics unknown.",
+    )
+
+
+def _from_sight(sight: Sight, map_: Map) -> Diagnosis | None:
+    if sight.brightness < _DARK:
+        return Diagnosis(
+            Cause.TOO_DARK,
+            f"The picture is nearly black: its mean grey level is {sight.brightness:.0f} of 255.",
+            "Switch on a light, or let the camera expose longer while it stands still.",
+        )
+    if sight.sharpness < _BLUR_RATIO:
+        return Diagnosis(
+            Cause.BLURRED,
+            "The picture is blurred.",
+            "Hold the camera still for the next picture, or shorten its exposure.",
+        )
+    was = _brightness_of(map_)
+    if sight.tint > _TINT or (was and not _DARKER < sight.brightness / was < _BRIGHTER):
+        than = f" (mean grey level {sight.brightness:.0f}, the recording's {was:.0f})" if was else ""
+        return Diagnosis(
+            Cause.OTHER_LIGHT,
+            f"The light is unlike that of the map's recording{than}.",
+            "Extend the map by a walk in this light.",
+        )
+    return None
+
+
+def _brightness_of(map_: Map) -> float:
+    """The mean grey level of a map's recordings, 0 where it is not known."""
+    known = [walk.figures.brightness for walk in map_.info.report.coaching]
+    levels = [level for level in known if level is not None]
+    return float(np.mean(levels)) if levels else 0.0
+
+
+def _sharpness(grey: FloatArray) -> float:
+    """Fine against coarse contrast in the worse of the two directions: a moving camera blurs along one."""
+    if min(grey.shape) <= _COARSE_PX:
+        return 1.0
+    across = (grey, grey.T)
+    return min(_contrast(plane, 1) / max(_contrast(plane, _COARSE_PX), 1e-6) for plane in across)
+
+
+def _contrast(plane: FloatArray, apart: int) -> float:
+    """The root mean square difference of rows ``apart`` from each other."""
+    return float(np.sqrt(np.mean((plane[apart:] - plane[:-apart]) ** 2)))

@@ -1,0 +1,141 @@
+"""The focal length: whether the one that is given fits what is seen, and which one does where none is given.
+
+A wrong focal length moves the pose along the optical axis until most matches agree again: the pose is wrong, by the
+depth times the error, and hardly anything shows it. What does show it is the rest: near and far landmarks disagree
+about how far the camera is from them. Freed, the focal length goes where they agree.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from math import erf, sqrt
+
+import numpy as np
+
+from rholoc.geometry import Camera, FloatArray
+from rholoc.localization.ascent import ascend_with_focal
+from rholoc.localization.map_index import MapIndex
+from rholoc.localization.matches import Matches
+from rholoc.localization.ransac import lo_ransac
+from rholoc.localization.types import Query
+from rholoc.localization.verification import Verified, evidence_of, verify
+
+_WIDE_RADIUS_PX = 14.0
+_TOLERANCES_PX = (14.0, 7.0, 4.0)
+_FIRST_TOLERANCES_PX = (40.0, 20.0, 10.0, 5.0)
+_ROUNDS = 3
+_SETTLED = 0.01  # of the focal length's logarithm: rounds that change less end
+_SIGMAS = 3.0  # measured on real recordings: the estimate's error against its curvature's
+_OWN_SIGMA = 0.015  # what maps and calibrations differ by, as a share of the focal length
+_RIGHT_M = 0.1  # what confidence is about
+_HARMLESS_M = 0.05  # a pose that a free focal length would move by less is right either way
+_GUESSES = tuple(0.5 * 1.17**step for step in range(10))  # focal lengths to try, as shares of the longer side
+_GUESS_TOLERANCE_SHARE = 0.02  # of the longer side: a guess may be off by half a step
+_MIN_MATCHES = 8
+
+
+@dataclass(frozen=True)
+class FocalEstimate:
+    """What the matches say of the focal length.
+
+    Attributes:
+        focal_px: what fits best.
+        sigma_px: one sigma of it.
+        moved_m: how far the pose moves when the focal length is freed, metres.
+        belief: 0..1, how surely the focal length in use does not make the pose wrong.
+    """
+
+    focal_px: float
+    sigma_px: float
+    moved_m: float
+    belief: float
+
+
+def check_focal(index: MapIndex, query: Query, verified: Verified, matches: Matches) -> FocalEstimate:
+    """Hold the camera's focal length against what matches say, from a verified pose.
+
+    Args:
+        matches: of a place, made without any idea of the pose; or those around the pose.
+    """
+    camera, T = query.camera, verified.optimum.T_map_camera
+    total, sigma = 1.0, np.inf
+    tolerances_px: tuple[float, ...] = _FIRST_TOLERANCES_PX
+    for _ in range(_ROUNDS):
+        if len(matches) < _MIN_MATCHES:
+            break
+        evidence = evidence_of(index, matches, camera.rays(query.features.pixels), camera)
+        optimum, scale, sigma = ascend_with_focal(evidence, T, tolerances_px, query.dof)
+        tolerances_px = _TOLERANCES_PX
+        total, T = total * scale, optimum.T_map_camera
+        if abs(np.log(scale)) < _SETTLED or not _sensible(query.camera, total):
+            break
+        camera = query.camera.zoomed(total)
+        matches, _ = index.match_near(query.features, camera, T, _WIDE_RADIUS_PX)
+    moved_m = float(np.linalg.norm(T[:3, 3] - verified.optimum.T_map_camera[:3, 3]))
+    off = abs(float(np.log(total))) / float(np.hypot(_SIGMAS * sigma, _OWN_SIGMA))
+    harm = min(max(moved_m / _HARMLESS_M - 1, 0.0), 1.0)
+    belief = 1 - harm * (1 - float(np.exp(-0.5 * max(off - 1, 0.0) ** 2)))
+    focal_px = query.camera.focal * total
+    return FocalEstimate(focal_px, min(_SIGMAS * sigma, 1.0) * focal_px, moved_m, belief)
+
+
+def focal_seed(index: MapIndex, matches: Matches, query: Query, samples: int) -> tuple[FloatArray, Camera] | None:
+    """A pose (4, 4) and a camera from matches, the focal length unknown: LO-RANSAC at each of several guesses.
+
+    Args:
+        matches: of the query's features.
+        query: whose camera has the right principal point, and any focal length.
+        samples: the most samples for each guess.
+    """
+    if len(matches) < _MIN_MATCHES:
+        return None
+    matches, camera = matches.likeliest_first(), query.camera
+    plane = camera.undistort(query.features.pixels[matches.detections])
+    longer = max(camera.width, camera.height)
+    tolerance_px = _GUESS_TOLERANCE_SHARE * longer
+    best: tuple[int, FloatArray, Camera] | None = None
+    for share in _GUESSES:
+        guess = camera.zoomed(share * longer / camera.focal)
+        scaled = plane * (camera.focal / guess.focal)
+        found = lo_ransac(scaled, index.landmarks[matches.landmarks], guess.focal, tolerance_px, samples, 50)
+        if found is not None and (best is None or found[1] > best[0]):
+            best = found[1], found[0], guess
+    return None if best is None or best[0] < _MIN_MATCHES else best[1:]
+
+
+def verify_with_focal(
+    index: MapIndex, query: Query, T_map_camera: FloatArray, matches: Matches
+) -> tuple[Verified, FocalEstimate, Query] | None:
+    """Ascend over pose and focal length together, match again and verify, as :func:`verify` does for a known one.
+
+    Returns:
+        The verified pose, its covariance knowing that the focal length is estimated; the estimate; and the query with
+        the camera that was found.
+    """
+    evidence = evidence_of(index, matches, query.camera.rays(query.features.pixels), query.camera)
+    optimum, scale, _ = ascend_with_focal(evidence, T_map_camera, (24.0, 12.0, 6.0), query.dof)
+    for _ in range(_ROUNDS):
+        if not _sensible(query.camera, scale):
+            return None
+        query = replace(query, camera=query.camera.zoomed(scale))
+        near, _ = index.match_near(query.features, query.camera, optimum.T_map_camera, _WIDE_RADIUS_PX)
+        if len(near) < _MIN_MATCHES:
+            return None
+        evidence = evidence_of(index, near, query.camera.rays(query.features.pixels), query.camera)
+        optimum, scale, sigma = ascend_with_focal(evidence, optimum.T_map_camera, _TOLERANCES_PX, query.dof)
+        if abs(np.log(scale)) < _SETTLED:
+            break
+    query = replace(query, camera=query.camera.zoomed(scale))
+    rays = query.camera.rays(query.features.pixels)
+    verified = verify(index, query, rays, optimum.T_map_camera, focal_free=True)
+    if verified is None:
+        return None
+    focal_px = query.camera.focal
+    sigma_m = float(np.sqrt(np.linalg.eigvalsh(verified.covariance[:3, :3])[-1]))
+    belief = erf(_RIGHT_M / (sqrt(2) * sigma_m))
+    return verified, FocalEstimate(focal_px, min(_SIGMAS * sigma, 1.0) * focal_px, 0.0, belief), query
+
+
+def _sensible(camera: Camera, scale: float) -> bool:
+    """Whether a camera exists with ``scale`` times the focal length."""
+    return 0.3 < camera.focal * scale / max(camera.width, camera.height) < 3.5

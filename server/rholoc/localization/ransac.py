@@ -1,0 +1,52 @@
+"""LO-RANSAC: a pose from matches of which many are false, by poselib (Larsson and contributors)."""
+
+from __future__ import annotations
+
+import numpy as np
+import poselib
+
+from rholoc.geometry import FloatArray, pose_matrix
+
+_FEWEST_MATCHES = 4
+
+
+def lo_ransac(
+    plane: FloatArray,
+    points: FloatArray,
+    focal_px: float,
+    tolerance_px: float,
+    most_samples: int,
+    fewest_samples: int = 1000,
+    success: float = 0.9999,
+) -> tuple[FloatArray, int] | None:
+    """The pose (4, 4) that most matches agree with, and how many do.
+
+    Samples are drawn from the first matches first (PROSAC, Chum and Matas 2005), each better one is optimized locally,
+    and drawing ends once a better one has become improbable. None where there are too few matches or none agree.
+
+    Args:
+        plane: (M, 2) the detections on the plane z = 1 of the camera frame, the likeliest match first.
+        points: (M, 3) their landmarks, metres, map frame.
+        focal_px: turns the tolerance into the plane's unit.
+        tolerance_px: how far off an agreeing match may be.
+        most_samples: the most that are drawn.
+        fewest_samples: the least, however well the first ones fit.
+        success: how probable it must be that no better sample was missed.
+    """
+    if len(plane) < _FEWEST_MATCHES:
+        return None
+    pinhole = {"model": "SIMPLE_PINHOLE", "width": 1, "height": 1, "params": [focal_px, 0.0, 0.0]}
+    settings = {
+        "max_iterations": most_samples,
+        "min_iterations": min(fewest_samples, most_samples),
+        "max_reproj_error": tolerance_px,
+        "success_prob": success,
+        "progressive_sampling": True,
+    }
+    pose, report = poselib.estimate_absolute_pose(
+        np.asarray(plane, dtype=np.float64) * focal_px, np.asarray(points, dtype=np.float64), pinhole, settings, {}
+    )
+    R_camera_map = np.asarray(pose.R)
+    T_map_camera = pose_matrix(R_camera_map.T, -R_camera_map.T @ np.asarray(pose.t))
+    agreeing = int(report["num_inliers"])
+    return (T_map_camera, agreeing) if agreeing >= _FEWEST_MATCHES and np.isfinite(T_map_camera).all() else None

@@ -1,0 +1,106 @@
+"""A map's description: what it was made from, and what it reports about itself."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, field
+from enum import StrEnum
+
+from rholoc.errors import InvalidInput, InvalidMap
+from rholoc.geometry import Camera
+from rholoc.reports import MapReport, report_from_json, report_to_json
+
+
+class DensityKind(StrEnum):
+    """The form of equation (3) that a map's densities take."""
+
+    RAY = "ray"  # in s = (bearing, position): exact, from information sums
+    TENSOR = "tensor"  # in s = (u, v, position, heading): the paper's own, fitted
+
+
+@dataclass(frozen=True)
+class Source:
+    """A recording, or a table, that a map was made from.
+
+    Attributes:
+        name: what it was called.
+        id: what distinguishes it from other recordings, 16 hex digits.
+        camera: its intrinsics.
+        frames: how many it had.
+        posed: how many of them got a pose.
+        views: how many became views of the map.
+        held_out: how many were held out for the report.
+        poses: where the poses came from: a pose method, or ``localized`` in the map.
+    """
+
+    name: str
+    id: str | None = None
+    camera: Camera | None = None
+    frames: int | None = None
+    posed: int | None = None
+    views: int | None = None
+    held_out: int | None = None
+    poses: str | None = None
+
+
+@dataclass(frozen=True)
+class MapWaypoint:
+    """A measured point of a map's recordings.
+
+    Attributes:
+        name: what it is called.
+        position: (3,) metres, map frame.
+        residual_m: how far the trajectory misses it; None where that is not known.
+    """
+
+    name: str
+    position: tuple[float, float, float]
+    residual_m: float | None = None
+
+
+@dataclass(frozen=True)
+class MapInfo:
+    """What a map says of itself.
+
+    Attributes:
+        id: unique for each built map, 32 hex digits.
+        version: 1 for a new map, counted up with every update.
+        density: the form of its densities.
+        features: the extractor's name.
+        metric: False where the unit of length is arbitrary; every answer then says so.
+        upright: whether z points up.
+        created: ISO 8601 time, UTC.
+        camera: the intrinsics of the first recording.
+        sources: what it was made from.
+        waypoints: measured points.
+        report: what it found out about itself while it was built.
+    """
+
+    id: str
+    version: int
+    density: DensityKind
+    features: str
+    metric: bool
+    upright: bool
+    created: str
+    camera: Camera
+    sources: tuple[Source, ...] = ()
+    waypoints: tuple[MapWaypoint, ...] = ()
+    report: MapReport = field(default_factory=MapReport)
+
+
+def info_to_json(info: MapInfo) -> str:
+    """The description as JSON text; numbers that are not finite become null."""
+    return json.dumps(report_to_json(info), ensure_ascii=False, allow_nan=False, separators=(",", ":"), sort_keys=True)
+
+
+def info_from_json(text: str) -> MapInfo:
+    """The description that :func:`info_to_json` wrote; members that are not known are left out.
+
+    Raises:
+        InvalidMap: not JSON, a member is missing or of another type, or a camera is absurd.
+    """
+    try:
+        return report_from_json(MapInfo, json.loads(text))
+    except (ValueError, InvalidInput, RecursionError) as error:
+        raise InvalidMap(f"The map's description is broken: {error}.") from error
