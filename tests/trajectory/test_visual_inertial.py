@@ -11,10 +11,10 @@ from scipy.spatial.transform import Rotation, RotationSpline
 
 from rholoc.geometry import FloatArray, pose_matrix
 from rholoc.recordings import Imu, Waypoint
-from rholoc.trajectory.imu import calibrate_gyro
+from rholoc.trajectory.gyroscope import calibrate_gyro
 from rholoc.trajectory.imu_evidence import compare_with_inertial, weigh_imu
-from rholoc.trajectory.inertial import integrate_between_waypoints
-from rholoc.trajectory.visual_inertial import GRAVITY, align_inertially
+from rholoc.trajectory.dead_reckoning import integrate_between_waypoints
+from rholoc.trajectory.inertial_alignment import GRAVITY, align_inertially
 
 _R_CAMERA_IMU = Rotation.from_euler("xyz", [90, 0, 80], degrees=True).as_matrix()
 

@@ -82,12 +82,14 @@ class Imu:
 class Waypoint:
     """A measured point of the walk: the camera's place at a time, metres in the map frame.
 
-    Where only the waypoints' order is known, their times are NaN: the camera then paused at each.
+    Where only the waypoints' order is known, their times are NaN: the camera then paused at each. ``sigma_m`` is how
+    well the camera was held to the point, in each coordinate.
     """
 
     name: str
     time: float
     position: tuple[float, float, float]
+    sigma_m: float = 0.02
 
 
 @dataclass(frozen=True, eq=False)

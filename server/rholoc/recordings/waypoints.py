@@ -16,6 +16,8 @@ from rholoc.recordings.recording import FrameSource, Waypoint
 MIN_WAYPOINTS = 3
 MAX_WAYPOINTS = 1000
 MAX_NAME_LENGTH = 100
+DEFAULT_SIGMA_M = 0.02
+MIN_SIGMA_M, MAX_SIGMA_M = 0.001, 1.0
 MIN_SPREAD_RATIO = 0.02  # of their extent across the line that fits them best to that along it
 
 _NAMES_SHOWN = 5
@@ -27,6 +29,8 @@ _COLUMNS_HINT = (
 
 def read_waypoints_csv(path: Path, frames: FrameSource) -> tuple[Waypoint, ...]:
     """Read waypoints under the header ``name,time,x,y,z`` or ``name,frame,x,y,z``, or ``name,x,y,z`` in their order.
+
+    A further column ``sigma`` says how well each was measured, in metres; 0.02 where it is absent or empty.
 
     They may be collinear; :func:`check_waypoints_fix_frame` tells whether they fix a frame.
 
@@ -103,8 +107,9 @@ def _waypoint(row: dict[str, str], line: int, moment: str | None, path: Path, fr
             f"Use at most {MAX_NAME_LENGTH} printable characters.",
         )
     x, y, z = (parse_number(row[column], path, line, column, InvalidWaypoints) for column in ("x", "y", "z"))
+    sigma_m = _sigma_m(row, line, path)
     if moment is None:
-        return Waypoint(name, float("nan"), (x, y, z))
+        return Waypoint(name, float("nan"), (x, y, z), sigma_m)
     when = parse_number(row[moment], path, line, moment, InvalidWaypoints)
     time = _time_of_frame(name, when, frames) if moment == "frame" else when
     first, last = float(frames.times[0]), float(frames.times[-1])
@@ -113,7 +118,19 @@ def _waypoint(row: dict[str, str], line: int, moment: str | None, path: Path, fr
             f"Waypoint {name} is at {time:.3f} s, outside the recording's {first:.3f} to {last:.3f} s.",
             "Times must be on the recording's own clock.",
         )
-    return Waypoint(name, time, (x, y, z))
+    return Waypoint(name, time, (x, y, z), sigma_m)
+
+
+def _sigma_m(row: dict[str, str], line: int, path: Path) -> float:
+    if not row.get("sigma"):
+        return DEFAULT_SIGMA_M
+    sigma_m = parse_number(row["sigma"], path, line, "sigma", InvalidWaypoints)
+    if not MIN_SIGMA_M <= sigma_m <= MAX_SIGMA_M:
+        raise InvalidWaypoints(
+            f"{path.name}, row {line}: sigma is {sigma_m:g}; it must be {MIN_SIGMA_M:g} to {MAX_SIGMA_M:g} m.",
+            "Give how well the camera was held to the point, in metres: 0.02 is what a careful hand does.",
+        )
+    return sigma_m
 
 
 def _time_of_frame(name: str, number: float, frames: FrameSource) -> float:

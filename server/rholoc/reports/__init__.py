@@ -5,7 +5,13 @@ Dataclasses without behaviour, one module a subject. Every package may use them;
 
 from rholoc.reports.json import report_from_json, report_to_json
 from rholoc.reports.map import CoverageReport, ExpectedError, HeldOutReport, LearningReport, MapReport
-from rholoc.reports.trajectory import CalibrationReport, ImuReport, InertialComparison, TrajectoryReport
+from rholoc.reports.trajectory import (
+    CalibrationReport,
+    ImuReport,
+    InertialComparison,
+    MissingSpan,
+    TrajectoryReport,
+)
 from rholoc.reports.walk import Advice, AdviceKind, CoachingReport, RecordingWarning, WalkFigures, WarningKind
 
 __all__ = [
@@ -20,6 +26,7 @@ __all__ = [
     "InertialComparison",
     "LearningReport",
     "MapReport",
+    "MissingSpan",
     "RecordingWarning",
     "TrajectoryReport",
     "WalkFigures",

@@ -47,6 +47,7 @@ class ImuReport:
         accelerometer_bias_m_s2: (3,).
         lever_m: (3,) the IMU's place in the camera's axes.
         acceleration_residual_m_s2: the accelerations' median residual.
+        accelerometer_scale: what the accelerometer reads for one m/s², by gravity's length.
     """
 
     not_observable: dict[str, str] = field(default_factory=dict)
@@ -64,6 +65,7 @@ class ImuReport:
     accelerometer_bias_m_s2: tuple[float, ...] | None = None
     lever_m: tuple[float, ...] | None = None
     acceleration_residual_m_s2: float | None = None
+    accelerometer_scale: float | None = None
 
 
 @dataclass(frozen=True)
@@ -83,6 +85,20 @@ class InertialComparison:
     rms_m: float | None = None
     worst_m: float | None = None
     worst_time_s: float | None = None
+
+
+@dataclass(frozen=True)
+class MissingSpan:
+    """Seconds of a walk that could not be placed.
+
+    Attributes:
+        start_s, end_s: seconds from the start of the recording.
+        why: what they show instead, to follow them in a sentence: "shows a blank wall".
+    """
+
+    start_s: float
+    end_s: float
+    why: str
 
 
 @dataclass(frozen=True)
@@ -110,6 +126,10 @@ class TrajectoryReport:
         waypoint_times_s: when the camera was at each waypoint, by name.
         waypoint_residuals_m: how far the trajectory misses each waypoint; None for one that was left out.
         waypoint_mistake: one line on a waypoint that contradicts all others.
+        waypoint_sigmas: how far each waypoint is from where all else has it, in standard deviations of the two.
+        expected_error_m: of the positions, by the adjustment's covariance: the median over the frames.
+        expected_error_deg: of the rotations, likewise.
+        missing: the seconds that could not be placed, and why.
     """
 
     method: str
@@ -132,6 +152,10 @@ class TrajectoryReport:
     waypoint_times_s: dict[str, float] | None = None
     waypoint_residuals_m: dict[str, float | None] | None = None
     waypoint_mistake: str | None = None
+    waypoint_sigmas: dict[str, float | None] | None = None
+    expected_error_m: float | None = None
+    expected_error_deg: float | None = None
+    missing: tuple[MissingSpan, ...] | None = None
 
     def to_json(self) -> dict[str, Any]:
         """As a map's file keeps it."""

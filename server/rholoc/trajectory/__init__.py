@@ -1,4 +1,4 @@
-"""Recording → frame poses: structure from motion, inertial, alignment."""
+"""Recording → frame poses: what pictures, IMU and waypoints measured, adjusted together."""
 
 from rholoc.trajectory.estimate import estimate_trajectory
 from rholoc.trajectory.trajectory import PoseMethod, Scale, Trajectory

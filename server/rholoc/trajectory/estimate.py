@@ -2,34 +2,41 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
-from rholoc.errors import InvalidCamera, InvalidRecording, InvalidWaypoints, MappingFailed
+from rholoc.errors import InvalidCamera, InvalidRecording, InvalidWaypoints, MappingFailed, RholocError
 from rholoc.geometry import Camera, FloatArray, IntArray
 from rholoc.progress import ProgressListener, Stage, silent
 from rholoc.recordings import Imu, Recording, Waypoint, check_waypoints_fix_frame
-from rholoc.reports import TrajectoryReport, report_to_json
+from rholoc.reports import ImuReport, InertialComparison, TrajectoryReport
+from rholoc.trajectory.blame import LeftOut, explain
 from rholoc.trajectory.child import run_in_child
-from rholoc.trajectory.gyro_guard import GyroGuard
-from rholoc.trajectory.imu_evidence import compare_with_inertial, weigh_imu
-from rholoc.trajectory.inertial import integrate_between_waypoints
+from rholoc.trajectory.dead_reckoning import integrate_between_waypoints
+from rholoc.trajectory.flow import Flow, track_corners
+from rholoc.trajectory.gaps import describe, missing_spans
 from rholoc.trajectory.keyframe_features import extract_keyframe_features
-from rholoc.trajectory.keyframes import choose_keyframes, measure_motion
-from rholoc.trajectory.map_frame import frame_of_first_camera, frame_of_waypoints
-from rholoc.trajectory.rolling_shutter import measure_rolling_shutter
+from rholoc.trajectory.keyframes import choose_keyframes
+from rholoc.trajectory.reconstruction import Reconstruction, Sights, reconstruct
+from rholoc.trajectory.rolling_shutter import RollingShutter, measure_rolling_shutter
+from rholoc.trajectory.self_calibration import calibration_report
 from rholoc.trajectory.trajectory import PoseMethod, Scale, Trajectory
 from rholoc.trajectory.upright import up_without_roll
-from rholoc.trajectory.visual import MIN_PLACED, VisualPoses, structure_from_motion
 from rholoc.trajectory.waypoint_times import choices_of_pauses, find_pauses, times_are_known
 
 _FEWEST_GIVEN = 3
 _FEWEST_KEYFRAMES = 4
-_FEWEST_FEATURES = 50  # in a keyframe that can be placed
 _MAX_GIVEN_TILT_DEG = 5.0  # of given poses that count as upright
+_MIN_PLACED = 0.5  # the share of the keyframes that a map must have
+_WELL_PLACED = 0.9  # and that one which is trusted has
+_MAX_EXPECTED_ERROR_M = 0.10  # of a trajectory that is trusted
+_MAX_WAYPOINT_MISS_M = 0.10
+_MAX_IMU_RESIDUAL = 8.0  # times the noise expected, from which IMU and pictures contradict each other
 
 _MOVE = "Walk through the room while recording; keep texture in view."
+_SLOWER = "Walk slower, keep more texture in view: no blank walls, no darkness."
 
 
 def estimate_trajectory(recording: Recording, method: PoseMethod, progress: ProgressListener = silent) -> Trajectory:
@@ -84,7 +91,7 @@ def _inertial(recording: Recording, progress: ProgressListener) -> Trajectory:
         raise InvalidRecording("The recording came without an IMU table.", "Choose poses 'visual'.")
     if not recording.waypoints:
         raise InvalidWaypoints("The IMU needs waypoints to correct it.", "Measure three or more, at rest at each.")
-    rows, choices = _keyframes(recording, recording.imu, progress)
+    rows, choices = _keyframes(recording, recording.imu, track_corners(recording.frames, progress))
     waypoints = choices[0]  # the longest pauses
     stops = [waypoint.time for waypoint in waypoints]
     times = recording.frames.times[rows]
@@ -106,77 +113,61 @@ def _inertial(recording: Recording, progress: ProgressListener) -> Trajectory:
 
 def _visual(recording: Recording, method: PoseMethod, progress: ProgressListener) -> Trajectory:
     imu = recording.imu if method is PoseMethod.VISUAL_INERTIAL else None
-    rows, choices = _keyframes(recording, imu, progress)
-    features = extract_keyframe_features(recording.frames, rows, progress)
-    shutter = None
-    if recording.readout_s is not None:
-        shutter = measure_rolling_shutter(recording.frames, rows, recording.readout_s)
-        features = [shutter.at_once(k, found) for k, found in enumerate(features)]
-    textured = sum(len(found) >= _FEWEST_FEATURES for found in features)
-    if textured < max(MIN_PLACED * len(rows), 2):
-        raise MappingFailed(
-            f"{textured} of {len(rows)} keyframes show enough texture to be placed.",
-            "Walk slower, keep more texture in view: no blank walls, no darkness.",
-        )
-    visual = run_in_child(
-        structure_from_motion,
-        features,
-        recording.camera,
-        recording.frames.size,
-        None if imu is None else GyroGuard(recording.frames.times[rows], imu),
-        progress=progress,
-        stage=Stage.POSES,
+    flow = track_corners(recording.frames, progress)
+    rows, choices = _keyframes(recording, imu, flow)
+    sights = _look(recording, flow, rows, progress)
+    found = run_in_child(
+        reconstruct, sights, imu, choices if recording.waypoints else [], progress=progress, stage=Stage.POSES
     )
-    kept, T = visual.reconstruction.placed, visual.reconstruction.T_world_camera
-    rows = rows[kept]
-    report = _visual_report(visual, len(features), method)
-    doubts = [] if visual.trusted else [visual.why]
-    if visual.calibration is not None:
-        report["camera"] = visual.calibration.report
-        if not visual.calibration.observable:
-            doubts.append(visual.calibration.why)
-    if method is PoseMethod.VISUAL_INERTIAL and imu is None:
-        report["imu"] = "The recording has no IMU; the poses are visual alone."
-    evidence = None
-    if imu is not None:
-        evidence = weigh_imu(recording.frames.times[rows], T, imu)
-        rows, T, kept = rows[evidence.kept], T[evidence.kept], kept[evidence.kept]
-        report["imu"] = evidence.report
-        doubts += evidence.doubts
-    times, alignment = recording.frames.times[rows], None if evidence is None else evidence.alignment
-    if recording.waypoints:
-        frame = frame_of_waypoints(times, T, choices, alignment)
-    else:
-        frame = frame_of_first_camera(T, visual.reconstruction.median_depth, alignment)
-    T = frame.similarity.poses(T)
-    report |= frame.report
-    doubts += frame.doubts
-    if imu is not None and evidence is not None and evidence.gyro is not None and frame.waypoints:
-        report["inertial"] = compare_with_inertial(times, T, frame.waypoints, imu, evidence.gyro)
-    report["frames"] = len(rows)
-    report["trusted"] = not doubts
-    report["why"] = " ".join(doubts) or visual.why
-    progress(Stage.POSES, 1.0, f"{len(rows)} frames placed")
-    shutter = None if shutter is None else shutter.take(kept)
-    typed = TrajectoryReport.from_json(report_to_json(report))
-    return Trajectory(rows, times, T, visual.camera, frame.scale, frame.upright, typed, shutter)
+    missing = missing_spans(flow, rows, found.placed)
+    share = float(found.placed.mean())
+    if share < _MIN_PLACED:
+        raise MappingFailed(
+            f"Only {found.placed.sum()} of {len(rows)} keyframes could be placed. {describe(missing)}".strip(), _SLOWER
+        )
+    kept = np.flatnonzero(found.placed)
+    doubts = _doubts(found, share, describe(missing))
+    report = _report(found, method, len(rows), kept, doubts)
+    report = replace(report, missing=missing)
+    if method is PoseMethod.VISUAL_INERTIAL:
+        report = replace(report, imu=_imu_report(recording, found))
+        report = replace(report, inertial=_comparison(recording, found, flow.times[rows[kept]], kept))
+    progress(Stage.POSES, 1.0, f"{len(kept)} of {len(rows)} keyframes placed")
+    return Trajectory(
+        rows[kept],
+        flow.times[rows[kept]],
+        found.T_map_camera[kept],
+        found.camera,
+        found.frame.scale,
+        found.frame.upright,
+        report,
+        None if sights.shutter is None else sights.shutter.take(kept),
+        found.covariances[kept],
+    )
 
 
-def _keyframes(
-    recording: Recording, imu: Imu | None, progress: ProgressListener
-) -> tuple[IntArray, list[tuple[Waypoint, ...]]]:
+def _look(recording: Recording, flow: Flow, rows: IntArray, progress: ProgressListener) -> Sights:
+    """The keyframes' features, corrected for the rolling shutter where its read-out is known."""
+    features = extract_keyframe_features(recording.frames, rows, progress)
+    shutter: RollingShutter | None = None
+    if recording.readout_s is not None:
+        shutter = measure_rolling_shutter(flow, rows, recording.readout_s)
+        features = [shutter.at_once(k, found) for k, found in enumerate(features)]
+    return Sights(flow, rows, features, recording.camera, shutter)
+
+
+def _keyframes(recording: Recording, imu: Imu | None, flow: Flow) -> tuple[IntArray, list[tuple[Waypoint, ...]]]:
     """Keyframes by motion and sharpness, and the frames nearest to the waypoints; the waypoints with their times.
 
     Where those are not known, one frame for each pause, and every way to take pauses for the waypoints.
     """
-    motion, sharpness = measure_motion(recording.frames, progress)
-    times = recording.frames.times
     choices = [recording.waypoints]
     if not times_are_known(recording.waypoints):
-        choices = list(choices_of_pauses(recording.waypoints, find_pauses(times, motion, imu)))
+        choices = list(choices_of_pauses(recording.waypoints, find_pauses(flow.times, flow.motion, imu)))
     stops = {waypoint.time for waypoints in choices for waypoint in waypoints}
-    near_stops = [int(np.abs(times - stop).argmin()) for stop in stops]
-    rows = np.union1d(choose_keyframes(motion, sharpness), np.array(near_stops, dtype=np.int64))
+    near_stops = [int(np.abs(flow.times - stop).argmin()) for stop in stops]
+    rows = choose_keyframes(flow.times, flow.motion, flow.sharpness)
+    rows = np.union1d(rows, np.array(near_stops, dtype=np.int64))
     if len(rows) < _FEWEST_KEYFRAMES:
         raise MappingFailed("The camera hardly moves in this recording.", _MOVE)
     return rows, choices
@@ -191,19 +182,109 @@ def _known_camera(recording: Recording) -> Camera:
     return recording.camera
 
 
-def _visual_report(visual: VisualPoses, keyframes: int, method: PoseMethod) -> dict[str, Any]:
-    model = visual.reconstruction
-    return {
-        "method": method.value,
-        "keyframes": keyframes,
-        "landmarks": model.landmarks,
-        "reprojection_error_px": model.reprojection_error_px,
-        "loop_pairs": visual.loops,
-        "pairs_contradicted_by_gyroscope": visual.contradicted,
-        "disagreement_of_depth": _or_none(visual.disagreement),
-        "disagreement_deg": _or_none(visual.disagreement_deg),
-    }
+def _doubts(found: Reconstruction, share: float, missing: str) -> list[str]:
+    """Why a reconstruction is not to be trusted, one line each."""
+    doubts = list(found.frame.doubts)
+    if share < _WELL_PLACED:
+        doubts.append(f"Only {share:.0%} of the keyframes could be placed. {missing}".strip())
+    error_m = _expected_error_m(found)
+    if found.frame.scale is Scale.METRIC and error_m > _MAX_EXPECTED_ERROR_M:
+        doubts.append(f"Its poses are uncertain by {100 * error_m:.0f} cm: measure waypoints, or walk in loops.")
+    for name, out in found.left_out.items():
+        if name not in found.mistaken and float(np.linalg.norm(out.off_m)) > _MAX_WAYPOINT_MISS_M and out.mistaken:
+            doubts.append(f"The waypoint {name} is missed by {np.linalg.norm(out.off_m):.2f} m.")
+    if found.imu is not None and found.imu.residual > _MAX_IMU_RESIDUAL:
+        doubts.append("The accelerometer contradicts the pictures.")
+    if found.focal_sigma_px is not None:
+        calibration = calibration_report(found.camera, found.focal_sigma_px)
+        doubts += [] if calibration.observable else [calibration.why]
+    return doubts
 
 
-def _or_none(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None
+def _expected_error_m(found: Reconstruction) -> float:
+    return float(np.median(np.sqrt(np.trace(found.covariances[found.placed, :3, :3], axis1=1, axis2=2))))
+
+
+def _report(
+    found: Reconstruction, method: PoseMethod, keyframes: int, kept: IntArray, doubts: list[str]
+) -> TrajectoryReport:
+    error_deg = np.degrees(np.sqrt(np.trace(found.covariances[kept, 3:, 3:], axis1=1, axis2=2)))
+    metric = found.frame.scale is Scale.METRIC
+    error_m = _expected_error_m(found)
+    expected = f"Its poses are expected to be right to {100 * error_m:.1f} cm." if metric else "All checks passed."
+    mistakes = [explain(name, found.left_out[name].off_m) for name in found.mistaken]
+    return TrajectoryReport(
+        method=method.value,
+        frames=len(kept),
+        trusted=not doubts,
+        why=" ".join(doubts) or expected,
+        up=found.frame.why_up,
+        scale=found.frame.why_scale,
+        keyframes=keyframes,
+        landmarks=found.landmarks,
+        reprojection_error_px=found.residual_px,
+        loop_pairs=found.loops,
+        camera=None if found.focal_sigma_px is None else calibration_report(found.camera, found.focal_sigma_px),
+        waypoints_tilt_deg=found.frame.tilt_deg,
+        waypoint_times_s={waypoint.name: waypoint.time for waypoint in found.frame.waypoints} or None,
+        waypoint_residuals_m=_residuals(found, lambda out: float(np.linalg.norm(out.off_m))),
+        waypoint_sigmas=_residuals(found, lambda out: out.sigmas),
+        waypoint_mistake=" ".join(mistakes) or None,
+        expected_error_m=error_m if metric else None,
+        expected_error_deg=float(np.median(error_deg)),
+    )
+
+
+def _residuals(found: Reconstruction, figure: Callable[[LeftOut], float]) -> dict[str, float | None] | None:
+    names = [waypoint.name for waypoint in found.frame.waypoints]
+    return {name: figure(found.left_out[name]) if name in found.left_out else None for name in names} or None
+
+
+def _imu_report(recording: Recording, found: Reconstruction) -> ImuReport | str:
+    if recording.imu is None:
+        return "The recording has no IMU; the poses are visual alone."
+    imu = found.imu
+    if imu is None:
+        return ImuReport(not_observable={"all": found.imu_reason})
+    not_observable = {} if found.frame.scale is Scale.METRIC else {"scale": found.frame.why_scale}
+    gyro = imu.gyro
+    return ImuReport(
+        not_observable=not_observable,
+        time_offset_s=gyro.time_offset_s + imu.clock_s,
+        time_offset_sigma_s=gyro.time_offset_sigma_s,
+        gyro_bias_rad_per_s=tuple(gyro.bias.tolist()),
+        gyro_bias_sigma_rad_per_s=gyro.bias_sigma,
+        R_camera_imu=tuple(tuple(row) for row in gyro.R_camera_imu.tolist()),
+        R_camera_imu_contradicts_recording=gyro.contradicts_recording,
+        mounting_sigma_deg=gyro.mounting_sigma_deg,
+        rotation_residual_deg=gyro.residual_deg,
+        scale_sigma=imu.scale_sigma,
+        accelerometer_bias_m_s2=tuple(imu.accelerometer_bias.tolist()),
+        lever_m=tuple(imu.lever_m.tolist()),
+        accelerometer_scale=imu.accelerometer_scale,
+    )
+
+
+def _comparison(
+    recording: Recording, found: Reconstruction, times: FloatArray, kept: IntArray
+) -> InertialComparison | None:
+    """How far the paper's own way, the IMU integrated between waypoints, is from the poses."""
+    if recording.imu is None or found.imu is None or not found.frame.waypoints:
+        return None
+    stops = [waypoint.time for waypoint in found.frame.waypoints]
+    between = (times >= min(stops)) & (times <= max(stops))
+    gyro = found.imu.gyro
+    on_video_clock = replace(
+        recording.imu, times=recording.imu.times - gyro.time_offset_s, R_camera_imu=gyro.R_camera_imu
+    )
+    try:
+        poses = integrate_between_waypoints(on_video_clock, found.frame.waypoints, times[between])
+    except RholocError as error:
+        return InertialComparison(why=error.message)
+    apart_m = np.linalg.norm(poses[:, :3, 3] - found.T_map_camera[kept][between, :3, 3], axis=1)
+    return InertialComparison(
+        frames=int(between.sum()),
+        rms_m=float(np.sqrt(np.mean(apart_m**2))),
+        worst_m=float(apart_m.max()),
+        worst_time_s=float(times[between][apart_m.argmax()]),
+    )

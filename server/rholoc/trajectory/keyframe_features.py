@@ -17,7 +17,7 @@ from rholoc.recordings import FrameSource
 
 _LONGER_SIDE_PX = 960  # larger images are reduced to this: more pixels cost time and place no frame more
 _THREADS = 2
-_EXTRACTOR = SiftExtractor(features=1500)
+_EXTRACTOR = SiftExtractor(features=1000)
 
 
 def extract_keyframe_features(

@@ -9,20 +9,16 @@ import numpy as np
 
 from rholoc.features import FeatureSet
 from rholoc.geometry import FloatArray
-from rholoc.trajectory.two_view import VerifiedPair
 
 Pair = tuple[int, int]
 
 _WORDS = 64
 _TRAINING_DESCRIPTORS = 20_000
 _SEED = 1
-_STRONG_INLIERS = 100
-_BESIDE = 2  # keyframes
 
 
-def sequential_pairs(count: int, overlap: int) -> list[Pair]:
-    """Every keyframe with the next ``overlap``, and with those at distances 2ⁿ up to twice that."""
-    distances = sorted({*range(1, overlap + 1), 2 * overlap})
+def sequential_pairs(count: int, distances: Sequence[int]) -> list[Pair]:
+    """Every keyframe with those that many keyframes later."""
     return [(i, i + d) for i in range(count) for d in distances if i + d < count]
 
 
@@ -33,29 +29,17 @@ def loop_candidates(features: Sequence[FeatureSet], apart: int, each: int) -> li
     already chosen for the same keyframe are passed over, so that one place does not take all.
     """
     vectors = _vlad(features)
-    alike = vectors @ vectors.T
     pairs: set[Pair] = set()
-    for i, row in enumerate(alike):
-        others = [j for j in np.argsort(-row, kind="stable") if abs(int(j) - i) >= apart]
+    for i, vector in enumerate(vectors):
+        row = vectors @ vector
         chosen: list[int] = []
-        for j in others:
+        for j in np.argsort(-row, kind="stable").tolist():
             if len(chosen) == each:
                 break
-            if all(abs(int(j) - k) > 1 for k in chosen):
-                chosen.append(int(j))
+            if abs(j - i) >= apart and all(abs(j - k) > 1 for k in chosen):
+                chosen.append(j)
         pairs.update((min(i, j), max(i, j)) for j in chosen)
     return sorted(pairs)
-
-
-def supported_loops(pairs: Sequence[VerifiedPair]) -> list[VerifiedPair]:
-    """The loop pairs with many inliers, or with another loop pair beside them: a chance likeness stands alone."""
-    places = np.array([(pair.first, pair.second) for pair in pairs]).reshape(-1, 2)
-    kept = []
-    for pair, place in zip(pairs, places, strict=True):
-        beside = np.abs(places - place).max(axis=1) <= _BESIDE
-        if len(pair.matches) >= _STRONG_INLIERS or beside.sum() > 1:
-            kept.append(pair)
-    return kept
 
 
 def _vlad(features: Sequence[FeatureSet]) -> FloatArray:

@@ -1,10 +1,9 @@
-"""A reconstruction of arbitrary frame and scale → the map's frame, by what is trusted most."""
+"""A reconstruction of its own frame → the map's frame, by what is trusted most."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -14,14 +13,12 @@ from rholoc.recordings import Waypoint
 from rholoc.trajectory.alignment import Similarity
 from rholoc.trajectory.trajectory import Scale
 from rholoc.trajectory.upright import rotation_to_upright, up_without_roll
-from rholoc.trajectory.visual_inertial import InertialAlignment
 from rholoc.trajectory.waypoint_alignment import UpMeasurement, WaypointAlignment, align_to_waypoints
 
-_FEWEST_GRAVITY_SIGMA_DEG = 0.3  # what the alignment's own uncertainty does not see: the mounting, the model
-_MAX_GRAVITY_SIGMA_DEG = 5.0  # beyond which gravity does not count as measured
+_GRAVITY_SIGMA_DEG = 0.3  # what the adjustment's own uncertainty does not see: the mounting, the model
 _NO_ROLL_SIGMA_DEG = 1.5
 _MAX_TILT_DEG = 15.0  # between the waypoints' z axis and the measured up, above which they are not the same
-_MAX_WAYPOINT_RESIDUAL_M = 0.1  # of a trajectory that is trusted
+_MAX_SCALE_SIGMA = 0.1  # relative; a scale less certain than this is no scale
 _MAX_SCALE_CONTRADICTION = 0.15  # between waypoints and accelerometer …
 _SIGMAS = 4.0  # … and as many of the accelerometer's uncertainties
 _CLEARER = 2.0  # times worse must the next best choice of pauses fit …
@@ -36,24 +33,29 @@ class MapFrame:
         similarity: from its own frame to the map's.
         scale: whether lengths are metres now.
         upright: whether the z axis is known to point up.
+        why_up, why_scale: one line each on what fixes them.
         waypoints: with the times at which the camera was at them.
-        report: figures for people.
+        tilt_deg: between the waypoints' z axis and the measured upward direction, or None.
         doubts: why the trajectory is not to be trusted, one line each.
     """
 
     similarity: Similarity
     scale: Scale
     upright: bool
+    why_up: str
+    why_scale: str
     waypoints: tuple[Waypoint, ...] = ()
-    report: dict[str, Any] = field(default_factory=dict)
+    tilt_deg: float | None = None
     doubts: tuple[str, ...] = ()
 
 
-def measure_up(R_world_camera: FloatArray, inertial: InertialAlignment | None) -> tuple[UpMeasurement | None, str]:
-    """The upward direction from gravity or else from the no-roll prior, and what to say about it."""
-    if inertial is not None and inertial.up is not None and inertial.up_sigma_deg <= _MAX_GRAVITY_SIGMA_DEG:
-        sigma_deg = max(inertial.up_sigma_deg, _FEWEST_GRAVITY_SIGMA_DEG)
-        return UpMeasurement(inertial.up, sigma_deg), f"The accelerometer measured gravity to {sigma_deg:.1f}°."
+def up_by_gravity() -> tuple[UpMeasurement, str]:
+    """The z axis of a reconstruction that the accelerometer has levelled, and what to say about it."""
+    return UpMeasurement(np.array([0.0, 0.0, 1.0]), _GRAVITY_SIGMA_DEG), "The accelerometer measured gravity."
+
+
+def up_by_pictures(R_world_camera: FloatArray) -> tuple[UpMeasurement | None, str]:
+    """The upward direction by the no-roll prior, from rotations (K, 3, 3), and what to say about it."""
     prior = up_without_roll(R_world_camera)
     figures = f"the cameras' x axes are {prior.roll_deg:.1f}° off one plane and spread {prior.turn_deg:.0f}° in it"
     if prior.holds:
@@ -62,37 +64,48 @@ def measure_up(R_world_camera: FloatArray, inertial: InertialAlignment | None) -
 
 
 def frame_of_first_camera(
-    T_world_camera: FloatArray, median_depth: float, inertial: InertialAlignment | None
+    T_world_camera: FloatArray, up: UpMeasurement | None, why_up: str, median_depth: float, scale_sigma: float | None
 ) -> MapFrame:
-    """Origin at the first of the cameras (N, 4, 4), which looks along x; upright and metric where the IMU says how."""
-    up, told_up = measure_up(T_world_camera[:, :3, :3], inertial)
-    scale, unit = Scale.ARBITRARY, 1 / median_depth
-    why = "Nothing measured fixes the scale; the unit is the median distance of the landmarks."
-    if inertial is not None:
-        why = inertial.why_no_scale
-        if not why:
-            scale, unit = Scale.METRIC, inertial.scale
-            why = f"The accelerometer fixes the scale to {inertial.scale_sigma:.1%}."
+    """Origin at the first of the cameras (N, 4, 4), which looks along x; upright where ``up`` is known.
+
+    Args:
+        median_depth: of the landmarks; the unit of length where nothing measured fixes it.
+        scale_sigma: how well the accelerometer knows the scale, relative, of a reconstruction in metres; else None.
+    """
+    if scale_sigma is None:
+        scale, unit = Scale.ARBITRARY, 1 / median_depth
+        why = "Nothing measured fixes the scale; the unit is the median distance of the landmarks."
+    elif scale_sigma > _MAX_SCALE_SIGMA:
+        scale, unit = Scale.ARBITRARY, 1 / median_depth
+        why = (
+            f"The accelerometer leaves the scale open ({scale_sigma:.0%}): the camera hardly sped up or slowed down. "
+            "Start and stop more often."
+        )
+    else:
+        scale, unit, why = Scale.METRIC, 1.0, f"The accelerometer fixes the scale to {scale_sigma:.1%}."
     similarity = _at_camera(T_world_camera[0], None if up is None else up.direction, unit)
-    return MapFrame(similarity, scale, up is not None, report={"up": told_up, "scale": why})
+    return MapFrame(similarity, scale, up is not None, why_up, why)
 
 
 def frame_of_waypoints(
     times: FloatArray,
     T_world_camera: FloatArray,
     choices: Iterable[tuple[Waypoint, ...]],
-    inertial: InertialAlignment | None,
+    up: UpMeasurement | None,
+    why_up: str,
+    scale_sigma: float | None = None,
 ) -> MapFrame:
     """The waypoints' own frame, from cameras (N, 4, 4) at ``times`` (N,).
 
     Args:
         choices: the waypoints at their times; where those are not known, every way to tell them, the best of which is
             taken.
+        up: the upward direction in the frame of the cameras, or None.
+        scale_sigma: how well the accelerometer knows the scale, relative, of a reconstruction in metres; else None.
 
     Raises:
         MappingFailed: the camera's path misses the waypoints, however they are taken.
     """
-    up, told_up = measure_up(T_world_camera[:, :3, :3], inertial)
     waypoints, alignment, next_best_m = _best_choice(times, T_world_camera[:, :3, 3], choices)
     doubts = []
     tilt_deg = None
@@ -101,27 +114,15 @@ def frame_of_waypoints(
         if tilt_deg <= _MAX_TILT_DEG:
             alignment = align_to_waypoints(times, T_world_camera[:, :3, 3], waypoints, up)
         else:
-            told_up += f" The waypoints' z axis is {tilt_deg:.0f}° off it, and was left there."
-    if alignment.worst_m > _MAX_WAYPOINT_RESIDUAL_M:
-        doubts.append(f"A waypoint is missed by {alignment.worst_m:.2f} m.")
+            why_up += f" The waypoints' z axis is {tilt_deg:.0f}° off it, and was left there."
     if next_best_m < _CLEARER * max(alignment.worst_m, _EXACT_M):
         doubts.append("Other pauses than those taken fit the waypoints nearly as well; give the waypoints their times.")
-    scales = _scale_contradiction(alignment.similarity.scale, inertial)
-    report = {
-        "up": told_up,
-        "scale": "The waypoints fix the scale." + scales,
-        "waypoints_tilt_deg": tilt_deg,
-        "waypoint_times_s": {waypoint.name: waypoint.time for waypoint in waypoints},
-        "waypoint_residuals_m": {
-            waypoint.name: float(value) if np.isfinite(value) else None
-            for waypoint, value in zip(waypoints, alignment.residuals_m, strict=True)
-        },
-        "waypoint_mistake": alignment.explanation or None,
-    }
+    contradiction = _scale_contradiction(alignment.similarity.scale, scale_sigma)
+    if contradiction:
+        doubts.append(contradiction)
     upright = tilt_deg is not None and tilt_deg <= _MAX_TILT_DEG
-    if scales:
-        doubts.append(scales.strip())
-    return MapFrame(alignment.similarity, Scale.METRIC, upright, waypoints, report, tuple(doubts))
+    why_scale = " ".join(["The waypoints fix the scale.", contradiction]).strip()
+    return MapFrame(alignment.similarity, Scale.METRIC, upright, why_up, why_scale, waypoints, tilt_deg, tuple(doubts))
 
 
 def _best_choice(
@@ -148,13 +149,13 @@ def _tilt_deg(similarity: Similarity, up: UpMeasurement) -> float:
     return float(np.degrees(np.arccos(np.clip((similarity.rotation @ up.direction)[2], -1, 1))))
 
 
-def _scale_contradiction(scale: float, inertial: InertialAlignment | None) -> str:
-    if inertial is None or inertial.why_no_scale:
+def _scale_contradiction(scale: float, sigma: float | None) -> str:
+    if sigma is None or sigma > _MAX_SCALE_SIGMA:
         return ""
-    ratio = inertial.scale / scale
-    if abs(ratio - 1) <= max(_MAX_SCALE_CONTRADICTION, _SIGMAS * inertial.scale_sigma):
+    ratio = 1 / scale
+    if abs(ratio - 1) <= max(_MAX_SCALE_CONTRADICTION, _SIGMAS * sigma):
         return ""
-    return f" The accelerometer says that the walk is {ratio:.2f} times as large."
+    return f"The accelerometer says that the walk is {ratio:.2f} times as large."
 
 
 def _at_camera(T_world_camera: FloatArray, up: FloatArray | None, unit: float) -> Similarity:

@@ -1,41 +1,79 @@
-"""Matches between two images and their geometric verification."""
+"""What two images of a place tell about each other: which matches are right, and how the camera turned between."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-import pycolmap
+import poselib
+from scipy.spatial.transform import Rotation
 
 from rholoc.features import FeatureSet
-from rholoc.geometry import FloatArray, IntArray
+from rholoc.geometry import BoolArray, FloatArray, IntArray
 
 _RATIO = 0.8  # Lowe's ratio of the nearest to the second nearest distance
-_MAX_ERROR_PX = 3.0
+_ITERATIONS = (30, 1000)  # of RANSAC, at least and at most
+_UNIT_CAMERA = {"model": "PINHOLE", "width": 2, "height": 2, "params": [1.0, 1.0, 0.0, 0.0]}
+_HYPOTHESES = 300  # of the translation, where the rotation is known
+_LEAST_PARALLAX = 0.05  # radians, below which a ray says little about the translation
 _SEED = 1
 
 
 @dataclass(frozen=True, eq=False)
-class VerifiedPair:
-    """Two keyframes whose matches agree with one relative pose.
+class TwoView:
+    """The epipolar geometry of matches.
 
     Attributes:
-        first, second: keyframe numbers.
-        matches: (M, 2) feature numbers, the inliers.
-        candidates: how many matches there were before verification.
-        R_second_first: (3, 3), the likeliest: where the matches are of one plane, there are others.
-        seen: (2, M, 2) where the two saw the matches, on the image plane at unit distance.
-        geometry: COLMAP's own record of it.
+        inliers: (M,) bool, the matches that agree with it.
+        R_second_first: (3, 3), the best match: where all lie on one plane, there are others.
     """
 
-    first: int
-    second: int
-    matches: IntArray
-    candidates: int
+    inliers: BoolArray
     R_second_first: FloatArray
-    seen: FloatArray
-    geometry: Any
+
+
+def relative_pose(first: FloatArray, second: FloatArray, tolerance: float) -> TwoView:
+    """The relative pose that most matches agree with (LO-RANSAC, poselib).
+
+    Args:
+        first, second: (M, 2) matched points on the plane z = 1 of either camera, M ≥ 5.
+        tolerance: how far from its epipolar line a point may be, on that plane.
+    """
+    options = {
+        "max_epipolar_error": tolerance,
+        "min_iterations": _ITERATIONS[0],
+        "max_iterations": _ITERATIONS[1],
+        "seed": _SEED,
+    }
+    pose, info = poselib.estimate_relative_pose(first, second, _UNIT_CAMERA, _UNIT_CAMERA, options, {})
+    inliers = np.array(info["inliers"], dtype=np.bool_)
+    return TwoView(inliers if len(inliers) == len(first) else np.zeros(len(first), np.bool_), np.asarray(pose.R))
+
+
+def inliers_of_rotation(
+    first: FloatArray, second: FloatArray, R_second_first: FloatArray, tolerance: float
+) -> BoolArray:
+    """Which matches (M,) agree with a rotation that is known, and with one translation, which two of them fix.
+
+    Args:
+        first, second: (M, 2) matched points on the plane z = 1 of either camera.
+        R_second_first: (3, 3).
+        tolerance: radians between a ray and its epipolar plane.
+    """
+    turned, seen = _rays(first) @ R_second_first.T, _rays(second)
+    normals = np.cross(turned, seen)
+    still = np.linalg.norm(normals, axis=1) < tolerance
+    if len(first) < 2:
+        return np.asarray(still)
+    i, j = np.random.default_rng(_SEED).integers(0, len(first), (2, _HYPOTHESES))
+    ways = np.cross(normals[i], normals[j])
+    lengths = np.linalg.norm(ways, axis=1)
+    ways = ways[lengths > 0] / lengths[lengths > 0, None]
+    if len(ways) == 0:
+        return np.asarray(still)
+    parallax = np.linalg.norm(np.cross(ways[:, None], turned[None]), axis=2)
+    agree = np.abs(ways @ normals.T) < tolerance * np.maximum(parallax, _LEAST_PARALLAX)
+    return np.asarray(agree[agree.sum(axis=1).argmax()] | still)
 
 
 def ratio_matches(a: FeatureSet, b: FeatureSet) -> IntArray:
@@ -54,38 +92,16 @@ def ratio_matches(a: FeatureSet, b: FeatureSet) -> IntArray:
     return np.column_stack([rows[distinct], to_b[distinct]])
 
 
+def angle_between(R_a: FloatArray, R_b: FloatArray) -> float:
+    """The angle between two rotations (3, 3), radians."""
+    return float(Rotation.from_matrix(R_a @ R_b.T).magnitude())
+
+
+def _rays(plane: FloatArray) -> FloatArray:
+    rays = np.column_stack([plane, np.ones(len(plane))])
+    return np.asarray(rays / np.linalg.norm(rays, axis=1, keepdims=True))
+
+
 def _unit(features: FeatureSet) -> FloatArray:
     descriptors = features.descriptors.astype(np.float32)
     return np.asarray(descriptors / np.maximum(np.linalg.norm(descriptors, axis=1, keepdims=True), 1e-9))
-
-
-def verify(
-    pair: tuple[int, int],
-    a: FeatureSet,
-    b: FeatureSet,
-    camera: pycolmap.Camera,
-    pixels: tuple[FloatArray, FloatArray],
-    fewest: int,
-) -> VerifiedPair | None:
-    """Match two images and keep what one essential matrix (or homography) explains; None below ``fewest`` inliers.
-
-    ``pixels`` are the features' places in COLMAP's convention for ``camera``, (N, 2) each.
-    """
-    matches = ratio_matches(a, b)
-    if len(matches) < fewest:
-        return None
-    options = pycolmap.TwoViewGeometryOptions()
-    options.min_num_inliers = fewest
-    options.detect_watermark = False
-    options.compute_relative_pose = True
-    options.ransac.max_error = _MAX_ERROR_PX
-    options.ransac.random_seed = _SEED
-    found = pycolmap.estimate_calibrated_two_view_geometry(
-        camera, pixels[0], camera, pixels[1], matches.astype(np.uint32), options
-    )
-    if len(found.inlier_matches) < fewest or found.cam2_from_cam1 is None:
-        return None
-    R = np.asarray(found.cam2_from_cam1.rotation.matrix())
-    inliers = np.asarray(found.inlier_matches).astype(np.int64)
-    seen = np.array([camera.cam_from_img(pixels[i][inliers[:, i]]) for i in (0, 1)])
-    return VerifiedPair(*pair, inliers, len(matches), R, seen, found)

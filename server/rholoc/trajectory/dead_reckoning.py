@@ -13,9 +13,9 @@ from rholoc.errors import MappingFailed
 from rholoc.geometry import FloatArray, pose_matrix
 from rholoc.recordings import Imu, Waypoint, check_waypoints_fix_frame
 from rholoc.recordings.stillness import pauses
-from rholoc.trajectory.imu import orientations
+from rholoc.trajectory.gyroscope import orientations
+from rholoc.trajectory.inertial_alignment import GRAVITY
 from rholoc.trajectory.upright import rotation_to_upright
-from rholoc.trajectory.visual_inertial import GRAVITY
 
 _PAUSE_S = 0.6  # the camera rests this long around a waypoint
 _LEG_SIGMA_M = 0.3  # how far an integrated leg ends from its waypoint

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Slerp
 
 from rholoc.geometry import FloatArray
 from rholoc.recordings import Imu
-from rholoc.trajectory.imu import GyroCalibration, orientations
+from rholoc.trajectory.gyroscope import GyroCalibration, orientations
 
 GRAVITY = 9.81
 MAX_SCALE_SIGMA = 0.1  # relative; a scale less certain than this is no scale

@@ -21,7 +21,7 @@ _OTHER_MOUNTING_RAD = np.radians(15.0)  # from which two mountings are not the s
 _CLEARLY_BETTER = 3.0  # times smaller is the residual of a mounting that is believed against the recording
 _MAX_MOUNTING_SIGMA_DEG = 3.0  # of a mounting that counts as found
 _NORM_TO_SIGMA = 0.65  # of an axis, from the median norm of a three-vector of normal errors
-_MAX_APART_RAD = np.radians(10.0)  # between a camera's rotation and the gyroscope's, at once …
+_MAX_APART_RAD = np.radians(6.0)  # between a camera's rotation and the gyroscope's, at once …
 _DRIFT_RAD_S = np.radians(0.1)  # … and more for every second between
 
 

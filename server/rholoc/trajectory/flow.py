@@ -1,0 +1,189 @@
+"""Corners tracked through every frame of a recording: pyramidal Lucas–Kanade flow, checked forward and backward."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from rholoc.geometry import BoolArray, ByteArray, FloatArray, IntArray
+from rholoc.progress import ProgressListener, Stage, silent
+from rholoc.recordings import FrameSource
+
+_LONGER_SIDE_PX = 640  # larger images are reduced to this: corners are tracked no better in more pixels
+_SHARPNESS_SIDE_PX = 320
+_CORNERS = 350  # that are followed at a time …
+_REFILLED_BELOW = 0.8  # … as soon as so many of them are left
+_CORNER_QUALITY = 0.005
+_CORNER_DISTANCE_PX = 14
+_BORDER_PX = 4
+_WINDOW_PX = 21
+_LEVELS = 3
+_MIN_EIGENVALUE = 1e-4
+_MAX_RETURN_PX = 0.7  # between a corner and where it comes to, tracked forward and back
+_FEWEST_TRACKED = 8
+_LOST_MOTION = 0.05  # assumed where nothing can be tracked, as a share of the image's longer side
+_FORWARD_STOP = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 20, 0.03)
+_BACKWARD_STOP = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 10, 0.03)
+_IN_FLIGHT = 6
+
+
+@dataclass(frozen=True, eq=False)
+class Flow:
+    """Where corners were seen in N frames.
+
+    Attributes:
+        times: (N,) seconds.
+        size: of the images, width and height in pixels.
+        starts: (N + 1,) the sightings of frame n are rows starts[n] : starts[n + 1] of the next two.
+        tracks: (M,) which corner, increasing within a frame.
+        pixels: (M, 2) where, in pixels of the full image.
+        motion: (N,) how far the image moved since the frame before, as a share of its longer side.
+        sharpness: (N,) the variance of the Laplacian.
+        brightness: (N,) the mean grey value, 0..255.
+    """
+
+    times: FloatArray
+    size: tuple[int, int]
+    starts: IntArray
+    tracks: IntArray
+    pixels: FloatArray
+    motion: FloatArray
+    sharpness: FloatArray
+    brightness: FloatArray
+
+    def of_frame(self, row: int) -> tuple[IntArray, FloatArray]:
+        """The corners (K,) seen in a frame, and where (K, 2)."""
+        here = slice(self.starts[row], self.starts[row + 1])
+        return self.tracks[here], self.pixels[here]
+
+    def shared(self, a: int, b: int) -> tuple[IntArray, FloatArray, FloatArray]:
+        """The corners (K,) seen in two frames and all between, and where in either, (K, 2) each."""
+        (tracks_a, pixels_a), (tracks_b, pixels_b) = self.of_frame(a), self.of_frame(b)
+        shared, in_a, in_b = np.intersect1d(tracks_a, tracks_b, assume_unique=True, return_indices=True)
+        return shared, pixels_a[in_a], pixels_b[in_b]
+
+
+def track_corners(frames: FrameSource, progress: ProgressListener = silent) -> Flow:
+    """Follow corners through all frames, each of which is decoded once.
+
+    Raises:
+        InvalidRecording: a frame cannot be decoded.
+    """
+    count = len(frames.times)
+    motion, sharpness, brightness = np.zeros(count), np.zeros(count), np.zeros(count)
+    tracks: list[IntArray] = []
+    pixels: list[FloatArray] = []
+    corners, numbers, next_number = np.zeros((0, 2), np.float32), np.zeros(0, np.int64), 0
+    before: ByteArray | None = None
+    for row, (image, factor, sharpness[row]) in enumerate(_looked_at(frames)):
+        brightness[row] = float(image.mean())
+        if before is not None:
+            corners, kept, motion[row] = _followed(before, image, corners)
+            numbers = numbers[kept]
+        if len(corners) < _REFILLED_BELOW * _CORNERS:
+            found = _new_corners(image, corners)
+            corners = np.concatenate([corners, found])
+            numbers = np.concatenate([numbers, np.arange(next_number, next_number + len(found))])
+            next_number += len(found)
+        tracks.append(numbers)
+        pixels.append((corners.astype(np.float64) + 0.5) * factor - 0.5)
+        before = image
+        progress(Stage.KEYFRAMES, (row + 1) / count, f"{row + 1} of {count} frames looked at")
+    starts = np.concatenate([[0], np.cumsum([len(some) for some in tracks])])
+    return Flow(
+        frames.times,
+        frames.size,
+        starts,
+        np.concatenate(tracks),
+        np.concatenate(pixels),
+        motion,
+        sharpness,
+        brightness,
+    )
+
+
+def _looked_at(frames: FrameSource) -> Iterator[tuple[ByteArray, FloatArray, float]]:
+    """Every frame in grey and reduced, the factors (2,) from its pixels to the full image's, and its sharpness.
+
+    A thread prepares the next frames while this one's corners are followed.
+    """
+    with ThreadPoolExecutor(1) as pool:
+        waiting: list[Future[tuple[ByteArray, FloatArray, float]]] = []
+        for image in frames.images(range(len(frames.times))):
+            waiting.append(pool.submit(_look, image))
+            if len(waiting) > _IN_FLIGHT:
+                yield waiting.pop(0).result()
+        for future in waiting:
+            yield future.result()
+
+
+def _look(image: ByteArray) -> tuple[ByteArray, FloatArray, float]:
+    gray = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) if image.ndim == 3 else image, dtype=np.uint8)
+    small = _reduced(gray, _LONGER_SIDE_PX)
+    factor = np.array([gray.shape[1] / small.shape[1], gray.shape[0] / small.shape[0]])
+    sharpness = float(cv2.Laplacian(_reduced(gray, _SHARPNESS_SIDE_PX), cv2.CV_32F).var())
+    return small, factor, sharpness
+
+
+def _reduced(gray: ByteArray, longer_side_px: int) -> ByteArray:
+    height, width = gray.shape
+    scale = longer_side_px / max(height, width)
+    if scale >= 1:
+        return np.asarray(gray, dtype=np.uint8)
+    size = (round(width * scale), round(height * scale))
+    return np.asarray(cv2.resize(gray, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+
+
+def _followed(before: ByteArray, image: ByteArray, corners: FloatArray) -> tuple[FloatArray, BoolArray, float]:
+    """Corners (K, 2) of the image before → those found in this one, which they are (K,), and the image's motion."""
+    if len(corners) == 0:
+        return corners, np.zeros(0, dtype=np.bool_), _LOST_MOTION
+    moved, is_moved = _flow(before, image, corners, None, _LEVELS, _FORWARD_STOP)
+    back, is_back = _flow(image, before, moved, corners, 1, _BACKWARD_STOP)
+    height, width = image.shape
+    inside = np.all((moved >= _BORDER_PX) & (moved < (width - _BORDER_PX, height - _BORDER_PX)), axis=1)
+    kept = is_moved & is_back & inside & (np.linalg.norm(back - corners, axis=1) < _MAX_RETURN_PX)
+    if kept.sum() < _FEWEST_TRACKED:
+        return moved[kept], kept, _LOST_MOTION
+    motion = float(np.median(np.linalg.norm(moved[kept] - corners[kept], axis=1))) / max(height, width)
+    return moved[kept], kept, motion
+
+
+def _flow(
+    before: ByteArray,
+    after: ByteArray,
+    corners: FloatArray,
+    guess: FloatArray | None,
+    levels: int,
+    stop: tuple[int, int, float],
+) -> tuple[FloatArray, BoolArray]:
+    """Where corners (K, 2) came to, (K, 2), and which were found (K,)."""
+    flags = 0 if guess is None else cv2.OPTFLOW_USE_INITIAL_FLOW
+    start = None if guess is None else guess.reshape(-1, 1, 2).copy()
+    moved, found, _ = cv2.calcOpticalFlowPyrLK(
+        before,
+        after,
+        corners.reshape(-1, 1, 2),
+        start,  # type: ignore[arg-type]
+        winSize=(_WINDOW_PX, _WINDOW_PX),
+        maxLevel=levels,
+        criteria=stop,
+        flags=flags,
+        minEigThreshold=_MIN_EIGENVALUE,
+    )
+    return np.asarray(moved.reshape(-1, 2)), np.asarray(found.ravel() == 1)
+
+
+def _new_corners(image: ByteArray, corners: FloatArray) -> FloatArray:
+    """Corners (K, 2) of the image away from those that are followed already, as many as are missing."""
+    free = np.full(image.shape, 255, dtype=np.uint8)
+    for x, y in corners.tolist():
+        cv2.circle(free, (int(x), int(y)), _CORNER_DISTANCE_PX, 0, -1)
+    found = cv2.goodFeaturesToTrack(
+        image, _CORNERS - len(corners), _CORNER_QUALITY, _CORNER_DISTANCE_PX, mask=free, blockSize=5
+    )
+    return np.zeros((0, 2), np.float32) if found is None else found.reshape(-1, 2).astype(np.float32)

@@ -1,0 +1,68 @@
+"""Positions of cameras whose rotations are known, all at once and from no guess: global positioning.
+
+From bearings of points alone (Pan et al., 2024, "Global Structure-from-Motion Revisited"), by pycolmap.
+"""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pycolmap
+
+from rholoc.errors import MappingFailed
+from rholoc.geometry import FloatArray, IntArray
+
+_UNIT_PX = 1000.0  # focal length of the ideal camera that pycolmap is given
+_SIDE_PX = 4000  # its image is large enough for any field of view
+_CAMERA = 1
+
+
+def global_positions(
+    R_world_camera: FloatArray, keyframes: IntArray, tracks: IntArray, plane: FloatArray, seed: int = 1
+) -> FloatArray:
+    """The cameras' positions (K, 3), in a frame and scale of their own.
+
+    Args:
+        R_world_camera: (K, 3, 3).
+        keyframes, tracks: (N,) which camera sees which point.
+        plane: (N, 2) where, on the plane z = 1 of the camera.
+        seed: of the random positions from which it starts.
+
+    Raises:
+        MappingFailed: no positions were found.
+    """
+    pycolmap.logging.minloglevel = 3  # what fails is said by the error raised
+    model = pycolmap.Reconstruction()
+    centre = _SIDE_PX / 2
+    camera = pycolmap.Camera(
+        camera_id=_CAMERA, model="PINHOLE", width=_SIDE_PX, height=_SIDE_PX, params=[_UNIT_PX, _UNIT_PX, centre, centre]
+    )
+    camera.has_prior_focal_length = True
+    model.add_camera_with_trivial_rig(camera)
+    count = len(R_world_camera)
+    order = np.argsort(keyframes, kind="stable")
+    starts = np.searchsorted(keyframes[order], np.arange(count + 1))
+    number_in_image = np.empty(len(keyframes), dtype=np.int64)
+    for k in range(count):
+        rows = order[starts[k] : starts[k + 1]]
+        number_in_image[rows] = np.arange(len(rows))
+        image = pycolmap.Image(name=f"{k:06d}", camera_id=_CAMERA, image_id=k + 1)
+        image.points2D = pycolmap.Point2DList([pycolmap.Point2D(xy) for xy in plane[rows] * _UNIT_PX + centre])
+        pose = pycolmap.Rigid3d(pycolmap.Rotation3d(R_world_camera[k].T), np.zeros(3))
+        model.add_image_with_trivial_frame(image, pose)
+    by_track = np.argsort(tracks, kind="stable")
+    starts = np.searchsorted(tracks[by_track], np.arange(tracks.max(initial=-1) + 2))
+    for first, last in itertools.pairwise(starts):
+        track = pycolmap.Track()
+        for row in by_track[first:last].tolist():
+            track.add_element(int(keyframes[row]) + 1, int(number_in_image[row]))
+        model.add_point3D(np.zeros(3), track, np.zeros(3, np.uint8))
+    options = pycolmap.GlobalPositionerOptions()
+    options.use_gpu = False
+    options.random_seed = seed
+    if not pycolmap.run_global_positioning(options, pycolmap.PoseGraph(), model):
+        raise MappingFailed(
+            "No positions of the camera explain what the pictures show.", "Walk slower, keep more texture in view."
+        )
+    return np.array([model.images[k + 1].projection_center() for k in range(count)])
