@@ -39,7 +39,7 @@ from measuring import (
 from rholoc.errors import RholocError
 from rholoc.evaluation import trajectory_errors
 from rholoc.geometry import FloatArray
-from rholoc.localization import Dof, Localizer, Query
+from rholoc.localization import Localizer, Query
 from rholoc.mapping import BuildOptions, build_map
 from rholoc.maps import Map, read_trajectory_csv
 from rholoc.recordings import Recording, read_recording
@@ -113,7 +113,7 @@ def localized(map_: Map, folder: Path, building: Building) -> dict[str, Any]:
     truth = nearest_truth(folder, recording.frames.times)
     found = np.full(truth.shape, np.nan)
     for i, image in enumerate(recording.frames.images(range(len(truth)))):
-        answer = localizer.localize(Query(localizer.extractor.extract(image), recording.camera, Dof.UPRIGHT))
+        answer = localizer.localize(Query(localizer.extractor.extract(image), recording.camera))
         if answer.localized and answer.pose is not None:
             found[i] = answer.pose.T_map_camera
     errors = trajectory_errors(found, truth)

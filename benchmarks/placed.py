@@ -4,12 +4,12 @@
         [--methods rholoc incremental global] [--hz 6] [--seconds 120] [--cache DIR] [--timeout 1800]
 
 Plain pycolmap: its own SIFT, sequential pairs and mappers with default options, the recording's intrinsics where they
-are known, ``--hz`` pictures a second; of several models the one with most pictures counts. rholoc: video and IMU as handed
-in, waypoints and given poses left out, its own choice of keyframes. For each: pictures placed of those given; the share
-of the recording within half a second of a placed picture, and the longest gap, which compare the two whatever pictures
-they chose; seconds; degrees by which turns over 1, 10 and 60 s are off, against the truth or else the gyroscope; and
-where there is truth, centimetres after a similarity alignment. ``room`` and ``building`` are simulated, the latter
-``--seconds`` long. The last lines name every recording of which plain pycolmap places more.
+are known, ``--hz`` pictures a second; of several models the one with most pictures counts. rholoc: video and IMU as
+they are, waypoints and given poses left out, its own choice of keyframes. For each: pictures placed of those given;
+the share of the recording within half a second of a placed picture, and the longest gap, which compare the two
+whatever pictures they chose; seconds; degrees by which turns over 1, 10 and 60 s are off, against the truth or else
+the gyroscope; and where there is truth, centimetres after a similarity alignment. ``room`` and ``building`` are
+simulated, the latter ``--seconds`` long. The last lines name every recording of which plain pycolmap places more.
 """
 
 from __future__ import annotations

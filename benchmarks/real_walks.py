@@ -120,7 +120,7 @@ def place(recording: Recording) -> tuple[Trajectory | None, dict[str, Any]]:
         **coverage(times, found.times),
         "trusted": report["trusted"],
         "why": report["why"],
-        **{name: report[name] for name in ("missing", "missing_s", "pieces") if name in report},
+        **{name: report[name] for name in ("missing",) if name in report},
         "gyroscope": gyroscope_errors(found.times, found.T_map_camera[:, :3, :3], recording.imu),
     }
     return found, figures
