@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 
+import cv2
 import httpx
 import numpy as np
 import pytest
 from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import expect
+
+from rholoc.maps import map_to_bytes
 
 LONG = "a-long-name-without-any-blank-in-it-that-goes-on-to-sixty-four-l"
 DISAGREE = (
@@ -222,3 +226,29 @@ def test_pages_with_doubts_are_accessible_at_twice_the_size(desk_browser, runnin
         found = Axe().run(page).response["violations"]
         assert [(one["id"], one["nodes"][0]["html"]) for one in found if one["impact"] in ("serious", "critical")] == []
         assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
+
+
+def test_the_room_has_the_colours_of_its_pictures_and_is_clicked(desk_browser, running, picture_world, opened, settled):
+    map_ = picture_world.map_
+    colours = np.tile(np.array([[230, 20, 160]], np.uint8), (len(map_), 1))
+    (running.settings.maps_dir / "coloured.rho").write_bytes(map_to_bytes(replace(map_, colours=colours)))
+
+    def painted(page) -> int:
+        page.wait_for_timeout(300)
+        shot = cv2.imdecode(np.frombuffer(page.locator("canvas.scene-canvas").screenshot(), np.uint8), 1)
+        blue, green, red = shot.astype(int).transpose(2, 0, 1)
+        return int(((red > 200) & (green < 60) & (blue > 130)).sum())
+
+    with opened(desk_browser, running.url, "maps/coloured") as page:
+        settled(page)
+        assert painted(page) > 200
+        page.get_by_role("button", name="Colour by uncertainty").click()
+        assert painted(page) == 0
+        page.get_by_role("button", name="From above").click()
+        label = page.locator(".scene-waypoint", has_text="W1")  # a view is where the waypoint is
+        x, y = map(float, re.findall(r"-?[\d.]+(?=px)", label.evaluate("(element) => element.style.transform")))
+        page.locator("canvas.scene-canvas").click(position={"x": x, "y": y})
+        expect(page.locator(".scene-said")).to_contain_text(re.compile(r"Picture \d of the walk, from [\d.]+, [\d.]+"))
+        page.goto(f"{running.url}/#/maps/room")
+        settled(page)
+        expect(page.get_by_role("button", name="Colours of the pictures")).to_have_count(0)

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import re
+import shutil
+import subprocess
+import sys
 from contextlib import suppress
 from dataclasses import replace
 
@@ -83,7 +86,9 @@ def test_an_older_answer_does_not_take_the_place_of_a_newer(desk_browser, runnin
         settled(page)
         held = []
         page.route("**/localize*", lambda route: held.append(route) if not held else route.continue_())
-        take(page, pictures / "frame.png", pictures / "blank.png")
+        with page.expect_request("**/localize*"):
+            take(page, pictures / "frame.png")
+        take(page, pictures / "blank.png")
         expect(page.locator(".answer")).to_contain_text("too blank, dark or blurred")
         with suppress(Error):  # a page that has given the older question up takes no answer to it
             held[0].continue_()
@@ -102,7 +107,7 @@ def test_changed_options_try_the_picture_again(desk_browser, running, pictures, 
         page.get_by_label("hand-held").uncheck()
         expect(page.locator(".answer")).to_contain_text("localized")
         page.wait_for_timeout(200)
-    assert ["dof=6" in url for url in asked] == [True, False]
+    assert ["dof=5" in url for url in asked] == [False, True]
 
 
 def test_a_typed_field_of_view_is_asked_for_and_claims_no_confidence(desk_browser, running, pictures, opened, settled):
@@ -201,3 +206,26 @@ def replace_roll(T_map_camera, roll):
     turn = np.eye(4)
     turn[:2, :2] = [[cos, -sin], [sin, cos]]
     return T_map_camera @ turn
+
+
+def test_an_answer_is_copied_as_a_program_that_gets_it_again(
+    desk_browser, running, pictures, opened, settled, tmp_path
+):
+    with opened(desk_browser, running.url, "try/room", permissions=["clipboard-write", "clipboard-read"]) as page:
+        take(settled(page), pictures / "frame.png")
+        expect(page.locator(".answer")).to_contain_text("localized")
+        programs = {}
+        for name in ("curl", "Python", "JavaScript"):
+            page.get_by_role("button", name=f"Copy as {name}").click()
+            expect(page.locator(".copy pre")).to_be_visible()
+            programs[name] = page.locator(".copy pre").text_content()
+    (tmp_path / "frame.png").write_bytes((pictures / "frame.png").read_bytes())
+    (tmp_path / "ask.py").write_text(programs["Python"])
+    (tmp_path / "ask.mjs").write_text(programs["JavaScript"])
+    commands = [["bash", "-c", programs["curl"]], [sys.executable, "ask.py"], ["node", "ask.mjs"]]
+    for command in commands:
+        if shutil.which(command[0]) is None:
+            continue
+        ran = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=120, check=False)
+        assert ran.returncode == 0, ran.stderr
+        assert "position" in ran.stdout

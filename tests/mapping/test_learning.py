@@ -146,6 +146,18 @@ def test_a_recording_registers_itself_and_the_map_grows(walks: Walks, tmp_path: 
     assert localized_share(updated, walks.room, nearby) >= localized_share(walks.map_, walks.room, nearby)
 
 
+def test_colours_grow_with_the_map_and_go_with_what_is_forgotten(walks: Walks) -> None:
+    blue = np.tile(np.array([10, 20, 200], np.uint8), (len(walks.map_), 1))
+    known = replace(walks.map_, colours=blue)
+    updated = update_map(known, walks.recording)
+    assert updated.colours is not None
+    assert updated.colours.shape == (len(updated), 3)
+    np.testing.assert_array_equal(updated.colours[: len(known)], blue)
+    left = forget_recording(updated, "walk-2")
+    np.testing.assert_array_equal(left.colours, blue)
+    assert forget_recording(update_map(walks.map_, walks.recording), "first-id").colours is not None
+
+
 def test_a_trajectory_of_its_own_reaches_beyond_the_map(walks: Walks) -> None:
     updated = update_map(walks.map_, with_poses(walks.recording, walks.poses, TURN))
     views = updated.view_positions[len(walks.map_.view_times) :]

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from rholoc.maps import Map, landmark_sigmas, map_to_ply, map_to_vtp
+from rholoc.maps import Map, landmark_sigmas, map_to_ply, map_to_scene, map_to_vtp
 from rholoc.maps.preview import preview_png
 
 
@@ -86,3 +86,21 @@ def test_one_far_landmark_does_not_shrink_the_picture(make_map) -> None:
         np.asarray(Image.open(io.BytesIO(preview_png(m))).convert("L")) for m in (map_, replace(map_, landmarks=far))
     )
     assert (stretched < 200).mean() > 0.7 * (plain < 200).mean()
+
+
+def test_colours_are_in_the_ply_and_in_the_scene(room_map: Map) -> None:
+    colours = np.random.default_rng(0).integers(0, 256, (len(room_map), 3), dtype=np.uint8)
+    coloured = replace(room_map, colours=colours)
+    lines = map_to_ply(coloured).decode().splitlines()
+    assert [line.split()[-1] for line in lines if line.startswith("property uchar")] == [
+        "channel", "red", "green", "blue",
+    ]  # fmt: skip
+    row = lines[lines.index("end_header") + 1].split()
+    assert row[-3:] == [str(value) for value in colours[0]]
+    assert b"red" not in map_to_ply(room_map)
+    plain, whole = map_to_scene(room_map), map_to_scene(coloured)
+    assert whole[: len(plain)] == plain
+    assert whole[len(plain) :] == colours.tobytes()
+    few = map_to_scene(coloured, 7)
+    assert np.frombuffer(few, "<u4", 1)[0] == 7
+    assert few.endswith(colours[np.arange(7) * len(room_map) // 7].tobytes())

@@ -63,7 +63,19 @@ def test_an_empty_map_comes_back(make_map, tmp_path: Path) -> None:
 
 
 def test_every_array_of_a_map_is_stored() -> None:
-    assert {field.name for field in fields(Map)} == {*ARRAY_NAMES, "info", "observations", "view_covariances", "fitted"}
+    assert {field.name for field in fields(Map)} == {
+        *ARRAY_NAMES, "info", "observations", "view_covariances", "colours", "fitted",
+    }  # fmt: skip
+
+
+def test_colours_come_back_and_files_without_them_load(room_map: Map, tmp_path: Path) -> None:
+    colours = np.random.default_rng(0).integers(0, 256, (len(room_map), 3), dtype=np.uint8)
+    save_map(replace(room_map, colours=colours), tmp_path / "coloured.rho")
+    save_map(room_map, tmp_path / "plain.rho")
+    np.testing.assert_array_equal(load_map(tmp_path / "coloured.rho").colours, colours)
+    assert load_map(tmp_path / "plain.rho").colours is None
+    with pytest.raises(InvalidMap, match="colours"):
+        save_map(replace(room_map, colours=colours[:-1]), tmp_path / "short.rho")
 
 
 def test_how_uncertain_views_are_comes_back(room_map: Map, tmp_path: Path) -> None:

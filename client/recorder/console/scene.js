@@ -1,14 +1,17 @@
-// A map in 3-D: landmarks coloured by uncertainty, the walk, waypoints, and the pose that was found. WebGL, z up.
+// A map in 3-D: landmarks in the colours of the pictures or by uncertainty, the walk, waypoints, the map's axes, and the pose
+// that was found. WebGL, z up.
 
 import { multiply, perspective, lookAt, project } from "./matrix.js";
 import { resolvedColour } from "../shared/colours.js";
 import { h } from "../shared/dom.js";
+import { t } from "../shared/text.js";
 import { length } from "./format.js";
 import { STRIDE_LANDMARK, STRIDE_VIEW } from "./scene_data.js";
 
 const FIELD_OF_VIEW = 0.9; // rad
 const SHOWN = [0.02, 0.98]; // the quantiles of landmarks that the first view holds, and of deviations that the colours tell
 const HEADING_LENGTH = 0.25; // m, of a view's tick
+const MAX_TILT = 1.55; // rad, nearly straight down
 const FRUSTUM = 0.5; // m, how far the drawn camera reaches
 const EXTENTS = [0.6, 0.45]; // of a camera of which nothing is known
 const SMOOTH_MS = [20, 34]; // how far apart pictures may be while the map moves; fewer landmarks are drawn, or more
@@ -17,15 +20,25 @@ const REST_MS = 150; // after which a map that was moved rests, and all of it is
 const MAX_FLOOR = 10_000; // square metres that are drawn
 const MAX_RAYS = 150; // the most lines from the camera to landmarks
 
+const AXIS = 0.5; // m, of the axes at the origin
+const PICK_PX = 14; // how near a click must be to what it is meant for
+const CLICK_PX = 5; // how far a pointer may move in a click
+const AXES = [
+  ["x", [1, 0, 0], [0.84, 0.2, 0.2]],
+  ["y", [0, 1, 0], [0.15, 0.55, 0.2]],
+  ["z", [0, 0, 1], [0.2, 0.4, 0.9]],
+];
+
 const POINT_SHADER = `
-  attribute vec4 point; uniform mat4 matrix; uniform float size; uniform vec2 deviations;
-  varying vec3 colour;
+  attribute vec4 point; attribute vec3 picture; uniform mat4 matrix; uniform float size; uniform vec2 deviations;
+  uniform float coloured; varying vec3 colour;
   void main() {
     gl_Position = matrix * vec4(point.xyz, 1.0);
     gl_PointSize = clamp(size / gl_Position.w, 1.5, 12.0);
     float t = clamp((log(point.w) - deviations.x) / (deviations.y - deviations.x), 0.0, 1.0);
     vec3 sure = vec3(0.16, 0.47, 0.86), middle = vec3(0.66, 0.52, 0.66), unsure = vec3(0.93, 0.49, 0.10);
-    colour = t < 0.5 ? mix(sure, middle, 2.0 * t) : mix(middle, unsure, 2.0 * t - 1.0);
+    vec3 certainty = t < 0.5 ? mix(sure, middle, 2.0 * t) : mix(middle, unsure, 2.0 * t - 1.0);
+    colour = mix(certainty, picture, coloured);
   }`;
 const POINT_COLOUR = "precision mediump float; varying vec3 colour; void main() { gl_FragColor = vec4(colour, 1.0); }";
 const LINE_SHADER =
@@ -39,20 +52,30 @@ export class SceneView {
       class: "scene-canvas",
       tabindex: 0,
       role: "img",
-      "aria-label": `${label}. Arrow keys turn, shift and arrow keys move, plus and minus zoom, Home resets.`,
+      "aria-label": t`${label}. Arrow keys turn, shift and arrow keys move, plus and minus zoom, Home resets.`,
     });
     this.labels = h("div", { class: "scene-labels", "aria-hidden": "true" });
     this.legend = h("div", { class: "scene-legend small", hidden: true });
-    this.element = h("div", { class: "scene" }, this.canvas, this.labels, this.legend);
+    this.said = h("p", { class: "scene-said small", role: "status", hidden: true });
+    this.paint = h("button", { type: "button", hidden: true, onclick: () => this.colourBy(!this.coloured) });
+    this.tools = h(
+      "div",
+      { class: "scene-tools" },
+      h("button", { type: "button", onclick: () => this.lookDown() }, t`From above`),
+      h("button", { type: "button", onclick: () => this.reset() }, t`Whole room`),
+      this.paint,
+    );
+    this.element = h("div", { class: "scene" }, this.canvas, this.labels, this.tools, this.said, this.legend);
     this.lines = {};
     this.colours = {};
     this.waypoints = [];
+    this.coloured = false;
     this.view = { target: [0, 0, 0], distance: 5, turn: -0.9, tilt: 0.6 };
     this.home = this.view;
     this.gl = this.canvas.getContext("webgl", { alpha: false, antialias: false, powerPreference: "low-power" });
     if (!this.gl) {
       this.element.append(
-        h("p", { class: "notice warn" }, "This browser has no WebGL, so the map cannot be drawn in 3-D."),
+        h("p", { class: "notice warn" }, t`This browser has no WebGL, so the map cannot be drawn in 3-D.`),
       );
       return;
     }
@@ -86,7 +109,11 @@ export class SceneView {
     if (!this.gl) return;
     const { gl } = this;
     this.count = this.budget = scene.features;
-    this.buffer = upload(gl, shuffled(scene.landmarks)); // so that the first of them are a fair choice
+    this.scene = scene;
+    this.metric = metric;
+    const order = shuffledOrder(scene.features); // so that the first of them are a fair choice
+    this.buffer = upload(gl, inOrder(scene.landmarks, STRIDE_LANDMARK, order));
+    this.pictureColours = scene.colours && upload(gl, inOrder(scene.colours, 3, order));
     const deviations = quantiles(scene.landmarks, 3, SHOWN);
     this.deviations = deviations.map((value) => Math.log(Math.max(value, 1e-4)));
     if (this.deviations[1] - this.deviations[0] < 0.1) this.deviations[1] = this.deviations[0] + 0.1;
@@ -94,18 +121,53 @@ export class SceneView {
       position,
       label: h("span", { class: "scene-waypoint" }, residual === null ? name : `${name} · ${length(residual, metric)}`),
     }));
+    const tips = AXES.map(([name, axis]) => ({
+      position: axis.map((value) => AXIS * value),
+      label: h("span", { class: "scene-axis" }, name),
+    }));
+    this.waypoints.push(...tips);
     this.labels.replaceChildren(...this.waypoints.map(({ label }) => label));
     this.legend.replaceChildren(
-      "uncertainty ",
+      t`uncertainty `,
       h("span", { class: "mono" }, length(deviations[0], metric)),
       h("span", { class: "scene-ramp" }),
       h("span", { class: "mono" }, length(deviations[1], metric)),
     );
-    this.legend.hidden = !scene.features;
+    this.colourBy(scene.colours !== null);
+    this.paint.hidden = !scene.colours;
+    for (const [name, axis, colour] of AXES)
+      this.setLines(`axis ${name}`, colour, [0, 0, 0, ...axis.map((value) => AXIS * value)]);
     this.setLines("floor", "--line", floor(scene.landmarks));
     this.setLines("walk", "--ink", walk(scene.views));
     this.setLines("headings", "--muted", headings(scene.views));
     this.lookAtAll(scene);
+  }
+
+  /** Paint landmarks in the colours of the pictures, or by how uncertain they are. */
+  colourBy(pictures) {
+    this.coloured = pictures;
+    this.paint.textContent = pictures ? t`Colour by uncertainty` : t`Colours of the pictures`;
+    this.legend.hidden = pictures || !this.scene?.features;
+    this.redraw();
+  }
+
+  /** Look straight down on the whole of it, north up. */
+  lookDown() {
+    this.view = { ...this.home, turn: -Math.PI / 2, tilt: MAX_TILT };
+    this.redraw();
+  }
+
+  /** Say what is at a place of the canvas, and mark it. */
+  pick(x, y) {
+    const { clientWidth: width, clientHeight: height } = this.canvas;
+    const matrix = this.matrix(width / height);
+    const found = nearest(this.scene, (point) => {
+      const [px, py, w] = project(matrix, point);
+      return w <= 0 ? Infinity : Math.hypot(((px + 1) / 2) * width - x, ((1 - py) / 2) * height - y);
+    });
+    this.said.hidden = !found;
+    this.setLines("picked", "--accent", found ? cross(found.position, AXIS / 4) : []);
+    if (found) this.said.textContent = sayPicked(found, this.metric);
   }
 
   /**
@@ -134,8 +196,11 @@ export class SceneView {
   }
 
   lookAtAll({ landmarks, views }) {
-    const some = landmarks.length ? [landmarks, STRIDE_LANDMARK] : [views, STRIDE_VIEW];
-    const spans = [0, 1, 2].map((axis) => quantiles(some[0], axis, SHOWN, some[1]));
+    const spans = [0, 1, 2].map((axis) => {
+      const ends = views.length ? quantiles(views, axis, [0, 1], STRIDE_VIEW) : [];
+      if (landmarks.length) ends.push(...quantiles(landmarks, axis, SHOWN));
+      return ends.length ? [Math.min(...ends), Math.max(...ends)] : [-1, 1];
+    });
     const extent = Math.hypot(...spans.map(([low, high]) => high - low)) || 1;
     this.home = { ...this.home, target: spans.map(([low, high]) => (low + high) / 2), distance: extent };
     this.reset();
@@ -148,7 +213,7 @@ export class SceneView {
 
   turn(by, tilt) {
     this.view.turn += by;
-    this.view.tilt = Math.min(1.55, Math.max(-1.55, this.view.tilt + tilt));
+    this.view.tilt = Math.min(MAX_TILT, Math.max(-MAX_TILT, this.view.tilt + tilt));
     this.move();
   }
 
@@ -220,7 +285,10 @@ export class SceneView {
     gl.uniformMatrix4fv(points.uniform("matrix"), false, matrix);
     gl.uniform1f(points.uniform("size"), 0.025 * height);
     gl.uniform2f(points.uniform("deviations"), ...this.deviations);
+    gl.uniform1f(points.uniform("coloured"), this.coloured && this.pictureColours ? 1 : 0);
     points.bind(this.buffer, STRIDE_LANDMARK);
+    if (this.pictureColours) points.bindColours(this.pictureColours);
+    else gl.disableVertexAttribArray(1);
     gl.drawArrays(gl.POINTS, 0, this.moving ? this.budget : this.count);
   }
 
@@ -231,11 +299,13 @@ export class SceneView {
     gl.uniformMatrix4fv(strokes.uniform("matrix"), false, matrix);
     gl.uniform4f(strokes.uniform("colour"), ...this.colour(token), alpha);
     strokes.bind(buffer, 3);
+    gl.disableVertexAttribArray(1);
     gl.drawArrays(gl.LINES, 0, count);
   }
 
-  /** A colour of the design as the numbers that WebGL takes. */
+  /** A colour of the design, or one given as three numbers, as WebGL takes it. */
   colour(token) {
+    if (Array.isArray(token)) return token;
     return (this.colours[token] ??= resolved(this.canvas, token));
   }
 
@@ -266,9 +336,15 @@ function listen(scene) {
     ArrowUp: [0, 1],
     ArrowDown: [0, -1],
   };
+  let pressed = null;
   canvas.addEventListener("pointerdown", (event) => {
     canvas.setPointerCapture(event.pointerId);
     fingers.set(event.pointerId, event);
+    pressed = fingers.size === 1 ? event : null;
+  });
+  canvas.addEventListener("pointerup", (event) => {
+    const moved = pressed && Math.hypot(event.clientX - pressed.clientX, event.clientY - pressed.clientY);
+    if (moved !== null && moved <= CLICK_PX && scene.scene) scene.pick(event.offsetX, event.offsetY);
   });
   for (const name of ["pointerup", "pointercancel"]) {
     canvas.addEventListener(name, (event) => fingers.delete(event.pointerId));
@@ -361,15 +437,59 @@ function quantiles(numbers, axis, shares, stride = STRIDE_LANDMARK) {
   return shares.map((share) => values[Math.round(share * (values.length - 1))] ?? 0);
 }
 
-function shuffled(landmarks) {
-  const mixed = landmarks.slice();
-  for (let i = mixed.length / STRIDE_LANDMARK - 1; i > 0; i--) {
-    const [here, there] = [i, Math.floor(Math.random() * (i + 1))].map((row) => row * STRIDE_LANDMARK);
-    const kept = mixed.slice(here, here + STRIDE_LANDMARK);
-    mixed.copyWithin(here, there, there + STRIDE_LANDMARK);
-    mixed.set(kept, there);
+/** A random order of so many. */
+function shuffledOrder(count) {
+  const order = Uint32Array.from({ length: count }, (_, i) => i);
+  for (let i = count - 1; i > 0; i--) {
+    const other = Math.floor(Math.random() * (i + 1));
+    [order[i], order[other]] = [order[other], order[i]];
   }
-  return mixed;
+  return order;
+}
+
+/** Rows of `stride` numbers in another order. */
+function inOrder(numbers, stride, order) {
+  const ordered = new numbers.constructor(numbers.length);
+  order.forEach((row, i) => ordered.set(numbers.subarray(row * stride, (row + 1) * stride), i * stride));
+  return ordered;
+}
+
+/** The view or landmark of which `distance(position)` is least, views first, if it is near enough; or null. */
+function nearest({ landmarks, views }, distance) {
+  const best = (numbers, stride) => {
+    let [least, at] = [PICK_PX, -1];
+    for (let i = 0; i < numbers.length; i += stride) {
+      const apart = distance(numbers.subarray(i, i + 3));
+      if (apart < least) [least, at] = [apart, i];
+    }
+    return at;
+  };
+  const view = best(views, STRIDE_VIEW);
+  if (view >= 0)
+    return {
+      view: view / STRIDE_VIEW,
+      position: [...views.subarray(view, view + 3)],
+      heading: [...views.subarray(view + 3, view + 6)],
+    };
+  const landmark = best(landmarks, STRIDE_LANDMARK);
+  if (landmark < 0) return null;
+  return { position: [...landmarks.subarray(landmark, landmark + 3)], deviation: landmarks[landmark + 3] };
+}
+
+/** What is said of something that was clicked. */
+export function sayPicked({ view, position, heading, deviation }, metric) {
+  const at = position.map((value) => value.toFixed(2)).join(", ");
+  const unit = metric ? "m" : t`units`;
+  if (view === undefined) return t`Landmark at ${at} ${unit}, known to ${length(deviation, metric)}`;
+  const degrees = Math.round((Math.atan2(heading[1], heading[0]) * 180) / Math.PI);
+  return t`Picture ${view + 1} of the walk, from ${at} ${unit}, looking ${degrees}°`;
+}
+
+/** Three short lines through a point. */
+function cross(position, reach) {
+  return [0, 1, 2].flatMap((axis) =>
+    [-reach, reach].flatMap((by) => position.map((value, i) => (i === axis ? value + by : value))),
+  );
 }
 
 function upload(gl, numbers) {
@@ -388,14 +508,20 @@ function program(gl, ...sources) {
     gl.attachShader(made, shader);
   });
   gl.bindAttribLocation(made, 0, "point");
+  gl.bindAttribLocation(made, 1, "picture");
   gl.linkProgram(made);
   const bind = (buffer, size) => {
     gl.bindBuffer(gl.ARRAY_BUFFER, buffer);
     gl.enableVertexAttribArray(0);
     gl.vertexAttribPointer(0, size, gl.FLOAT, false, 0, 0);
   };
+  const bindColours = (buffer) => {
+    gl.bindBuffer(gl.ARRAY_BUFFER, buffer);
+    gl.enableVertexAttribArray(1);
+    gl.vertexAttribPointer(1, 3, gl.UNSIGNED_BYTE, true, 0, 0);
+  };
   const places = {};
-  return { program: made, bind, uniform: (name) => (places[name] ??= gl.getUniformLocation(made, name)) };
+  return { program: made, bind, bindColours, uniform: (name) => (places[name] ??= gl.getUniformLocation(made, name)) };
 }
 
 function resolved(element, token) {

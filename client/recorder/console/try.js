@@ -1,6 +1,6 @@
 // Try it: a picture, a camera or a trajectory, and where it is in the map.
 
-import { call, get, path } from "../shared/api.js";
+import { call, get, path, storedKey, url } from "../shared/api.js";
 import { fill, h } from "../shared/dom.js";
 import { field } from "../shared/name_choice.js";
 import { t } from "../shared/text.js";
@@ -8,9 +8,10 @@ import { Trust, trustOf } from "../shared/trust.js";
 import { length } from "./format.js";
 import { asQuery, halfExtents, intrinsicsFor, intrinsicsOfFieldOfView, Known } from "./intrinsics.js";
 import { showScene, trusted } from "./map.js";
-import { empty, facts, page, problem, trustBadge } from "./parts.js";
+import { action, empty, facts, page, problem, tell, trustBadge } from "./parts.js";
 import { play } from "./player.js";
 import { SceneView } from "./scene.js";
+import { LANGUAGES, snippet } from "./snippets.js";
 import { readTrajectory } from "./trajectory.js";
 
 const WHY = {
@@ -61,6 +62,7 @@ class Trial {
     this.intrinsics = h("select", { name: "camera" });
     this.degrees = h("input", { type: "number", min: 20, max: 150, step: "any", placeholder: t`such as 65` });
     this.rolls = h("input", { type: "checkbox", checked: true });
+    this.copying = h("div", { class: "copy stack", hidden: true });
     this.still = null; // the picture that is tried, unless a camera runs
     signal.addEventListener("abort", () => {
       this.stop();
@@ -114,6 +116,8 @@ class Trial {
     }
     if (number !== this.#asked) return null;
     this.draw(source, found);
+    fill(this.copying, copyButtons(this.map, query, this.still?.name ?? "frame.jpg", blob.type));
+    this.copying.hidden = false;
     const landmarks = found.localized ? found.agreeing.landmarks : [];
     this.scene.showPose(found.pose?.T_map_camera ?? null, landmarks, intrinsics.extents);
     this.tell(found, intrinsics.known, extra?.());
@@ -146,6 +150,7 @@ class Trial {
   /** Neither a picture nor a pose. */
   clear() {
     this.still = null;
+    this.copying.hidden = true;
     this.#asked++;
     this.#question.abort();
     this.picture.getContext("2d").clearRect(0, 0, this.picture.width, this.picture.height);
@@ -238,6 +243,22 @@ function offBy(found, known, metric) {
   return Number.isFinite(value) ? length(value, metric) : t`unknown`;
 }
 
+/** The request as a program, to be copied: a button for each language. */
+function copyButtons(map, query, file, type) {
+  const code = h("pre", { tabindex: 0, hidden: true, "aria-label": t`The request as a program` });
+  const { with_matches: _, ...options } = query;
+  const buttons = LANGUAGES.map(([language, name]) =>
+    action(t`Copy as ${name}`, async () => {
+      const withKey = storedKey() !== null;
+      code.textContent = snippet(language, { url: url("").href, map: map.name, query: options, file, type, withKey });
+      code.hidden = false;
+      await navigator.clipboard?.writeText(code.textContent);
+      tell(navigator.clipboard ? t`Copied.` : t`Select the text below and copy it.`);
+    }),
+  );
+  return [h("div", { class: "row" }, buttons, h("a", { class: "button", href: "docs" }, t`All routes`)), code];
+}
+
 function layout(trial, maps) {
   const choice = h(
     "select",
@@ -251,7 +272,7 @@ function layout(trial, maps) {
       "div",
       { class: "try-columns" },
       h("div", { class: "stack" }, dropZone(trial), sources(trial)),
-      h("div", { class: "stack" }, trial.scene.element, trial.answer),
+      h("div", { class: "stack" }, trial.scene.element, trial.answer, trial.copying),
     ),
     h("details", { class: "card" }, h("summary", {}, t`Camera options`), options(trial)),
   );
@@ -337,7 +358,7 @@ async function takeFile(trial, file) {
   }
 }
 
-/** `{blob, source}`: what is sent, a JPEG or PNG, and what is drawn. */
+/** `{blob, source, name}`: what is sent, a JPEG or PNG, what is drawn, and the file that holds it. */
 async function readPicture(file) {
   let image;
   try {
@@ -346,7 +367,9 @@ async function readPicture(file) {
     throw new Error(t`This file is not a picture that the browser can read.`);
   }
   const source = { image, width: image.width, height: image.height };
-  return { blob: /^image\/(jpeg|png)$/.test(file.type) ? file : await jpeg(source), source };
+  const isSent = /^image\/(jpeg|png)$/.test(file.type);
+  const name = isSent ? file.name : file.name.replace(/(\.[^.]*)?$/, ".jpg");
+  return { blob: isSent ? file : await jpeg(source), source, name };
 }
 
 function playTrajectory(trial, poses) {

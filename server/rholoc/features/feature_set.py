@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum, StrEnum
 
+import cv2
 import numpy as np
 
 from rholoc.errors import InvalidDescriptors
 from rholoc.geometry import ByteArray, FloatArray, IntArray
+
+_COLOUR_PX = 5  # the side of the square that a feature has its colour from
 
 
 class Channel(IntEnum):
@@ -43,6 +46,7 @@ class FeatureSet:
         descriptors: (N, D) uint8; D = 32 for ORB, 128 for SIFT.
         sizes: (N,) float32, the diameter of the described patch in pixels; 0 where unknown.
         angles: (N,) float32, the patch's orientation in radians, in the image, clockwise from +u; NaN where unknown.
+        colours: (N, 3) uint8, red, green and blue of the image there; None where unknown. No match depends on them.
 
     Raises:
         InvalidDescriptors: the arrays disagree in length or shape, or pixels are not finite.
@@ -53,6 +57,7 @@ class FeatureSet:
     descriptors: ByteArray
     sizes: FloatArray
     angles: FloatArray
+    colours: ByteArray | None = None
 
     def __post_init__(self) -> None:
         n = len(self.pixels)
@@ -60,6 +65,7 @@ class FeatureSet:
             self.pixels.shape == (n, 2)
             and self.descriptors.ndim == 2
             and all(len(a) == n for a in (self.channels, self.descriptors, self.sizes, self.angles))
+            and (self.colours is None or self.colours.shape == (n, 3))
         )
         if not shapes_agree:
             raise InvalidDescriptors("The features' arrays differ in length.", "Give one row of each per feature.")
@@ -72,8 +78,21 @@ class FeatureSet:
     def take(self, index: IntArray) -> FeatureSet:
         """The features at ``index`` (K,), in that order."""
         return FeatureSet(
-            self.pixels[index], self.channels[index], self.descriptors[index], self.sizes[index], self.angles[index]
+            self.pixels[index],
+            self.channels[index],
+            self.descriptors[index],
+            self.sizes[index],
+            self.angles[index],
+            None if self.colours is None else self.colours[index],
         )
+
+    def coloured(self, image: ByteArray) -> FeatureSet:
+        """The same features with the colours that they have in an image (H, W, 3), BGR: the mean of a few pixels."""
+        height, width = image.shape[:2]
+        u, v = np.round(self.pixels).astype(np.int64).T
+        mean = cv2.blur(image, (_COLOUR_PX, _COLOUR_PX))
+        colours = mean[np.clip(v, 0, height - 1), np.clip(u, 0, width - 1), ::-1]
+        return replace(self, colours=np.asarray(colours, dtype=np.uint8))
 
     @classmethod
     def empty(cls, descriptor_bytes: int) -> FeatureSet:
@@ -96,4 +115,5 @@ class FeatureSet:
             np.concatenate([s.descriptors for s in sets]),
             np.concatenate([s.sizes for s in sets]),
             np.concatenate([s.angles for s in sets]),
+            None if any(s.colours is None for s in sets) else np.concatenate([s.colours for s in sets]),
         )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from rholoc.features import Metric
-from rholoc.geometry import IntArray, poses_from_rows, rows_from_poses
+from rholoc.geometry import ByteArray, IntArray, poses_from_rows, rows_from_poses
 from rholoc.mapping.landmarks import Landmarks, representative_rows
 from rholoc.mapping.observations import Views
 from rholoc.maps import Map, MapInfo, Observations, packed_pixels, unpacked_pixels
@@ -44,6 +44,7 @@ def assemble(info: MapInfo, views: Views, landmarks: Landmarks, view_sources: In
         descriptor_features=owners.astype(np.int32),
         view_times=views.times.astype(np.float64),
         T_map_camera=poses_from_rows(rows_from_poses(views.T_map_camera).astype(np.float32)),
+        colours=None if views.features.colours is None else _colours(views.features.colours[observed], features),
         observation_views=of_view.astype(np.int32),
         observation_features=features.astype(np.int32),
         observations=Observations(
@@ -52,6 +53,12 @@ def assemble(info: MapInfo, views: Views, landmarks: Landmarks, view_sources: In
             descriptor_sources=view_sources[views.view_of[rows]].astype(np.int32),
         ),
     )
+
+
+def _colours(seen: ByteArray, features: IntArray) -> ByteArray:
+    """The mean colour (F, 3) of each feature, of the colours (V, 3) that its observations have."""
+    sums = np.column_stack([np.bincount(features, weights=seen[:, channel]) for channel in range(3)])
+    return np.asarray(np.round(sums / np.bincount(features)[:, None]).astype(np.uint8))
 
 
 def _descriptor_rows(

@@ -149,7 +149,7 @@ def _extract(
         images = walk.recording.frames.images(trajectory.rows[chosen].tolist())
         looks.append([])
         for row, image in zip(chosen.tolist(), images, strict=True):
-            found = extractor.extract(image)
+            found = extractor.extract(image).coloured(image)
             looks[-1].append(look_at(image))
             if row in is_view:
                 if trajectory.rolling_shutter is not None:

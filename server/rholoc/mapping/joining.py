@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from rholoc.geometry import FloatArray, IntArray
+from rholoc.geometry import BoolArray, ByteArray, FloatArray, IntArray
 from rholoc.mapping.memory import (
     keep_features,
     observed_rays,
@@ -95,6 +95,7 @@ def _joined(a: Map, b: Map, same: IntArray) -> Map:
         channels=np.concatenate([a.channels, b.channels[new]]),
         landmarks=np.concatenate([a.landmarks, b.landmarks[new]]),
         covariances=np.concatenate([a.covariances, b.covariances[new]]),
+        colours=_both_colours(a, b, new),
         descriptors=np.concatenate([a.descriptors, b.descriptors])[order],
         descriptor_features=owners[order].astype(np.int32),
         view_times=np.concatenate([a.view_times, b.view_times]),
@@ -114,3 +115,9 @@ def _both_covariances(a: Map, b: Map) -> FloatArray | None:
     if a.view_covariances is None and b.view_covariances is None:
         return None
     return np.concatenate([a.known_view_covariances, b.known_view_covariances])
+
+
+def _both_colours(a: Map, b: Map, new: BoolArray) -> ByteArray | None:
+    if a.colours is None and b.colours is None:
+        return None
+    return np.concatenate([a.known_colours, b.known_colours[new]])

@@ -190,7 +190,7 @@ def _features(
     extractor = get_extractor(localizer.map.info.features)
     features = []
     for image in recording.frames.images(rows.tolist()):
-        features.append(extractor.extract(image))
+        features.append(extractor.extract(image).coloured(image))
         progress(Stage.FEATURES, len(features) / len(rows), f"features of {len(features)} of {len(rows)} frames")
     return features
 

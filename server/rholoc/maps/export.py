@@ -24,7 +24,8 @@ def map_to_ply(map_: Map) -> bytes:
     """The map as an ASCII PLY file: landmarks, then views, as vertices; the view path as edges.
 
     Vertex properties: ``x y z`` in metres, ``sigma_m`` (0 for views that do not know theirs), ``channel`` (255 for
-    views), and the heading ``nx ny nz`` (0 for landmarks).
+    views), the heading ``nx ny nz`` (0 for landmarks), and where the map knows its colours, ``red green blue`` (black
+    for views).
     """
     features, views = len(map_), len(map_.view_times)
     edges = max(views - 1, 0)
@@ -36,6 +37,7 @@ def map_to_ply(map_: Map) -> bytes:
         f"element vertex {features + views}",
         *(f"property float {name}" for name in ("x", "y", "z", "nx", "ny", "nz", "sigma_m")),
         "property uchar channel",
+        *(f"property uchar {name}" for name in ("red", "green", "blue") if map_.colours is not None),
         f"element edge {edges}",
         "property int vertex1",
         "property int vertex2",
@@ -45,7 +47,9 @@ def map_to_ply(map_: Map) -> bytes:
     text.write("\n".join(header) + "\n")
     landmarks = np.column_stack([map_.landmarks, np.zeros((features, 3)), landmark_sigmas(map_), map_.channels])
     path = np.column_stack([map_.view_positions, map_.view_headings, view_sigmas(map_), np.full(views, 255)])
-    np.savetxt(text, np.vstack([landmarks, path]), fmt=["%.5f"] * 7 + ["%d"])
+    if map_.colours is not None:
+        landmarks, path = np.column_stack([landmarks, map_.colours]), np.column_stack([path, np.zeros((views, 3))])
+    np.savetxt(text, np.vstack([landmarks, path]), fmt=["%.5f"] * 7 + ["%d"] * (landmarks.shape[1] - 7))
     np.savetxt(text, features + np.column_stack([np.arange(edges), np.arange(1, edges + 1)]), fmt="%d")
     return text.getvalue().encode("ascii")
 

@@ -12,6 +12,8 @@ from rholoc.geometry import ByteArray, FloatArray, IntArray
 from rholoc.maps.info import MapInfo
 from rholoc.maps.observations import Observations
 
+_GREY = 128
+
 
 @dataclass(frozen=True, eq=False)
 class Map:
@@ -34,6 +36,7 @@ class Map:
         observations: what else learning needs of each observation; None where the map does not keep it.
         view_covariances: (K, 6, 6) float32 of the views' poses: x, y, z in metres, then a small rotation about the
             map's axes, from the left, in radians; NaN for views whose uncertainty is not known. None where none is.
+        colours: (F, 3) uint8, red, green and blue of each landmark in the pictures; None where they are not known.
         fitted: densities that are more than a function of the landmarks (``tensor``), or None (``ray``).
     """
 
@@ -49,6 +52,7 @@ class Map:
     observation_features: IntArray
     observations: Observations | None = None
     view_covariances: FloatArray | None = None
+    colours: ByteArray | None = None
     fitted: TensorDensities | None = None
 
     def __len__(self) -> int:
@@ -65,6 +69,11 @@ class Map:
         if self.view_covariances is None:
             return np.full((len(self.view_times), 6, 6), np.nan, dtype=np.float32)
         return self.view_covariances
+
+    @property
+    def known_colours(self) -> ByteArray:
+        """(F, 3) as ``colours``, all grey where there are none."""
+        return np.full((len(self), 3), _GREY, dtype=np.uint8) if self.colours is None else self.colours
 
     @property
     def expected_errors_m(self) -> FloatArray:

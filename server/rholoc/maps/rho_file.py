@@ -51,6 +51,9 @@ _ARRAYS: dict[str, tuple[str, tuple[int | None, ...]]] = {
 _VIEW_COVARIANCES: dict[str, tuple[str, tuple[int | None, ...]]] = {
     "view_covariances": ("f4", (None, 21)),  # the upper triangle, row by row; older files have none
 }
+_COLOURS: dict[str, tuple[str, tuple[int | None, ...]]] = {
+    "colours": ("u1", (None, 3)),  # red, green, blue; older files have none
+}
 _OBSERVATIONS: dict[str, tuple[str, tuple[int | None, ...]]] = {
     "extras/observation_pixels": ("u2", (None, 2)),
     "extras/view_sources": ("i4", (None,)),
@@ -168,6 +171,8 @@ def _packed(map_: Map) -> Arrays:
     }
     if map_.view_covariances is not None:
         arrays["view_covariances"] = map_.view_covariances[:, _UPPER_OF_POSE[0], _UPPER_OF_POSE[1]]
+    if map_.colours is not None:
+        arrays["colours"] = map_.colours
     if map_.observations is not None:
         arrays |= {
             "extras/observation_pixels": _packed_pixels(map_, map_.observations),
@@ -182,7 +187,7 @@ def _packed(map_: Map) -> Arrays:
             "extras/tensor_places": map_.fitted.places,
             "extras/tensor_radii": map_.fitted.radii,
         }
-    kinds = _ARRAYS | _VIEW_COVARIANCES | _OBSERVATIONS | _TENSORS
+    kinds = _ARRAYS | _VIEW_COVARIANCES | _COLOURS | _OBSERVATIONS | _TENSORS
     return {name: np.asarray(array, dtype=f"<{kinds[name][0]}", order="C") for name, array in arrays.items()}
 
 
@@ -193,6 +198,8 @@ def _unpacked(info: MapInfo, arrays: Arrays) -> Map:
         InvalidMap: one is missing, of another type or shape, or contradicts another in length.
     """
     _check_arrays(arrays, _ARRAYS)
+    if "colours" in arrays:
+        _check_arrays(arrays, _COLOURS)
     map_ = Map(
         info=info,
         channels=arrays["channels"],
@@ -205,6 +212,7 @@ def _unpacked(info: MapInfo, arrays: Arrays) -> Map:
         observation_views=_views_of(arrays["view_offsets"], len(arrays["view_times"]), len(arrays["view_features"])),
         observation_features=arrays["view_features"],
         view_covariances=_unpacked_view_covariances(arrays),
+        colours=arrays.get("colours"),
         fitted=_unpacked_tensors(arrays) if info.density is DensityKind.TENSOR else None,
         observations=None,
     )

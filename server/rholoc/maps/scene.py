@@ -21,9 +21,12 @@ def map_to_scene(map_: Map, most_landmarks: int | None = None) -> bytes:
     sources = np.zeros(views) if map_.observations is None else map_.observations.view_sources
     landmarks = np.column_stack([map_.landmarks, landmark_sigmas(map_)])
     path = np.column_stack([map_.view_positions, map_.view_headings, sources])
-    landmarks = landmarks[evenly(len(landmarks), most_landmarks)]
-    counts = np.array([len(landmarks), views])
-    return counts.astype("<u4").tobytes() + landmarks.astype("<f4").tobytes() + path.astype("<f4").tobytes()
+    chosen = evenly(len(landmarks), most_landmarks)
+    counts = np.array([len(chosen), views])
+    arrays = [counts.astype("<u4"), landmarks[chosen].astype("<f4"), path.astype("<f4")]
+    if map_.colours is not None:
+        arrays.append(map_.colours[chosen])
+    return b"".join(array.tobytes() for array in arrays)
 
 
 def evenly(count: int, most: int | None) -> IntArray:

@@ -51,6 +51,9 @@ def validate_map(map_: Map) -> None:
     _check(_all_in_range(map_.observation_views, views), "an observation is from a view that is not there")
     _check(bool(np.all(np.diff(map_.observation_views) >= 0)), "observations are not sorted by view")
     _check(_all_in_range(map_.observation_features, features), "a view saw a feature that is not there")
+    if map_.colours is not None:
+        _check_array("colours", map_.colours, np.uint8, (None, 3))
+        _check(len(map_.colours) == features, "colours and landmarks differ in number")
     if map_.view_covariances is not None:
         _check(_all_covariances(map_.view_covariances, views), "its views' covariances are none")
     if map_.observations is not None:

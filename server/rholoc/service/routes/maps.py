@@ -49,6 +49,7 @@ from rholoc.reports import CoverageReport
 from rholoc.service.access import NEEDS_ADMIN, NEEDS_MAP, NEEDS_READ
 from rholoc.service.bodies import save_body
 from rholoc.service.errors import InvalidRequest
+from rholoc.service.examples import REPORT, sent
 from rholoc.service.openapi import BINARY, failures, request_body
 from rholoc.service.renderings import etag_of
 from rholoc.service.routes.jobs import job_out
@@ -214,7 +215,11 @@ async def get_report_picture(map_name: str, request: Request, service: Service) 
     summary="Where a map works",
     response_class=Response,
     responses={
-        200: {"model": CoverageReport, "description": "Landmarks in view, by position and heading."},
+        200: {
+            "model": CoverageReport,
+            "description": "Landmarks in view, by position and heading.",
+            "content": {"application/json": {"example": sent(REPORT.coverage)}},
+        },
         **failures(*_FAILURES, Busy),
     },
 )
