@@ -6,14 +6,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
+from rholoc.trajectory.imu_evidence import compare_with_inertial, weigh_imu
 from scipy.interpolate import make_interp_spline
 from scipy.spatial.transform import Rotation, RotationSpline
 
 from rholoc.geometry import FloatArray, pose_matrix
 from rholoc.recordings import Imu, Waypoint
-from rholoc.trajectory.gyroscope import calibrate_gyro
-from rholoc.trajectory.imu_evidence import compare_with_inertial, weigh_imu
 from rholoc.trajectory.dead_reckoning import integrate_between_waypoints
+from rholoc.trajectory.gyroscope import calibrate_gyro
 from rholoc.trajectory.inertial_alignment import GRAVITY, align_inertially
 
 _R_CAMERA_IMU = Rotation.from_euler("xyz", [90, 0, 80], degrees=True).as_matrix()
