@@ -18,7 +18,9 @@ from rholoc.simulation import PHONE_CAMERA, simulate_recording
 from rholoc_client import Camera, MapSummary
 
 _MARK = "RHOLOC_TEST_MARK"
-_ENDS_WITHIN_S = 5.0
+_ENDS_WITHIN_S = (
+    30.0  # two seconds for the server, and what a busy machine takes; left alone it would go on for minutes
+)
 _STARTS_WITHIN_S = 200.0
 
 # The demo, but for its first walk, which is there already: rendering it takes longest.

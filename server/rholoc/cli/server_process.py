@@ -17,7 +17,7 @@ from types import FrameType
 from rholoc.errors import RholocError
 
 _START_TIMEOUT_S = 60.0
-_STOP_TIMEOUT_S = 3.0  # then what is left of the server and its workers is killed
+_STOP_TIMEOUT_S = 2.0  # then what is left of the server and its workers is killed
 _POLL_S = 0.1
 _STAT_PARENT = 1  # field of /proc/PID/stat after the process's name
 _INTERRUPTS = (signal.SIGINT, signal.SIGTERM)
@@ -35,7 +35,7 @@ class RunningServer:
 def running_server(maps_dir: Path, data_dir: Path, log: Path) -> Iterator[RunningServer]:
     """``rholoc serve`` with its worker on a free port of this machine; stopped at the end, whatever happens.
 
-    A job that it is working on is given up. Call it under :func:`interruptible`, or SIGTERM leaves the server behind.
+    A job that it is working on is given up.
 
     Raises:
         RholocError: it does not answer.
@@ -44,7 +44,7 @@ def running_server(maps_dir: Path, data_dir: Path, log: Path) -> Iterator[Runnin
     server = RunningServer(f"http://127.0.0.1:{port}", log)
     command = [sys.executable, "-m", "rholoc", "serve", "--host", "127.0.0.1", "--port", str(port)]
     command += ["--maps", str(maps_dir), "--data", str(data_dir)]
-    with log.open("wb") as output:
+    with log.open("wb") as output, interruptible():
         # In a session of its own: Ctrl-C comes to us alone, and we stop the server in order.
         process = subprocess.Popen(command, stdout=output, stderr=subprocess.STDOUT, start_new_session=True)
         try:
@@ -58,20 +58,24 @@ def running_server(maps_dir: Path, data_dir: Path, log: Path) -> Iterator[Runnin
 def interruptible() -> Iterator[None]:
     """While it lasts, the first SIGINT or SIGTERM ends this process by way of every ``finally``; later ones wait.
 
-    Python leaves SIGTERM to the system, and SIGINT too where whoever started it had that ignored.
+    Python leaves SIGTERM to the system, and SIGINT too where whoever started it had that ignored. Within another one it
+    changes nothing.
     """
-
-    def interrupt(_signal: int, _frame: FrameType | None) -> None:
-        for number in _INTERRUPTS:
-            signal.signal(number, signal.SIG_IGN)
-        raise KeyboardInterrupt
-
-    before = {number: signal.signal(number, interrupt) for number in _INTERRUPTS}
+    if _interrupt in (signal.getsignal(number) for number in _INTERRUPTS):
+        yield
+        return
+    before = {number: signal.signal(number, _interrupt) for number in _INTERRUPTS}
     try:
         yield
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
+
+
+def _interrupt(_signal: int, _frame: FrameType | None) -> None:
+    for number in _INTERRUPTS:
+        signal.signal(number, signal.SIG_IGN)
+    raise KeyboardInterrupt
 
 
 @contextmanager
