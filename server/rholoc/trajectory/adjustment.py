@@ -44,12 +44,28 @@ _GAUGE_SIGMA = 1e-4
 _TIE_SIGMA_RAD, _TIE_SIGMA_M = 2e-4, 5e-4
 _MAX_IMU_GAP_S = 0.1  # in the IMU's table, and as many of its intervals: over a longer one it carries nothing
 _MAX_IMU_GAP_INTERVALS = 5
-_FOCAL_SIGMA = 0.05  # relative, of a focal length that was guessed
-_CENTRE_SIGMA = 0.01  # of the image's width, of a principal point that was taken to be its middle
-_DISTORTION_SIGMAS = (0.15, 0.15)
 _FIXED = 1e-9
 _RELATIVE_TOLERANCE = 1e-4
 _FIRST_DAMPING = 1e-4
+
+
+@dataclass(frozen=True)
+class CameraSigmas:
+    """How well intrinsics are known before the walk has its say.
+
+    Attributes:
+        focal: of the focal length, relative.
+        centre: of the principal point, as a share of the image's width.
+        distortion: of k1 and k2.
+    """
+
+    focal: float
+    centre: float
+    distortion: float
+
+
+GUESSED = CameraSigmas(0.05, 0.01, 0.15)
+GIVEN = CameraSigmas(0.005, 0.002, 0.03)  # a calibration of another day, or of the same model of phone
 
 
 @dataclass(frozen=True)
@@ -124,7 +140,7 @@ class Problem:
         gyro: how the gyroscope relates to the camera; with an IMU.
         fixes: waypoints.
         level_sigma_rad: how well the fixes' z axis is level; None where it is not meant to be.
-        camera_known: whether the intrinsics were given.
+        camera_sigmas: of the intrinsics; None where they are held.
         pixel_sigma_px: of a sighting's coordinates.
     """
 
@@ -134,7 +150,7 @@ class Problem:
     gyro: GyroCalibration | None = None
     fixes: tuple[Fix, ...] = ()
     level_sigma_rad: float | None = _LEVEL_SIGMA_RAD
-    camera_known: bool = True
+    camera_sigmas: CameraSigmas | None = None
     pixel_sigma_px: float = _PIXEL_SIGMA_PX
 
 
@@ -253,7 +269,7 @@ def _add_sightings(
     for track in np.unique(observations.tracks[used]).tolist():
         values.insert(L(track), state.points[track])
     keyframes, tracks = observations.keyframes[used].tolist(), observations.tracks[used].tolist()
-    if problem.camera_known:
+    if problem.camera_sigmas is None:
         ideal = gtsam.Cal3_S2(camera.focal, camera.focal, 0.0, 0.0, 0.0)
         places = camera.undistort(observations.pixels[used]) * camera.focal
         for keyframe, track, place in zip(keyframes, tracks, places, strict=True):
@@ -261,17 +277,16 @@ def _add_sightings(
         return
     model = _to_gtsam(camera)
     values.insert(D(0), model)
-    graph.add(gtsam.PriorFactorCal3DS2(D(0), model, _camera_prior(camera)))
+    graph.add(gtsam.PriorFactorCal3DS2(D(0), model, _camera_prior(camera, problem.camera_sigmas)))
     for keyframe, track, place in zip(keyframes, tracks, observations.pixels[used], strict=True):
         graph.add(gtsam.GeneralSFMFactor2Cal3DS2(place, noise, C(keyframe), L(track), D(0)))
 
 
-def _camera_prior(camera: Camera) -> gtsam.noiseModel.Base:
-    """fx and fy are one unknown, the principal point is near the middle, distortion is radial and small."""
-    focal, centre = _FOCAL_SIGMA * camera.focal, _CENTRE_SIGMA * camera.width
-    covariance = np.diag(
-        [0.0, 0.0, _FIXED, centre**2, centre**2, *(sigma**2 for sigma in _DISTORTION_SIGMAS), _FIXED, _FIXED]
-    )
+def _camera_prior(camera: Camera, sigmas: CameraSigmas) -> gtsam.noiseModel.Base:
+    """fx and fy are one unknown, distortion is radial."""
+    focal, centre = sigmas.focal * camera.focal, sigmas.centre * camera.width
+    radial = [sigmas.distortion**2] * 2
+    covariance = np.diag([0.0, 0.0, _FIXED, centre**2, centre**2, *radial, _FIXED, _FIXED])
     covariance[:2, :2] = focal**2
     covariance[[0, 1], [0, 1]] += (1e-3 * focal) ** 2
     return gtsam.noiseModel.Gaussian.Covariance(covariance)
@@ -451,7 +466,7 @@ def _state_of(values: gtsam.Values, problem: Problem, state: State, used: BoolAr
     points = state.points.copy()
     for track in np.unique(problem.observations.tracks[used]).tolist():
         points[track] = values.atPoint3(L(track))
-    camera = state.camera if problem.camera_known else _from_gtsam(values.atCal3DS2(D(0)), state.camera)
+    camera = state.camera if problem.camera_sigmas is None else _from_gtsam(values.atCal3DS2(D(0)), state.camera)
     inertial = state.inertial
     if inertial is not None:
         velocities, biases = inertial.velocities.copy(), inertial.biases.copy()

@@ -67,6 +67,7 @@ def run_in_child(function: Callable[..., Result], *args: Any, progress: Progress
 
 def _child(pipe: Connection, function: Callable[..., Any], args: tuple[Any, ...]) -> None:
     threading.Thread(target=_die_with_parent, daemon=True).start()
+    _silence_native_code()
     lock = threading.Lock()
 
     def listener(stage: Stage, fraction: float, message: str = "") -> None:
@@ -85,6 +86,14 @@ def _child(pipe: Connection, function: Callable[..., Any], args: tuple[Any, ...]
             )
         with lock:
             pipe.send(answer)
+
+
+def _silence_native_code() -> None:
+    """Native libraries print what they meet on the way; what matters comes back as an error."""
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    for stream in (1, 2):
+        os.dup2(nowhere, stream)
+    os.close(nowhere)
 
 
 def _die_with_parent() -> None:

@@ -15,7 +15,13 @@ from rholoc.progress import ProgressListener, Stage, silent
 from rholoc.trajectory.gyroscope import allowed_apart
 from rholoc.trajectory.loops import Pair, loop_candidates, sequential_pairs
 from rholoc.trajectory.rotations import PairRotation
-from rholoc.trajectory.two_view import angle_between, inliers_of_rotation, ratio_matches, relative_pose
+from rholoc.trajectory.two_view import (
+    angle_between,
+    inliers_of_rotation,
+    ratio_matches,
+    relative_pose,
+    unit_descriptors,
+)
 
 _THREADS = 2
 _TOLERANCE_PX = 2.5
@@ -74,9 +80,12 @@ def match_keyframes(
     neighbours = sequential_pairs(len(features), distances)
     again = loop_candidates(features, 2 * max(distances) + 1, _LOOPS_EACH) if len(features) > 3 else []
     total, done = len(neighbours) + len(again), 0
+    descriptors = [unit_descriptors(some) for some in features]
+    beside = set(neighbours)
 
     def verified(pair: Pair) -> VerifiedPair | None:
-        return _verify(pair, features, planes, _TOLERANCE_PX / focal_px, times, felt)
+        fewest = _FEWEST_SEQUENTIAL if pair in beside else _FEWEST_LOOP
+        return _verify(pair, descriptors, planes, _TOLERANCE_PX / focal_px, times, felt, fewest)
 
     found: list[VerifiedPair] = []
     with ThreadPoolExecutor(_THREADS) as pool:
@@ -85,14 +94,12 @@ def match_keyframes(
             progress(Stage.POSES, 0.4 * done / total, f"{done} of {total} pairs of keyframes matched")
             if one is not None:
                 found.append(one)
-    beside = set(neighbours)
     sequential = [pair for pair in found if (pair.first, pair.second) in beside]
     return sequential, supported_loops([pair for pair in found if (pair.first, pair.second) not in beside])
 
 
 def supported_loops(pairs: Sequence[VerifiedPair]) -> list[VerifiedPair]:
     """The loop pairs with many inliers, or with another loop pair beside them: a chance likeness stands alone."""
-    pairs = [pair for pair in pairs if len(pair.matches) >= _FEWEST_LOOP]
     places = np.array([(pair.first, pair.second) for pair in pairs]).reshape(-1, 2)
     kept = []
     for pair, place in zip(pairs, places, strict=True):
@@ -104,16 +111,17 @@ def supported_loops(pairs: Sequence[VerifiedPair]) -> list[VerifiedPair]:
 
 def _verify(
     pair: Pair,
-    features: Sequence[FeatureSet],
+    descriptors: Sequence[FloatArray],
     planes: Sequence[FloatArray],
     tolerance: float,
     times: FloatArray,
     felt: Rotation | None,
+    fewest: int,
 ) -> VerifiedPair | None:
     """The matches that one relative pose explains, and that the gyroscope does not contradict."""
     i, j = pair
-    matches = ratio_matches(features[i], features[j])
-    if len(matches) < _FEWEST_SEQUENTIAL:
+    matches = ratio_matches(descriptors[i], descriptors[j])
+    if len(matches) < fewest:
         return None
     first, second = planes[i][matches[:, 0]], planes[j][matches[:, 1]]
     view = relative_pose(first, second, tolerance)
@@ -125,6 +133,6 @@ def _verify(
             if agreeing.sum() < _EXPLAINED * inliers.sum():
                 return None
             inliers, R = inliers & agreeing, R_felt
-    if inliers.sum() < _FEWEST_SEQUENTIAL:
+    if inliers.sum() < fewest:
         return None
     return VerifiedPair(i, j, matches[inliers], R)

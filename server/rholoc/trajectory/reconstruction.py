@@ -8,14 +8,19 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
+from threadpoolctl import threadpool_limits
 
 from rholoc.errors import MappingFailed
 from rholoc.features import FeatureSet
 from rholoc.geometry import BoolArray, Camera, FloatArray, IntArray, pose_matrix
 from rholoc.progress import ProgressListener, Stage, silent
 from rholoc.recordings import Imu, Waypoint
+from rholoc.recordings.waypoints import DEFAULT_SIGMA_M
 from rholoc.trajectory.adjustment import (
+    GIVEN,
+    GUESSED,
     Adjusted,
+    CameraSigmas,
     Fix,
     InertialState,
     Problem,
@@ -58,7 +63,11 @@ _SEEN = 12  # sightings that place a keyframe by itself
 _CARRIED_SIGMA_M = 0.05  # up to which the IMU alone places a keyframe
 _COVARIANCES = 60  # keyframes, spread over the walk, whose covariance is computed; between them it is interpolated
 _ACCELEROMETER_SCALE = 0.01  # from which it is corrected
+_NOISE_PRIOR = 2.0  # coordinates that were off as much as assumed
+_NOISE_FACTORS = (0.4, 2.0)
 _MAX_MISTAKES = 0.34  # the share of the waypoints that may be found mistaken
+
+_MODELLED_DISTORTION = 4  # coefficients: k1, k2, p1, p2
 
 _ADVICE = "Walk slower, keep more texture in view."
 
@@ -179,6 +188,13 @@ def reconstruct(
     Raises:
         MappingFailed: the pictures do not hang together, or the waypoints contradict them.
     """
+    with threadpool_limits(1, "blas"):  # matrices are small: more threads only wait for each other
+        return _reconstruct(sights, imu, waypoints, progress)
+
+
+def _reconstruct(
+    sights: Sights, imu: Imu | None, waypoints: Sequence[tuple[Waypoint, ...]], progress: ProgressListener
+) -> Reconstruction:
     camera = sights.camera or guess_camera(sights.flow, imu)
     gyro, reason = (None, "") if imu is None else _calibrated(sights, camera, imu)
     felt = None if imu is None or gyro is None else camera_rotations(imu, gyro, sights.times)
@@ -299,8 +315,7 @@ def _solve_with_imu(
     told: _Progress,
 ) -> Reconstruction:
     state, stitched = start
-    known = sights.camera is not None
-    problem = Problem(sights.times, evidence.observations, imu, gyro, camera_known=known)
+    problem = Problem(sights.times, evidence.observations, imu, gyro, camera_sigmas=_camera_sigmas(sights.camera))
     problem, adjusted = _adjusted_in_rounds(problem, state, told)
     assert adjusted.state.inertial is not None
     read = float(np.linalg.norm(adjusted.state.inertial.gravity)) / GRAVITY
@@ -338,6 +353,13 @@ def _solve_with_imu(
     return _finished(sights, evidence, problem, adjusted, frame, waypoints, figures, "", left_out, mistaken)
 
 
+def _camera_sigmas(given: Camera | None) -> CameraSigmas | None:
+    """How far the walk may correct the intrinsics: not at all where the adjustment's model could not hold them."""
+    if given is None:
+        return GUESSED
+    return GIVEN if len(given.distortion) <= _MODELLED_DISTORTION else None
+
+
 def _of_corrected_scale(state: State, read: float) -> State:
     """The state of a walk whose accelerometer read ``read`` times too much."""
     assert state.inertial is not None
@@ -369,7 +391,7 @@ def _solve_from_pictures(
     whole = evidence.observations
     numbered = Observations(number[whole.keyframes], whole.tracks, whole.pixels)
     observations = numbered.take(numbered.keyframes >= 0)
-    problem = Problem(some.times, observations, camera_known=sights.camera is not None)
+    problem = Problem(some.times, observations, camera_sigmas=_camera_sigmas(sights.camera))
     problem, adjusted = _adjusted_in_rounds(problem, state, told)
     left_out: dict[str, LeftOut] = {}
     mistaken: tuple[str, ...] = ()
@@ -462,7 +484,22 @@ def _held_by_waypoints(
         if wrong is None or len(trusted) <= 3 or len(mistaken) + 1 > _MAX_MISTAKES * len(names):
             break
         mistaken.append(trusted[wrong])
+    factor = _noise_factor([outs[name].sigmas for name in trusted])
+    fixes = tuple(
+        replace(fix, sigma_m=factor * fix.sigma_m) if fix.sigma_m == DEFAULT_SIGMA_M else fix for fix in problem.fixes
+    )
+    problem = replace(problem, fixes=fixes)
+    adjusted = adjust(problem, state, _LAST_ITERATIONS, told.step(0.9, 0.95, "adjusted to the waypoints"))
     return problem, adjusted, outs, tuple(mistaken)
+
+
+def _noise_factor(sigmas: Sequence[float]) -> float:
+    """How much more or less than was assumed the waypoints are off, from how far they are off all else in sigmas.
+
+    The mean square over three coordinates each, drawn to one by a prior, for waypoints are few.
+    """
+    squares = _NOISE_PRIOR + sum(value**2 for value in sigmas)
+    return float(np.clip(np.sqrt(squares / (_NOISE_PRIOR + 3 * len(sigmas))), *_NOISE_FACTORS))
 
 
 def _moved(state: State, similarity: Similarity) -> State:
@@ -521,7 +558,7 @@ def _finished(
         sigma_m = np.sqrt(np.trace(covariances[:, :3, :3], axis1=1, axis2=2))
         usual = float(np.median(sigma_m[placed])) if placed.any() else 0.0
         placed |= sigma_m <= max(_CARRIED_SIGMA_M, 2 * usual)
-    focal_sigma = None if problem.camera_known else float(adjusted.camera_sigmas()[0])
+    focal_sigma = None if sights.camera is not None else float(adjusted.camera_sigmas()[0])
     return Reconstruction(
         placed,
         state.T_map_camera,

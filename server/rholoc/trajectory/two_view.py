@@ -76,11 +76,11 @@ def inliers_of_rotation(
     return np.asarray(agree[agree.sum(axis=1).argmax()] | still)
 
 
-def ratio_matches(a: FeatureSet, b: FeatureSet) -> IntArray:
-    """Mutual nearest neighbours that pass the ratio test: (M, 2) rows of ``a`` and ``b``."""
+def ratio_matches(a: FloatArray, b: FloatArray) -> IntArray:
+    """Mutual nearest neighbours that pass the ratio test: (M, 2) rows of ``a`` and ``b``, unit descriptors (N, D)."""
     if len(a) < 2 or len(b) < 2:
         return np.zeros((0, 2), np.int64)
-    alike = _unit(a) @ _unit(b).T
+    alike = a @ b.T
     rows = np.arange(len(a))
     to_b = alike.argmax(1)
     mutual = alike.argmax(0)[to_b] == rows
@@ -102,6 +102,7 @@ def _rays(plane: FloatArray) -> FloatArray:
     return np.asarray(rays / np.linalg.norm(rays, axis=1, keepdims=True))
 
 
-def _unit(features: FeatureSet) -> FloatArray:
+def unit_descriptors(features: FeatureSet) -> FloatArray:
+    """The features' descriptors (N, D) as unit vectors, float32."""
     descriptors = features.descriptors.astype(np.float32)
     return np.asarray(descriptors / np.maximum(np.linalg.norm(descriptors, axis=1, keepdims=True), 1e-9))
