@@ -27,7 +27,7 @@ from rholoc.maps.trajectory_table import (
     write_trajectory_csv,
 )
 from rholoc.maps.trust import Trust, consistency_m, expected_error_m, trust_of
-from rholoc.maps.validation import validate_map
+from rholoc.maps.validation import check_usable, validate_map
 
 __all__ = [
     "CameraLibrary",
@@ -46,6 +46,7 @@ __all__ = [
     "Trust",
     "check_map_name",
     "check_observations",
+    "check_usable",
     "coefficient_table",
     "consistency_m",
     "coverage_of",

@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import json
+import math
 from dataclasses import dataclass, field
 from enum import StrEnum
 
 from rholoc.errors import InvalidInput, InvalidMap
 from rholoc.geometry import Camera
 from rholoc.reports import MapReport, report_from_json, report_to_json
+
+_MAX_LENGTH = 2**24
+_MAX_WORD = 64
+_MAX_SHOWN = 300
 
 
 class DensityKind(StrEnum):
@@ -98,9 +103,24 @@ def info_from_json(text: str) -> MapInfo:
     """The description that :func:`info_to_json` wrote; members that are not known are left out.
 
     Raises:
-        InvalidMap: not JSON, a member is missing or of another type, or a camera is absurd.
+        InvalidMap: not JSON, longer than 16 MiB, a member is missing or of another type, a number is not finite, an id
+            or a time is not one, or a camera is absurd.
     """
     try:
-        return report_from_json(MapInfo, json.loads(text))
+        if len(text) > _MAX_LENGTH:
+            raise ValueError(f"it is longer than {_MAX_LENGTH} characters")
+        info = report_from_json(MapInfo, json.loads(text, parse_constant=_finite, parse_float=_finite))
+        for name in ("id", "created", "features"):
+            value = getattr(info, name)
+            if not 0 < len(value) <= _MAX_WORD or not value.isprintable():
+                raise ValueError(f"{name} is not a word of at most {_MAX_WORD} characters")
     except (ValueError, InvalidInput, RecursionError) as error:
-        raise InvalidMap(f"The map's description is broken: {error}.") from error
+        raise InvalidMap(f"The map's description is broken: {str(error)[:_MAX_SHOWN]}.") from error
+    return info
+
+
+def _finite(text: str) -> float:
+    value = float(text)
+    if not math.isfinite(value):
+        raise ValueError("it has a number that is not finite")
+    return value

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import re
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from uuid import uuid4
@@ -18,6 +18,7 @@ from rholoc.maps.rho_file import SUFFIX, load_info, load_map, map_to_bytes
 
 _NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9._-]{0,63}")
 _NAMES_SHOWN = 5
+_PIECE_BYTES = 2**20
 _ALL = "all"
 _PREVIOUS = ".previous"  # the folder within a library's that keeps the maps that were replaced
 
@@ -79,7 +80,8 @@ class MapLibrary:
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self._cache: dict[str, tuple[tuple[int, int, int], Map]] = {}
-        self._lock = threading.RLock()
+        self._lock = threading.RLock()  # of what changes the folder
+        self._reading: dict[str, threading.Lock] = {}
 
     def names(self) -> list[str]:
         """The names of all maps, sorted; none where the folder does not exist."""
@@ -120,26 +122,28 @@ class MapLibrary:
         return MapStat(name, status.st_size, status.st_mtime, (status.st_ino, status.st_mtime_ns, status.st_size))
 
     def get(self, name: str) -> Map:
-        """The map of that name, from memory unless its file was replaced.
+        """The map of that name, from memory unless its file was replaced. While one is read, others can be got.
 
         Raises:
             InvalidName: it is not a name.
             UnknownMap: there is no such map.
             InvalidMap: its file is not a map.
         """
-        with self._lock:
-            try:
+        try:
+            signature = self.stat(name).signature
+            cached = self._cache.get(name)
+            if cached is not None and cached[0] == signature:
+                return cached[1]
+            with self._reading.setdefault(name, threading.Lock()):
                 signature = self.stat(name).signature
                 cached = self._cache.get(name)
-                if cached is not None and cached[0] == signature:
-                    return cached[1]
-                map_ = load_map(self.path(name))
-            except (UnknownMap, InvalidMap):
-                self._cache.pop(name, None)
-                raise
-            # Were the file replaced since its signature was taken, the next call would load it again: no harm.
-            self._cache[name] = (signature, map_)
-            return map_
+                if cached is None or cached[0] != signature:
+                    # Were the file replaced since its signature was taken, the next call would load it again: no harm.
+                    cached = self._cache[name] = (signature, load_map(self.path(name)))
+                return cached[1]
+        except (UnknownMap, InvalidMap):
+            self._cache.pop(name, None)
+            raise
 
     def put(self, name: str, map_: Map) -> None:
         """Store a map under a name, replacing the one that was there.
@@ -149,16 +153,28 @@ class MapLibrary:
         """
         self._put(name, map_to_bytes(map_), lambda _: map_)
 
-    def put_file(self, name: str, source: Path | bytes) -> Map:
+    def put_file(self, name: str, source: Path | bytes, check: Callable[[Map], None] = lambda _: None) -> Map:
         """Store the content of a ``.rho`` file under a name, replacing the map that was there; returns the map.
 
-        Raises:
-            InvalidName, InvalidMap, StorageFull, InvalidInput: nothing was replaced.
-        """
-        data = source if isinstance(source, bytes) else _read(source)
-        return self._put(name, data, lambda arrived: _loaded_as(arrived, name))
+        Args:
+            name: the map's.
+            source: the file, or its content.
+            check: raises where the map is not to be stored.
 
-    def _put(self, name: str, data: bytes, read: Callable[[Path], Map]) -> Map:
+        Raises:
+            InvalidName, InvalidMap, StorageFull, InvalidInput, and what ``check`` raises: nothing was replaced.
+        """
+
+        path = self.path(name)
+
+        def read(arrived: Path) -> Map:
+            map_ = load_map(arrived, path.name)
+            check(map_)
+            return map_
+
+        return self._put(name, source if isinstance(source, bytes) else _pieces(source), read)
+
+    def _put(self, name: str, data: bytes | Iterator[bytes], read: Callable[[Path], Map]) -> Map:
         """Store a file under a name, once ``read`` has found a map in it; keep the map that was there."""
         path = self.path(name)
         self._make_folder()
@@ -293,16 +309,11 @@ def _link(path: Path, other: Path) -> None:
         replace_file(other, path.read_bytes(), called=path.name)
 
 
-def _read(path: Path) -> bytes:
+def _pieces(path: Path) -> Iterator[bytes]:
+    """A file's content, never all of it at once."""
     try:
-        return path.read_bytes()
+        with path.open("rb") as file:
+            while piece := file.read(_PIECE_BYTES):
+                yield piece
     except OSError as error:
         raise InvalidMap(f"{path} cannot be read: {error.strerror}.") from error
-
-
-def _loaded_as(path: Path, name: str) -> Map:
-    """The map in a file, errors naming it ``name`` instead of the file's passing name."""
-    try:
-        return load_map(path)
-    except InvalidMap as error:
-        raise InvalidMap(error.message.replace(path.name, f"The file for {name}"), error.hint) from error

@@ -323,5 +323,6 @@ def _checksum(info: str, arrays: Arrays) -> str:
     for name in sorted(arrays):
         array = arrays[name]
         digest.update(f"\0{name}\0{array.dtype.str}\0{array.shape}\0".encode())
-        digest.update(array.tobytes())
+        flat: Any = np.ascontiguousarray(array).reshape(-1)
+        digest.update(flat.view(np.uint8))  # not a copy: a map may be large
     return digest.hexdigest()

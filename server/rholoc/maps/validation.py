@@ -63,6 +63,16 @@ def validate_map(map_: Map) -> None:
     _check((map_.fitted is not None) == (map_.info.density is DensityKind.TENSOR), "it has densities of another form")
 
 
+def check_usable(map_: Map) -> None:
+    """Check that a map is one that a camera can be localized in.
+
+    Raises:
+        InvalidMap: it has no landmarks, no descriptors or no views.
+    """
+    if not (len(map_) and len(map_.descriptors) and len(map_.view_times)):
+        raise InvalidMap("The map has no landmarks, descriptors or views to localize in.", "Build it from a recording.")
+
+
 def _check_tensors(map_: Map, tensors: TensorDensities) -> None:
     count = len(tensors.features)
     sizes = tuple(len(powers) for powers in kept_powers(tensors.degree))

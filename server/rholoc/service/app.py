@@ -29,6 +29,7 @@ from rholoc.service.errors import (
     invalid_request,
     status_of,
 )
+from rholoc.service.exports import Exports
 from rholoc.service.guard import Guard, SecurityHeaders
 from rholoc.service.housekeeping import keep_house
 from rholoc.service.json_bodies import JsonBodies
@@ -112,6 +113,7 @@ def _start(settings: Settings, metrics: Metrics) -> State:
         localizers=Localizers(library, settings.min_confidence),
         renderings=Renderings(settings.data_dir / "renderings", library),
         compute=compute,
+        exports=Exports(settings.export_time_limit_s),
         metrics=metrics,
         recordings=recordings,
         uploads=UploadStore(recordings, jobs, settings.upload_expires_s, settings.max_upload_files),

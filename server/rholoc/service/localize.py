@@ -10,6 +10,7 @@ from dataclasses import asdict, dataclass, field, replace
 
 import cv2
 import numpy as np
+import structlog
 
 from rholoc.errors import DeadlineExceeded, InvalidCamera, InvalidDescriptors
 from rholoc.features import Extractor, FeatureSet
@@ -22,6 +23,7 @@ from rholoc.service.schemas import DiagnosisOut, EstimatedCameraOut, Localizatio
 from rholoc.service.settings import Settings
 from rholoc.trajectory import Scale
 
+_log = structlog.get_logger("rholoc.service")
 _DEGREES = np.array([1, 1, 1, *[180 / np.pi] * 3])
 
 
@@ -63,11 +65,17 @@ def late_answer(name: str, localizer: Localizer, clock: Stopwatch) -> Localizati
 
 
 def localize_frame(
-    frame: Frame, names: Sequence[str], localizers: Localizers, settings: Settings, clock: Stopwatch
+    frame: Frame,
+    names: Sequence[str],
+    localizers: Localizers,
+    settings: Settings,
+    clock: Stopwatch,
+    passing_over: bool = False,
 ) -> LocalizationOut:
     """The best answer of the named maps: the surest pose, or the likeliest where none has a pose.
 
-    With several maps, those whose kind of features or camera does not fit the frame are passed over.
+    With several maps, those whose kind of features or camera does not fit the frame are passed over; if
+    ``passing_over``, also those that cannot be asked for any other reason, as maps that nobody named.
 
     Raises:
         UnknownMap, InvalidMap, InvalidImage, InvalidCamera, InvalidDescriptors, InvalidInput: as the frame deserves;
@@ -75,14 +83,22 @@ def localize_frame(
     """
     clock.stages_ms["queue"] = 1000 * clock.elapsed_s
     deadline_s = frame_deadline_s(frame, settings)
-    chosen = [(name, localizers.get(name)) for name in names]
     features = _Features(frame, settings, clock, deadline_s)
     best: tuple[str, Localizer, Localization] | None = None
     refused: Exception | None = None
-    for name, localizer in chosen:
+    for name in names:
         try:
+            localizer = localizers.get(name)
             found = _localize(frame, localizer, features, deadline_s, clock)
         except (InvalidCamera, InvalidDescriptors) as error:
+            refused = refused or error
+            continue
+        except DeadlineExceeded:
+            raise
+        except Exception as error:
+            if not passing_over:
+                raise
+            _log.warning("map_passed_over", map=name, error=repr(error)[:200])
             refused = refused or error
             continue
         if best is None or (found.localized, found.confidence) > (best[2].localized, best[2].confidence):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 
 from rholoc.localization import Localizer
-from rholoc.maps import Map, MapLibrary
+from rholoc.maps import Map, MapLibrary, check_usable
 
 
 class Localizers:
@@ -40,4 +40,5 @@ class Localizers:
             self._ready.pop(name, None)
 
     def _build(self, map_: Map) -> Localizer:
+        check_usable(map_)
         return Localizer(map_, self._min_confidence)

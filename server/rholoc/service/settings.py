@@ -64,6 +64,9 @@ class Settings(BaseSettings):
         default=2**16, ge=1, description="The largest JSON body, but for a descriptor set: cameras, options, names."
     )
     max_upload_bytes: int = Field(default=4 * 2**30, ge=1, description="The largest upload of a map or a recording.")
+    export_time_limit_s: float = Field(
+        default=300, gt=0, description="How long the export of a map into another format may take."
+    )
     upload_expires_s: float = Field(
         default=24 * 3600, gt=0, description="How long an unfinished upload is kept without a further byte."
     )

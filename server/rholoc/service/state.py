@@ -10,6 +10,7 @@ from fastapi import Depends, Request
 from rholoc.jobs import EmbeddedWorker, JobQueue, RecordingStore, UploadStore
 from rholoc.maps import CameraLibrary, MapLibrary
 from rholoc.service.compute import ComputePool
+from rholoc.service.exports import Exports
 from rholoc.service.localizers import Localizers
 from rholoc.service.metrics import Metrics
 from rholoc.service.renderings import Renderings
@@ -26,6 +27,7 @@ class State:
     localizers: Localizers
     renderings: Renderings
     compute: ComputePool
+    exports: Exports
     metrics: Metrics
     recordings: RecordingStore
     uploads: UploadStore

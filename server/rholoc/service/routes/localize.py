@@ -165,26 +165,29 @@ async def localize_in_maps(
 ) -> LocalizationOut:
     """Asks every map and gives the surest answer, with the map's name."""
     names = list(dict.fromkeys(name.strip() for name in maps.split(",")))
-    if names == ["all"]:
+    every = names == ["all"]
+    if every:
         names = await run_in_threadpool(service.library.readable)
         if not names:
             raise UnknownMap("There is no map yet.", "Upload one, or a recording.")
-    return await _localize(names, request, service, options)
+    return await _localize(names, request, service, options, every)
 
 
-async def _localize(names: list[str], request: Request, service: State, options: OptionParameters) -> LocalizationOut:
+async def _localize(
+    names: list[str], request: Request, service: State, options: OptionParameters, every: bool = False
+) -> LocalizationOut:
     clock = Stopwatch()
     frame = await _frame(request, options.options(), service.settings)
     if frame.options.camera.name is not None:
         profile = await run_in_threadpool(service.cameras.get, frame.options.camera.name)
         frame = replace(frame, stored=profile.camera)
-    for name in names:
+    for name in [] if every else names:
         service.library.stat(name)  # an unknown map is refused before it takes a place in the queue
     deadline_s = frame_deadline_s(frame, service.settings)
     try:
         async with asyncio.timeout(deadline_s - clock.elapsed_s):
             answer = await service.compute.run(
-                lambda: localize_frame(frame, names, service.localizers, service.settings, clock)
+                lambda: localize_frame(frame, names, service.localizers, service.settings, clock, every)
             )
     except (TimeoutError, DeadlineExceeded):
         answer = await _late_answer(names[0], service.localizers, clock)

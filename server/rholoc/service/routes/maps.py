@@ -9,12 +9,13 @@ from typing import Annotated
 
 import numpy as np
 from fastapi import APIRouter, Query, Request, Response
-from fastapi.responses import FileResponse, StreamingResponse
+from fastapi.responses import StreamingResponse
 from starlette.concurrency import run_in_threadpool
 
 from rholoc.errors import (
     Busy,
     Conflict,
+    DeadlineExceeded,
     InvalidCamera,
     InvalidInput,
     InvalidMap,
@@ -30,16 +31,18 @@ from rholoc.errors import (
 from rholoc.features import get_extractor
 from rholoc.geometry import Camera
 from rholoc.jobs import JobKind, JobOptions
+from rholoc.localization import Localizer
 from rholoc.mapping import ExportFormat, export_map, forget_recording, merge_maps, parse_features
 from rholoc.maps import (
     Map,
+    MapInfo,
     MapLibrary,
     check_map_name,
     check_observations,
+    check_usable,
     consistency_m,
     expected_error_m,
     is_coefficient_table,
-    load_map,
     map_to_scene,
     read_coefficient_table,
     trust_of,
@@ -50,6 +53,8 @@ from rholoc.service.access import NEEDS_ADMIN, NEEDS_MAP, NEEDS_READ
 from rholoc.service.bodies import save_body
 from rholoc.service.errors import InvalidRequest
 from rholoc.service.examples import REPORT, sent
+from rholoc.service.exports import LONG_FORMATS, ExportRequest
+from rholoc.service.files import OpenedFile
 from rholoc.service.openapi import BINARY, failures, request_body
 from rholoc.service.renderings import etag_of
 from rholoc.service.routes.jobs import job_out
@@ -104,7 +109,7 @@ async def put_map(map_name: str, request: Request, service: Service, response: R
     new = map_name not in service.library.names()
     try:
         await save_body(request, arrived, service.settings.max_upload_bytes)
-        await run_in_threadpool(_publish, service.library, map_name, arrived)
+        await run_in_threadpool(_publish, service, map_name, arrived)
     finally:
         arrived.unlink(missing_ok=True)
     response.status_code = 201 if new else 200
@@ -149,7 +154,7 @@ async def delete_map(map_name: str, service: Service) -> None:
             "description": "The file.",
             "content": {"application/octet-stream": {"schema": BINARY}},
         },
-        **failures(*_FAILURES, InvalidInput, InvalidRequest, Busy),
+        **failures(*_FAILURES, InvalidInput, InvalidRequest, Busy, DeadlineExceeded),
     },
 )
 async def download_map(
@@ -171,11 +176,14 @@ async def download_map(
     service.library.stat(map_name)
     headers = {"Content-Disposition": f'attachment; filename="{map_name}{format.ending}"'}
     if format is ExportFormat.RHO and degree is None and features is None:
-        return FileResponse(service.library.path(map_name), headers=headers, media_type=format.media_type)
+        return await run_in_threadpool(_opened, service.library, map_name, {**headers, "Cache-Control": "no-store"})
     if format is ExportFormat.PNG:
         rendered = await service.renderings.get(map_name, Rendering.PREVIEW)
         return Response(rendered.content, headers=headers, media_type=format.media_type)
     chosen = None if features is None else parse_features(features)
+    if format in LONG_FORMATS:
+        wanted = ExportRequest(service.library.path(map_name), map_name, format, degree, chosen)
+        return await service.exports.answer(wanted, headers)
     map_ = await run_in_threadpool(service.library.get, map_name)
     pieces = await service.compute.run(lambda: export_map(map_, format, title=map_name, degree=degree, features=chosen))
     return StreamingResponse(pieces, headers=headers, media_type=format.media_type)
@@ -385,7 +393,10 @@ def _list(library: MapLibrary) -> MapList:
 
 
 def _summary(library: MapLibrary, name: str) -> dict[str, object]:
-    map_ = library.get(name)
+    return _summary_of(name, library.get(name), library.stat(name).size_bytes)
+
+
+def _summary_of(name: str, map_: Map, size_bytes: int) -> dict[str, object]:
     info = map_.info
     trust = trust_of(info)
     return {
@@ -399,7 +410,7 @@ def _summary(library: MapLibrary, name: str) -> dict[str, object]:
         "created": info.created,
         "landmarks": len(map_),
         "views": len(map_.view_times),
-        "size_bytes": library.stat(name).size_bytes,
+        "size_bytes": size_bytes,
         "trusted": trust.trusted,
         "trust_reason": trust.reason,
         "expected_error_m": expected_error_m(info),
@@ -409,18 +420,20 @@ def _summary(library: MapLibrary, name: str) -> dict[str, object]:
 
 
 def _detail(library: MapLibrary, name: str) -> MapDetail:
-    map_ = library.get(name)
+    return _detail_of(name, library.get(name), library.stat(name).size_bytes, library.previous(name))
+
+
+def _detail_of(name: str, map_: Map, size_bytes: int, before: MapInfo | None) -> MapDetail:
     bounds = None
     if len(map_):
         bounds = [map_.landmarks.min(axis=0).tolist(), map_.landmarks.max(axis=0).tolist()]
-    before = library.previous(name)
     fields = {
         "sources": map_.info.sources,
         "waypoints": map_.info.waypoints,
         "bounds_m": bounds,
         "previous": None if before is None else {"id": before.id, "version": before.version, "created": before.created},
     }
-    return MapDetail.model_validate({**_summary(library, name), **fields})
+    return MapDetail.model_validate({**_summary_of(name, map_, size_bytes), **fields})
 
 
 def _camera(camera: Camera) -> CameraIn:
@@ -435,10 +448,30 @@ def _camera(camera: Camera) -> CameraIn:
     )
 
 
-def _publish(library: MapLibrary, name: str, arrived: Path) -> None:
-    """Put a file into the library, if this service can localize in it."""
-    table = is_coefficient_table(arrived)
-    map_ = read_coefficient_table(arrived, f"{name}.csv") if table else load_map(arrived, f"{name}.rho")
+def _opened(library: MapLibrary, name: str, headers: dict[str, str]) -> OpenedFile:
+    try:
+        return OpenedFile(library.path(name), headers, ExportFormat.RHO.media_type)
+    except FileNotFoundError:
+        library.stat(name)  # which says that there is no such map; else it came back meanwhile
+        raise Conflict(f"The map {name} was replaced meanwhile.", "Try again.") from None
+
+
+def _publish(service: State, name: str, arrived: Path) -> None:
+    """Put a file into the library, if all that is done with maps here can be done with it."""
+
+    def check(map_: Map) -> None:
+        _check_features(map_)
+        _rehearse(map_, name, arrived.stat().st_size, service.settings.min_confidence)
+
+    if is_coefficient_table(arrived):
+        map_ = read_coefficient_table(arrived, f"{name}.csv")
+        check(map_)
+        service.library.put(name, map_)
+    else:
+        service.library.put_file(name, arrived, check)
+
+
+def _check_features(map_: Map) -> None:
     hint = "Build the map with one of this version's extractors."
     try:
         extractor = get_extractor(map_.info.features)
@@ -446,7 +479,21 @@ def _publish(library: MapLibrary, name: str, arrived: Path) -> None:
         raise InvalidMap(error.message, hint) from error
     if map_.descriptors.shape[1] != extractor.descriptor_bytes or not np.isin(map_.channels, extractor.channels).all():
         raise InvalidMap(f"The map's descriptors are not '{extractor.name}' features.", hint)
-    if table:
-        library.put(name, map_)
-    else:
-        library.put_file(name, arrived)
+
+
+def _rehearse(map_: Map, name: str, size_bytes: int, min_confidence: float) -> None:
+    """Do with a map what requests for it will need, before they do.
+
+    Raises:
+        InvalidMap: some of it cannot be done.
+    """
+    check_usable(map_)
+    try:
+        _detail_of(name, map_, size_bytes, None).model_dump_json()
+        info = map_.info
+        MapReportOut(map=name, map_id=info.id, map_version=info.version, report=info.report).model_dump_json()
+        Localizer(map_, min_confidence)
+    except RholocError as error:
+        raise InvalidMap(f"The map cannot be used: {error.message}", error.hint) from error
+    except (ValueError, TypeError, ArithmeticError, LookupError, RecursionError) as error:
+        raise InvalidMap(f"The map cannot be used: {error}.", "Build it again, or take another copy.") from error

@@ -1,0 +1,45 @@
+"""Exports that take long, in a process of their own: it can be killed, and whoever localizes does not wait for it.
+
+One JSON object on the standard input says what to export; the file comes out on the standard output. What the map or an
+option does not allow is one JSON object on the standard error, with exit status 3.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from pathlib import Path
+
+from rholoc.errors import RholocError
+from rholoc.mapping.export import ExportFormat, export_map
+from rholoc.maps import load_map
+
+REFUSED = 3  # exit status
+_NICENESS = 10  # requests of localization come first
+
+
+def main() -> int:
+    """Write the export that is asked for; the exit status."""
+    os.nice(_NICENESS)
+    wanted = json.loads(sys.stdin.buffer.readline())
+    try:
+        map_ = load_map(Path(wanted["source"]), wanted["title"])
+        for piece in export_map(
+            map_,
+            ExportFormat(wanted["format"]),
+            title=wanted["title"],
+            degree=wanted["degree"],
+            features=wanted["features"],
+        ):
+            sys.stdout.buffer.write(piece)
+        sys.stdout.buffer.flush()
+    except RholocError as error:
+        told = {"code": error.code, "message": error.message, "hint": error.hint}
+        sys.stderr.write(json.dumps(told) + "\n")
+        return REFUSED
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,164 @@
+"""Exports of maps that take long: each made by a process that ends when nobody waits for it any more."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import sys
+from collections.abc import AsyncIterator, Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+from starlette.responses import StreamingResponse
+from starlette.types import Receive, Scope, Send
+
+from rholoc.errors import Busy, DeadlineExceeded, InvalidInput, InvalidMap
+from rholoc.mapping import ExportFormat
+from rholoc.mapping.export_process import REFUSED
+
+LONG_FORMATS = frozenset({ExportFormat.CSV, ExportFormat.SURFACES})
+_AT_ONCE = 1
+_MAX_WAITING = 8
+_PIECE_BYTES = 2**16
+_RETRY_AFTER_S = 10.0
+
+
+@dataclass(frozen=True)
+class ExportRequest:
+    """What to export: see :func:`rholoc.mapping.export_map`.
+
+    Attributes:
+        source: the map's file.
+        title: what the map is called.
+        format: into what.
+        degree: of CSV.
+        features: of surfaces.
+    """
+
+    source: Path
+    title: str
+    format: ExportFormat
+    degree: int | None = None
+    features: Sequence[int] | None = None
+
+    def to_json(self) -> bytes:
+        """As the process reads it."""
+        features = None if self.features is None else list(self.features)
+        members = {"source": str(self.source.resolve()), "title": self.title, "format": self.format}
+        return json.dumps({**members, "degree": self.degree, "features": features}).encode() + b"\n"
+
+
+class Exports:
+    """Makes exports, one at a time. Used from the event loop's thread alone."""
+
+    def __init__(self, time_limit_s: float) -> None:
+        self._time_limit_s = time_limit_s
+        self._turn = asyncio.Semaphore(_AT_ONCE)
+        self._open = 0
+
+    async def answer(self, wanted: ExportRequest, headers: dict[str, str]) -> StreamingResponse:
+        """The answer that streams an export; its beginning is there when this returns.
+
+        Raises:
+            InvalidMap, InvalidInput: the map or an option does not allow it.
+            Busy: too many others wait, or the process was killed.
+            DeadlineExceeded: it takes longer than the limit.
+        """
+        if self._open > _MAX_WAITING:
+            raise Busy("Very many maps are being exported.", "Try again after Retry-After.", _RETRY_AFTER_S)
+        self._open += 1
+        export = _Export(self._time_limit_s)
+        try:
+            await self._turn.acquire()
+            try:
+                await export.begin(wanted)
+            except BaseException:
+                self._turn.release()
+                raise
+        except BaseException:
+            self._open -= 1
+            await export.close()
+            raise
+        return _ExportAnswer(export, self._ended, headers, wanted.format.media_type)
+
+    def _ended(self) -> None:
+        self._open -= 1
+        self._turn.release()
+
+
+class _Export:
+    """One process and what comes out of it."""
+
+    def __init__(self, time_limit_s: float) -> None:
+        self._last_s = 0.0
+        self._time_limit_s = time_limit_s
+        self._first = b""
+        self._process: asyncio.subprocess.Process | None = None
+
+    async def begin(self, wanted: ExportRequest) -> None:
+        """Start the process and wait for its first bytes."""
+        pipe = asyncio.subprocess.PIPE
+        command = (sys.executable, "-m", "rholoc.mapping.export_process")
+        self._last_s = asyncio.get_running_loop().time() + self._time_limit_s
+        self._process = process = await asyncio.create_subprocess_exec(*command, stdin=pipe, stdout=pipe, stderr=pipe)
+        assert process.stdin is not None
+        with suppress(ConnectionError):
+            process.stdin.write(wanted.to_json())
+            await process.stdin.drain()
+        self._first = await self._read()
+        if not self._first:
+            assert process.stderr is not None
+            complaint = await process.stderr.read()
+            if await process.wait() == REFUSED:
+                told = json.loads(complaint.splitlines()[-1])
+                kind = InvalidMap if told["code"] == InvalidMap.code else InvalidInput
+                raise kind(told["message"], told["hint"])
+            if process.returncode:
+                raise Busy("The process that exports was killed.", "Try again after Retry-After.", _RETRY_AFTER_S)
+
+    async def pieces(self) -> AsyncIterator[bytes]:
+        """What comes out, from the beginning."""
+        piece = self._first
+        while piece:
+            yield piece
+            piece = await self._read()
+        assert self._process is not None
+        if await self._process.wait():
+            raise ConnectionError("the process that exports was killed")  # breaks off the answer, so that it shows
+
+    async def _read(self) -> bytes:
+        assert self._process is not None
+        assert self._process.stdout is not None
+        try:
+            async with asyncio.timeout_at(self._last_s):
+                return await self._process.stdout.read(_PIECE_BYTES)
+        except TimeoutError:
+            hint = "Ask for fewer densities, or raise RHOLOC_EXPORT_TIME_LIMIT_S."
+            raise DeadlineExceeded(f"The export takes longer than {self._time_limit_s:g} s.", hint) from None
+
+    async def close(self) -> None:
+        """End the process, if it has not ended by itself."""
+        if self._process is None:
+            return
+        if self._process.returncode is None:
+            with suppress(ProcessLookupError):
+                self._process.kill()
+        with suppress(ConnectionError):
+            await self._process.communicate()  # which closes what leads to it
+
+
+class _ExportAnswer(StreamingResponse):
+    """Ends the export with the answer, however that ends."""
+
+    def __init__(self, export: _Export, ended: Callable[[], None], headers: dict[str, str], media_type: str) -> None:
+        super().__init__(export.pieces(), headers=headers, media_type=media_type)
+        self._export = export
+        self._ended = ended
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        try:
+            await super().__call__(scope, receive, send)
+        finally:
+            self._ended()
+            await asyncio.shield(self._export.close())
