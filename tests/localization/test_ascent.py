@@ -8,11 +8,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from rholoc.density import Evidence, RayDensities
 from rholoc.geometry import Pose, pose_matrix
 from rholoc.localization import Dof
-from rholoc.localization.ascent import Evidence, ascend, covariance_at, gains, gradient, sharpen
+from rholoc.localization.ascent import ascend, covariance_at, gains, gradient, sharpen
 
 FOCAL_PX = 500.0
+RAY = RayDensities()
 TRUTH = Pose.from_heading(np.array([0.3, -0.2, 1.5]), np.array([0.9, 0.3, -0.1])).T_map_camera
 
 
@@ -25,7 +27,7 @@ def _evidence(seed: int, count: int = 80, false: int = 0, noise_px: float = 0.0)
     landmarks[:false] += rng.normal(size=(false, 3))
     covariances = np.tile(np.eye(3) * 0.002**2, (count, 1, 1))
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
-    return Evidence.of(rays, landmarks, covariances, np.full(count, 0.5), FOCAL_PX)
+    return Evidence.of(np.arange(count), rays, landmarks, covariances, np.full(count, 0.5), FOCAL_PX)
 
 
 def _moved(step: np.ndarray) -> np.ndarray:
@@ -38,7 +40,7 @@ def test_the_gradient_agrees_with_finite_differences(seed: int, power: int) -> N
     evidence = _evidence(seed, count=12)
     here = np.random.default_rng(seed).normal(size=6) * 0.004
     T, step, tolerance_px = _moved(here), 1e-6, 40.0
-    found = gradient(evidence, T, tolerance_px, power)
+    found = gradient(RAY, evidence, T, tolerance_px, power)
 
     def value(delta: np.ndarray) -> float:
         R = Rotation.from_rotvec(delta[3:]).as_matrix() @ T[:3, :3]
@@ -73,11 +75,11 @@ def test_its_last_steps_suit_errors_with_long_tails() -> None:
         aside = np.random.default_rng(seed).standard_t(2, (150, 2)) * 0.5 / FOCAL_PX
         rays = exact.rays + np.einsum("mir,mr->mi", exact.across, aside)
         rays /= np.linalg.norm(rays, axis=1, keepdims=True)
-        evidence = Evidence.of(rays, exact.landmarks, exact.covariances, np.full(150, 0.5), FOCAL_PX)
-        climbed = ascend(evidence, TRUTH, (8.0, 4.0), Dof.FREE)
+        evidence = Evidence.of(exact.features, rays, exact.landmarks, exact.covariances, np.full(150, 0.5), FOCAL_PX)
+        climbed = ascend(RAY, evidence, TRUTH, (8.0, 4.0), Dof.FREE)
         for name, optimum in (
             ("climbed", climbed),
-            ("sharpened", sharpen(evidence, climbed, np.arange(150), 4.0, Dof.FREE)),
+            ("sharpened", sharpen(RAY, evidence, climbed, np.arange(150), 4.0, Dof.FREE)),
         ):
             apart_m[name].append(float(np.linalg.norm((optimum.T_map_camera - TRUTH)[:3, 3])))
     assert np.median(apart_m["sharpened"]) < 0.8 * np.median(apart_m["climbed"])
@@ -87,7 +89,7 @@ def test_its_last_steps_suit_errors_with_long_tails() -> None:
 def test_it_climbs_to_the_truth_through_false_matches(dof: Dof) -> None:
     evidence = _evidence(1, false=40)
     start = _moved(np.array([0.05, -0.04, 0.03, 0.02, -0.02, 0.03]))
-    optimum = ascend(evidence, start, (40.0, 20.0, 8.0, 4.0, 2.0), dof)
+    optimum = ascend(RAY, evidence, start, (40.0, 20.0, 8.0, 4.0, 2.0), dof)
     np.testing.assert_allclose(optimum.T_map_camera, TRUTH, atol=1e-4)
     assert (optimum.density[40:] > 0.9).all()
 
@@ -98,19 +100,20 @@ def test_a_roll_that_the_matches_do_not_show_is_none() -> None:
     ahead = evidence.take(np.argsort(-evidence.rays[:, 2])[:1])
     start = Pose(TRUTH)
     rolled = Pose.from_heading(start.position, start.heading, 0.1).T_map_camera
-    optimum = ascend(ahead, rolled, (400.0,), Dof.UPRIGHT, iterations=10)
+    optimum = ascend(RAY, ahead, rolled, (400.0,), Dof.UPRIGHT, iterations=10)
     assert Pose(optimum.T_map_camera).roll == pytest.approx(0, abs=1e-3)
 
 
 def test_ascending_never_lowers_the_value() -> None:
     evidence, start = _evidence(3, false=20, noise_px=1.0), _moved(np.full(6, 0.01))
-    optimum = ascend(evidence, start, (10.0,), Dof.FREE, iterations=10)
+    optimum = ascend(RAY, evidence, start, (10.0,), Dof.FREE, iterations=10)
     assert optimum.value >= gains(evidence, start[None], 10.0)[0]
 
 
 def test_more_matches_make_the_covariance_smaller() -> None:
     few, many = _evidence(4, count=20, noise_px=1.0), _evidence(4, count=200, noise_px=1.0)
     sizes = [
-        np.trace(covariance_at(evidence, ascend(evidence, TRUTH, (4.0,), Dof.FREE), 4.0)) for evidence in (few, many)
+        np.trace(covariance_at(evidence, ascend(RAY, evidence, TRUTH, (4.0,), Dof.FREE), 4.0))
+        for evidence in (few, many)
     ]
     assert sizes[1] < sizes[0] / 3

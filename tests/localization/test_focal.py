@@ -7,9 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from rholoc.density import Evidence
 from rholoc.geometry import Pose
 from rholoc.localization import Cause, Intrinsics, Localizer, Query
-from rholoc.localization.ascent import Evidence, ascend_with_focal
+from rholoc.localization.ascent import ascend_with_focal
 from rholoc.localization.types import Dof
 from rholoc.maps import Map
 
@@ -84,9 +85,8 @@ def test_the_ascent_finds_the_focal_length(point_room: Any) -> None:
     landmarks = rng.uniform(-2, 2, (200, 3)) @ truth.R_map_camera.T + truth.position + 4 * truth.heading
     pixels = point_room.camera.project((landmarks - truth.position) @ truth.R_map_camera)
     wrong = point_room.camera.zoomed(1.15)
-    evidence = Evidence.of(
-        wrong.rays(pixels), landmarks, np.tile(1e-8 * np.eye(3), (200, 1, 1)), np.full(200, 0.9), wrong.focal
-    )
+    spread, chances = np.tile(1e-8 * np.eye(3), (200, 1, 1)), np.full(200, 0.9)
+    evidence = Evidence.of(np.arange(200), wrong.rays(pixels), landmarks, spread, chances, wrong.focal)
     optimum, scale, _ = ascend_with_focal(evidence, truth.T_map_camera, (80.0, 40.0, 10.0, 4.0), Dof.FREE, 20)
     assert scale == pytest.approx(1 / 1.15, rel=1e-3)
     assert np.linalg.norm(optimum.T_map_camera[:3, 3] - truth.position) < 0.005

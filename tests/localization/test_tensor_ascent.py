@@ -5,26 +5,26 @@ The layers forbid localization to import mapping; its tests may, as only a fitte
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from rholoc.geometry import FloatArray, Pose, pose_matrix
+from rholoc.density import DensityKind, Evidence, TensorDensities
+from rholoc.geometry import FloatArray, Pose
 from rholoc.localization import Dof, Localizer, Query
-from rholoc.localization.ascent import Evidence
+from rholoc.localization.ascent import ascend, gradient, moved
 from rholoc.localization.map_index import MapIndex
-from rholoc.localization.matches import Matches
-from rholoc.localization.tensor_ascent import TensorIndex, ascend_tensors, tensor_gradient
 from rholoc.localization.verification import evidence_of
-from rholoc.mapping.tensor_fit import fit_map_tensors
+from rholoc.mapping.fitting import fit_densities
 from rholoc.maps import Map
 
 
 @pytest.fixture(scope="module")
 def tensor_map(room_map: Map) -> Map:
-    return fit_map_tensors(room_map)
+    return fit_densities(room_map, DensityKind.TENSOR)
 
 
 @pytest.fixture(scope="module")
@@ -32,16 +32,18 @@ def tensor_localizer(tensor_map: Map) -> Localizer:
     return Localizer(tensor_map)
 
 
-def _near(index: MapIndex, point_room: Any, truth: Pose, seed: int) -> tuple[TensorIndex, Matches, Evidence]:
+def _near(index: MapIndex, point_room: Any, truth: Pose, seed: int) -> tuple[TensorDensities, Evidence]:
     query = Query(point_room.see(truth, seed), point_room.camera, Dof.FREE)
     matches, _ = index.match_near(query.features, query.camera, truth.T_map_camera, 14.0)
     evidence = evidence_of(index, matches, query.camera.rays(query.features.pixels), query.camera)
-    assert index.tensors is not None
-    return index.tensors, matches, evidence
+    assert isinstance(index.map.densities, TensorDensities)
+    return index.map.densities, evidence
 
 
-def _moved(T: FloatArray, motion: FloatArray) -> FloatArray:
-    return pose_matrix(Rotation.from_rotvec(motion[3:]).as_matrix() @ T[:3, :3], T[:3, 3] + motion[:3])
+def _value(densities: TensorDensities, evidence: Evidence, T: FloatArray, tolerance_px: float) -> float:
+    """Σ log(ε + ρ) of the matches that are heard at a pose."""
+    local = densities.near(evidence, T, tolerance_px)
+    return float(np.log(evidence.epsilon[local.matches] + local.at(T, tolerance_px).density).sum())
 
 
 @pytest.mark.parametrize("dof", list(Dof))
@@ -74,66 +76,64 @@ def test_the_gradient_is_the_limit_of_differences(tensor_localizer: Localizer, p
     rng = np.random.default_rng(2)
     step = 1e-4
     for seed, truth in enumerate(point_room.walk(4)):
-        index, matches, evidence = _near(tensor_localizer.index, point_room, truth, seed)
-        T = _moved(truth.T_map_camera, rng.normal(0, [0.01] * 3 + [0.004] * 3))
-        _, gradient = tensor_gradient(index, matches, evidence, T, 12.0)
+        densities, evidence = _near(tensor_localizer.index, point_room, truth, seed)
+        T = moved(truth.T_map_camera, rng.normal(0, [0.01] * 3 + [0.004] * 3))
+        found = gradient(densities, evidence, T, 12.0)
         # along directions that keep each landmark's distance, on which the tolerance depends, a rotation does
         for unit in np.eye(6)[3:]:
-            after, _ = tensor_gradient(index, matches, evidence, _moved(T, step * unit), 12.0)
-            before, _ = tensor_gradient(index, matches, evidence, _moved(T, -step * unit), 12.0)
-            assert gradient @ unit == pytest.approx((after - before) / (2 * step), rel=0.02, abs=1.0)
+            after = _value(densities, evidence, moved(T, step * unit), 12.0)
+            before = _value(densities, evidence, moved(T, -step * unit), 12.0)
+            assert found @ unit == pytest.approx((after - before) / (2 * step), rel=0.02, abs=1.0)
 
 
 def test_the_ascent_ends_where_the_gradient_vanishes(tensor_localizer: Localizer, point_room: Any) -> None:
     for seed, truth in enumerate(point_room.walk(4)):
-        index, matches, evidence = _near(tensor_localizer.index, point_room, truth, seed)
-        start = _moved(truth.T_map_camera, np.array([0.01, -0.01, 0.01, 0.003, -0.002, 0.002]))
-        optimum = ascend_tensors(index, matches, evidence, start, (14.0, 7.0, 7.0, 7.0, 7.0), Dof.FREE)
-        _, at_start = tensor_gradient(index, matches, evidence, start, 7.0)
-        value, at_end = tensor_gradient(index, matches, evidence, optimum.T_map_camera, 7.0)
+        densities, evidence = _near(tensor_localizer.index, point_room, truth, seed)
+        start = moved(truth.T_map_camera, np.array([0.01, -0.01, 0.01, 0.003, -0.002, 0.002]))
+        optimum = ascend(densities, evidence, start, (14.0, 7.0, 7.0, 7.0, 7.0), Dof.FREE)
+        at_start = gradient(densities, evidence, start, 7.0)
+        at_end = gradient(densities, evidence, optimum.T_map_camera, 7.0)
+        value = _value(densities, evidence, optimum.T_map_camera, 7.0)
         assert np.linalg.norm(at_end) < 0.02 * np.linalg.norm(at_start)
         for unit in np.eye(6):
             for way in (0.02, -0.02):
-                assert (
-                    tensor_gradient(index, matches, evidence, _moved(optimum.T_map_camera, way * unit), 7.0)[0] < value
-                )
+                assert _value(densities, evidence, moved(optimum.T_map_camera, way * unit), 7.0) < value
 
 
 def test_false_matches_do_not_draw_the_pose(tensor_localizer: Localizer, point_room: Any) -> None:
     truth = point_room.walk(5)[2]
-    index, matches, evidence = _near(tensor_localizer.index, point_room, truth, 1)
+    densities, evidence = _near(tensor_localizer.index, point_room, truth, 1)
     rng = np.random.default_rng(0)
-    false = rng.random(len(matches)) < 0.4
-    landmarks = np.where(false, rng.permutation(matches.landmarks), matches.landmarks)
-    mixed = Matches(matches.detections, landmarks, matches.chances)
+    false = rng.random(len(evidence)) < 0.4
+    landmarks = np.where(false, rng.permutation(evidence.features), evidence.features)
     at = tensor_localizer.index
-    evidence = Evidence.of(
-        evidence.rays, at.landmarks[landmarks], at.covariances[landmarks], mixed.chances, point_room.camera.focal
+    mixed = replace(
+        evidence, features=landmarks, landmarks=at.landmarks[landmarks], covariances=at.covariances[landmarks]
     )
-    start = _moved(truth.T_map_camera, np.array([0.03, 0.03, -0.02, 0.01, 0.0, -0.01]))
-    optimum = ascend_tensors(index, mixed, evidence, start, (14.0, 7.0, 4.0), Dof.FREE)
+    start = moved(truth.T_map_camera, np.array([0.03, 0.03, -0.02, 0.01, 0.0, -0.01]))
+    optimum = ascend(densities, mixed, start, (14.0, 7.0, 4.0), Dof.FREE)
     assert np.linalg.norm(optimum.T_map_camera[:3, 3] - truth.position) < 0.02
-    assert not np.any(optimum.density[false & (landmarks != matches.landmarks)] > 0.9)
+    assert not np.any(optimum.density[false & (landmarks != evidence.features)] > 0.9)
 
 
 def test_features_speak_only_where_a_density_is_valid(tensor_localizer: Localizer, point_room: Any) -> None:
-    index = tensor_localizer.index.tensors
-    assert index is not None
+    densities = tensor_localizer.map.densities
+    assert isinstance(densities, TensorDensities)
     truth = point_room.walk(5)[2]
     every = np.arange(len(tensor_localizer.map))
-    chosen, rows = index.choose(every, truth.T_map_camera)
+    chosen, rows = densities.choose(every, truth.T_map_camera)
     assert 0 < len(chosen) < len(every)
-    assert index.densities.valid_at(truth.position, truth.heading, rows).all()
+    assert densities.valid_at(truth.position, truth.heading, rows).all()
     far = Pose.from_heading(truth.position + 100.0, truth.heading)
-    assert len(index.choose(every, far.T_map_camera)[0]) == 0
-    nowhere = Matches(every[:9], every[:9], np.full(9, 0.5))
+    assert len(densities.choose(every, far.T_map_camera)[0]) == 0
     evidence = Evidence.of(
+        every[:9],
         np.tile([0.0, 0.0, 1.0], (9, 1)),
         tensor_localizer.index.landmarks[:9],
         tensor_localizer.index.covariances[:9],
-        nowhere.chances,
+        np.full(9, 0.5),
         520.0,
     )
-    stayed = ascend_tensors(index, nowhere, evidence, far.T_map_camera, (14.0, 7.0), Dof.FREE)
+    stayed = ascend(densities, evidence, far.T_map_camera, (14.0, 7.0), Dof.FREE)
     np.testing.assert_allclose(stayed.T_map_camera, far.T_map_camera, atol=1e-9)
     assert stayed.value == 0

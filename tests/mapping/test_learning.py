@@ -18,8 +18,8 @@ from rholoc.features import FeatureSet
 from rholoc.geometry import ByteArray, FloatArray, IntArray, Pose
 from rholoc.localization import Dof, Localizer, Query
 from rholoc.mapping import forget_recording, learning, merge_maps, update_map
+from rholoc.mapping.fitting import fit_densities
 from rholoc.mapping.merging import moved_map
-from rholoc.mapping.tensor_fit import fit_map_tensors
 from rholoc.maps import DensityKind, Map, check_observations, load_map, save_map
 from rholoc.maps.validation import ARRAY_NAMES
 from rholoc.recordings import GivenPoses, Recording
@@ -182,10 +182,10 @@ def test_forgetting_undoes_an_update(walks: Walks) -> None:
 
 
 def test_a_tensor_map_goes_on_learning_and_forgets(walks: Walks) -> None:
-    tensor = fit_map_tensors(walks.map_, 1)
+    tensor = fit_densities(walks.map_, DensityKind.TENSOR, 1)
     updated = update_map(tensor, walks.recording)
     assert updated.info.density is DensityKind.TENSOR
-    assert len(np.unique(updated.fitted.features)) == len(updated) > len(tensor)
+    assert len(np.unique(updated.densities.features)) == len(updated) > len(tensor)
     assert forget_recording(updated, "walk-2").info.density is DensityKind.TENSOR
 
 

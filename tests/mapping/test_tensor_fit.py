@@ -5,12 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from rholoc.density.places import gather_places
 from rholoc.errors import InvalidInput
 from rholoc.features import Metric
 from rholoc.mapping import BuildOptions, build_map
+from rholoc.mapping.fitting import fit_densities
 from rholoc.mapping.landmarks import representative_rows, select_stable, triangulate
 from rholoc.mapping.observations import Views, link_observations
-from rholoc.mapping.tensor_fit import fit_map_tensors, gather_places
 from rholoc.maps import DensityKind, Map, MapInfo
 from rholoc.progress import Stage
 
@@ -50,8 +51,10 @@ def test_a_feature_seen_only_once_still_has_a_place() -> None:
 
 def test_every_feature_has_a_density_that_is_valid_where_it_was_seen(ray_map: Map) -> None:
     heard: list[tuple[Stage, float]] = []
-    map_ = fit_map_tensors(ray_map, progress=lambda stage, fraction, message="": heard.append((stage, fraction)))
-    densities = map_.fitted
+    map_ = fit_densities(
+        ray_map, DensityKind.TENSOR, progress=lambda stage, fraction, message="": heard.append((stage, fraction))
+    )
+    densities = map_.densities
     assert densities is not None
     assert map_.info.density is DensityKind.TENSOR
     assert set(densities.features) == set(range(len(ray_map)))
@@ -65,7 +68,7 @@ def test_every_feature_has_a_density_that_is_valid_where_it_was_seen(ray_map: Ma
 
 @pytest.mark.parametrize("degree", [1, 2, 3])
 def test_the_degree_is_as_asked(ray_map: Map, degree: int) -> None:
-    fitted = fit_map_tensors(_few(ray_map), degree).fitted
+    fitted = fit_densities(_few(ray_map), DensityKind.TENSOR, degree).densities
     assert fitted is not None
     assert fitted.degree == degree
 

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from rholoc.density import TensorDensities
 from rholoc.density.polynomial import polynomial_values
 from rholoc.density.ray import squared_ray_distance
 from rholoc.density.tensor import fit_tensors
@@ -25,7 +26,6 @@ _ARRAYS = (
     "descriptor_features",
     "view_times",
 )
-_TENSORS = ("degree", "coefficients", "features", "landmarks", "places", "radii")
 
 
 def _tensor_map(map_: Map, degree: int = 2) -> Map:
@@ -36,7 +36,7 @@ def _tensor_map(map_: Map, degree: int = 2) -> Map:
     landmarks = map_.landmarks[owners].astype(float)
     radii = np.full(len(owners), 1.5)
     fitted = replace(fit_tensors(landmarks, places, radii, degree), features=owners)
-    return replace(map_, info=replace(map_.info, density=DensityKind.TENSOR), fitted=fitted)
+    return replace(map_, info=replace(map_.info, density=DensityKind.TENSOR), densities=fitted)
 
 
 @pytest.fixture(scope="module")
@@ -82,10 +82,9 @@ def test_a_map_reads_back_as_it_was(small_map: Map, tmp_path: Path):
     for name in ("density", "features", "metric", "upright", "camera"):
         assert getattr(again.info, name) == getattr(small_map.info, name)
     np.testing.assert_allclose(again.T_map_camera, small_map.T_map_camera, rtol=0, atol=3e-7)
-    assert (again.fitted is None) == (small_map.fitted is None)
-    if again.fitted is not None and small_map.fitted is not None:
-        for name, mine, written in zip(_TENSORS, astuple(again.fitted), astuple(small_map.fitted), strict=True):
-            np.testing.assert_array_equal(mine, written, err_msg=name)
+    assert type(again.densities) is type(small_map.densities)
+    for mine, written in zip(astuple(again.densities), astuple(small_map.densities), strict=True):
+        np.testing.assert_array_equal(mine, written)
 
 
 def test_a_tensor_maps_rows_are_table_5s(small_tensor_map: Map, tmp_path: Path):
@@ -94,8 +93,8 @@ def test_a_tensor_maps_rows_are_table_5s(small_tensor_map: Map, tmp_path: Path):
     header, *rows = [line.split(",") for line in path.read_text().splitlines()]
     assert header[:2] == ["descriptor", "a_0_0_0_0_0_0_0_0"]
     assert header[6561] == "a_2_2_2_2_2_2_2_2"
-    densities = small_tensor_map.fitted
-    assert densities is not None
+    densities = small_tensor_map.densities
+    assert isinstance(densities, TensorDensities)
     channel, descriptor = small_tensor_map.channels[0], small_tensor_map.descriptors[0]
     assert rows[0][0] == f"{channel:02x}" + bytes(descriptor).hex()
     written = np.array(rows[0][1:6562], dtype=np.float32)
@@ -269,10 +268,10 @@ def test_other_degrees_read_back_too(make_map, degree: int, tmp_path: Path):
     map_ = _tensor_map(make_map(features=6, views=3), degree)
     write_coefficient_table(map_, tmp_path / "small.csv")
     again = read_coefficient_table(tmp_path / "small.csv")
-    assert again.fitted is not None
-    assert map_.fitted is not None
-    np.testing.assert_array_equal(again.fitted.coefficients, map_.fitted.coefficients)
-    assert again.fitted.degree == degree
+    assert isinstance(again.densities, TensorDensities)
+    assert isinstance(map_.densities, TensorDensities)
+    np.testing.assert_array_equal(again.densities.coefficients, map_.densities.coefficients)
+    assert again.densities.degree == degree
 
 
 def test_a_tensor_row_can_be_evaluated_by_its_description_alone(small_tensor_map: Map, tmp_path: Path):

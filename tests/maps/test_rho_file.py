@@ -44,8 +44,9 @@ def assert_same_map(a: Map, b: Map) -> None:
         assert first.dtype == second.dtype
         # rotations are stored as quaternions of float32
         np.testing.assert_allclose(first, second, rtol=0, atol=3e-7 if name == "T_map_camera" else 0)
-    for kept, other in ((a.observations, b.observations), (a.fitted, b.fitted)):
-        assert (kept is None) == (other is None)
+    assert type(a.densities) is type(b.densities)
+    assert (a.observations is None) == (b.observations is None)
+    for kept, other in ((a.observations, b.observations), (a.densities, b.densities)):
         if kept is not None:
             for first, second in zip(astuple(kept), astuple(other), strict=True):
                 np.testing.assert_array_equal(first, second)
@@ -64,7 +65,7 @@ def test_an_empty_map_comes_back(make_map, tmp_path: Path) -> None:
 
 def test_every_array_of_a_map_is_stored() -> None:
     assert {field.name for field in fields(Map)} == {
-        *ARRAY_NAMES, "info", "observations", "view_covariances", "colours", "fitted",
+        *ARRAY_NAMES, "info", "observations", "view_covariances", "colours", "densities",
     }  # fmt: skip
 
 
@@ -131,7 +132,7 @@ def whole_map(make_map) -> Map:
         map_,
         info=replace(map_.info, density=DensityKind.TENSOR, sources=sources),
         observations=observations,
-        fitted=fit_tensors(landmarks, places, np.full(len(map_), 0.5), 2),
+        densities=fit_tensors(landmarks, places, np.full(len(map_), 0.5), 2),
     )
 
 

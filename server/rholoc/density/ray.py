@@ -14,10 +14,18 @@ which add: this is the observation-time estimation that the paper's conclusion w
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
 import numpy as np
+from numpy.typing import NDArray
 
-from rholoc.geometry import FloatArray, IntArray
+from rholoc.density.density import TARGET_RADIUS, Arrays, DensityKind, DensityRows, Sightings, Slopes
+from rholoc.density.evidence import Evidence
+from rholoc.geometry import FloatArray, IntArray, cross
 
+_AGREE = 1e-6  # relative, of written coefficients with those that follow from the landmark
 _ALONG = 1e-9  # relative information along a direction below which a landmark has no place in it
 
 
@@ -56,29 +64,183 @@ def landmarks_from_information(information: FloatArray, eta: FloatArray) -> tupl
 
 def squared_ray_distance(landmarks: FloatArray, bearings: FloatArray, positions: FloatArray) -> FloatArray:
     """d² of landmarks (..., 3) to the rays of bearings (..., 3) from positions (..., 3), m²."""
+    return _along_and_aside(landmarks, bearings, positions)[1]
+
+
+def _along_and_aside(
+    landmarks: FloatArray, bearings: FloatArray, positions: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """How far along the ray a landmark lies, metres, and d², m²."""
     to_landmark = landmarks - positions
     along = np.einsum("...i,...i->...", bearings, to_landmark)
-    return np.asarray(np.einsum("...i,...i->...", to_landmark, to_landmark) - along**2)
+    return along, np.einsum("...i,...i->...", to_landmark, to_landmark) - along**2
 
 
 def ray_density(
     landmarks: FloatArray, bearings: FloatArray, positions: FloatArray, tolerances: FloatArray
 ) -> FloatArray:
     """ρ = max(0, 1 − d²/r²) (...) for tolerances r (...) in metres; 0 for landmarks behind the camera."""
-    density = 1 - squared_ray_distance(landmarks, bearings, positions) / tolerances**2
-    ahead = np.einsum("...i,...i->...", bearings, landmarks - positions) > 0
-    return np.asarray(np.where(ahead, np.maximum(density, 0), 0))
+    along, aside = _along_and_aside(landmarks, bearings, positions)
+    return _density(along, aside, tolerances**2)
+
+
+def _density(along: FloatArray, aside: FloatArray, squared_tolerances: FloatArray) -> FloatArray:
+    return np.asarray(np.where(along > 0, np.maximum(1 - aside / squared_tolerances, 0), 0))
 
 
 def ray_density_gradient(
     landmarks: FloatArray, bearings: FloatArray, positions: FloatArray, tolerances: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """∂ρ/∂b (..., 3) and ∂ρ/∂x (..., 3, 1/m), equation (4); 0 where ρ is 0."""
+    """∂ρ/∂b (..., 3) and ∂ρ/∂x (..., 3, 1/m), equation (4), the tolerances held; of densities above 0."""
     to_landmark = landmarks - positions
     along = np.einsum("...i,...i->...", bearings, to_landmark)[..., None]
-    inside = ray_density(landmarks, bearings, positions, tolerances) > 0
-    scale = np.where(inside, 2 / tolerances**2, 0)[..., None]
+    scale = (2 / tolerances**2)[..., None]
     return scale * along * to_landmark, scale * (to_landmark - along * bearings)
+
+
+def ray_densities(evidence: Evidence, T_map_camera: FloatArray, tolerance_px: float) -> FloatArray:
+    """ρ (H, M) of all matches at poses (H, 4, 4)."""
+    bearings = evidence.rays @ T_map_camera[:, :3, :3].transpose(0, 2, 1)
+    along, aside = _along_and_aside(evidence.landmarks, bearings, T_map_camera[:, None, :3, 3])
+    return _density(along, aside, _squared_tolerances(evidence, along, tolerance_px))
+
+
+def squared_tolerances(evidence: Evidence, T_map_camera: FloatArray, tolerance_px: float) -> FloatArray:
+    """r² (M,) of all matches at a pose (4, 4), m²."""
+    bearings = evidence.rays @ T_map_camera[:3, :3].T
+    along = np.einsum("mi,mi->m", bearings, evidence.landmarks - T_map_camera[:3, 3])
+    return _squared_tolerances(evidence, along, tolerance_px)
+
+
+def _squared_tolerances(evidence: Evidence, along: FloatArray, tolerance_px: float) -> FloatArray:
+    """r² (..., M), m²: the pixel tolerance at the landmark's distance, and the landmark's own variance."""
+    return np.asarray((tolerance_px / evidence.focal_px * along) ** 2 + evidence.variances)
+
+
+@dataclass(frozen=True, eq=False)
+class RayOffsets:
+    """How far M landmarks are aside from the rays that they are matched with, at one pose.
+
+    Attributes:
+        offset: (M, 2) e = Eᵀ R_camera_map (m − x), metres: d² = |e|².
+        jacobian: (M, 2, 6) of e by a small motion of the camera (position, rotation from the left; map frame).
+    """
+
+    offset: FloatArray
+    jacobian: FloatArray
+
+    @classmethod
+    def of(cls, evidence: Evidence, T_map_camera: FloatArray) -> RayOffsets:
+        """Of evidence at a pose (4, 4)."""
+        to_landmark = evidence.landmarks - T_map_camera[:3, 3]
+        across = (T_map_camera[:3, :3] @ evidence.across).transpose(0, 2, 1)  # (M, 2, 3), map frame
+        # ∂e/∂x = −(R E)ᵀ; a rotation δ from the left turns m − x by −δ: ∂e/∂δ = (R E)ᵀ [m − x]×
+        jacobian = np.empty((len(to_landmark), 2, 6))
+        jacobian[:, :, :3] = -across
+        jacobian[:, :, 3:] = cross(across, to_landmark[:, None])
+        return cls(np.einsum("mri,mi->mr", across, to_landmark), jacobian)
+
+
+@dataclass(frozen=True, eq=False)
+class RayDensities:
+    """The ``ray`` densities of a map: a function of its landmarks and their covariances, without more to it."""
+
+    kind: ClassVar[DensityKind] = DensityKind.RAY
+    has_exact_peaks: ClassVar[bool] = True
+    variables: ClassVar[tuple[str, ...]] = ("bx", "by", "bz", "x", "y", "z")
+    degrees: ClassVar[tuple[int, ...]] = (2,)
+    domain_columns: ClassVar[tuple[str, ...]] = ("tolerance",)
+
+    @property
+    def degree(self) -> int:
+        """2, whatever the landmarks."""
+        return 2
+
+    def near(self, evidence: Evidence, T_map_camera: FloatArray, tolerance_px: float) -> LocalRayDensities:
+        """All matches': a ray density is valid everywhere."""
+        return LocalRayDensities(evidence)
+
+    def problem(self, features: int) -> str:
+        """None."""
+        return ""
+
+    def rows(self, sightings: Sightings, variances: FloatArray) -> DensityRows:
+        """One a feature, with the tolerance r of 60 px at the mean distance that it was seen from."""
+        count = len(sightings.landmarks)
+        away = np.linalg.norm(sightings.positions - sightings.landmarks[sightings.features], axis=1)
+        seen = np.bincount(sightings.features, minlength=count)
+        total = np.bincount(sightings.features, weights=away, minlength=count)
+        distance = np.where(seen > 0, total / np.maximum(seen, 1), 1.0)
+        tolerances = np.sqrt((TARGET_RADIUS * distance) ** 2 + variances)
+        return DensityRows(np.arange(count), tolerances[:, None].astype(np.float32))
+
+    def coefficients_of(self, row: int, landmark: FloatArray, domain: FloatArray) -> FloatArray:
+        """All 729 of the density of a landmark (3,) with the tolerance in ``domain`` (1,)."""
+        return np.asarray(ray_coefficients(landmark[None].astype(np.float64), domain.astype(np.float64))[0])
+
+    @classmethod
+    def kept_coefficients(
+        cls, coefficients: FloatArray, degree: int, landmark: FloatArray, domain: FloatArray
+    ) -> FloatArray:
+        """None of them: they follow from the landmark and the tolerance.
+
+        Raises:
+            ValueError: these do not.
+        """
+        if domain[0] <= 0:
+            raise ValueError("has a tolerance that is not positive")
+        exact = ray_coefficients(landmark[None], domain)[0]
+        if np.abs(coefficients - exact).max() > _AGREE * np.abs(exact).max():
+            raise ValueError("has coefficients that contradict its landmark and tolerance")
+        return coefficients[:0]
+
+    @classmethod
+    def from_rows(
+        cls, degree: int, rows: DensityRows, landmarks: FloatArray, kept: Sequence[FloatArray]
+    ) -> RayDensities:
+        """The densities; the landmarks say everything."""
+        return cls()
+
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """None."""
+        return {}
+
+    @classmethod
+    def from_arrays(cls, arrays: Arrays, landmarks: FloatArray) -> RayDensities:
+        """The densities; there is nothing to read."""
+        return cls()
+
+    @classmethod
+    def fit(cls, sightings: Sightings, degree: int, progress: Callable[[float, str], None]) -> RayDensities:
+        """The densities; there is nothing to fit."""
+        return cls()
+
+
+@dataclass(frozen=True, eq=False)
+class LocalRayDensities:
+    """The ``ray`` densities of all matches of some evidence."""
+
+    evidence: Evidence
+
+    @property
+    def matches(self) -> IntArray:
+        """(M,) all of them."""
+        return np.arange(len(self.evidence))
+
+    def at(self, T_map_camera: FloatArray, tolerance_px: float) -> Slopes:
+        """ρ and its slopes at a pose (4, 4), d being d²/r²."""
+        evidence, x = self.evidence, T_map_camera[:3, 3]
+        bearings = evidence.rays @ T_map_camera[:3, :3].T
+        along, aside = _along_and_aside(evidence.landmarks, bearings, x)
+        allowed = _squared_tolerances(evidence, along, tolerance_px)
+        density = _density(along, aside, allowed)
+        inside = np.flatnonzero(density > 0)
+        some, b, r = evidence.take(inside), bearings[inside], np.sqrt(allowed[inside])
+        by_bearing, by_position = ray_density_gradient(some.landmarks, b, x, r)
+        # a rotation δ from the left moves b by δ × b
+        gradient = -np.concatenate([by_position, cross(b, by_bearing)], axis=1)
+        roots = RayOffsets.of(some, T_map_camera).jacobian / r[:, None, None]
+        return Slopes(density, inside, gradient, roots)
 
 
 def ray_coefficients(landmarks: FloatArray, tolerances: FloatArray) -> FloatArray:

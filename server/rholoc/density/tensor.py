@@ -28,22 +28,29 @@ of two in (u, v), or in (x, y, z), come out zero and are not kept.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
+from typing import Any, ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
+from rholoc.density.density import TARGET_RADIUS, Arrays, DensityKind, DensityRows, Sightings, Slopes
+from rholoc.density.evidence import Evidence
+from rholoc.density.places import Places
 from rholoc.density.polynomial import monomial_derivatives, monomials, power_factors, tensor_powers
 from rholoc.geometry import BoolArray, FloatArray, IntArray
 
 DEGREES = (1, 2, 3)
-TARGET_RADIUS = 60 / 525  # r on the plane z = 1: 60 px of a camera with a focal length of 525 px
 HEADING_LIMIT_RAD = math.radians(50.0)
-VARIABLES = ("u", "v", "x", "y", "z", "hx", "hy", "hz")
 _VIEWPORT = 0.75  # half the width of the viewport on the plane z = 1
 _HEADINGS = {1: 60, 2: 120, 3: 200}  # how many a degree's layout has: several for each of (P + 1)³ monomials
 _RIDGE = 1e-12
+_ZERO = 1e-6  # of the greatest coefficient
 _CHUNK = 2_000_000  # samples of as many densities are held at once
+_FITTED_AT_ONCE = 256  # densities, between two reports of progress
+_REACH = 2.0  # in tolerances: how far off a feature may be to be listened to while one tolerance holds
 _VERTICAL = 1e-9  # a heading this close to the vertical has no horizontal direction of its own
 _DIAGONAL = np.array([math.sqrt(0.5), math.sqrt(0.5), 0.0])
 _HEADING_SCALE = math.sin(HEADING_LIMIT_RAD)
@@ -66,6 +73,12 @@ class TensorDensities:
         places: (T, 3) metres, the places they are seen from.
         radii: (T,) metres, how far around its place each is valid.
     """
+
+    kind: ClassVar[DensityKind] = DensityKind.TENSOR
+    has_exact_peaks: ClassVar[bool] = False
+    variables: ClassVar[tuple[str, ...]] = ("u", "v", "x", "y", "z", "hx", "hy", "hz")
+    degrees: ClassVar[tuple[int, ...]] = DEGREES
+    domain_columns: ClassVar[tuple[str, ...]] = ("place_x", "place_y", "place_z", "radius")
 
     degree: int
     coefficients: FloatArray
@@ -105,6 +118,153 @@ class TensorDensities:
         taken.__dict__["R_local_map"] = self.R_local_map[rows]
         return taken
 
+    def near(self, evidence: Evidence, T_map_camera: FloatArray, tolerance_px: float) -> LocalTensorDensities:
+        """Those of matches whose landmark is within twice the tolerance of their pixel, and that are valid there."""
+        points = (evidence.landmarks - T_map_camera[:3, 3]) @ T_map_camera[:3, :3]
+        along = np.einsum("mi,mi->m", points, evidence.rays)
+        aside = np.einsum("mi,mi->m", points, points) - along**2
+        reach = np.maximum(_REACH * tolerance_px / evidence.focal_px * along, 0) ** 2 + 4 * evidence.variances
+        close = np.flatnonzero((along > 0) & (evidence.rays[:, 2] > 0) & (aside < reach))
+        chosen, rows = self.choose(evidence.features[close], T_map_camera)
+        matches = close[chosen]
+        rays = evidence.rays[matches]
+        return LocalTensorDensities(
+            matches,
+            self.take(rows),
+            rays[:, :2] / rays[:, 2:],
+            evidence.variances[matches],
+            evidence.focal_px,
+        )
+
+    def choose(self, features: IntArray, T_map_camera: FloatArray) -> tuple[IntArray, IntArray]:
+        """For which of ``features`` (M,) there is a density valid at a pose (4, 4), and its row: (K,) and (K,).
+
+        Of several valid ones it is that whose direction is nearest to the heading.
+        """
+        position, heading = T_map_camera[:3, 3], T_map_camera[:3, 2]
+        starts = np.searchsorted(self.features, features)
+        ends = np.searchsorted(self.features, features, side="right")
+        best, row = np.full(len(features), -np.inf), np.full(len(features), -1)
+        for step in range(int((ends - starts).max(initial=0))):
+            has = np.flatnonzero(starts + step < ends)
+            candidates = starts[has] + step
+            fit = np.where(self.valid_at(position, heading, candidates), self.directions[candidates] @ heading, -np.inf)
+            better = fit > best[has]
+            best[has[better]], row[has[better]] = fit[better], candidates[better]
+        chosen = np.flatnonzero(row >= 0)
+        return chosen, row[chosen]
+
+    def problem(self, features: int) -> str:
+        """Why these cannot be the densities of a map of so many ``features``; empty where they can."""
+        count = len(self.features)
+        sizes = tuple(len(powers) for powers in kept_powers(self.degree))
+        whole = (
+            self.features.shape == self.radii.shape == (count,)
+            and self.coefficients.shape == (count, *sizes)
+            and self.landmarks.shape == self.places.shape == (count, 3)
+            and all(bool(np.isfinite(array).all()) for array in (self.coefficients, self.places, self.radii))
+            and bool(np.all((self.features >= 0) & (self.features < features)))
+            and bool(np.all(np.diff(self.features) >= 0) and np.all(self.radii > 0))
+        )
+        if not whole:
+            return "its densities do not fit together"
+        return "" if bool(np.all(self.distances > 0)) else "a density's place is its landmark"
+
+    def rows(self, sightings: Sightings, variances: FloatArray) -> DensityRows:
+        """All densities, with their places and radii."""
+        return DensityRows(self.features, np.column_stack([self.places, self.radii]).astype(np.float32))
+
+    def coefficients_of(self, row: int, landmark: FloatArray, domain: FloatArray) -> FloatArray:
+        """All (P + 1)⁸ of the density at ``row``."""
+        return np.asarray(self.all_coefficients(np.array([row]))[0])
+
+    @classmethod
+    def kept_coefficients(
+        cls, coefficients: FloatArray, degree: int, landmark: FloatArray, domain: FloatArray
+    ) -> FloatArray:
+        """(U X H,) float32: those that a fit does not leave zero.
+
+        Raises:
+            ValueError: another is not zero.
+        """
+        columns = coefficient_columns(degree)
+        rest = np.delete(coefficients, columns)
+        if np.abs(rest).max(initial=0) > _ZERO * np.abs(coefficients).max():
+            raise ValueError("has powers beyond a square in (u, v) or in (x, y, z), which no fit gives")
+        return coefficients[columns].astype(np.float32)
+
+    @classmethod
+    def from_rows(
+        cls, degree: int, rows: DensityRows, landmarks: FloatArray, kept: Sequence[FloatArray]
+    ) -> TensorDensities:
+        """The densities at their places.
+
+        Raises:
+            ValueError: a radius is not positive, or a place is its landmark.
+        """
+        domain = rows.domain.astype(np.float64)
+        sizes = [len(powers) for powers in kept_powers(degree)]
+        of_each = landmarks[rows.features].astype(np.float64)
+        if np.any(domain[:, 3] <= 0):
+            raise ValueError("has a radius that is not positive")
+        if not np.all(np.linalg.norm(of_each - domain[:, :3], axis=1) > 0):
+            raise ValueError("has a place that is its landmark")
+        coefficients = np.array(kept).reshape(-1, *sizes)
+        return cls(degree, coefficients, rows.features, of_each, domain[:, :3], domain[:, 3])
+
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """What a file has to keep of them besides the landmarks, by name."""
+        return {
+            "degree": np.array(self.degree, dtype=np.int32),
+            "coefficients": self.coefficients.astype(np.float32),
+            "features": self.features.astype(np.int32),
+            "places": self.places.astype(np.float32),
+            "radii": self.radii.astype(np.float32),
+        }
+
+    @classmethod
+    def from_arrays(cls, arrays: Arrays, landmarks: FloatArray) -> TensorDensities:
+        """What :meth:`arrays` gave, of a map's landmarks (F, 3).
+
+        Raises:
+            ValueError: an array is missing, or contradicts another; says which.
+        """
+        missing = [name for name in _ARRAYS if name not in arrays]
+        if missing:
+            raise ValueError(f"it has no {', '.join(f'tensor_{name}' for name in missing)}")
+        for name, (kind, dimensions) in _ARRAYS.items():
+            if arrays[name].dtype != np.dtype(kind) or arrays[name].ndim != dimensions:
+                raise ValueError(f"tensor_{name} is not of the right type and shape")
+        degree, coefficients, features, places, radii = (arrays[name] for name in _ARRAYS)
+        if int(degree) not in DEGREES:
+            raise ValueError("its densities have an impossible degree")
+        if not np.all((features >= 0) & (features < len(landmarks))):
+            raise ValueError("a density is of a feature that is not there")
+        return cls(
+            int(degree),
+            coefficients,
+            features.astype(np.int64),
+            landmarks[features].astype(np.float64),
+            places.astype(np.float64),
+            radii.astype(np.float64),
+        )
+
+    @classmethod
+    def fit(cls, sightings: Sightings, degree: int, progress: Callable[[float, str], None]) -> TensorDensities:
+        """One for each place that a feature was seen from; the observations enter by the landmark, their intersection.
+
+        Fitted to what is stored, so that a map read back is the one that was fitted.
+        """
+        places = Places.of(sightings)
+        landmarks, count = sightings.landmarks[places.features], len(places.features)
+        parts = []
+        for start in range(0, max(count, 1), _FITTED_AT_ONCE):
+            rows = slice(start, start + _FITTED_AT_ONCE)
+            fitted = fit_tensors(landmarks[rows], places.positions[rows], places.radii[rows], degree)
+            parts.append(fitted.coefficients)
+            progress(min(1.0, (start + _FITTED_AT_ONCE) / max(count, 1)), f"{count} densities")
+        return cls(degree, np.concatenate(parts), places.features, landmarks, places.positions, places.radii)
+
     def valid_at(self, position: FloatArray, heading: FloatArray, rows: IntArray) -> BoolArray:
         """Which of the densities at ``rows`` (N,) may be asked at a position (3,) and heading (3,): their domain."""
         near = np.linalg.norm(position - self.places[rows], axis=1) <= self.radii[rows]
@@ -112,11 +272,11 @@ class TensorDensities:
 
     def all_coefficients(self, rows: IntArray) -> FloatArray:
         """(N, (P + 1)⁸) float32: all of equation (3)'s at ``rows`` (N,), in the order of Table 5, zeros among them."""
-        full = np.zeros((len(rows), (self.degree + 1) ** len(VARIABLES)), dtype=np.float32)
+        full = np.zeros((len(rows), (self.degree + 1) ** len(self.variables)), dtype=np.float32)
         full[:, coefficient_columns(self.degree)] = self.coefficients[rows].reshape(len(rows), -1)
         return full
 
-    def variables(self, plane: FloatArray, T_map_camera: FloatArray) -> FloatArray:
+    def variables_at(self, plane: FloatArray, T_map_camera: FloatArray) -> FloatArray:
         """s (T, 8) of pixels ``plane`` (T, 2) on the plane z = 1, each for its density, of a camera at (4, 4)."""
         local = _Local.of(self, plane, T_map_camera)
         return np.column_stack([local.plane, local.position, local.heading])
@@ -124,6 +284,64 @@ class TensorDensities:
     def at(self, plane: FloatArray, T_map_camera: FloatArray) -> Peaks:
         """All densities at pixels ``plane`` (T, 2) on the plane z = 1, each at its own, of a camera at (4, 4)."""
         return _peaks(self, _Local.of(self, plane, T_map_camera))
+
+
+_ARRAYS = {  # of a file: type and number of dimensions
+    "degree": (np.int32, 0),
+    "coefficients": (np.float32, 4),
+    "features": (np.int32, 1),
+    "places": (np.float32, 2),
+    "radii": (np.float32, 1),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class LocalTensorDensities:
+    """The densities of the matches that have a valid one around a pose.
+
+    A fitted polynomial is off by a little everywhere, and the height of its bump more than the place of it: at a given
+    pose its peak over (u, v) is not quite 1. A pixel must be somewhere, so ρ counts from that peak:
+
+        ρ_f = max(0, 1 − (max_{u,v} q_f − q_f) / t)
+
+    where q_f is the polynomial and t the fall that the tolerance allows. Both are equation (3)'s values and the
+    gradients are equation (4)'s, of first and mixed order. The landmark's position only tells how wide the tolerance is
+    in metres, and spares the features whose bump is far away.
+
+    Attributes:
+        matches: (K,) their rows in the evidence.
+        densities: K densities.
+        plane: (K, 2) their pixels on the plane z = 1.
+        variances: (K,) m², of the landmarks.
+        focal_px: of the camera.
+    """
+
+    matches: IntArray
+    densities: TensorDensities
+    plane: FloatArray
+    variances: FloatArray
+    focal_px: float
+
+    def at(self, T_map_camera: FloatArray, tolerance_px: float) -> Slopes:
+        """ρ and its slopes at a pose (4, 4), d being the fall from the peak in units of t."""
+        peaks = self.densities.at(self.plane, T_map_camera)
+        distance = np.linalg.norm(self.densities.landmarks - T_map_camera[:3, 3], axis=1)
+        allowed_m2 = (tolerance_px / self.focal_px * distance) ** 2 + self.variances
+        allowed = allowed_m2 / (TARGET_RADIUS * self.densities.distances) ** 2
+        density = np.where(peaks.peaked, np.maximum(1 - peaks.drop / allowed, 0), 0)
+        inside = np.flatnonzero(density > 0)
+        allowed = allowed[inside]
+        roots = _roots(peaks.fall[inside]) @ peaks.offset_jacobian[inside] / np.sqrt(allowed)[:, None, None]
+        return Slopes(density, inside, peaks.drop_gradient[inside] / allowed[:, None], roots)
+
+
+def _roots(F: FloatArray) -> FloatArray:
+    """(I, 2, 2) upper triangles U of Cholesky's factors: F = Uᵀ U."""
+    roots = np.zeros_like(F)
+    roots[:, 0, 0] = np.sqrt(F[:, 0, 0])
+    roots[:, 0, 1] = F[:, 0, 1] / roots[:, 0, 0]
+    roots[:, 1, 1] = np.sqrt(np.maximum(F[:, 1, 1] - roots[:, 0, 1] ** 2, 0))
+    return roots
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,10 +16,11 @@ import numpy as np
 
 from rholoc.geometry import Camera, FloatArray, pose_matrix
 from rholoc.localization import Query
+from rholoc.localization.ascent import ascend
 from rholoc.localization.map_index import MapIndex
 from rholoc.localization.matches import Matches
 from rholoc.localization.ransac import lo_ransac
-from rholoc.localization.verification import FINAL_TOLERANCE_PX, climb, evidence_of, settle
+from rholoc.localization.verification import FINAL_TOLERANCE_PX, evidence_of, settle
 
 _FEWEST_MATCHES = 4
 _DISTINCT_CHANCE = 0.3
@@ -82,7 +83,7 @@ def refine_by_density(
         rays: (N, 3) of all the query's features, camera frame.
     """
     evidence = evidence_of(index, matches, rays, query.camera)
-    optimum = climb(index, matches, evidence, T_map_camera, _ASCENT_PX, query.dof)
+    optimum = ascend(index.map.densities, evidence, T_map_camera, _ASCENT_PX, query.dof)
     return settle(index, matches, evidence, optimum, query.dof).T_map_camera
 
 

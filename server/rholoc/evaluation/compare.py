@@ -12,6 +12,7 @@ from typing import Any
 import cv2
 import numpy as np
 
+from rholoc.density import DensityKind
 from rholoc.evaluation.baselines import (
     MatchSet,
     RansacOptions,
@@ -29,7 +30,7 @@ from rholoc.localization import Dof, Localizer, Query
 from rholoc.localization.matches import Matches
 from rholoc.localization.seeds import vote_for_places
 from rholoc.mapping import DEFAULT_FEATURES, BuildOptions, build_map
-from rholoc.mapping.tensor_fit import fit_map_tensors
+from rholoc.mapping.fitting import fit_densities
 from rholoc.maps import Map, map_to_bytes
 from rholoc.progress import ProgressListener, Stage, silent
 from rholoc.recordings import Recording
@@ -262,7 +263,7 @@ def _build(
     map_bytes = {"ray": len(map_to_bytes(ray_map))}
     tensor = retrieval = None
     if options.tensor:
-        tensor_map = timed("tensor", lambda: fit_map_tensors(ray_map, progress=progress))
+        tensor_map = timed("tensor", lambda: fit_densities(ray_map, DensityKind.TENSOR, progress=progress))
         map_bytes["tensor"] = len(map_to_bytes(tensor_map))
         tensor = Localizer(tensor_map)
     ray = Localizer(ray_map)

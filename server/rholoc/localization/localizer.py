@@ -8,10 +8,11 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from rholoc.density import Evidence
 from rholoc.errors import InvalidDescriptors
 from rholoc.features import Extractor, get_extractor
 from rholoc.geometry import Camera, FloatArray, Pose
-from rholoc.localization.ascent import Evidence, Optimum, upright
+from rholoc.localization.ascent import Optimum, ascend, upright
 from rholoc.localization.confidence import MIN_CONFIDENCE, confidence_of
 from rholoc.localization.diagnosis import TOO_LITTLE_TIME, Cause, Diagnosis, diagnose_picture, wrong_camera
 from rholoc.localization.focal import FocalEstimate, check_focal, focal_seed, verify_with_focal
@@ -21,7 +22,7 @@ from rholoc.localization.matches import Matches
 from rholoc.localization.ransac import lo_ransac
 from rholoc.localization.seeds import Place, minimal_samples, place_of_prior, vote_for_places
 from rholoc.localization.types import Dof, Intrinsics, Localization, Prior, Query, Reason
-from rholoc.localization.verification import Verified, climb, distance_between, evidence_of, verify
+from rholoc.localization.verification import Verified, distance_between, evidence_of, verify
 from rholoc.maps import Map
 
 _MIN_FEATURES = 8
@@ -269,7 +270,7 @@ class Localizer:
         self, matches: Matches, evidence: Evidence, seeds: list[FloatArray], query: Query, watch: _Stopwatch
     ) -> Optimum | None:
         tolerances_px = self.options.seed_tolerances_px
-        optima = [climb(self.index, matches, evidence, T, tolerances_px, query.dof) for T in seeds]
+        optima = [ascend(self.map.densities, evidence, T, tolerances_px, query.dof) for T in seeds]
         watch.lap("ascend")
         return max(optima, key=lambda optimum: optimum.value, default=None)
 

@@ -14,7 +14,6 @@ from rholoc.features.matching import LIMITS, DescriptorIndex, descriptor_distanc
 from rholoc.geometry import BoolArray, Camera, FloatArray, IntArray
 from rholoc.localization.map_error import map_covariance_at
 from rholoc.localization.matches import Matches, guided_chances, match_chances
-from rholoc.localization.tensor_ascent import TensorIndex
 from rholoc.maps import Map, Trust, trust_of
 
 _CANDIDATES = 4
@@ -36,7 +35,6 @@ class MapIndex:
         self._first_descriptor = np.searchsorted(map_.descriptor_features, np.arange(len(map_) + 1))
         self._descriptor_counts = np.diff(self._first_descriptor)
         self._medoids = self._first_descriptor[:-1]
-        self.tensors = None if map_.fitted is None else TensorIndex.of(map_.fitted, len(map_))
         self._everywhere = DescriptorIndex(map_.descriptors[self._medoids], map_.channels, self.metric)
         seen, seen_from = map_.observation_features, self.view_positions[map_.observation_views]
         self.presence = Presence.of(self.landmarks, seen_from, seen)

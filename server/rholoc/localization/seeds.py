@@ -7,8 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 import poselib
 
+from rholoc.density import Evidence
 from rholoc.geometry import FloatArray, IntArray, pose_matrix
-from rholoc.localization.ascent import Evidence, gains
+from rholoc.localization.ascent import gains
 from rholoc.localization.map_index import MapIndex
 from rholoc.localization.matches import Matches
 from rholoc.localization.types import Prior

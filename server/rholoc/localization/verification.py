@@ -7,11 +7,11 @@ from functools import cached_property
 
 import numpy as np
 
+from rholoc.density import Evidence
 from rholoc.geometry import Camera, FloatArray
-from rholoc.localization.ascent import Evidence, Optimum, ascend, covariance_at, sharpen
+from rholoc.localization.ascent import Optimum, ascend, covariance_at, sharpen
 from rholoc.localization.map_index import MapIndex
 from rholoc.localization.matches import Matches
-from rholoc.localization.tensor_ascent import ascend_tensors
 from rholoc.localization.types import Dof, Query
 
 SEARCH_RADII_PX = (14.0, 5.0)
@@ -56,6 +56,7 @@ class Verified:
 def evidence_of(index: MapIndex, matches: Matches, rays: FloatArray, camera: Camera) -> Evidence:
     """What matches say, given the rays (N, 3) of all detections in the camera frame."""
     return Evidence.of(
+        matches.landmarks,
         rays[matches.detections],
         index.landmarks[matches.landmarks],
         index.covariances[matches.landmarks],
@@ -64,33 +65,20 @@ def evidence_of(index: MapIndex, matches: Matches, rays: FloatArray, camera: Cam
     )
 
 
-def climb(
-    index: MapIndex,
-    matches: Matches,
-    evidence: Evidence,
-    T_map_camera: FloatArray,
-    tolerances_px: tuple[float, ...],
-    dof: Dof,
-) -> Optimum:
-    """The ascent from a pose (4, 4), on the densities that the map has."""
-    if index.tensors is None:
-        return ascend(evidence, T_map_camera, tolerances_px, dof)
-    return ascend_tensors(index.tensors, matches, evidence, T_map_camera, tolerances_px, dof)
-
-
 def settle(index: MapIndex, matches: Matches, evidence: Evidence, optimum: Optimum, dof: Dof) -> Optimum:
-    """The last steps of an ascent that ended at ``FINAL_TOLERANCE_PX``, sharpened; ``tensor`` densities need none.
+    """The last steps of an ascent that ended at ``FINAL_TOLERANCE_PX``, sharpened where the densities have exact peaks.
 
     What was seen from elsewhere looks otherwise from here, and is found less exactly. It helps to find a pose, and to
     believe it; the last steps go by the landmarks that were seen from hereabouts too.
     """
-    if index.tensors is not None:
+    densities = index.map.densities
+    if not densities.has_exact_peaks:
         return optimum
     agreeing = optimum.density > 0
     alike = index.seen_alike(matches.landmarks[agreeing], _VIEWS_ALIKE)[matches.landmarks]
     if (agreeing & alike).sum() < _MIN_MATCHES:
         return optimum
-    return sharpen(evidence, optimum, np.flatnonzero(alike), FINAL_TOLERANCE_PX, dof)
+    return sharpen(densities, evidence, optimum, np.flatnonzero(alike), FINAL_TOLERANCE_PX, dof)
 
 
 def verify(
@@ -110,7 +98,7 @@ def verify(
         wide = wide or matches
         evidence = evidence_of(index, matches, rays, query.camera)
         tolerances_px = (radius, radius / 2, FINAL_TOLERANCE_PX)
-        optimum = climb(index, matches, evidence, T, tolerances_px, query.dof)
+        optimum = ascend(index.map.densities, evidence, T, tolerances_px, query.dof)
         optimum = settle(index, matches, evidence, optimum, query.dof)
         T, found = (
             optimum.T_map_camera,

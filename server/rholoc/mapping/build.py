@@ -15,6 +15,7 @@ from rholoc.features import Extractor, FeatureSet, get_extractor
 from rholoc.geometry import Camera, FloatArray, IntArray
 from rholoc.mapping.assembly import assemble
 from rholoc.mapping.coaching import advice_line, coach, with_advice
+from rholoc.mapping.fitting import DEFAULT_DEGREE, fit_densities
 from rholoc.mapping.landmarks import (
     Landmarks,
     extend_and_merge,
@@ -24,7 +25,6 @@ from rholoc.mapping.landmarks import (
 from rholoc.mapping.memory import recording_id, with_landmarks
 from rholoc.mapping.observations import Views, link_observations
 from rholoc.mapping.report import HeldOut, map_report
-from rholoc.mapping.tensor_fit import DEFAULT_DEGREE, fit_map_tensors
 from rholoc.mapping.uncertainty import storable_covariances
 from rholoc.mapping.views import choose_views
 from rholoc.maps import DensityKind, Map, MapInfo, MapWaypoint, Source
@@ -92,8 +92,7 @@ def build_map(
     landmarks = _landmarks(views, extractor, progress)
     progress(Stage.DENSITIES, 0.6, f"{len(landmarks)} stable features")
     map_ = _assemble(walks, views, landmarks, extractor, options)
-    if options.density is DensityKind.TENSOR:
-        map_ = fit_map_tensors(map_, options.degree, progress)
+    map_ = fit_densities(map_, options.density, options.degree, progress)
     progress(Stage.DENSITIES, 1.0, f"{len(map_.descriptors)} descriptors")
     report = replace(
         map_report(map_, held_out if options.report else HeldOut.none(), progress),

@@ -9,11 +9,11 @@ from itertools import chain
 
 import numpy as np
 
+from rholoc.density import DensityKind
 from rholoc.density.tensor import DEGREES
 from rholoc.errors import InvalidInput
-from rholoc.mapping.forms import ray_form
+from rholoc.mapping.fitting import fit_densities, ray_form
 from rholoc.mapping.observation_table import observation_table
-from rholoc.mapping.tensor_fit import fit_map_tensors
 from rholoc.maps import (
     Map,
     coefficient_table,
@@ -128,7 +128,7 @@ def parse_features(text: str) -> list[int]:
 def _refitted(map_: Map, degree: int) -> Map:
     if degree not in DEGREES:
         raise InvalidInput(f"A density of degree {degree} cannot be fitted.", "Use 1, 2 or 3.")
-    return fit_map_tensors(ray_form(map_), degree)
+    return fit_densities(ray_form(map_), DensityKind.TENSOR, degree)
 
 
 def _most_seen(map_: Map) -> list[int]:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from rholoc.errors import Conflict, InvalidInput
-from rholoc.mapping.forms import as_learned, ray_form
+from rholoc.mapping.fitting import ray_form
 from rholoc.mapping.joining import without_source
+from rholoc.mapping.versions import as_learned
 from rholoc.maps import Map, MapInfo, check_observations
 from rholoc.progress import ProgressListener, silent
 from rholoc.reports import LearningReport

@@ -13,13 +13,14 @@ from rholoc.geometry import Camera, FloatArray, IntArray
 from rholoc.localization import Localizer
 from rholoc.mapping.assembly import assemble
 from rholoc.mapping.coaching import coach
-from rholoc.mapping.forms import as_learned, ray_form
+from rholoc.mapping.fitting import ray_form
 from rholoc.mapping.joining import join
 from rholoc.mapping.landmarks import Landmarks, extend_and_merge, select_stable, triangulate
 from rholoc.mapping.memory import recording_id
 from rholoc.mapping.observations import Views, link_observations
 from rholoc.mapping.registration import MIN_FOUND, SURE, Alignment, Found, align_to_found, find_frames, without_jumps
 from rholoc.mapping.uncertainty import uncertainty_in
+from rholoc.mapping.versions import as_learned
 from rholoc.mapping.views import choose_views
 from rholoc.maps import Map, MapInfo, Source, check_observations
 from rholoc.progress import ProgressListener, Stage, silent

@@ -14,12 +14,13 @@ from rholoc.features import FeatureSet
 from rholoc.features.matching import LIMITS
 from rholoc.geometry import Camera, IntArray, poses_from_rows, rows_from_poses
 from rholoc.localization import Localizer
-from rholoc.mapping.forms import as_learned, ray_form
+from rholoc.mapping.fitting import ray_form
 from rholoc.mapping.joining import join, without_source
 from rholoc.mapping.learning import alignment_report
 from rholoc.mapping.memory import with_landmarks
 from rholoc.mapping.registration import SURE, align_to_found, find_frames
 from rholoc.mapping.uncertainty import moved_covariances, uncertainty_in
+from rholoc.mapping.versions import as_learned
 from rholoc.maps import DensityKind, Map, check_observations, source_cameras
 from rholoc.progress import ProgressListener, Stage, silent
 from rholoc.trajectory.alignment import Similarity

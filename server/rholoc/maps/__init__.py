@@ -1,11 +1,12 @@
 """The map, its file formats, the library of maps on disk."""
 
+from rholoc.density import DensityKind
 from rholoc.maps.cameras import CameraLibrary, CameraProfile
 from rholoc.maps.coefficient_reading import is_coefficient_table, read_coefficient_table
 from rholoc.maps.coefficient_table import coefficient_table, write_coefficient_table
 from rholoc.maps.coverage import Coverage, coverage_of
 from rholoc.maps.export import landmark_sigmas, map_to_ply, map_to_vtp
-from rholoc.maps.info import DensityKind, MapInfo, MapWaypoint, Source
+from rholoc.maps.info import MapInfo, MapWaypoint, Source
 from rholoc.maps.library import MapLibrary, MapStat, check_map_name
 from rholoc.maps.map import Map
 from rholoc.maps.observations import (

@@ -5,33 +5,27 @@ from __future__ import annotations
 import codecs
 import math
 import uuid
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
 
-from rholoc.density.ray import ray_coefficients
-from rholoc.density.tensor import DEGREES, VARIABLES, TensorDensities, coefficient_columns, kept_powers
+from rholoc.density import FORMS, Densities, DensityKind, DensityRows
 from rholoc.errors import InvalidInput, InvalidMap, UnknownMap
 from rholoc.features import get_extractor
 from rholoc.geometry import Camera, FloatArray, IntArray
 from rholoc.maps.coefficient_table import (
-    DOMAIN_COLUMNS,
-    RAY_DEGREE,
-    RAY_VARIABLES,
     VIEW_NUMBERS,
     table_columns,
 )
-from rholoc.maps.info import DensityKind, MapInfo, Source
+from rholoc.maps.info import MapInfo, Source
 from rholoc.maps.map import Map
 from rholoc.maps.rho_file import unpacked_covariances, unpacked_poses
 from rholoc.maps.validation import validate_map
 
 _HINT = "Export the map again, or take another copy."
-_AGREE = 1e-6  # relative, of a ray density's coefficients with those that follow from its landmark
-_ZERO = 1e-6  # of the greatest coefficient
 _SNIFFED = 4096
 
 
@@ -52,7 +46,7 @@ class _Feature:
 class _Header:
     """The form of the table, and where its parts stand in a row."""
 
-    kind: DensityKind
+    form: type[Densities]
     degree: int
     columns: list[str]
 
@@ -107,20 +101,19 @@ def _header(name: str, columns: list[str]) -> _Header:
     """The form that the names of the columns tell; they must be exactly those of that form."""
     coefficients = [name for name in columns if name.startswith("a_")]
     last = coefficients[-1].removeprefix("a_").split("_") if coefficients else []
-    kinds = {len(VARIABLES): DensityKind.TENSOR, len(RAY_VARIABLES): DensityKind.RAY}
-    if not last or len(last) not in kinds or not all(power.isdecimal() and len(power) == 1 for power in last):
+    forms = {len(form.variables): form for form in FORMS.values()}
+    if not last or len(last) not in forms or not all(power.isdecimal() and len(power) == 1 for power in last):
         raise InvalidMap(
-            f"{name} is not a map: its columns do not end in coefficients a_P_…_P of {len(VARIABLES)} or "
-            f"{len(RAY_VARIABLES)} variables.",
+            f"{name} is not a map: its columns do not end in coefficients a_P_…_P of {_either(sorted(forms))} "
+            "variables.",
             "Give a CSV file in Table 5's form.",
         )
-    kind, degree = kinds[len(last)], int(last[-1])
-    allowed = DEGREES if kind is DensityKind.TENSOR else (RAY_DEGREE,)
-    if degree not in allowed:
+    form, degree = forms[len(last)], int(last[-1])
+    if degree not in form.degrees:
         raise InvalidMap(
-            f"{name} has coefficients of degree {degree}; '{kind}' densities have {_either(allowed)}.", _HINT
+            f"{name} has coefficients of degree {degree}; '{form.kind}' densities have {_either(form.degrees)}.", _HINT
         )
-    wanted = table_columns(kind, degree)
+    wanted = table_columns(form, degree)
     missing, extra = _without(wanted, columns), _without(columns, wanted)
     if missing or extra or len(columns) != len(wanted):
         complaints = [f"lacks {_some(missing)}"] * bool(missing) + [f"has also {_some(extra)}"] * bool(extra)
@@ -128,7 +121,7 @@ def _header(name: str, columns: list[str]) -> _Header:
         raise InvalidMap(f"{name} {complaint}; of degree {degree} it has {len(wanted)} columns.", _HINT)
     if columns != wanted:
         raise InvalidMap(f"The columns of {name} are not in their order.", _HINT)
-    return _Header(kind, degree, columns)
+    return _Header(form, degree, columns)
 
 
 def _rows(name: str, lines: Iterator[str], header: _Header) -> Iterator[tuple[int, list[str]]]:
@@ -152,7 +145,7 @@ def _rows(name: str, lines: Iterator[str], header: _Header) -> Iterator[tuple[in
 
 def _add(name: str, row: int, header: _Header, values: list[str], features: dict[int, _Feature]) -> None:
     first = header.first_after
-    domain_end = first + 1 + len(DOMAIN_COLUMNS[header.kind])
+    domain_end = first + 1 + len(header.form.domain_columns)
     domain_texts, place_texts = tuple(values[first + 1 : domain_end]), tuple(values[domain_end:-6])
     channel, descriptor = _descriptor(name, row, values[0])
     number = values[first]
@@ -171,10 +164,14 @@ def _add(name: str, row: int, header: _Header, values: list[str], features: dict
     feature.rows.add((descriptor, domain_texts))
     if descriptor not in feature.descriptors:
         feature.descriptors.append(descriptor)
-    coefficients = _coefficients(name, row, header, values[1:first], feature, domain_texts)
+    domain = _floats(name, row, header.columns[first + 1 : domain_end], domain_texts)
+    every = _floats(name, row, header.columns[1:first], values[1:first])
+    try:
+        coefficients = header.form.kept_coefficients(every, header.degree, feature.landmark, domain)
+    except ValueError as error:
+        raise _invalid(name, row, str(error)) from error
     known = feature.densities.get(domain_texts)
     if known is None:
-        domain = _floats(name, row, header.columns[first + 1 : domain_end], domain_texts)
         feature.densities[domain_texts] = (domain, coefficients)
     elif not np.array_equal(known[1], coefficients):
         raise _invalid(name, row, f"has other coefficients than an earlier row of feature {number} at that place")
@@ -188,26 +185,6 @@ def _descriptor(name: str, row: int, text: str) -> tuple[int, bytes]:
     if len(data) < 2:
         raise _invalid(name, row, f"has the descriptor '{text[:20]}', which is not hex with a channel before it")
     return data[0], data[1:]
-
-
-def _coefficients(
-    name: str, row: int, header: _Header, texts: list[str], feature: _Feature, domain_texts: tuple[str, ...]
-) -> FloatArray:
-    """The coefficients that are kept of a row; the others must be what they have to be."""
-    every = _floats(name, row, header.columns[1 : header.first_after], texts)
-    if header.kind is DensityKind.TENSOR:
-        kept = coefficient_columns(header.degree)
-        rest = np.delete(every, kept)
-        if np.abs(rest).max(initial=0) > _ZERO * np.abs(every).max():
-            raise _invalid(name, row, "has powers beyond a square in (u, v) or in (x, y, z), which no fit gives")
-        return every[kept].astype(np.float32)
-    tolerance = np.array([float(text) for text in domain_texts])
-    if tolerance[0] <= 0:
-        raise _invalid(name, row, "has a tolerance that is not positive")
-    exact = ray_coefficients(feature.landmark[None], tolerance)[0]
-    if np.abs(every - exact).max() > _AGREE * np.abs(exact).max():
-        raise _invalid(name, row, "has coefficients that contradict its landmark and tolerance")
-    return every
 
 
 def _floats(name: str, row: int, columns: list[str], texts: list[str] | tuple[str, ...]) -> FloatArray:
@@ -230,7 +207,7 @@ def _float_or_nan(text: str) -> float:
 
 def _assemble(name: str, header: _Header, shared: list[str], features: dict[int, _Feature]) -> Map:
     ordered = [features[number] for number in sorted(features)]
-    info = _info(name, header.kind, shared)
+    info = _info(name, header.form.kind, shared)
     length = get_extractor(info.features).descriptor_bytes
     if any(len(descriptor) != length for feature in ordered for descriptor in feature.descriptors):
         raise InvalidMap(f"{name} has descriptors that are not {info.features}'s, of {length} bytes.", _HINT)
@@ -247,26 +224,19 @@ def _assemble(name: str, header: _Header, shared: list[str], features: dict[int,
         observation_views=views,
         observation_features=seen,
     )
-    if header.kind is DensityKind.TENSOR:
-        map_ = _with_densities(name, map_, header.degree, ordered)
+    map_ = replace(map_, densities=_densities(name, header, map_.landmarks, ordered))
     validate_map(map_)
     return map_
 
 
-def _with_densities(name: str, map_: Map, degree: int, ordered: list[_Feature]) -> Map:
+def _densities(name: str, header: _Header, landmarks: FloatArray, ordered: list[_Feature]) -> Densities:
     owners = np.repeat(np.arange(len(ordered)), [len(feature.densities) for feature in ordered])
     densities = [density for feature in ordered for density in feature.densities.values()]
-    domain = np.array([density[0] for density in densities])
-    sizes = [len(powers) for powers in kept_powers(degree)]
-    coefficients = np.array([density[1] for density in densities]).reshape(-1, *sizes)
-    if np.any(domain[:, 3] <= 0):
-        raise InvalidMap(f"{name} has a radius that is not positive.", _HINT)
-    landmarks = map_.landmarks[owners].astype(np.float64)
-    if not np.all(np.linalg.norm(landmarks - domain[:, :3], axis=1) > 0):
-        raise InvalidMap(f"{name} has a place that is its landmark.", _HINT)
-    domain = domain.astype(np.float32).astype(np.float64)
-    tensors = TensorDensities(degree, coefficients, owners, landmarks, domain[:, :3], domain[:, 3])
-    return replace(map_, fitted=tensors)
+    rows = DensityRows(owners, np.array([domain for domain, _ in densities], dtype=np.float32))
+    try:
+        return header.form.from_rows(header.degree, rows, landmarks, [kept for _, kept in densities])
+    except ValueError as error:
+        raise InvalidMap(f"{name} {error}.", _HINT) from error
 
 
 def _info(name: str, kind: DensityKind, shared: list[str]) -> MapInfo:
@@ -330,7 +300,7 @@ def _some(names: list[str]) -> str:
     return ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
 
 
-def _either(values: tuple[int, ...]) -> str:
+def _either(values: Sequence[int]) -> str:
     return " or ".join(map(str, values))
 
 

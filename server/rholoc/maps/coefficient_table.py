@@ -10,57 +10,31 @@ at least one. maps/README.md describes every column.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from rholoc.density import Densities, Sightings
 from rholoc.density.polynomial import tensor_powers
-from rholoc.density.ray import ray_coefficients
-from rholoc.density.tensor import TARGET_RADIUS, VARIABLES
 from rholoc.errors import InvalidMap
 from rholoc.geometry import Camera, FloatArray, IntArray, rows_from_poses
 from rholoc.maps.files import replace_file
-from rholoc.maps.info import DensityKind
 from rholoc.maps.map import Map
 from rholoc.maps.tables import descriptor_hex
 from rholoc.maps.validation import validate_map
 
-RAY_VARIABLES = ("bx", "by", "bz", "x", "y", "z")
-RAY_DEGREE = 2
-DOMAIN_COLUMNS = {
-    DensityKind.TENSOR: ("place_x", "place_y", "place_z", "radius"),
-    DensityKind.RAY: ("tolerance",),
-}
 LANDMARK_COLUMNS = ("landmark_x", "landmark_y", "landmark_z")
 COVARIANCE_COLUMNS = ("cov_xx", "cov_xy", "cov_xz", "cov_yy", "cov_yz", "cov_zz")
 MAP_COLUMNS = ("extractor", "metric", "upright", "camera")
 VIEW_NUMBERS = 8  # time, x, y, z, qx, qy, qz, qw
 
 
-@dataclass(frozen=True, eq=False)
-class DensityRows:
-    """What the rows of a map's T densities hold.
-
-    Attributes:
-        kind: their form.
-        degree: P.
-        features: (T,) sorted.
-        domain: (T, C) float32, the values of the domain's columns.
-    """
-
-    kind: DensityKind
-    degree: int
-    features: IntArray
-    domain: FloatArray
-
-
-def table_columns(kind: DensityKind, degree: int) -> list[str]:
+def table_columns(form: type[Densities], degree: int) -> list[str]:
     """The names of all columns, in their order."""
-    variables = VARIABLES if kind is DensityKind.TENSOR else RAY_VARIABLES
-    coefficients = ["a_" + "_".join(map(str, powers)) for powers in tensor_powers(len(variables), degree).tolist()]
-    place = [*DOMAIN_COLUMNS[kind], *LANDMARK_COLUMNS, *COVARIANCE_COLUMNS]
+    powers = tensor_powers(len(form.variables), degree).tolist()
+    coefficients = ["a_" + "_".join(map(str, of_one)) for of_one in powers]
+    place = [*form.domain_columns, *LANDMARK_COLUMNS, *COVARIANCE_COLUMNS]
     return ["descriptor", *coefficients, "feature", *place, *MAP_COLUMNS, "seen_from", "row"]
 
 
@@ -85,10 +59,10 @@ def coefficient_table(map_: Map) -> Iterator[str]:
     Raises:
         InvalidMap: the map's densities contradict each other, or a feature has no descriptor or density.
     """
-    tensors = map_.fitted
-    densities = _density_rows(map_)
-    pairs = _pairs(map_, densities.features)
-    yield ",".join(table_columns(densities.kind, densities.degree)) + "\n"
+    densities = map_.densities
+    rows = densities.rows(_sightings(map_), np.trace(map_.covariances.astype(np.float64), axis1=1, axis2=2) / 3)
+    pairs = _pairs(map_, rows.features)
+    yield ",".join(table_columns(type(densities), densities.degree)) + "\n"
     map_values = ",".join(
         [map_.info.features, str(int(map_.info.metric)), str(int(map_.info.upright)), camera_text(map_.info.camera)]
     )
@@ -96,21 +70,14 @@ def coefficient_table(map_: Map) -> Iterator[str]:
     written, text = -1, ""
     for row, (feature, descriptor, density) in enumerate(pairs):
         if density != written:
-            coefficients: FloatArray
-            if tensors is not None:
-                coefficients = tensors.all_coefficients(np.array([density]))[0]
-            else:
-                coefficients = ray_coefficients(
-                    map_.landmarks[feature : feature + 1].astype(np.float64),
-                    densities.domain[density].astype(np.float64),
-                )[0]
+            coefficients = densities.coefficients_of(density, map_.landmarks[feature], rows.domain[density])
             written, text = density, _numbers(coefficients)
         yield ",".join(
             [
                 descriptor_hex(int(map_.channels[feature]), map_.descriptors[descriptor]),
                 text,
                 str(feature),
-                _numbers(densities.domain[density]),
+                _numbers(rows.domain[density]),
                 _numbers(map_.landmarks[feature]),
                 _numbers(map_.covariances[feature][np.triu_indices(3)]),
                 map_values,
@@ -126,22 +93,9 @@ def camera_text(camera: Camera) -> str:
     return " ".join(repr(value) for value in values)
 
 
-def _density_rows(map_: Map) -> DensityRows:
-    if map_.fitted is not None:
-        domain = np.column_stack([map_.fitted.places, map_.fitted.radii]).astype(np.float32)
-        return DensityRows(DensityKind.TENSOR, map_.fitted.degree, map_.fitted.features, domain)
-    return DensityRows(DensityKind.RAY, RAY_DEGREE, np.arange(len(map_)), _tolerances(map_)[:, None])
-
-
-def _tolerances(map_: Map) -> FloatArray:
-    """r (F,) float32 of the ``ray`` densities: 60 px, as ``tensor``'s, at the mean distance a feature was seen from."""
-    seen = map_.observation_features
-    away = np.linalg.norm(map_.view_positions[map_.observation_views] - map_.landmarks[seen], axis=1)
-    count = np.bincount(seen, minlength=len(map_))
-    total = np.bincount(seen, weights=away, minlength=len(map_))
-    distance = np.where(count > 0, total / np.maximum(count, 1), 1.0)
-    variance = np.trace(map_.covariances.astype(np.float64), axis1=1, axis2=2) / 3
-    return np.asarray(np.sqrt((TARGET_RADIUS * distance) ** 2 + variance), dtype=np.float32)
+def _sightings(map_: Map) -> Sightings:
+    seen_from = map_.view_positions[map_.observation_views]
+    return Sightings(map_.landmarks, map_.observation_features, seen_from)
 
 
 def _pairs(map_: Map, density_features: IntArray) -> list[tuple[int, int, int]]:

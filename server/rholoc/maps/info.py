@@ -5,8 +5,8 @@ from __future__ import annotations
 import json
 import math
 from dataclasses import dataclass, field
-from enum import StrEnum
 
+from rholoc.density import DensityKind
 from rholoc.errors import InvalidInput, InvalidMap
 from rholoc.geometry import Camera
 from rholoc.reports import MapReport, report_from_json, report_to_json
@@ -14,13 +14,6 @@ from rholoc.reports import MapReport, report_from_json, report_to_json
 _MAX_LENGTH = 2**24
 _MAX_WORD = 64
 _MAX_SHOWN = 300
-
-
-class DensityKind(StrEnum):
-    """The form of equation (3) that a map's densities take."""
-
-    RAY = "ray"  # in s = (bearing, position): exact, from information sums
-    TENSOR = "tensor"  # in s = (u, v, position, heading): the paper's own, fitted
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from rholoc.density.tensor import TensorDensities
+from rholoc.density import Densities, RayDensities
 from rholoc.geometry import ByteArray, FloatArray, IntArray
 from rholoc.maps.info import MapInfo
 from rholoc.maps.observations import Observations
@@ -37,7 +37,7 @@ class Map:
         view_covariances: (K, 6, 6) float32 of the views' poses: x, y, z in metres, then a small rotation about the
             map's axes, from the left, in radians; NaN for views whose uncertainty is not known. None where none is.
         colours: (F, 3) uint8, red, green and blue of each landmark in the pictures; None where they are not known.
-        fitted: densities that are more than a function of the landmarks (``tensor``), or None (``ray``).
+        densities: of all features, in the form that the map has.
     """
 
     info: MapInfo
@@ -53,7 +53,7 @@ class Map:
     observations: Observations | None = None
     view_covariances: FloatArray | None = None
     colours: ByteArray | None = None
-    fitted: TensorDensities | None = None
+    densities: Densities = RayDensities()  # noqa: RUF009 - it is frozen
 
     def __len__(self) -> int:
         return len(self.landmarks)

@@ -17,11 +17,11 @@ from numpy.typing import NDArray
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
-from rholoc.density.tensor import DEGREES, TensorDensities
+from rholoc.density import FORMS, Densities, DensityKind
 from rholoc.errors import InvalidMap, UnknownMap
 from rholoc.geometry import FloatArray, IntArray, poses_from_rows, rows_from_poses
 from rholoc.maps.files import replace_file
-from rholoc.maps.info import DensityKind, MapInfo, info_from_json, info_to_json
+from rholoc.maps.info import MapInfo, info_from_json, info_to_json
 from rholoc.maps.map import Map
 from rholoc.maps.observations import Observations, packed_pixels, source_cameras, unpacked_pixels
 from rholoc.maps.validation import validate_map
@@ -59,14 +59,6 @@ _OBSERVATIONS: dict[str, tuple[str, tuple[int | None, ...]]] = {
     "extras/view_sources": ("i4", (None,)),
     "extras/descriptor_sources": ("i4", (None,)),
 }
-_TENSORS: dict[str, tuple[str, tuple[int | None, ...]]] = {
-    "extras/tensor_degree": ("i4", ()),
-    "extras/tensor_coefficients": ("f4", (None, None, None, None)),
-    "extras/tensor_features": ("i4", (None,)),
-    "extras/tensor_places": ("f4", (None, 3)),
-    "extras/tensor_radii": ("f4", (None,)),
-}
-
 Arrays = dict[str, NDArray[Any]]
 
 
@@ -179,16 +171,17 @@ def _packed(map_: Map) -> Arrays:
             "extras/view_sources": map_.observations.view_sources,
             "extras/descriptor_sources": map_.observations.descriptor_sources,
         }
-    if map_.fitted is not None:
-        arrays |= {
-            "extras/tensor_degree": map_.fitted.degree,
-            "extras/tensor_coefficients": map_.fitted.coefficients,
-            "extras/tensor_features": map_.fitted.features,
-            "extras/tensor_places": map_.fitted.places,
-            "extras/tensor_radii": map_.fitted.radii,
-        }
-    kinds = _ARRAYS | _VIEW_COVARIANCES | _COLOURS | _OBSERVATIONS | _TENSORS
-    return {name: np.asarray(array, dtype=f"<{kinds[name][0]}", order="C") for name, array in arrays.items()}
+    kinds = _ARRAYS | _VIEW_COVARIANCES | _COLOURS | _OBSERVATIONS
+    packed = {name: np.asarray(array, dtype=f"<{kinds[name][0]}", order="C") for name, array in arrays.items()}
+    for name, array in map_.densities.arrays().items():
+        little_endian = array.dtype.newbyteorder("<")
+        packed[_prefix(map_.info.density) + name] = np.asarray(array, dtype=little_endian, order="C")
+    return packed
+
+
+def _prefix(kind: DensityKind) -> str:
+    """What the names of a form's arrays begin with."""
+    return f"extras/{kind.value}_"
 
 
 def _unpacked(info: MapInfo, arrays: Arrays) -> Map:
@@ -213,7 +206,7 @@ def _unpacked(info: MapInfo, arrays: Arrays) -> Map:
         observation_features=arrays["view_features"],
         view_covariances=_unpacked_view_covariances(arrays),
         colours=arrays.get("colours"),
-        fitted=_unpacked_tensors(arrays) if info.density is DensityKind.TENSOR else None,
+        densities=_unpacked_densities(info.density, arrays),
         observations=None,
     )
     if not _OBSERVATIONS.keys() <= arrays.keys():
@@ -283,24 +276,13 @@ def _unpacked_observations(map_: Map, arrays: Arrays) -> Observations:
     return Observations(pixels, view_sources, arrays["extras/descriptor_sources"])
 
 
-def _unpacked_tensors(arrays: Arrays) -> TensorDensities:
-    _check_arrays(arrays, _TENSORS)
-    degree, coefficients, features, places, radii = (arrays[name] for name in _TENSORS)
-    if int(degree) not in DEGREES:
-        raise InvalidMap("The map's densities have an impossible degree.", _HINT)
-    landmarks = arrays["landmarks"]
-    if not (len(coefficients) == len(features) == len(places) == len(radii)) or not np.all(
-        (features >= 0) & (features < len(landmarks))
-    ):
-        raise InvalidMap("The map's densities contradict each other.", _HINT)
-    return TensorDensities(
-        int(degree),
-        coefficients,
-        features.astype(np.int64),
-        landmarks[features].astype(np.float64),
-        places.astype(np.float64),
-        radii.astype(np.float64),
-    )
+def _unpacked_densities(kind: DensityKind, arrays: Arrays) -> Densities:
+    prefix = _prefix(kind)
+    own = {name.removeprefix(prefix): array for name, array in arrays.items() if name.startswith(prefix)}
+    try:
+        return FORMS[kind].from_arrays(own, arrays["landmarks"])
+    except ValueError as error:
+        raise InvalidMap(f"The map contradicts itself: {error}.", _HINT) from error
 
 
 def _check_arrays(arrays: Arrays, kinds: Mapping[str, tuple[str, tuple[int | None, ...]]]) -> None:

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from rholoc.density.tensor import TensorDensities, kept_powers
 from rholoc.errors import InvalidMap
 from rholoc.geometry import FloatArray, IntArray
-from rholoc.maps.info import DensityKind
 from rholoc.maps.map import Map
 from rholoc.maps.observations import observations_fit
 
@@ -58,9 +56,8 @@ def validate_map(map_: Map) -> None:
         _check(_all_covariances(map_.view_covariances, views), "its views' covariances are none")
     if map_.observations is not None:
         _check(observations_fit(map_, map_.observations), "its observations and its recordings do not fit together")
-    if map_.fitted is not None:
-        _check_tensors(map_, map_.fitted)
-    _check((map_.fitted is not None) == (map_.info.density is DensityKind.TENSOR), "it has densities of another form")
+    _check(map_.densities.kind is map_.info.density, "it has densities of another form")
+    _check(not (problem := map_.densities.problem(features)), problem)
 
 
 def check_usable(map_: Map) -> None:
@@ -71,23 +68,6 @@ def check_usable(map_: Map) -> None:
     """
     if not (len(map_) and len(map_.descriptors) and len(map_.view_times)):
         raise InvalidMap("The map has no landmarks, descriptors or views to localize in.", "Build it from a recording.")
-
-
-def _check_tensors(map_: Map, tensors: TensorDensities) -> None:
-    count = len(tensors.features)
-    sizes = tuple(len(powers) for powers in kept_powers(tensors.degree))
-    arrays = (tensors.coefficients, tensors.places, tensors.radii)
-    whole = (
-        tensors.features.shape == (count,)
-        and tensors.coefficients.shape == (count, *sizes)
-        and tensors.landmarks.shape == tensors.places.shape == (count, 3)
-        and tensors.radii.shape == (count,)
-        and all(bool(np.isfinite(array).all()) for array in arrays)
-        and _all_in_range(tensors.features, len(map_))
-        and bool(np.all(np.diff(tensors.features) >= 0) and np.all(tensors.radii > 0))
-    )
-    _check(whole, "its densities do not fit together")
-    _check(bool(np.all(tensors.distances > 0)), "a density's place is its landmark")
 
 
 def _check(condition: bool, complaint: str) -> None:

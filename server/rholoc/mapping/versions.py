@@ -1,19 +1,14 @@
-"""The ``ray`` form that learning works on, and the way back to the form that a map has."""
+"""The next version of a map that has learned or forgotten."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 
+from rholoc.mapping.fitting import fit_densities
 from rholoc.mapping.report import map_statistics
-from rholoc.mapping.tensor_fit import fit_map_tensors
-from rholoc.maps import DensityKind, Map
+from rholoc.maps import Map
 from rholoc.progress import ProgressListener, silent
 from rholoc.reports import LearningReport
-
-
-def ray_form(map_: Map) -> Map:
-    """The map without its tensors: they are a function of what it remembers."""
-    return replace(map_, info=replace(map_.info, density=DensityKind.RAY), fitted=None)
 
 
 def as_learned(before: Map, after: Map, learned: LearningReport, progress: ProgressListener = silent) -> Map:
@@ -30,6 +25,4 @@ def as_learned(before: Map, after: Map, learned: LearningReport, progress: Progr
         learned=(*report.learned, learned),
     )
     after = replace(after, info=replace(after.info, version=learned.version, report=report))
-    if before.fitted is not None:
-        after = fit_map_tensors(after, before.fitted.degree, progress)
-    return after
+    return fit_densities(after, before.info.density, before.densities.degree, progress)

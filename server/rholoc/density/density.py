@@ -1,0 +1,175 @@
+"""The seam between the forms of equation (3) and all that uses densities.
+
+A form is a class that implements :class:`Densities`, in a module of its own, and stands in ``FORMS`` of
+:mod:`rholoc.density`. Localization, files and mapping know no more of it than this.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Any, ClassVar, Protocol, Self
+
+from numpy.typing import NDArray
+
+from rholoc.density.evidence import Evidence
+from rholoc.geometry import FloatArray, IntArray
+
+Arrays = Mapping[str, NDArray[Any]]
+
+TARGET_RADIUS = 60 / 525
+"""How wide a density is on the plane z = 1, if nothing else is asked: 60 px at a focal length of 525 px."""
+
+
+class DensityKind(StrEnum):
+    """The form of equation (3) that a map's densities take."""
+
+    RAY = "ray"  # in s = (bearing, position): exact, from information sums
+    TENSOR = "tensor"  # in s = (u, v, position, heading): the paper's own, fitted
+
+
+@dataclass(frozen=True, eq=False)
+class Sightings:
+    """What densities are fitted to: F landmarks, and from where each was seen, V times in all.
+
+    Attributes:
+        landmarks: (F, 3) metres, map frame.
+        features: (V,) which landmark was seen.
+        positions: (V, 3) metres, from where.
+    """
+
+    landmarks: FloatArray
+    features: IntArray
+    positions: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class DensityRows:
+    """The T densities of a map as a table lists them.
+
+    Attributes:
+        features: (T,) the feature that each is of, never falling.
+        domain: (T, C) float32, what is needed beside the coefficients, by ``Densities.domain_columns``.
+    """
+
+    features: IntArray
+    domain: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Slopes:
+    """K densities ρ = max(0, 1 − d) at one pose, and how d changes with a small motion of the camera.
+
+    d, the distance from the density's peak, is 0 there and 1 where the tolerance ends. A motion is (position in metres,
+    rotation in radians from the left), both in the map frame; the tolerances are held.
+
+    Attributes:
+        density: (K,) ρ.
+        inside: (I,) the rows of the K whose ρ is above 0.
+        gradient: (I, 6) ∂d by the motion, equation (4).
+        roots: (I, 2, 6) L: half the curvature of d is about Lᵀ L (Gauss–Newton).
+    """
+
+    density: FloatArray
+    inside: IntArray
+    gradient: FloatArray
+    roots: FloatArray
+
+
+class LocalDensities(Protocol):
+    """The densities of those of M matches that have one around a pose.
+
+    Attributes:
+        matches: (K,) their rows in the evidence.
+    """
+
+    @property
+    def matches(self) -> IntArray: ...
+
+    def at(self, T_map_camera: FloatArray, tolerance_px: float) -> Slopes:
+        """ρ and its slopes at a pose (4, 4), for a tolerance in pixels."""
+        ...
+
+
+class Densities(Protocol):
+    """The densities of all features of a map, in one form of equation (3).
+
+    Attributes:
+        kind: the form.
+        degree: P, the highest power of each variable.
+        has_exact_peaks: whether a density peaks exactly where its landmark is, so that the last steps of an ascent may
+            go by the peaks alone.
+        degrees: which it may have.
+        variables: the names of s, in the order of equation (3).
+        domain_columns: what Table 5 has to say of a density besides its coefficients.
+    """
+
+    kind: ClassVar[DensityKind]
+    has_exact_peaks: ClassVar[bool]
+    degrees: ClassVar[tuple[int, ...]]
+    variables: ClassVar[tuple[str, ...]]
+    domain_columns: ClassVar[tuple[str, ...]]
+
+    @property
+    def degree(self) -> int: ...
+
+    def near(self, evidence: Evidence, T_map_camera: FloatArray, tolerance_px: float) -> LocalDensities:
+        """The densities of matches near a pose (4, 4), for tolerances of up to ``tolerance_px``."""
+        ...
+
+    def problem(self, features: int) -> str:
+        """Why these cannot be the densities of a map of so many ``features``; empty where they can."""
+        ...
+
+    def rows(self, sightings: Sightings, variances: FloatArray) -> DensityRows:
+        """All densities, of landmarks with ``variances`` (F,), m²."""
+        ...
+
+    def coefficients_of(self, row: int, landmark: FloatArray, domain: FloatArray) -> FloatArray:
+        """All (P + 1)ⁿ of equation (3) in the order of Table 5, of the density at ``row``.
+
+        Args:
+            row: of :meth:`rows`.
+            landmark: (3,) of its feature.
+            domain: (C,) of the same row.
+        """
+        ...
+
+    @classmethod
+    def kept_coefficients(
+        cls, coefficients: FloatArray, degree: int, landmark: FloatArray, domain: FloatArray
+    ) -> FloatArray:
+        """What is kept of the coefficients that :meth:`coefficients_of` gave.
+
+        Raises:
+            ValueError: they are not those of such a density; says why, as of a row ("has …").
+        """
+        ...
+
+    @classmethod
+    def from_rows(cls, degree: int, rows: DensityRows, landmarks: FloatArray, kept: Sequence[FloatArray]) -> Self:
+        """The densities of :meth:`rows`, of a map's landmarks (F, 3), with what is kept of each one's coefficients.
+
+        Raises:
+            ValueError: the rows contradict each other; says which.
+        """
+        ...
+
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """What a file has to keep of them besides the landmarks, by name."""
+        ...
+
+    @classmethod
+    def from_arrays(cls, arrays: Arrays, landmarks: FloatArray) -> Self:
+        """What :meth:`arrays` gave, of a map's landmarks (F, 3).
+
+        Raises:
+            ValueError: an array is missing, or contradicts another; says which.
+        """
+        ...
+
+    @classmethod
+    def fit(cls, sightings: Sightings, degree: int, progress: Callable[[float, str], None]) -> Self:
+        """The densities of landmarks that were seen; ``progress`` hears the share done and a line on it."""
+        ...

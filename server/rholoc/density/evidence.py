@@ -1,0 +1,75 @@
+"""What the matches of a frame say: which ray of the camera may show which landmark."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from rholoc.geometry import FloatArray, IntArray, basis_across
+
+_FALSE_DENSITY = 0.1  # how dense false matches lie near the truth, against true ones
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """What M matches say: rays of the camera, landmarks of the map.
+
+    Attributes:
+        features: (M,) rows of the map's features.
+        rays: (M, 3) unit rays in the camera frame.
+        across: (M, 3, 2) an orthonormal basis across each ray, camera frame.
+        landmarks: (M, 3) metres, map frame.
+        covariances: (M, 3, 3) m², map frame.
+        epsilon: (M,) the odds that the match is false, in units of the density's peak.
+        focal_px: the focal length, to turn pixels into angles.
+    """
+
+    features: IntArray
+    rays: FloatArray
+    across: FloatArray
+    landmarks: FloatArray
+    covariances: FloatArray
+    epsilon: FloatArray
+    focal_px: float
+
+    @classmethod
+    def of(
+        cls,
+        features: IntArray,
+        rays: FloatArray,
+        landmarks: FloatArray,
+        covariances: FloatArray,
+        chances: FloatArray,
+        focal_px: float,
+    ) -> Evidence:
+        """From features (M,), rays (M, 3), landmarks (M, 3), covariances (M, 3, 3) and chances (M,) of being true."""
+        epsilon = _FALSE_DENSITY * (1 - chances) / chances
+        return cls(features, rays, basis_across(rays), landmarks, covariances, epsilon, focal_px)
+
+    def __len__(self) -> int:
+        return len(self.rays)
+
+    @cached_property
+    def variances(self) -> FloatArray:
+        """(M,) m², of each landmark along an axis, the mean over all axes."""
+        return np.asarray(np.trace(self.covariances, axis1=1, axis2=2) / 3)
+
+    def refocused(self, scale: float) -> Evidence:
+        """The same detections through a lens of ``scale`` times the focal length."""
+        rays = self.rays * (1.0, 1.0, scale)
+        rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+        return replace(self, rays=rays, across=basis_across(rays), focal_px=self.focal_px * scale)
+
+    def take(self, index: IntArray) -> Evidence:
+        """The evidence of some of the matches."""
+        return Evidence(
+            self.features[index],
+            self.rays[index],
+            self.across[index],
+            self.landmarks[index],
+            self.covariances[index],
+            self.epsilon[index],
+            self.focal_px,
+        )

@@ -1,0 +1,31 @@
+"""A map's densities fitted in the form that is asked for."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from rholoc.density import FORMS, DensityKind, RayDensities, Sightings
+from rholoc.maps import Map
+from rholoc.progress import ProgressListener, Stage, silent
+
+DEFAULT_DEGREE = 2
+
+
+def fit_densities(
+    map_: Map, kind: DensityKind, degree: int = DEFAULT_DEGREE, progress: ProgressListener = silent
+) -> Map:
+    """The map with densities of form ``kind`` and of ``degree`` P, fitted to what its views saw from where."""
+    sightings = Sightings(
+        map_.landmarks.astype(np.float64),
+        map_.observation_features,
+        map_.view_positions[map_.observation_views],
+    )
+    densities = FORMS[kind].fit(sightings, degree, lambda done, text: progress(Stage.DENSITIES, done, text))
+    return replace(map_, info=replace(map_.info, density=kind), densities=densities)
+
+
+def ray_form(map_: Map) -> Map:
+    """The map in the ``ray`` form that learning works on: the other forms follow from what it remembers."""
+    return replace(map_, info=replace(map_.info, density=DensityKind.RAY), densities=RayDensities())
