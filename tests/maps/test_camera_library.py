@@ -75,7 +75,7 @@ def test_intrinsics_and_names_are_told_apart(cameras: CameraLibrary) -> None:
 
 @pytest.mark.parametrize("value", [float("nan"), {1, 2}])
 def test_a_calibration_that_is_not_json_is_refused(cameras: CameraLibrary, value: object) -> None:
-    with pytest.raises(InvalidInput, match="not JSON"):
+    with pytest.raises(InvalidInput, match="plain JSON"):
         cameras.put("axis", CameraProfile(_CAMERA, {"rms_px": value}))
     assert cameras.names() == []
 
