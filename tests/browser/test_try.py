@@ -148,11 +148,12 @@ def test_a_map_that_is_not_trusted_says_so_beside_its_answers(desk_browser, runn
 
 @pytest.mark.parametrize("size", [(640, 480), (480, 640), (640, 360)], ids=["4:3", "portrait", "16:9"])
 @pytest.mark.parametrize("name", ["room", "wide"])
-def test_a_camera_of_any_shape_is_taken(desk_browser, running, picture_world, opened, settled, name, size):
-    """Cameras of another shape than the map's send what they see with intrinsics that belong to it."""
+@pytest.mark.parametrize("choice", ["", "the camera that made the map"], ids=["automatic", "map's"])
+def test_a_camera_of_any_shape_is_taken(desk_browser, running, opened, settled, name, size, choice):
+    """A camera of another shape than the map's is estimated, or taken for the map's, turned or cropped."""
+    asked: list[str] = []
     with opened(desk_browser, running.url, f"try/{name}") as page:
         settled(page)
-        asked: list[str] = []
         page.on("request", lambda request: "localize" in request.url and asked.append(request.url))
         page.evaluate(
             """([width, height]) => {
@@ -164,13 +165,33 @@ def test_a_camera_of_any_shape_is_taken(desk_browser, running, picture_world, op
             }""",
             list(size),
         )
+        page.get_by_text("Camera options").click()
+        page.get_by_label("Which camera took it?").select_option(choice)
         page.get_by_role("button", name="Use the camera").click()
         expect(page.locator(".answer")).to_contain_text("frames a second")
         page.get_by_role("button", name="Stop the camera").click()
         expect(page.get_by_role("alert")).to_have_count(0)
-    camera = 520 if name == "room" else 1040
-    scale = max(size) / (640 if name == "room" else 1280)
-    assert all(float(httpx.URL(url).params["fx"]) == pytest.approx(camera * scale, abs=0.1) for url in asked)
+    own_shape = size == ((640, 480) if name == "room" else (640, 360))
+    focal = 520 if name == "room" else 1040
+    expected = {"fx": focal * max(size) / (640 if name == "room" else 1280)}
+    for url in asked:
+        query = httpx.URL(url).params
+        if choice or own_shape:
+            assert float(query["fx"]) == pytest.approx(expected["fx"], abs=0.1)
+        else:
+            assert query["intrinsics"] == "unknown"
+
+
+def test_an_unknown_camera_is_estimated_and_said_to_be(desk_browser, running, pictures, opened, settled):
+    with opened(desk_browser, running.url, "try/room") as page:
+        take(settled(page), pictures / "frame.png")
+        expect(page.locator(".answer")).to_contain_text("localized")
+        page.get_by_text("Camera options").click()
+        page.get_by_label("Which camera took it?").select_option("unknown: estimate its focal length")
+        expect(page.locator(".answer")).to_contain_text("The camera is not known")
+        found = re.search(r"Focal length(\d+) px, estimated", page.locator(".answer").text_content() or "")
+        assert found is not None
+        assert int(found[1]) == pytest.approx(520, rel=0.1)
 
 
 def test_trajectories_roll_and_the_frustum_has_the_pictures_shape(

@@ -25,8 +25,10 @@ const LONG_SIDE = 640; // px, of frames from this device's camera
 const JPEG_QUALITY = 0.85;
 const RATE_OVER = 8; // frames that the rate is measured over
 const PRIOR_RADIUS_M = 1;
-const MAP_CAMERA = "";
-const FIELD_OF_VIEW = " fov"; // no camera has a name with a space
+const AUTOMATIC = "";
+const MAP_CAMERA = " map"; // no camera has a name with a space
+const UNKNOWN = " unknown";
+const FIELD_OF_VIEW = " fov";
 const SURE = 0.99; // above it confidence is said to be more than this: nothing is certain
 
 export async function showTry(main, name, signal) {
@@ -119,7 +121,8 @@ class Trial {
     fill(this.copying, copyButtons(this.map, query, this.still?.name ?? "frame.jpg", blob.type));
     this.copying.hidden = false;
     const landmarks = found.localized ? found.agreeing.landmarks : [];
-    this.scene.showPose(found.pose?.T_map_camera ?? null, landmarks, intrinsics.extents);
+    const extents = found.camera ? halfExtents(found.camera, source.width, source.height) : intrinsics.extents;
+    this.scene.showPose(found.pose?.T_map_camera ?? null, landmarks, extents);
     this.tell(found, intrinsics.known, extra?.());
     return found;
   }
@@ -127,14 +130,17 @@ class Trial {
   /** What is asked with, how far it is known, and how far the picture reaches. */
   intrinsicsOf(width, height) {
     const chosen = this.intrinsics.value;
-    let own;
+    let own = intrinsicsFor(this.map.camera, width, height);
+    if (chosen === UNKNOWN || (chosen === AUTOMATIC && own.known !== Known.MEASURED))
+      return { query: { intrinsics: "unknown" }, known: Known.ESTIMATED, extents: halfExtents(own, width, height) };
     if (chosen === FIELD_OF_VIEW) {
       const degrees = Number(this.degrees.value);
       if (!this.degrees.value || !this.degrees.checkValidity())
         throw new Error(t`Type the picture's horizontal field of view, or choose a camera.`);
       own = intrinsicsOfFieldOfView(degrees, width, height);
     } else {
-      own = intrinsicsFor(this.cameras.find(({ name }) => name === chosen) ?? this.map.camera, width, height);
+      const stored = this.cameras.find(({ name }) => name === chosen);
+      if (stored) own = intrinsicsFor(stored, width, height);
     }
     return { query: asQuery(own), known: own.known, extents: halfExtents(own, width, height) };
   }
@@ -186,6 +192,7 @@ class Trial {
         confidenceOf(found, known),
       ),
       !found.localized && h("p", {}, WHY[found.reason] ?? found.reason),
+      !found.localized && found.diagnosis && h("p", {}, `${found.diagnosis.message} ${found.diagnosis.hint}`),
       doubts(found, known, this.map).map((text) => h("p", { class: "notice warn small" }, text)),
       facts([
         [
@@ -194,6 +201,7 @@ class Trial {
         ],
         [t`Heading`, pose ? pose.heading.map((value) => value.toFixed(2)).join(", ") : "–"],
         [t`Off by about`, offBy(found, known, metric)],
+        [t`Focal length`, found.camera && t`${found.camera.fx.toFixed(0)} px, estimated to ${found.camera.focal_sigma_px.toFixed(0)} px`],
         [t`Matches`, t`${found.inliers} of ${found.matches} agree`],
         [t`Took`, [`${found.timings_ms.total.toFixed(0)} ms`, extra].filter(Boolean).join(", ")],
       ]),
@@ -229,18 +237,19 @@ function doubts(found, known, map) {
     trustOf(map) === Trust.NO && t`The map itself is not trusted: the pose may be wrong by more than is said here.`,
     known === Known.TYPED &&
       t`The field of view was typed, not measured: a few degrees off put the pose decimetres off. Calibrate the camera to know.`,
+    known === Known.ESTIMATED &&
+      t`The camera is not known; its focal length was estimated from this picture alone. A stored camera is surer.`,
     known === Known.ASSUMED &&
       t`The picture has another shape than the camera's. It is taken to be the same camera, turned or cropped; if it is not, the pose is wrong.`,
   ].filter(Boolean);
 }
 
-/** What the pose may be off by: the service's own figure where it sends one, else the spread of the optimum. */
+/** What the pose may be off by: the spread of the optimum, of which the map's own uncertainty is a part. */
 function offBy(found, known, metric) {
   if (!found.localized || known === Known.TYPED) return t`unknown`;
-  const { covariance, expected_error_m: expected } = found;
-  const spread = covariance && Math.sqrt((covariance[0][0] + covariance[1][1] + covariance[2][2]) / 3);
-  const value = expected ?? spread;
-  return Number.isFinite(value) ? length(value, metric) : t`unknown`;
+  const { covariance } = found;
+  const spread = covariance && Math.sqrt(covariance[0][0] + covariance[1][1] + covariance[2][2]);
+  return Number.isFinite(spread) ? length(spread, metric) : t`unknown`;
 }
 
 /** The request as a program, to be copied: a button for each language. */
@@ -283,7 +292,9 @@ function options(trial) {
   degrees.hidden = true;
   fill(
     trial.intrinsics,
+    h("option", { value: AUTOMATIC }, t`not said: the map's where the shape is the same, else estimated`),
     h("option", { value: MAP_CAMERA }, t`the camera that made the map`),
+    h("option", { value: UNKNOWN }, t`unknown: estimate its focal length`),
     trial.cameras.map(({ name }) => h("option", { value: name }, name)),
     h("option", { value: FIELD_OF_VIEW }, t`another, by its field of view`),
   );
