@@ -1,4 +1,4 @@
-# Each target sets up .venv by itself; nothing but pip goes to the network.
+# Each target sets up .venv by itself, and lint the tools that check the web page; nothing but pip and npm goes to the network.
 # PYTHON chooses the interpreter: make test PYTHON=python3.12
 
 SHELL := /bin/bash
@@ -7,6 +7,7 @@ PYTHON ?= $(firstword $(foreach name,python3 python3.13 python3.12 python3.11 py
 VENV := .venv
 BIN := $(VENV)/bin
 INSTALLED := $(VENV)/.installed
+PAGE_TOOLS := client/node_modules/.installed
 
 .PHONY: demo serve test lint format clean
 
@@ -19,18 +20,27 @@ serve: $(INSTALLED)
 test: $(INSTALLED)
 	$(BIN)/python -m pytest -n 2
 
-lint: $(INSTALLED)
+lint: $(INSTALLED) $(PAGE_TOOLS)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+	npm --prefix client run --silent lint
+	npm --prefix client run --silent types
+	npm --prefix client run --silent test
 
-format: $(INSTALLED)
+format: $(INSTALLED) $(PAGE_TOOLS)
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
+	npm --prefix client run --silent format
 
 clean:
-	rm -rf $(VENV) demo-output
+	rm -rf $(VENV) demo-output client/node_modules
+
+$(PAGE_TOOLS): client/package.json
+	@command -v npm >/dev/null || { echo "The web page is checked with Node.js 20 or later, which was not found: install nodejs and npm."; exit 1; }
+	npm --prefix client install --silent
+	@touch $@
 
 $(INSTALLED): pyproject.toml server/constraints.txt
 	@$(if $(PYTHON),,echo "rholoc needs Python 3.11 or later; none was found. Install one, or name it: make PYTHON=/path/to/python3.12"; exit 1)

@@ -24,9 +24,14 @@ const BARS_M = [0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50, 100];
  * answers; `look(T_map_camera)` hears of a place and direction that was clicked.
  */
 export function coverageView(coverage, map, signal, look) {
-  if (!coverage.cells.length) return h("p", { class: "muted" }, t`The map has no views, so nobody knows where it works.`);
+  if (!coverage.cells.length)
+    return h("p", { class: "muted" }, t`The map has no views, so nobody knows where it works.`);
   const canvas = h("canvas", { class: "coverage", tabindex: 0, role: "img", "aria-label": summary(coverage) });
-  const said = h("p", { class: "small", role: "status" }, t`Point at a place, or use the arrow keys; a click shows it in the room.`);
+  const said = h(
+    "p",
+    { class: "small", role: "status" },
+    t`Point at a place, or use the arrow keys; a click shows it in the room.`,
+  );
   const unit = map.scale === "metric" ? "m" : t`units`;
   const rose = { cell: null, heading: 0 };
   const draw = () => drawCoverage(canvas, coverage, map, unit, rose);
@@ -103,6 +108,7 @@ export function moved({ cells, headings_deg: headings }, { cell, heading }, key)
   return ahead.length ? { cell: ahead.reduce((best, one) => (one[0] < best[0] ? one : best))[1], heading } : null;
 }
 
+/** @type {(u: number[], v: number[]) => number[]} */
 const cross = ([a, b, c], [x, y, z]) => [b * z - c * y, c * x - a * z, a * y - b * x];
 const dot = (a, b) => a.reduce((sum, value, i) => sum + value * b[i], 0);
 
@@ -116,7 +122,8 @@ function placement(coverage, width, height) {
   const [columns, rows] = [0, 1].map((axis) => coverage.cells.map((cell) => cell[axis]));
   const [west, east, south, north] = [Math.min(...columns), Math.max(...columns), Math.min(...rows), Math.max(...rows)];
   const pixels = Math.min(width / (east - west + 2 * MARGIN_STEPS), height / (north - south + 2 * MARGIN_STEPS));
-  const toCell = (x, y) => [0, 1].map((axis) => ([x, y][axis] - dot(coverage.origin, coverage.axes[axis])) / coverage.step);
+  const toCell = (x, y) =>
+    [0, 1].map((axis) => ([x, y][axis] - dot(coverage.origin, coverage.axes[axis])) / coverage.step);
   const cell = (column, row) => [
     width / 2 + pixels * (column - (west + east) / 2),
     height / 2 - pixels * (row - (south + north) / 2),
@@ -135,7 +142,12 @@ function roseAt(canvas, coverage, x, y) {
   if (apart[cell] > place.pixels) return null;
   const width = 360 / coverage.headings_deg.length;
   const angle = (Math.atan2(offsets[cell][1], offsets[cell][0]) * 180) / Math.PI;
-  return { cell, heading: ((Math.round(angle / width) % coverage.headings_deg.length) + coverage.headings_deg.length) % coverage.headings_deg.length };
+  return {
+    cell,
+    heading:
+      ((Math.round(angle / width) % coverage.headings_deg.length) + coverage.headings_deg.length) %
+      coverage.headings_deg.length,
+  };
 }
 
 function drawCoverage(canvas, coverage, map, unit, chosen) {

@@ -4,6 +4,7 @@ import { language, t } from "../shared/text.js";
 
 const UNITS = ["bytes", "kB", "MB", "GB"];
 const RELATIVE = new Intl.RelativeTimeFormat(language, { numeric: "auto" });
+/** @type {[Intl.RelativeTimeFormatUnit, number][]} */
 const SPANS = [
   ["day", 86400],
   ["hour", 3600],

@@ -10,6 +10,8 @@ export const Known = Object.freeze({
   ESTIMATED: "estimated", // by the server, of the picture
 });
 
+/** @typedef {{known: string, fx: number, fy: number, cx: number, cy: number, distortion: number[]}} Intrinsics */
+
 /**
  * The intrinsics of a picture of `width` × `height` px, taken to be the given camera's: `{known, fx, fy, cx, cy,
  * distortion}`.
@@ -17,6 +19,7 @@ export const Known = Object.freeze({
  * A picture of the camera's own shape is only scaled. One of another shape is taken for a crop, or for more of what a
  * crop left out: phones and webcams cut their pictures above and below, so that the long sides show the same angle. A
  * picture that stands where the camera's lies is the camera turned.
+ * @returns {Intrinsics}
  */
 export function intrinsicsFor(camera, width, height) {
   const turned = width >= height !== camera.width >= camera.height;
@@ -34,7 +37,10 @@ export function intrinsicsFor(camera, width, height) {
   };
 }
 
-/** Of a typed horizontal field of view. */
+/**
+ * Of a typed horizontal field of view.
+ * @returns {Intrinsics}
+ */
 export function intrinsicsOfFieldOfView(degrees, width, height) {
   const f = width / 2 / Math.tan((degrees * Math.PI) / 360);
   return { known: Known.TYPED, fx: f, fy: f, cx: (width - 1) / 2, cy: (height - 1) / 2, distortion: [] };
@@ -59,7 +65,9 @@ function quarterTurn({ width, height, fx, fy, distortion = [] }) {
 
 /** As the query of a request. */
 export function asQuery({ fx, fy, cx, cy, distortion }) {
-  const figures = Object.fromEntries(Object.entries({ fx, fy, cx, cy }).map(([name, value]) => [name, value.toFixed(3)]));
+  const figures = Object.fromEntries(
+    Object.entries({ fx, fy, cx, cy }).map(([name, value]) => [name, value.toFixed(3)]),
+  );
   return distortion.length ? { ...figures, distortion: distortion.join(",") } : figures;
 }
 

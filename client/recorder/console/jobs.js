@@ -1,10 +1,10 @@
 // Mapping jobs: how far they are, why they failed, cancelled and tried again.
 
+import { followJob } from "../record/job.js";
 import { call, get, path } from "../shared/api.js";
 import { fill, h } from "../shared/dom.js";
 import { t, translated } from "../shared/text.js";
 import { inPlainWords, Trust, whatToDo } from "../shared/trust.js";
-import { followJob } from "../record/job.js";
 import { ago, duration, when } from "./format.js";
 import { action, empty, facts, loading, lostNotice, skeletons, stateBadge } from "./parts.js";
 

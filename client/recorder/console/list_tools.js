@@ -1,6 +1,5 @@
 // How a list is searched and sorted.
 
-
 import { h } from "../shared/dom.js";
 import { field } from "../shared/name_choice.js";
 import { t } from "../shared/text.js";

@@ -3,11 +3,11 @@
 import { keyButton } from "../shared/api.js";
 import { fill, h } from "../shared/dom.js";
 import { t, translatePage } from "../shared/text.js";
-import { problem } from "./parts.js";
 import { showCameras } from "./cameras.js";
 import { showJob, showJobs } from "./jobs.js";
 import { showMap } from "./map.js";
 import { showMaps } from "./maps.js";
+import { problem } from "./parts.js";
 import { showRecordings } from "./recordings.js";
 import { showTry } from "./try.js";
 

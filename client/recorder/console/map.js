@@ -35,14 +35,7 @@ export async function showMap(main, name, signal) {
       h(
         "div",
         { class: "map-columns" },
-        h(
-          "div",
-          { class: "stack" },
-          h("h2", {}, t`Where it works`),
-          works,
-          h("h2", {}, t`The room`),
-          scene.element,
-        ),
+        h("div", { class: "stack" }, h("h2", {}, t`Where it works`), works, h("h2", {}, t`The room`), scene.element),
         about,
       ),
     ),
@@ -129,7 +122,8 @@ function fillAbout(place, map, report) {
       map.previous && previous(map),
     ),
     h("section", { class: "card stack" }, h("h2", {}, t`Learned from`), sources(map)),
-    map.waypoints.length > 0 && h("section", { class: "card stack" }, h("h2", {}, t`Waypoints`), waypoints(map, metric)),
+    map.waypoints.length > 0 &&
+      h("section", { class: "card stack" }, h("h2", {}, t`Waypoints`), waypoints(map, metric)),
     h("section", { class: "card stack" }, h("h2", {}, t`Export`), downloads(map.name)),
   );
 }
@@ -153,7 +147,11 @@ function errorsCard(map, report, metric) {
             [t`Median turn`, measured(heldOut.median_deg, (value) => `${value.toFixed(2)}°`)],
             [t`90 % within`, measured(heldOut.p90_m, inLength)],
           ]),
-          h("p", { class: "small muted" }, t`Frames of the walk that the map was not made from. If the walk as a whole is bent, they do not show it.`),
+          h(
+            "p",
+            { class: "small muted" },
+            t`Frames of the walk that the map was not made from. If the walk as a whole is bent, they do not show it.`,
+          ),
         ]
       : h("p", { class: "muted" }, t`No frames were held out of it.`),
     h("h3", {}, t`Against measured points`),
@@ -175,7 +173,11 @@ function previous({ name, previous: before }) {
     action(t`Restore it`, async () => {
       const done = await ask(
         t`Restore the map before?`,
-        h("p", {}, t`It comes back under this name. The present one is kept in its place, and can be restored in turn.`),
+        h(
+          "p",
+          {},
+          t`It comes back under this name. The present one is kept in its place, and can be restored in turn.`,
+        ),
         h("button", { class: "primary" }, t`Restore`),
         () => call("POST", path`v1/maps/${name}/restore`),
       );
@@ -334,15 +336,9 @@ async function update(name) {
   const chosen = h(
     "select",
     { name: "recording" },
-    recordings.map((one) =>
-      h(
-        "option",
-        { value: one.id },
-        `${fileNames(one)}, ${when(one.created)}`,
-      ),
-    ),
+    recordings.map((one) => h("option", { value: one.id }, `${fileNames(one)}, ${when(one.created)}`)),
   );
-  let job;
+  let job = /** @type {any} */ (null);
   const done = await ask(
     t`Learn a further recording`,
     field(t`Recording`, chosen),

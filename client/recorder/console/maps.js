@@ -22,7 +22,11 @@ const ORDERS = [
 export async function showMaps(main, _, signal) {
   const list = h("ul", { class: "cards", "aria-label": t`Maps` }, skeletons(3, "map-card"));
   let found = { maps: [], unreadable: {} };
-  const tools = listTools(ORDERS, (map) => map.name, () => fillList(list, found, tools, signal));
+  const tools = listTools(
+    ORDERS,
+    (map) => map.name,
+    () => fillList(list, found, tools, signal),
+  );
   const reload = () =>
     loading(
       list,

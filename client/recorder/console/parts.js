@@ -92,7 +92,12 @@ export function lostNotice() {
   return {
     element,
     show: (error) => {
-      fill(element, h("strong", {}, error.summary ?? error.message), " ", t`This page goes on by itself when it is back.`);
+      fill(
+        element,
+        h("strong", {}, error.summary ?? error.message),
+        " ",
+        t`This page goes on by itself when it is back.`,
+      );
       element.hidden = false;
     },
     hide: () => (element.hidden = true),

@@ -14,7 +14,14 @@ export function play(place, poses, show) {
   const showNow = () => {
     const time = Number(slider.value);
     clock.textContent = `${(time - first).toFixed(1)} s`;
-    show(poses[Math.max(0, poses.findLastIndex((pose) => pose.time <= time))]);
+    show(
+      poses[
+        Math.max(
+          0,
+          poses.findLastIndex((pose) => pose.time <= time),
+        )
+      ],
+    );
   };
   const step = (now) => {
     if (!running) return;

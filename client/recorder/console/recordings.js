@@ -1,10 +1,10 @@
 // Recordings: uploaded, and what is kept of them.
 
+import { upload } from "../record/upload.js";
 import { call, get, path } from "../shared/api.js";
 import { ask, fill, h } from "../shared/dom.js";
 import { field, nameChoice } from "../shared/name_choice.js";
 import { t } from "../shared/text.js";
-import { upload } from "../record/upload.js";
 import { bytes, fileNames, when } from "./format.js";
 import { listTools } from "./list_tools.js";
 import { action, empty, loading, page, skeletons, stateBadge, tell } from "./parts.js";
@@ -25,7 +25,9 @@ export async function showRecordings(main, _, signal) {
     loading(
       list,
       async () => {
-        const [{ recordings }, { jobs }] = await Promise.all(["v1/recordings", "v1/jobs"].map((at) => get(at, { signal })));
+        const [{ recordings }, { jobs }] = await Promise.all(
+          ["v1/recordings", "v1/jobs"].map((at) => get(at, { signal })),
+        );
         found = { recordings, jobs };
         show();
       },
@@ -125,8 +127,20 @@ function fillList(place, { recordings, jobs }, tools, reload) {
       h(
         "table",
         {},
-        h("thead", {}, h("tr", {}, heads.map((text) => h("th", { scope: "col" }, text)))),
-        h("tbody", {}, tools.chosen(recordings).map((one) => row(one, jobsOf(one, jobs), reload))),
+        h(
+          "thead",
+          {},
+          h(
+            "tr",
+            {},
+            heads.map((text) => h("th", { scope: "col" }, text)),
+          ),
+        ),
+        h(
+          "tbody",
+          {},
+          tools.chosen(recordings).map((one) => row(one, jobsOf(one, jobs), reload)),
+        ),
       ),
     ),
   );
@@ -145,10 +159,18 @@ function row(recording, jobs, reload) {
       h("br"),
       h("code", { class: "muted", title: recording.id }, recording.id.slice(0, 8)),
     ),
-    h("td", {}, jobs.map((job) => h("div", { class: "row" }, h("a", { href: `#/jobs/${job.id}` }, job.map), stateBadge(job)))),
+    h(
+      "td",
+      {},
+      jobs.map((job) => h("div", { class: "row" }, h("a", { href: `#/jobs/${job.id}` }, job.map), stateBadge(job))),
+    ),
     h("td", {}, bytes(recording.size_bytes)),
     h("td", {}, when(recording.created)),
-    h("td", {}, action(t`Delete`, () => remove(recording, reload), "danger")),
+    h(
+      "td",
+      {},
+      action(t`Delete`, () => remove(recording, reload), "danger"),
+    ),
   );
 }
 

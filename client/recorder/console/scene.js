@@ -1,11 +1,11 @@
 // A map in 3-D: landmarks in the colours of the pictures or by uncertainty, the walk, waypoints, the map's axes, and the pose
 // that was found. WebGL, z up.
 
-import { multiply, perspective, lookAt, project } from "./matrix.js";
 import { resolvedColour } from "../shared/colours.js";
 import { h } from "../shared/dom.js";
 import { t } from "../shared/text.js";
 import { length } from "./format.js";
+import { lookAt, multiply, perspective, project } from "./matrix.js";
 import { STRIDE_LANDMARK, STRIDE_VIEW } from "./scene_data.js";
 
 const FIELD_OF_VIEW = 0.9; // rad
@@ -23,6 +23,7 @@ const MAX_RAYS = 150; // the most lines from the camera to landmarks
 const AXIS = 0.5; // m, of the axes at the origin
 const PICK_PX = 14; // how near a click must be to what it is meant for
 const CLICK_PX = 5; // how far a pointer may move in a click
+/** @type {[string, number[], number[]][]} */
 const AXES = [
   ["x", [1, 0, 0], [0.84, 0.2, 0.2]],
   ["y", [0, 1, 0], [0.15, 0.55, 0.2]],
@@ -176,7 +177,7 @@ export class SceneView {
    */
   showPose(T, landmarks = [], extents = EXTENTS) {
     this.setLines("camera", "--accent", T ? frustum(T, extents) : []);
-    const at = T && T.slice(0, 3).map((row) => row[3]);
+    const at = T?.slice(0, 3).map((row) => row[3]);
     const step = Math.max(1, Math.ceil(landmarks.length / MAX_RAYS));
     const seen = landmarks.filter((_, i) => i % step === 0);
     this.setLines("rays", "--accent", at ? seen.flatMap((landmark) => [...at, ...landmark]) : [], 0.2);
@@ -421,7 +422,11 @@ function segments(positions) {
   return positions.slice(1).flatMap((position, i) => [...positions[i], ...position]);
 }
 
-/** A pyramid whose tip is the camera, and whose base has the picture's shape. */
+/**
+ * A pyramid whose tip is the camera, and whose base has the picture's shape.
+ * @param {number[][]} T
+ * @param {number[]} extents
+ */
 function frustum(T, [across, down]) {
   const point = (x, y, z) => [0, 1, 2].map((i) => T[i][0] * x + T[i][1] * y + T[i][2] * z + T[i][3]);
   const [w, tall, d] = [across * FRUSTUM, down * FRUSTUM, FRUSTUM];
@@ -450,7 +455,9 @@ function shuffledOrder(count) {
 /** Rows of `stride` numbers in another order. */
 function inOrder(numbers, stride, order) {
   const ordered = new numbers.constructor(numbers.length);
-  order.forEach((row, i) => ordered.set(numbers.subarray(row * stride, (row + 1) * stride), i * stride));
+  order.forEach((row, i) => {
+    ordered.set(numbers.subarray(row * stride, (row + 1) * stride), i * stride);
+  });
   return ordered;
 }
 
@@ -476,7 +483,11 @@ function nearest({ landmarks, views }, distance) {
   return { position: [...landmarks.subarray(landmark, landmark + 3)], deviation: landmarks[landmark + 3] };
 }
 
-/** What is said of something that was clicked. */
+/**
+ * What is said of something that was clicked.
+ * @param {{view?: number, position: number[], heading?: number[], deviation?: number}} found
+ * @param {boolean} metric
+ */
 export function sayPicked({ view, position, heading, deviation }, metric) {
   const at = position.map((value) => value.toFixed(2)).join(", ");
   const unit = metric ? "m" : t`units`;

@@ -53,7 +53,7 @@ function python({ url, map, query, file, type, withKey }) {
     "answer.raise_for_status()",
     'print(answer.json()["pose"])',
   ]
-    .filter((line) => line !== false)
+    .filter((line) => typeof line === "string")
     .join("\n");
 }
 

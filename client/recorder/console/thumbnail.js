@@ -10,7 +10,9 @@ const MIN_EXTENT = 1; // map units
 /** Draw landmarks, walk and waypoints of a scene (of `readScene`) onto a canvas, as large as it is shown. */
 export function drawFromAbove(canvas, scene, waypoints = []) {
   const ratio = Math.min(devicePixelRatio, 2);
-  const [width, height] = [canvas.clientWidth, canvas.clientHeight].map((size) => Math.max(1, Math.round(size * ratio)));
+  const [width, height] = [canvas.clientWidth, canvas.clientHeight].map((size) =>
+    Math.max(1, Math.round(size * ratio)),
+  );
   Object.assign(canvas, { width, height });
   const context = canvas.getContext("2d");
   const place = placement(bounds(scene), width, height);
@@ -34,7 +36,12 @@ export function bounds({ landmarks, views }) {
   });
 }
 
-/** Map coordinates → pixels: north is up, both axes have one scale, and the bounds fill the picture. */
+/**
+ * Map coordinates → pixels: north is up, both axes have one scale, and the bounds fill the picture.
+ * @param {number[][]} bounds
+ * @param {number} width
+ * @param {number} height
+ */
 export function placement([[west, east], [south, north]], width, height) {
   const [across, along] = [Math.max(east - west, MIN_EXTENT), Math.max(north - south, MIN_EXTENT)];
   const scale = (1 - 2 * MARGIN) * Math.min(width / across, height / along);

@@ -57,9 +57,18 @@ class Trial {
   #question = new AbortController();
 
   constructor(map, cameras, signal) {
-    Object.assign(this, { map, cameras, signal, ends: [] });
+    this.map = map;
+    this.cameras = cameras;
+    this.signal = signal;
+    this.ends = []; // of what runs
     this.scene = new SceneView(t`The map ${map.name} and the pose that was found`);
-    this.picture = h("canvas", { class: "frame", width: 640, height: 480, role: "img", "aria-label": t`No picture yet` });
+    this.picture = h("canvas", {
+      class: "frame",
+      width: 640,
+      height: 480,
+      role: "img",
+      "aria-label": t`No picture yet`,
+    });
     this.answer = h("div", { class: "answer", role: "status" }, h("p", { class: "muted" }, t`The pose appears here.`));
     this.intrinsics = h("select", { name: "camera" });
     this.degrees = h("input", { type: "number", min: 20, max: 150, step: "any", placeholder: t`such as 65` });
@@ -201,7 +210,11 @@ class Trial {
         ],
         [t`Heading`, pose ? pose.heading.map((value) => value.toFixed(2)).join(", ") : "–"],
         [t`Off by about`, offBy(found, known, metric)],
-        [t`Focal length`, found.camera && t`${found.camera.fx.toFixed(0)} px, estimated to ${found.camera.focal_sigma_px.toFixed(0)} px`],
+        [
+          t`Focal length`,
+          found.camera &&
+            t`${found.camera.fx.toFixed(0)} px, estimated to ${found.camera.focal_sigma_px.toFixed(0)} px`,
+        ],
         [t`Matches`, t`${found.inliers} of ${found.matches} agree`],
         [t`Took`, [`${found.timings_ms.total.toFixed(0)} ms`, extra].filter(Boolean).join(", ")],
       ]),
@@ -221,7 +234,10 @@ class Trial {
 function confidenceOf(found, known) {
   if (known === Known.TYPED) return h("span", { class: "muted" }, t`confidence unknown`);
   const { confidence } = found;
-  const text = confidence > SURE ? t`confidence over ${Math.round(100 * SURE)} %` : t`confidence ${Math.round(100 * confidence)} %`;
+  const text =
+    confidence > SURE
+      ? t`confidence over ${Math.round(100 * SURE)} %`
+      : t`confidence ${Math.round(100 * confidence)} %`;
   return h(
     "label",
     { class: "confidence" },
@@ -288,7 +304,11 @@ function layout(trial, maps) {
 }
 
 function options(trial) {
-  const degrees = field(t`Horizontal field of view, °`, trial.degrees, t`of the picture, from its left to its right edge`);
+  const degrees = field(
+    t`Horizontal field of view, °`,
+    trial.degrees,
+    t`of the picture, from its left to its right edge`,
+  );
   degrees.hidden = true;
   fill(
     trial.intrinsics,

@@ -6,15 +6,30 @@ import { Problem } from "./problem.js";
 
 const WANTED = {
   audio: false,
-  video: { facingMode: { ideal: "environment" }, width: { ideal: 1280 }, height: { ideal: 720 }, frameRate: { ideal: 30 } },
+  video: {
+    facingMode: { ideal: "environment" },
+    width: { ideal: 1280 },
+    height: { ideal: 720 },
+    frameRate: { ideal: 30 },
+  },
 };
 const REFUSALS = {
-  NotAllowedError: ["camera-refused", t`The camera was refused.`, t`Allow it for this page in the browser's settings, then try again.`],
+  NotAllowedError: [
+    "camera-refused",
+    t`The camera was refused.`,
+    t`Allow it for this page in the browser's settings, then try again.`,
+  ],
   NotFoundError: ["no-camera", t`There is no camera.`, t`Open this page on a phone.`],
   NotReadableError: ["camera-busy", t`Another program has the camera.`, t`Close it and try again.`],
 };
 // The first that the browser can write; hardware encodes H.264, and WebM survives being cut off.
-const TYPES = ["video/webm;codecs=h264", "video/mp4;codecs=avc1.42E01E", "video/webm;codecs=vp8", "video/webm", "video/mp4"];
+const TYPES = [
+  "video/webm;codecs=h264",
+  "video/mp4;codecs=avc1.42E01E",
+  "video/webm;codecs=vp8",
+  "video/webm",
+  "video/mp4",
+];
 const METER_LONG_SIDE = 160; // px, of the small picture that is measured
 
 /** The stream of the camera on the back. @throws {Problem} */

@@ -34,7 +34,9 @@ function bestOffset(recorded, seen, started) {
     .map((offset) => ({ offset, agreeing: agreeing(recorded, seen, offset) }));
   const most = Math.max(...candidates.map((candidate) => candidate.agreeing));
   const delay = ({ offset }) => (offset >= started ? offset - started : LATEST_S - (offset - started));
-  const good = candidates.filter((candidate) => candidate.agreeing >= NEARLY * most).sort((a, b) => delay(a) - delay(b));
+  const good = candidates
+    .filter((candidate) => candidate.agreeing >= NEARLY * most)
+    .sort((a, b) => delay(a) - delay(b));
   return good.length ? good[0].offset : started;
 }
 

@@ -93,7 +93,8 @@ export function sharpness(grey, width, height) {
       const wide = Math.max(across, down);
       if (wide <= LEAST_CONTRAST) continue;
       let steepest = 0;
-      for (let k = -2; k < 2; k++) steepest = Math.max(steepest, Math.abs(grey[at + (k + 1) * stride] - grey[at + k * stride]));
+      for (let k = -2; k < 2; k++)
+        steepest = Math.max(steepest, Math.abs(grey[at + (k + 1) * stride] - grey[at + k * stride]));
       steps.push(Math.min(1, steepest / wide));
     }
   }
@@ -112,7 +113,7 @@ export function flaws({ turnDegS = null, light = null, texture = null, sharpness
     light !== null && light < DARKEST && Flaw.TOO_DARK,
     texture !== null && texture < BAREST && Flaw.BARE,
     sharpness !== null && sharpness < LEAST_SHARP && Flaw.BLURRED,
-  ].filter((flaw) => flaw !== false);
+  ].filter((flaw) => typeof flaw === "string");
 }
 
 /** The one most urgent advice, `{code, text}`, or null when all is well. */

@@ -11,7 +11,11 @@ export async function frameTimes(blob) {
   try {
     const start = await bytes.view(0, 8);
     const times =
-      start.getUint32(0) === EBML ? await matroskaTimes(bytes) : start.getUint32(4) === box("ftyp") ? await mp4Times(bytes) : [];
+      start.getUint32(0) === EBML
+        ? await matroskaTimes(bytes)
+        : start.getUint32(4) === box("ftyp")
+          ? await mp4Times(bytes)
+          : [];
     if (times.length === 0) return null;
     times.sort((a, b) => a - b);
     return times.map((time) => time - times[0]);

@@ -27,14 +27,23 @@ async function show(store) {
 }
 
 function problemNotice(error) {
-  return h("div", { class: "notice bad", role: "alert" }, h("h1", {}, error.title ?? t`Something went wrong.`), h("p", {}, error.advice ?? error.message));
+  return h(
+    "div",
+    { class: "notice bad", role: "alert" },
+    h("h1", {}, error.title ?? t`Something went wrong.`),
+    h("p", {}, error.advice ?? error.message),
+  );
 }
 
 async function start() {
   const lack = missing();
   if (lack?.code === "no-database") throw lack;
   const store = await Store.open().catch((error) => {
-    throw new Problem("no-database", t`This browser keeps nothing for this page.`, t`Leave private browsing and try again. (${error.message})`);
+    throw new Problem(
+      "no-database",
+      t`This browser keeps nothing for this page.`,
+      t`Leave private browsing and try again. (${error.message})`,
+    );
   });
   await navigator.storage?.persist?.();
   addEventListener("hashchange", () => show(store));
@@ -44,4 +53,5 @@ async function start() {
 translatePage();
 document.querySelector("header").append(keyButton());
 start().catch((error) => fill(content, problemNotice(error)));
-if (window.isSecureContext) navigator.serviceWorker?.register("web/record/service-worker.js", { scope: "record" }).catch(() => {});
+if (window.isSecureContext)
+  navigator.serviceWorker?.register("web/record/service-worker.js", { scope: "record" }).catch(() => {});

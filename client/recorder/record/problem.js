@@ -6,7 +6,9 @@ import { t } from "../shared/text.js";
 export class Problem extends Error {
   constructor(code, title, advice = "") {
     super([title, advice].filter(Boolean).join(" "));
-    Object.assign(this, { code, title, advice });
+    this.code = code;
+    this.title = title;
+    this.advice = advice;
   }
 }
 
@@ -21,6 +23,10 @@ export function missing() {
   if (!navigator.mediaDevices?.getUserMedia || !window.MediaRecorder)
     return new Problem("unsupported", t`This browser cannot record video.`, t`Use a recent Chrome, Safari or Firefox.`);
   if (!window.indexedDB)
-    return new Problem("no-database", t`This browser keeps nothing for this page.`, t`Leave private browsing and try again.`);
+    return new Problem(
+      "no-database",
+      t`This browser keeps nothing for this page.`,
+      t`Leave private browsing and try again.`,
+    );
   return null;
 }

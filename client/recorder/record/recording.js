@@ -12,12 +12,19 @@ export const SHORTEST_S = 5; // that a map can come of
 
 /** The video of stored parts. */
 export function videoOf(recording, parts) {
-  return new Blob(parts.map((part) => part.video), { type: recording.type });
+  return new Blob(
+    parts.map((part) => part.video),
+    { type: recording.type },
+  );
 }
 
 /** The ZIP file of a recording: the same bytes each time, as long as its description and parts are the same. */
 export async function archive(recording, parts) {
-  const video = { name: videoName(recording.type), blob: videoOf(recording, parts), crc: await checksum(parts.map((part) => part.video)) };
+  const video = {
+    name: videoName(recording.type),
+    blob: videoOf(recording, parts),
+    crc: await checksum(parts.map((part) => part.video)),
+  };
   const texts = Object.entries(await tables(recording, parts, video.blob)).map(([name, text]) => {
     const bytes = new TextEncoder().encode(text);
     return { name, blob: new Blob([bytes]), crc: crc32(bytes) };

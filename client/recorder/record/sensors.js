@@ -13,8 +13,15 @@ let permission = null;
  * Resolves to whether they may be listened to.
  */
 export function askForSensors() {
-  const ask = window.DeviceMotionEvent?.requestPermission;
-  permission = ask ? ask.call(DeviceMotionEvent).then((answer) => answer === "granted", () => false) : Promise.resolve(true);
+  /** @type {any} */
+  const events = window.DeviceMotionEvent;
+  const ask = events?.requestPermission;
+  permission = ask
+    ? ask.call(DeviceMotionEvent).then(
+        (answer) => answer === "granted",
+        () => false,
+      )
+    : Promise.resolve(true);
   return permission;
 }
 

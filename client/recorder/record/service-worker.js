@@ -1,7 +1,8 @@
 // Keeps the recorder on the phone: fresh from the server while that answers, else as it was last time.
 
 const CACHE = "rholoc-recorder";
-const WEB = new URL("../", self.location);
+const worker = /** @type {any} */ (self);
+const WEB = new URL("../", self.location.href);
 const PAGE = new URL("../record", WEB);
 const FILES = [
   "record/camera.js",
@@ -44,14 +45,16 @@ const FILES = [
   "shared/trust.js",
 ];
 
-self.addEventListener("install", (event) => {
-  self.skipWaiting();
-  event.waitUntil(caches.open(CACHE).then((cache) => cache.addAll([PAGE, ...FILES.map((file) => new URL(file, WEB))])));
+worker.addEventListener("install", (event) => {
+  worker.skipWaiting();
+  event.waitUntil(
+    caches.open(CACHE).then((cache) => cache.addAll([PAGE, ...FILES.map((file) => new URL(file, WEB))].map(String))),
+  );
 });
 
-self.addEventListener("activate", (event) => event.waitUntil(self.clients.claim()));
+worker.addEventListener("activate", (event) => event.waitUntil(worker.clients.claim()));
 
-self.addEventListener("fetch", (event) => {
+worker.addEventListener("fetch", (event) => {
   const { request } = event;
   const where = new URL(request.url);
   const ours = where.pathname === PAGE.pathname || where.href.startsWith(WEB.href);

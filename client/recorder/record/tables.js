@@ -22,7 +22,7 @@ export function cameraJson({ R_camera_imu }) {
 }
 
 function csv(header, rows, cells) {
-  return [header, ...rows.map((row, number) => cells(row, number).join(","))].join("\n") + "\n";
+  return `${[header, ...rows.map((row, number) => cells(row, number).join(","))].join("\n")}\n`;
 }
 
 const seconds = (time) => time.toFixed(6);

@@ -1,7 +1,7 @@
 // A recording being made: video, inertial rows and frame times, handed to the store second by second.
 
 import { t } from "../shared/text.js";
-import { watchFrames, videoType } from "./camera.js";
+import { videoType, watchFrames } from "./camera.js";
 import { State } from "./store.js";
 
 const PART_MS = 1000;
@@ -31,12 +31,17 @@ export class Take {
   #part = { imu: [], frames: [] };
   #index = 0;
   #writing = Promise.resolve();
+  /** @type {string} */
   #ending = Ending.STOPPED;
   #last = {}; // what the recording was before its last part
   #cleanUp = [];
 
   constructor(store, recording, { stream, video, sensors }) {
-    Object.assign(this, { store, recording, stream, video, sensors });
+    this.store = store;
+    this.recording = recording;
+    this.stream = stream;
+    this.video = video;
+    this.sensors = sensors;
     this.recorder = new MediaRecorder(stream, { mimeType: videoType(), videoBitsPerSecond: BITS_PER_SECOND });
   }
 
@@ -61,7 +66,9 @@ export class Take {
     listen(this.stream.getVideoTracks()[0], "ended", () => this.stop(Ending.CAMERA));
     listen(document, "visibilitychange", () => document.hidden && this.stop(Ending.HIDDEN));
     listen(this.video, "resize", () => this.stop(Ending.TURNED));
-    listen(screen.orientation ?? window, screen.orientation ? "change" : "orientationchange", () => this.stop(Ending.TURNED));
+    listen(screen.orientation ?? window, screen.orientation ? "change" : "orientationchange", () =>
+      this.stop(Ending.TURNED),
+    );
     listen(this.sensors, "row", ({ detail }) => this.#part.imu.push(detail));
     this.#cleanUp.push(watchFrames(this.video, (time) => this.#part.frames.push(time)));
     const started = Take.now();
@@ -69,7 +76,10 @@ export class Take {
     this.recording = { ...this.recording, state: State.RECORDING, started, duration: 0, bytes: 0 };
   }
 
-  /** End the recording. What was recorded is kept, whatever the reason. */
+  /**
+   * End the recording. What was recorded is kept, whatever the reason.
+   * @param {string} ending
+   */
   stop(ending = Ending.STOPPED) {
     if (this.recorder.state === "inactive") return;
     this.#ending = ending;

@@ -71,7 +71,9 @@ function standing({ headers }) {
 
 function encoded(metadata) {
   const base64 = (text) => btoa(String.fromCharCode(...new TextEncoder().encode(text)));
-  return Object.entries(metadata).map(([key, value]) => `${key} ${base64(value)}`).join(",");
+  return Object.entries(metadata)
+    .map(([key, value]) => `${key} ${base64(value)}`)
+    .join(",");
 }
 
 /** Wait, but no longer than until the connection is back. */

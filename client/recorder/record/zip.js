@@ -27,7 +27,12 @@ export function zip(entries, date) {
     const nameBytes = new TextEncoder().encode(name);
     const common = commonFields(date, crc, blob.size, nameBytes.length);
     const header = concatenated(little([0x04034b50, 4]), common, nameBytes);
-    directory.push(little([0x02014b50, 4], [20, 2]), common, little([0, 2], [0, 2], [0, 2], [0, 4], [offset, 4]), nameBytes);
+    directory.push(
+      little([0x02014b50, 4], [20, 2]),
+      common,
+      little([0, 2], [0, 2], [0, 2], [0, 4], [offset, 4]),
+      nameBytes,
+    );
     parts.push(header, blob);
     offset += header.length + blob.size;
   }
@@ -42,7 +47,18 @@ export function zip(entries, date) {
 function commonFields(date, crc, size, nameLength) {
   const time = (date.getUTCHours() << 11) | (date.getUTCMinutes() << 5) | (date.getUTCSeconds() >> 1);
   const day = ((date.getUTCFullYear() - 1980) << 9) | ((date.getUTCMonth() + 1) << 5) | date.getUTCDate();
-  return little([20, 2], [0x0800, 2], [0, 2], [time, 2], [day, 2], [crc, 4], [size, 4], [size, 4], [nameLength, 2], [0, 2]);
+  return little(
+    [20, 2],
+    [0x0800, 2],
+    [0, 2],
+    [time, 2],
+    [day, 2],
+    [crc, 4],
+    [size, 4],
+    [size, 4],
+    [nameLength, 2],
+    [0, 2],
+  );
 }
 
 /** Numbers as little-endian bytes; each is given with its length, 2 or 4. */

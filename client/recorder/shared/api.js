@@ -10,7 +10,11 @@ const KEY = "rholoc-api-key";
 export class ApiError extends Error {
   constructor({ code, message, hint = "", request_id = "" }, status = 0) {
     super([message, hint].filter(Boolean).join(" "));
-    Object.assign(this, { code, hint, status, requestId: request_id, summary: message });
+    this.code = code;
+    this.hint = hint;
+    this.status = status;
+    this.requestId = request_id;
+    this.summary = message;
   }
 }
 
@@ -47,6 +51,8 @@ export function authorization() {
 /**
  * The response of the service. Where the stored key is missing, not valid or not allowed to do this, the user is asked
  * for another, until one will do or the question is closed.
+ * @param {string} where
+ * @param {RequestInit & {query?: object}} options
  * @throws {ApiError} for every other answer, and with the code `unreachable` where there is none.
  */
 export async function request(where, { query, headers, ...options } = {}) {
@@ -58,7 +64,12 @@ export async function request(where, { query, headers, ...options } = {}) {
   throw error;
 }
 
-/** What the service answers, as JSON; `body` is sent as JSON unless it is a Blob or FormData. */
+/**
+ * What the service answers, as JSON; `body` is sent as JSON unless it is a Blob or FormData.
+ * @param {string} method
+ * @param {string} where
+ * @param {{body?: any, headers?: object, query?: object, signal?: AbortSignal}} options
+ */
 export async function call(method, where, { body, headers, ...options } = {}) {
   const raw = body === undefined || body instanceof Blob || body instanceof FormData;
   const response = await request(where, {
@@ -103,7 +114,10 @@ export async function errorOf(response) {
   try {
     return new ApiError(await response.json(), response.status);
   } catch {
-    return new ApiError({ code: "internal", message: t`The server answered with ${response.status}.` }, response.status);
+    return new ApiError(
+      { code: "internal", message: t`The server answered with ${response.status}.` },
+      response.status,
+    );
   }
 }
 
@@ -118,10 +132,14 @@ export function askForKey(error) {
       [
         h("p", {}, error.message),
         h("label", {}, t`Key`, field),
-        h("p", { class: "small muted" }, t`It is kept in this browser. Whoever runs the server makes keys with rholoc key create.`),
+        h(
+          "p",
+          { class: "small muted" },
+          t`It is kept in this browser. Whoever runs the server makes keys with rholoc key create.`,
+        ),
       ],
       h("button", { class: "primary" }, t`Use this key`),
-      async (form) => storeKey(form.get("key").trim()),
+      async (form) => storeKey(String(form.get("key")).trim()),
     );
     return answer !== null;
   })().finally(() => (asking = null));
@@ -134,10 +152,7 @@ export async function changeKey() {
   const shown = `${storedKey()?.slice(0, 8)}…`;
   const answer = await ask(
     t`API key`,
-    [
-      h("p", {}, t`This browser uses the key ${shown}`),
-      h("label", {}, t`Another key`, field),
-    ],
+    [h("p", {}, t`This browser uses the key ${shown}`), h("label", {}, t`Another key`, field)],
     [
       h("button", { class: "primary", value: "use" }, t`Use this key`),
       h("button", { class: "danger", value: "remove" }, t`Remove the key`),

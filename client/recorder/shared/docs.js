@@ -2,7 +2,7 @@
 
 import { authorization } from "./api.js";
 
-window.SwaggerUIBundle({
+/** @type {any} */ (window).SwaggerUIBundle({
   url: new URL("../../openapi.json", import.meta.url).href,
   dom_id: "#docs",
   deepLinking: true,

@@ -36,6 +36,10 @@ function nodes(children) {
  * A dialog around `content`, opened; the promise gives what its form was submitted with (the value of the button), or
  * null when it was closed. `check` gets the form's data and that value, and may refuse by throwing; its message is shown
  * in the dialog. Where something would be lost, the button that keeps it has the focus.
+ * @param {string} title
+ * @param {any} content
+ * @param {any} buttons
+ * @param {(form: FormData, chosen?: string) => Promise<any>} check
  */
 export function ask(title, content, buttons, check = async () => {}) {
   const problem = h("p", { class: "notice bad", role: "alert", hidden: true });

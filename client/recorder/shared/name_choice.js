@@ -20,12 +20,24 @@ export function nameChoice({ names = [], learns = true, value = "", kind = null,
   ].filter(Boolean);
   const group = `existing-${crypto.randomUUID()}`;
   const radios = choices.map(([choice, text]) => {
-    const radio = h("input", { type: "radio", name: group, value: choice, checked: choice === kind, onchange: () => changed() });
+    const radio = h("input", {
+      type: "radio",
+      name: group,
+      value: choice,
+      checked: choice === kind,
+      onchange: () => changed(),
+    });
     return { radio, label: h("label", { class: "check" }, radio, text) };
   });
   const free = h("button", { type: "button", onclick: () => suggest(name.value) }, t`Use another name`);
   const legend = h("legend", {});
-  const question = h("fieldset", { class: "notice warn stack" }, legend, radios.map(({ label }) => label), free);
+  const question = h(
+    "fieldset",
+    { class: "notice warn stack" },
+    legend,
+    radios.map(({ label }) => label),
+    free,
+  );
 
   function show() {
     const exists = names.includes(name.value);

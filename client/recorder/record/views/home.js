@@ -31,7 +31,12 @@ export async function homeView({ content, store }) {
     },
     h("h2", {}, t`New recording`),
     field(t`Name of the map`, name),
-    h("details", {}, h("summary", {}, t`Measured points`), waypointList(waypoints, (changed) => keepDraft({ waypoints: changed }))),
+    h(
+      "details",
+      {},
+      h("summary", {}, t`Measured points`),
+      waypointList(waypoints, (changed) => keepDraft({ waypoints: changed })),
+    ),
     h("button", { class: "primary", disabled: lack !== null }, t`Open the camera`),
     h("p", { class: "small muted" }, t`Walk slowly, keep texture in view, and come back to where you began.`),
   );
@@ -45,7 +50,12 @@ export async function homeView({ content, store }) {
       await roomNotice(),
       form,
       recordings.length > 0 && h("h2", {}, t`On this phone`),
-      recordings.length > 0 && h("ul", { class: "cards recordings" }, recordings.map((recording) => card(recording, store))),
+      recordings.length > 0 &&
+        h(
+          "ul",
+          { class: "cards recordings" },
+          recordings.map((recording) => card(recording, store)),
+        ),
     ),
   );
 }
@@ -53,7 +63,11 @@ export async function homeView({ content, store }) {
 async function roomNotice() {
   const { quota, usage } = (await navigator.storage?.estimate?.()) ?? {};
   if (!quota || quota - usage > LITTLE_ROOM_BYTES) return null;
-  return h("p", { class: "notice warn" }, t`This phone has little room left: ${size(quota - usage)}. A minute takes about 60 MB.`);
+  return h(
+    "p",
+    { class: "notice warn" },
+    t`This phone has little room left: ${size(quota - usage)}. A minute takes about 60 MB.`,
+  );
 }
 
 function card(recording, store) {
@@ -68,12 +82,20 @@ function card(recording, store) {
     "li",
     { class: "card stack" },
     h("div", { class: "row spread" }, h("strong", {}, map), h("span", { class: ["badge", kind] }, badge)),
-    h("p", { class: "muted small" }, `${moment(recording.created)} · ${duration(recording.duration)} · ${size(recording.bytes)}`),
+    h(
+      "p",
+      { class: "muted small" },
+      `${moment(recording.created)} · ${duration(recording.duration)} · ${size(recording.bytes)}`,
+    ),
     h(
       "div",
       { class: "row" },
       h("a", { class: "button", href: address }, action),
-      h("button", { class: "danger", onclick: () => remove(recording, store, item) }, job ? t`Remove from the list` : t`Delete`),
+      h(
+        "button",
+        { class: "danger", onclick: () => remove(recording, store, item) },
+        job ? t`Remove from the list` : t`Delete`,
+      ),
     ),
   );
   return item;
@@ -82,7 +104,12 @@ function card(recording, store) {
 async function remove(recording, store, item) {
   const lost = recording.state !== State.UPLOADED;
   const sure =
-    !lost || (await ask(t`Delete this recording?`, h("p", {}, t`It is only on this phone.`), h("button", { class: "danger primary" }, t`Delete`)));
+    !lost ||
+    (await ask(
+      t`Delete this recording?`,
+      h("p", {}, t`It is only on this phone.`),
+      h("button", { class: "danger primary" }, t`Delete`),
+    ));
   if (!sure) return;
   await store.remove(recording.id);
   item.remove();

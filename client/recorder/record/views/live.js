@@ -75,7 +75,12 @@ class Live {
     this.meters = meters();
     this.advice = h("p", { class: "advice", role: "status", "aria-live": "polite" });
     this.waypoint = h("button", { class: "waypoint", disabled: true, onclick: () => this.mark() });
-    this.record = h("button", { class: "shutter", "aria-label": t`Record`, disabled: true, onclick: () => this.toggle() });
+    this.record = h("button", {
+      class: "shutter",
+      "aria-label": t`Record`,
+      disabled: true,
+      onclick: () => this.toggle(),
+    });
     this.points = h("button", { onclick: () => this.editPoints() }, t`Points`);
     this.back = h("a", { class: "button", href: "#/" }, t`Back`);
     this.element = h(
@@ -104,7 +109,7 @@ class Live {
     this.#take?.stop();
     clearInterval(this.timer);
     this.sensors.stop();
-    this.stream?.getTracks().forEach((track) => track.stop());
+    for (const track of this.stream?.getTracks() ?? []) track.stop();
     this.wakeLock?.release();
     document.body.classList.remove("live");
   }
@@ -162,14 +167,28 @@ class Live {
     const next = this.#marks[nextRow(this.#marks)] ?? { name: freeName(this.#marks), position: [null] };
     const measured = next.position.every(Number.isFinite);
     const told = measured ? next.position.map((value) => value.toFixed(2)).join(", ") : t`coordinates may follow later`;
-    fill(this.waypoint, h("strong", {}, next.name), h("span", { class: "small" }, this.#take ? told : t`Mark points while recording`));
+    fill(
+      this.waypoint,
+      h("strong", {}, next.name),
+      h("span", { class: "small" }, this.#take ? told : t`Mark points while recording`),
+    );
     this.waypoint.disabled = this.#take === null;
     this.points.textContent = t`Points (${complete(this.#marks).length})`;
   }
 
   editPoints() {
     const list = waypointList(this.#marks, (waypoints) => (this.#marks = waypoints), this.#take?.recording.started);
-    const dialog = h("dialog", { class: "wide", "aria-label": t`Points` }, h("div", { class: "stack" }, h("h2", {}, t`Measured points`), list, h("button", { class: "primary", onclick: () => dialog.close() }, t`Done`)));
+    const dialog = h(
+      "dialog",
+      { class: "wide", "aria-label": t`Points` },
+      h(
+        "div",
+        { class: "stack" },
+        h("h2", {}, t`Measured points`),
+        list,
+        h("button", { class: "primary", onclick: () => dialog.close() }, t`Done`),
+      ),
+    );
     dialog.addEventListener("close", () => {
       dialog.remove();
       this.remember();
@@ -208,7 +227,11 @@ class Live {
   showImu(imuHz) {
     const { missing } = this.sensors;
     const slow = imuHz !== null && imuHz < LEAST_RATE_HZ;
-    const text = missing?.length ? t`No ${missing.map(translated).join(t`, no `)}: video only` : imuHz === null ? t`No motion sensors: video only` : t`Sensors ${Math.round(imuHz)} Hz`;
+    const text = missing?.length
+      ? t`No ${missing.map(translated).join(t`, no `)}: video only`
+      : imuHz === null
+        ? t`No motion sensors: video only`
+        : t`Sensors ${Math.round(imuHz)} Hz`;
     this.imu.textContent = text;
     this.imu.className = `badge ${slow || imuHz === null ? "warn" : "good"}`;
   }

@@ -9,7 +9,12 @@ const BARS = [
   [t`Light`, ({ light }) => light, DARKEST, 0.5],
   [t`Texture`, ({ texture }) => texture, BAREST, 0.6],
   [t`Sharpness`, ({ sharpness }) => sharpness, LEAST_SHARP, 0.75],
-  [t`Calm`, ({ turnDegS }) => (turnDegS === null ? null : FASTEST_TURN_DEG_S - turnDegS / 2), FASTEST_TURN_DEG_S / 2, FASTEST_TURN_DEG_S],
+  [
+    t`Calm`,
+    ({ turnDegS }) => (turnDegS === null ? null : FASTEST_TURN_DEG_S - turnDegS / 2),
+    FASTEST_TURN_DEG_S / 2,
+    FASTEST_TURN_DEG_S,
+  ],
 ];
 
 /** An element, and `show(measured)`. */
@@ -25,5 +30,12 @@ export function meters() {
       bar.value = Math.max(0, value ?? 0);
     }
   };
-  return { element: h("div", { class: "meters" }, bars.map(({ element }) => element)), show };
+  return {
+    element: h(
+      "div",
+      { class: "meters" },
+      bars.map(({ element }) => element),
+    ),
+    show,
+  };
 }

@@ -9,7 +9,7 @@ import { rate } from "../motion.js";
 import { flawedSpans } from "../readings.js";
 import { archive, SHORTEST_S, videoOf } from "../recording.js";
 import { State } from "../store.js";
-import { Ending, ENDINGS } from "../take.js";
+import { ENDINGS, Ending } from "../take.js";
 import { problem } from "../waypoints.js";
 import { cameraField } from "./camera_field.js";
 import { waypointList } from "./waypoint_list.js";
@@ -54,7 +54,10 @@ export async function reviewView({ content, store, id }) {
   mapNames().then((names) => names && name.know(names));
 
   function showDoubts() {
-    fill(doubts, doubtsOf(recording, imuHz).map((text) => h("li", { class: "notice warn" }, text)));
+    fill(
+      doubts,
+      doubtsOf(recording, imuHz).map((text) => h("li", { class: "notice warn" }, text)),
+    );
   }
 
   async function send(event) {
@@ -122,14 +125,22 @@ function flawedSeconds(seconds, video) {
     "section",
     { class: "card stack", "aria-label": t`Seconds that will fail` },
     h("h2", {}, t`Seconds that will fail`),
-    h("div", { class: "timeline", "aria-hidden": "true" }, seconds.map((flaws) => h("span", { class: flaws.length ? "bad" : "" }))),
+    h(
+      "div",
+      { class: "timeline", "aria-hidden": "true" },
+      seconds.map((flaws) => h("span", { class: flaws.length ? "bad" : "" })),
+    ),
     bad > MUCH * seconds.length &&
       h("p", { class: "notice warn" }, t`They are ${percent(bad / seconds.length)} of the walk: better walk again.`),
     h(
       "ul",
       { class: "plain row" },
       spans.map(({ flaw, from, to }) =>
-        h("li", {}, h("button", { type: "button", onclick: () => show(from) }, `${duration(from)}–${duration(to)} `, FLAWS[flaw])),
+        h(
+          "li",
+          {},
+          h("button", { type: "button", onclick: () => show(from) }, `${duration(from)}–${duration(to)} `, FLAWS[flaw]),
+        ),
       ),
     ),
   );
@@ -157,5 +168,9 @@ function facts(recording, imuHz) {
     [t`Sensors`, imuHz ? `${Math.round(imuHz)} Hz` : t`none`],
     [t`Darkest light`, Number.isFinite(recording.darkest) ? percent(recording.darkest) : t`unknown`],
   ];
-  return h("dl", { class: "facts" }, pairs.flatMap(([name, value]) => [h("dt", {}, name), h("dd", {}, value)]));
+  return h(
+    "dl",
+    { class: "facts" },
+    pairs.flatMap(([name, value]) => [h("dt", {}, name), h("dd", {}, value)]),
+  );
 }

@@ -35,7 +35,8 @@ export async function sendView({ content, store, id }) {
     location.hash = `#/review/${id}`;
   };
   run(page, store, recording, leaving.signal).catch((error) => {
-    if (!leaving.signal.aborted) page.failed(error, () => location.reload(), recording.state !== State.UPLOADED && change);
+    if (!leaving.signal.aborted)
+      page.failed(error, () => location.reload(), recording.state !== State.UPLOADED && change);
   });
   return () => leaving.abort();
 }
@@ -83,7 +84,11 @@ class SendPage {
     this.bar = h("progress", { max: 1, value: "0", "aria-label": t`Progress` });
     this.text = h("p", { role: "status" }, t`Getting ready …`);
     this.notice = h("div", { class: "notice warn", role: "alert", hidden: true });
-    this.stages = h("ol", { class: "stages", hidden: true }, Object.entries(STAGES).map(([stage, words]) => h("li", { "data-stage": stage }, words)));
+    this.stages = h(
+      "ol",
+      { class: "stages", hidden: true },
+      Object.entries(STAGES).map(([stage, words]) => h("li", { "data-stage": stage }, words)),
+    );
     this.actions = h("div", { class: "row" });
     this.closing = h("p", { class: "muted" }, t`You may close this page: sending goes on when you open it again.`);
     this.element = h(

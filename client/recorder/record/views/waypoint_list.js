@@ -24,7 +24,12 @@ export function waypointList(waypoints, changed, started = 0) {
   }
 
   function item({ name, time, position }, row) {
-    const named = h("input", { "aria-label": t`Name of point ${row + 1}`, value: name, maxlength: 40, oninput: () => type(row, { name: named.value.trim() }) });
+    const named = h("input", {
+      "aria-label": t`Name of point ${row + 1}`,
+      value: name,
+      maxlength: 40,
+      oninput: () => type(row, { name: named.value.trim() }),
+    });
     const unmark = () => set(waypoints.with(row, { ...waypoints[row], time: null }));
     return h(
       "li",
@@ -33,8 +38,22 @@ export function waypointList(waypoints, changed, started = 0) {
       position.map((value, axis) => number(row, axis, value)),
       time === null
         ? h("span", { class: "mark muted small" }, t`not marked`)
-        : h("button", { type: "button", class: "mark", "aria-label": t`Unmark ${name}`, onclick: unmark }, duration(time - started), h("span", { class: "muted" }, "✕")),
-      h("button", { type: "button", class: "remove", "aria-label": t`Remove ${name}`, onclick: () => set(waypoints.toSpliced(row, 1)) }, t`Remove`),
+        : h(
+            "button",
+            { type: "button", class: "mark", "aria-label": t`Unmark ${name}`, onclick: unmark },
+            duration(time - started),
+            h("span", { class: "muted" }, "✕"),
+          ),
+      h(
+        "button",
+        {
+          type: "button",
+          class: "remove",
+          "aria-label": t`Remove ${name}`,
+          onclick: () => set(waypoints.toSpliced(row, 1)),
+        },
+        t`Remove`,
+      ),
     );
   }
 

@@ -1,0 +1,118 @@
+import assert from "node:assert/strict";
+import { test } from "node:test";
+
+import { cameraAt, moved, sayPlace, summary } from "../../client/recorder/console/coverage_view.js";
+import { halfExtents, intrinsicsFor, intrinsicsOfFieldOfView, Known } from "../../client/recorder/console/intrinsics.js";
+import { matches } from "../../client/recorder/console/list_tools.js";
+import { sayPicked } from "../../client/recorder/console/scene.js";
+import { readScene } from "../../client/recorder/console/scene_data.js";
+import { snippet } from "../../client/recorder/console/snippets.js";
+import { bounds, placement } from "../../client/recorder/console/thumbnail.js";
+
+const CAMERA = { width: 1280, height: 720, fx: 1040, fy: 1030, cx: 645, cy: 350, distortion: [0.1, -0.02, 0.001, 0.002] };
+const near = (a, b, within = 1e-9) => assert.ok(Math.abs(a - b) <= within, `${a} is not ${b}`);
+
+test("a picture of the camera's shape has its intrinsics, scaled about the middle", () => {
+  const found = intrinsicsFor(CAMERA, 640, 360);
+  assert.equal(found.known, Known.MEASURED);
+  near(found.fx, 520);
+  near(found.cx - 319.5, (645 - 639.5) / 2);
+  assert.deepEqual(found.distortion, CAMERA.distortion);
+});
+
+test("a picture of another shape shows the same angle along its long side", () => {
+  for (const [width, height] of [
+    [640, 480],
+    [480, 640],
+    [320, 640],
+  ]) {
+    const found = intrinsicsFor(CAMERA, width, height);
+    assert.equal(found.known, Known.ASSUMED);
+    const long = width >= height ? found.fx : found.fy;
+    near(Math.max(width, height) / long, 1280 / 1040);
+  }
+  assert.deepEqual(intrinsicsFor(CAMERA, 720, 1280).distortion, [0.1, -0.02, 0, 0]);
+});
+
+test("a field of view reaches from edge to edge", () => {
+  const [x, y] = halfExtents(intrinsicsOfFieldOfView(90, 800, 600), 800, 600);
+  near(x, 1);
+  near(y, 0.75);
+});
+
+test("all words of a search must be found", () => {
+  assert.ok(matches("Kitchen north", "NORTH kit"));
+  assert.ok(matches("anything", ""));
+  assert.ok(!matches("Kitchen", "kitchen south"));
+});
+
+test("a scene is read with its colours and without", () => {
+  const numbers = new Uint32Array([1, 1]);
+  const floats = new Float32Array([1, 2, 3, 0.5, 4, 5, 6, 1, 0, 0, 0]);
+  const plain = new Blob([numbers, floats]);
+  const coloured = new Blob([numbers, floats, new Uint8Array([9, 8, 7])]);
+  return Promise.all([plain, coloured].map((blob) => blob.arrayBuffer())).then(([without, whole]) => {
+    assert.equal(readScene(without).colours, null);
+    assert.deepEqual([...readScene(whole).colours], [9, 8, 7]);
+    assert.deepEqual([...readScene(whole).views.subarray(0, 3)], [4, 5, 6]);
+  });
+});
+
+const COVERAGE = {
+  share_sufficient: 0.5, positions_sufficient: 1, sufficient: 60, origin: [1, 2, 1.5], step: 0.5, pitch_deg: 0,
+  axes: [[1, 0, 0], [0, 1, 0]], headings_deg: [0, 90, 180, 270], cells: [[0, 0], [1, 0], [0, 1]],
+  counts: [[60, 40, 10, 0], [0, 0, 0, 0], [1, 2, 3, 4]],
+}; // biome-ignore format: a table
+
+test("a place says whether it works", () => {
+  assert.equal(sayPlace(COVERAGE, 0, 0, "m"), "At 1.00, 2.00 m, looking 0°: 60 landmarks in view; it works.");
+  assert.match(sayPlace(COVERAGE, 0, 1, "m"), /looking 90°: 40 landmarks in view; it may fail/);
+  assert.match(sayPlace(COVERAGE, 1, 2, "m"), /^At 1\.50, 2\.00 m.*it will fail/);
+  assert.match(summary(COVERAGE), /60 landmarks or more in 50 % .* 100 % of the places/);
+});
+
+test("keys move to the neighbour, and turn", () => {
+  assert.deepEqual(moved(COVERAGE, { cell: null, heading: 0 }, "ArrowLeft"), { cell: 0, heading: 0 });
+  assert.deepEqual(moved(COVERAGE, { cell: 0, heading: 0 }, "ArrowRight"), { cell: 1, heading: 0 });
+  assert.deepEqual(moved(COVERAGE, { cell: 0, heading: 0 }, "ArrowUp"), { cell: 2, heading: 0 });
+  assert.equal(moved(COVERAGE, { cell: 0, heading: 0 }, "ArrowLeft"), null);
+  assert.deepEqual(moved(COVERAGE, { cell: 0, heading: 3 }, "PageUp"), { cell: 0, heading: 0 });
+  assert.equal(moved(COVERAGE, { cell: 0, heading: 0 }, "a"), null);
+});
+
+test("a camera stands in its cell and looks along its heading", () => {
+  const T = cameraAt(COVERAGE, 1, 1);
+  assert.deepEqual(T.map((row) => row[3]), [1.5, 2, 1.5, 1]);
+  near(T[1][2], 1);
+  near(T[2][1], -1); // down
+});
+
+test("the map from above has north up and one scale", () => {
+  const landmarks = new Float32Array([0, 0, 0, 1, 4, 2, 0, 1]);
+  const box = bounds({ landmarks, views: new Float32Array([5, 1, 0, 1, 0, 0, 0]) });
+  assert.deepEqual(box, [[0, 5], [0, 2]]);
+  const place = placement(box, 400, 300);
+  const [[x0, y0], [x1, y1]] = [place(0, 0), place(5, 2)];
+  near((x1 - x0) / 5, (y0 - y1) / 2);
+  assert.ok(y1 < y0);
+});
+
+test("what is clicked is said in the map's unit", () => {
+  assert.equal(sayPicked({ position: [1, 2, 3], deviation: 0.012 }, true), "Landmark at 1.00, 2.00, 3.00 m, known to 1.2 cm");
+  assert.match(sayPicked({ view: 4, position: [0, 0, 0], heading: [0, 1, 0] }, false), /^Picture 5 .* looking 90°$/);
+});
+
+test("programs quote what is strange and take the key from outside", () => {
+  const asked = {
+    url: "http://127.0.0.1:8080/", map: "it's", query: { prior_position: "1,2,3", dof: "auto" },
+    file: "my picture's.png", type: "image/png", withKey: true,
+  }; // biome-ignore format: short
+  const curl = snippet("curl", asked);
+  assert.match(curl, /'@my picture'\\''s\.png'/);
+  assert.match(curl, /prior_position=1,2,3&dof=auto'$/);
+  assert.match(curl, /\$RHOLOC_API_KEY/);
+  for (const language of ["python", "javascript"]) {
+    assert.match(snippet(language, asked), /RHOLOC_API_KEY/);
+    assert.doesNotMatch(snippet(language, { ...asked, withKey: false }), /RHOLOC_API_KEY/);
+  }
+});
