@@ -32,6 +32,7 @@ _MAX_GIVEN_TILT_DEG = 5.0  # of given poses that count as upright
 _MIN_PLACED = 0.5  # the share of the keyframes that a map must have
 _WELL_PLACED = 0.9  # and that one which is trusted has
 _MAX_EXPECTED_ERROR_M = 0.10  # of a trajectory that is trusted
+_MAX_EXPECTED_ERROR_DEG = 2.0
 _MAX_WAYPOINT_MISS_M = 0.10
 _MAX_IMU_RESIDUAL = 8.0  # times the noise expected, from which IMU and pictures contradict each other
 
@@ -195,6 +196,13 @@ def _doubts(found: Reconstruction, share: float, missing: str) -> list[str]:
             doubts.append(f"The waypoint {name} is missed by {np.linalg.norm(out.off_m):.2f} m.")
     if found.imu is not None and found.imu.residual > _MAX_IMU_RESIDUAL:
         doubts.append("The accelerometer contradicts the pictures.")
+    if found.agreement is not None and not found.agreement.same:
+        doubts.append(found.agreement.why)
+    error_deg = _expected_error_deg(found)
+    if found.frame.waypoints and error_deg > _MAX_EXPECTED_ERROR_DEG:
+        doubts.append(
+            f"The waypoints leave the map's rotation open by {error_deg:.0f}°: measure one well off the others' line."
+        )
     if found.focal_sigma_px is not None:
         calibration = calibration_report(found.camera, found.focal_sigma_px)
         doubts += [] if calibration.observable else [calibration.why]
@@ -205,19 +213,24 @@ def _expected_error_m(found: Reconstruction) -> float:
     return float(np.median(np.sqrt(np.trace(found.covariances[found.placed, :3, :3], axis1=1, axis2=2))))
 
 
+def _expected_error_deg(found: Reconstruction) -> float:
+    return float(np.degrees(np.median(np.sqrt(np.trace(found.covariances[found.placed, 3:, 3:], axis1=1, axis2=2)))))
+
+
 def _report(
     found: Reconstruction, method: PoseMethod, keyframes: int, kept: IntArray, doubts: list[str]
 ) -> TrajectoryReport:
-    error_deg = np.degrees(np.sqrt(np.trace(found.covariances[kept, 3:, 3:], axis1=1, axis2=2)))
     metric = found.frame.scale is Scale.METRIC
     error_m = _expected_error_m(found)
-    expected = f"Its poses are expected to be right to {100 * error_m:.1f} cm." if metric else "All checks passed."
+    expected = f"Its poses are expected to be right to {100 * error_m:.1f} cm." if metric else ""
+    if found.agreement is not None:
+        expected = f"{expected} {found.agreement.why}".strip()
     mistakes = [explain(name, found.left_out[name].off_m) for name in found.mistaken]
     return TrajectoryReport(
         method=method.value,
         frames=len(kept),
         trusted=not doubts,
-        why=" ".join(doubts) or expected,
+        why=" ".join(doubts) or expected or "Pictures and IMU agree.",
         up=found.frame.why_up,
         scale=found.frame.why_scale,
         keyframes=keyframes,
@@ -231,8 +244,14 @@ def _report(
         waypoint_sigmas=_residuals(found, lambda out: out.sigmas),
         waypoint_mistake=" ".join(mistakes) or None,
         expected_error_m=error_m if metric else None,
-        expected_error_deg=float(np.median(error_deg)),
+        expected_error_deg=_expected_error_deg(found),
+        disagreement_of_depth=None if found.agreement is None else _or_none(found.agreement.distance),
+        disagreement_deg=None if found.agreement is None else _or_none(found.agreement.angle_deg),
     )
+
+
+def _or_none(value: float) -> float | None:
+    return value if np.isfinite(value) else None
 
 
 def _residuals(found: Reconstruction, figure: Callable[[LeftOut], float]) -> dict[str, float | None] | None:

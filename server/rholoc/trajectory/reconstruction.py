@@ -29,6 +29,7 @@ from rholoc.trajectory.adjustment import (
     residuals_px,
     triangulate,
 )
+from rholoc.trajectory.agreement import Agreement, compare
 from rholoc.trajectory.alignment import Similarity
 from rholoc.trajectory.blame import LeftOut, leave_out, worst
 from rholoc.trajectory.camera_guess import calibrate_by_flow, guess_camera
@@ -95,9 +96,8 @@ class Sights:
         """(K,) seconds."""
         return np.asarray(self.flow.times[self.rows])
 
-    def alternate(self) -> Sights:
-        """Every other keyframe."""
-        some = np.arange(0, len(self.rows), 2)
+    def take(self, some: IntArray) -> Sights:
+        """The same of some of the keyframes."""
         shutter = None if self.shutter is None else self.shutter.take(some)
         return replace(self, rows=self.rows[some], features=[self.features[k] for k in some.tolist()], shutter=shutter)
 
@@ -144,6 +144,7 @@ class Reconstruction:
         landmarks: points that were used.
         loops: pairs of keyframes that show a place seen again.
         median_depth: of the points before the cameras that see them, in the map's unit.
+        agreement: with a second reconstruction, where no IMU checks the pictures.
     """
 
     placed: BoolArray
@@ -160,6 +161,7 @@ class Reconstruction:
     landmarks: int
     loops: int
     median_depth: float
+    agreement: Agreement | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -205,7 +207,22 @@ def _reconstruct(
         if start is not None:
             return _solve_with_imu(sights, evidence, imu, gyro, start, waypoints, told)
         reason = "The pictures do not show enough of the walk for the accelerometer to measure it."
-    return _solve_from_pictures(sights, camera, evidence, waypoints, reason, told)
+    found = _solve_from_pictures(sights, camera, evidence, waypoints, reason, told)
+    told.step(0.95, 0.99, "checked by a second reconstruction")
+    return replace(found, agreement=_agreement(found, sights))
+
+
+def _agreement(found: Reconstruction, sights: Sights) -> Agreement:
+    """Hold a reconstruction from pictures against another, from every other keyframe alone."""
+    some = np.arange(0, len(sights.rows), 2)
+    half = sights.take(some)
+    try:
+        other = _solve_from_pictures(
+            half, found.camera, _look(half, found.camera, None, silent), (), "", _Progress(silent)
+        )
+    except MappingFailed:
+        return Agreement(np.nan, np.nan, np.nan, 0, len(some))
+    return compare(found.T_map_camera, found.placed, some, other.T_map_camera, other.placed, found.median_depth)
 
 
 class _Progress:
@@ -380,12 +397,7 @@ def _solve_from_pictures(
     told: _Progress,
 ) -> Reconstruction:
     state, members = _start_from_pictures(sights, camera, evidence)
-    some = replace(
-        sights,
-        rows=sights.rows[members],
-        features=[sights.features[k] for k in members.tolist()],
-        shutter=None if sights.shutter is None else sights.shutter.take(members),
-    )
+    some = sights.take(members)
     number = np.full(len(sights.rows), -1)
     number[members] = np.arange(len(members))
     whole = evidence.observations
