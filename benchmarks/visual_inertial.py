@@ -17,7 +17,8 @@ from scipy.spatial.transform import Rotation
 
 from rholoc.geometry import pose_matrix
 from rholoc.recordings import Imu, read_recording
-from rholoc.trajectory.imu_evidence import weigh_imu
+from rholoc.trajectory.gyroscope import calibrate_gyro
+from rholoc.trajectory.inertial_alignment import align_inertially
 
 SHIFTS_S = (0.0, 0.02, 0.04, 0.06, 0.08)
 G = 9.80665
@@ -45,11 +46,11 @@ def phone(path: Path) -> None:
         for shift_s in SHIFTS_S:
             frame, factor = Rotation.random(rng=rng).as_matrix(), float(np.exp(rng.uniform(-2, 2)))
             own = pose_matrix(frame @ T[:, :3, :3], factor * T[:, :3, 3] @ frame.T)
-            evidence = weigh_imu(times + shift_s, own, imu)
-            assert evidence.gyro is not None
-            assert evidence.alignment is not None
-            found = evidence.alignment
-            found_s = -evidence.gyro.time_offset_s
+            gyro = calibrate_gyro(times + shift_s, own[:, :3, :3], imu)
+            assert gyro is not None
+            found = align_inertially(times + shift_s, own, imu, gyro)
+            assert found is not None
+            found_s = -gyro.time_offset_s
             base_s = found_s if shift_s == 0 else base_s
             off_deg, sigma_deg = "", ""
             if found.up is not None:

@@ -140,6 +140,7 @@ def test_a_room_is_seen_through_its_door(building: Building, renderer: Renderer)
     assert not names & {f"room {other}" for other in ("002", "003", "005", "101")}
 
 
+@pytest.mark.slow
 def test_white_walls_are_white_and_rooms_are_lit(building: Building) -> None:
     pose = make_site_walk(Site.BUILDING, 1, SECONDS, 0).poses(np.array([1.0]))[0]
     picture = render_view(building, CAMERA, pose)
