@@ -351,6 +351,9 @@ def _corridor(plan: Plan, storey: int, seed: int) -> Scene:
     scatter(2, "extinguisher", 0.5, (0.18, 0.5), _plain((40, 40, 190)), alike=True, thick=0.16)
     scatter(3, "poster", 1.15, (0.6, 0.84), textures.poster)
     scatter(2, "exit sign", 2.2, (0.34, 0.17), _exit_sign, alike=True)
+    scatter(6, "notice", 1.1, (0.3, 0.42), _note)
+    scatter(3, "picture", 1.2, (0.5, 0.4), textures.painting)
+    scatter(5, "socket", 0.3, (0.16, 0.08), _socket, alike=True)
     scatter(4, "switch", 1.1, (0.09, 0.09), _plain((215, 218, 220)), alike=True)
     lamps = round(plan.length / 3.4)
     for i in range(lamps):

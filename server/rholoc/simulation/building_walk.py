@@ -22,24 +22,26 @@ from rholoc.simulation.building import (
     RoomPlan,
     make_plan,
 )
-from rholoc.simulation.walk import PAUSE_S, Motion, Wobble
+from rholoc.simulation.walk import Motion, Wobble
 
 EYE_M = 1.45  # above the floor
 CORRIDOR_SPEED_M_S = 0.9
 ROOM_SPEED_M_S = 0.45
 STAIRS_SPEED_M_S = 0.45  # over the ground
-_FASTEST, _SLOWEST = 0.85, 1.3  # times as long as at these speeds a walk is made to last
-_LAST_PAUSE_S = 1.5
-_GLANCE_S = 2.4  # that the walker stands in a room and looks around
+_HURRIED, _SLOWEST = 0.7, 1.3  # times as long as at these speeds a walk is made to last
+_BRISK = 0.85  # times as long may a walk of one room more last, to be taken
+_WAYPOINT_PAUSE_S = 2.4  # half of it to slow down and to set off again
+_GLANCE_S = 5.0  # that the walker stands in a room and looks around
 _PITCH_RAD = np.radians(-9.0)
-_GLANCE_RAD = np.radians(40.0)
+_GLANCE_RAD = np.radians(60.0)  # half of it once it is smooth
 _STEP_S = 0.02
 _KNOT_EVERY = 5  # steps
 _SMOOTH_WAY_S = 0.3  # nobody turns a corner at once
-_SMOOTH_GAZE_S = 0.6
+_SMOOTH_GAZE_S = 1.0
 _FEWEST_WAYPOINTS, _MOST_WAYPOINTS = 3, 12
 _SECONDS_PER_WAYPOINT = 60.0
-_START_X_M = 1.0
+_START_X_M = 0.45
+_END_M = 1.8  # from the start
 
 
 @dataclass(frozen=True)
@@ -107,7 +109,7 @@ def make_building_walk(number: int = 1, seconds: float = 600.0, seed: int = 0) -
     visited = _rooms_within(plan, seconds)
     nodes = _route(plan, visited, number, rng, _waypoint_rooms(len(visited), seconds))
     lasting_s = _times(nodes)[-1]
-    stretch = float(np.clip((seconds - 0.5 * _LAST_PAUSE_S) / lasting_s, _FASTEST, _SLOWEST))
+    stretch = float(np.clip((seconds - 0.5 * _WAYPOINT_PAUSE_S) / lasting_s, _HURRIED, _SLOWEST))
     times = stretch * _times(nodes)
     path, gaze, end_s = _smooth(nodes, times, rng)
     hand = np.random.default_rng([seed, number, 103])  # of its own, so that the origin is that of a walk of any length
@@ -141,7 +143,7 @@ def _rooms_within(plan: Plan, seconds: float) -> tuple[RoomPlan, ...]:
     for count in range(len(plan.rooms), 1, -1):
         visited = plan.rooms[:count]
         nodes = _route(plan, visited, 1, np.random.default_rng(0), _waypoint_rooms(count, seconds))
-        if _FASTEST * _times(nodes)[-1] <= seconds - 0.5 * _LAST_PAUSE_S:
+        if _BRISK * _times(nodes)[-1] <= seconds - 0.5 * _WAYPOINT_PAUSE_S:
             return visited
     return plan.rooms[:1]
 
@@ -171,7 +173,7 @@ def _route(
         aside = float(rng.uniform(-0.15, 0.15)) + side
         return _Node(at(x, plan.corridor_y + aside, storey * STOREY_M), CORRIDOR_SPEED_M_S)
 
-    nodes = [_Node(_start(plan) + np.array([0.0, side, lift]), CORRIDOR_SPEED_M_S, PAUSE_S)]
+    nodes = [_Node(_start(plan) + np.array([0.0, side, lift]), CORRIDOR_SPEED_M_S, _WAYPOINT_PAUSE_S)]
     storey = 0
     for position, i in enumerate(order):
         room = visited[i]
@@ -183,12 +185,12 @@ def _route(
         nodes.append(corridor(float(room.place(room.door, 0)[0]), storey))
     if storey == 1:
         nodes += _stairs(plan, rng, lift, up=False)
-    nodes.append(_Node(_start(plan) + np.array([0.6, side + 0.1, lift]), CORRIDOR_SPEED_M_S, _LAST_PAUSE_S))
+    nodes.append(_Node(_start(plan) + np.array([_END_M, side + 0.1, lift]), CORRIDOR_SPEED_M_S, _WAYPOINT_PAUSE_S))
     return nodes
 
 
 def _around(room: RoomPlan, rng: np.random.Generator, lift: float, clockwise: bool, waypoint: bool) -> list[_Node]:
-    """Through the door, once around the middle of the room, a look to both sides, and out."""
+    """Through the door, once around the middle of the room, a stop at a waypoint or to look around, and out."""
     inset = 1.25 + rng.uniform(-0.08, 0.12)
     near, far = 1.1 + rng.uniform(0, 0.2), ROOM_DEPTH_M - 1.25 + rng.uniform(-0.1, 0.1)
     corners = [(inset, near), (inset, far), (room.width - inset, far), (room.width - inset, near)]
@@ -202,9 +204,10 @@ def _around(room: RoomPlan, rng: np.random.Generator, lift: float, clockwise: bo
     through = [node(room.door, y, 0.7) for y in (-WALL_M - 0.3, 0.55)]
     ways = [node(x, y, ROOM_SPEED_M_S * rng.uniform(0.9, 1.1)) for x, y in corners]
     glance = float(rng.choice([-1, 1])) * _GLANCE_RAD * float(rng.uniform(0.8, 1.2))
-    ways[1] = replace(ways[1], pause_s=_GLANCE_S, glance=glance)
     if waypoint:
-        ways[2] = replace(ways[2], pause_s=PAUSE_S)
+        ways[2] = replace(ways[2], pause_s=_WAYPOINT_PAUSE_S)
+    else:
+        ways[1] = replace(ways[1], pause_s=_GLANCE_S, glance=glance)
     out = [node(room.door, y, 0.7) for y in (0.55, -WALL_M - 0.3)]
     return [*through, *ways, *out]
 
