@@ -22,11 +22,11 @@ from matplotlib.figure import Figure
 from scipy.optimize import minimize
 
 from rholoc.features import FeatureSet, Metric
-from rholoc.geometry import Camera, FloatArray
+from rholoc.geometry import Camera, FloatArray, pose_distances
 from rholoc.localization import Dof, Localizer, Query
 from rholoc.localization import localizer as localizer_module
 from rholoc.localization.confidence import confidence_inputs, confidence_of
-from rholoc.localization.verification import Verified, distance_between
+from rholoc.localization.verification import Verified
 from rholoc.maps import load_map
 from rholoc.recordings import read_recording
 
@@ -82,7 +82,7 @@ def own_cases(localizer: Localizer, args: argparse.Namespace) -> Iterator[Case]:
             found = answers(localizer, Query(features, recording.camera, Dof.FREE))
             if found is None:
                 continue
-            apart, turned = distance_between(found.optimum.T_map_camera, recording.poses.T_map_camera[row])
+            apart, turned = pose_distances(found.optimum.T_map_camera, recording.poses.T_map_camera[row])
             right = apart < RIGHT_M and turned < RIGHT_RAD
             yield Case(
                 confidence_inputs(found), confidence_of(found, metric), right, share == 1, False, number % 2 == 0

@@ -34,7 +34,7 @@ from rholoc.errors import RholocError
 from rholoc.evaluation import PoseErrors, evaluate, read_frame_poses, trajectory_errors
 from rholoc.features import FeatureSet
 from rholoc.features.extractors import _orb, sift
-from rholoc.geometry import FloatArray
+from rholoc.geometry import FloatArray, umeyama
 from rholoc.localization import Localization, Localizer, Query
 from rholoc.mapping import BuildOptions, build_map
 from rholoc.maps import Map, expected_error_m, load_map, save_map, trust_of
@@ -42,7 +42,6 @@ from rholoc.progress import Stage
 from rholoc.recordings import Recording, Waypoint, read_recording
 from rholoc.simulation import simulate_recording
 from rholoc.trajectory import PoseMethod, Trajectory, estimate_trajectory
-from rholoc.trajectory.alignment import umeyama
 
 SECONDS = 30.0
 EVERY = 3  # frames of the second walk

@@ -17,6 +17,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from rholoc.geometry import pose_distances
 from rholoc.localization import Dof, Localizer, Query
 from rholoc.mapping import BuildOptions, build_map, forget_recording, merge_maps, update_map
 from rholoc.maps import Map, map_to_bytes
@@ -44,9 +45,8 @@ def accuracy(map_: Map, queries: Recording) -> dict[str, Any]:
         if pose is None:
             errors.append((np.inf, np.inf))
             continue
-        cosine = (np.trace(pose.R_map_camera.T @ true[:3, :3]) - 1) / 2
-        angle_deg = np.degrees(np.arccos(np.clip(cosine, -1, 1)))
-        errors.append((float(np.linalg.norm(pose.position - true[:3, 3])), float(angle_deg)))
+        apart_m, turned_rad = pose_distances(pose.T_map_camera, true)
+        errors.append((float(apart_m), float(np.degrees(turned_rad))))
     distance_m, angle_deg = np.array(errors).T
     return {
         "median_cm": round(100 * float(np.median(distance_m)), 2),

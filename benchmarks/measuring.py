@@ -16,9 +16,8 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation, Slerp
 
-from rholoc.geometry import FloatArray
+from rholoc.geometry import FloatArray, align_poses, aligning_rotation, umeyama
 from rholoc.recordings import Imu
-from rholoc.trajectory.alignment import align_poses, umeyama
 
 SHARED_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 INTERVALS_S = (1.0, 10.0, 60.0)
@@ -99,7 +98,7 @@ def fit_gyroscope(times: FloatArray, R_map_camera: FloatArray, imu: Imu) -> Gyro
         starts = []
         for offset_s in _OFFSETS_S:
             gyro = turned(offset_s, bias).as_rotvec()
-            mounting = imu.R_camera_imu if imu.R_camera_imu is not None else _wahba(gyro, camera.as_rotvec())
+            mounting = imu.R_camera_imu if imu.R_camera_imu is not None else aligning_rotation(gyro, camera.as_rotvec())
             remaining = gyro - camera.as_rotvec() @ mounting
             drift = np.median(remaining, axis=0)
             error = np.linalg.norm(remaining - drift, axis=1)
@@ -154,11 +153,6 @@ def pairs_apart(times: FloatArray, interval_s: float) -> tuple[np.ndarray, np.nd
     nearest = np.where(wanted - times[after - 1] < times[after] - wanted, after - 1, after)
     good = (np.abs(times[nearest] - wanted) <= _REACH * interval_s) & (nearest > rows)
     return rows[good], nearest[good]
-
-
-def _wahba(source: FloatArray, target: FloatArray) -> FloatArray:
-    U, _, Vt = np.linalg.svd(target.T @ source)
-    return np.asarray(U @ np.diag([1, 1, np.sign(np.linalg.det(U @ Vt))]) @ Vt)
 
 
 # -- positions -------------------------------------------------------------------------------------------------------

@@ -19,11 +19,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from rholoc.evaluation import rigid_alignment, trajectory_errors
-from rholoc.geometry import FloatArray
+from rholoc.geometry import FloatArray, umeyama
 from rholoc.recordings import Recording, read_recording
 from rholoc.simulation import simulate_recording
 from rholoc.trajectory import PoseMethod, estimate_trajectory
-from rholoc.trajectory.alignment import umeyama
 
 
 def in_map_frame(recording: Recording, truth: FloatArray) -> dict[str, float | int | bool]:

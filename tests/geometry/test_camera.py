@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+
 import cv2
 import numpy as np
 import pytest
@@ -55,3 +57,13 @@ def test_absurd_cameras_are_refused_with_advice(text: str) -> None:
     with pytest.raises(InvalidCamera) as refused:
         Camera.parse(text, 640, 480)
     assert refused.value.hint
+
+
+def test_a_camera_comes_back_from_its_dict() -> None:
+    camera = Camera(640, 480, 520.0, 521.0, 319.5, 239.5, (0.1, -0.05, 0.001, 0.0))
+    assert Camera.from_dict(json.loads(json.dumps(camera.to_dict()))) == camera
+    assert Camera.parse(",".join(map(repr, camera.parameters)), 640, 480) == camera
+    with pytest.raises(KeyError):
+        Camera.from_dict({"width": 640, "height": 480})
+    with pytest.raises(InvalidCamera):
+        Camera.from_dict(camera.to_dict() | {"fx": -1})

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from rholoc.errors import Conflict, InvalidInput, InvalidMap, MappingFailed
 from rholoc.features import FeatureSet
-from rholoc.geometry import ByteArray, FloatArray, IntArray, Pose
+from rholoc.geometry import ByteArray, FloatArray, IntArray, Pose, Similarity
 from rholoc.localization import Dof, Localizer, Query
 from rholoc.mapping import forget_recording, learning, merge_maps, update_map
 from rholoc.mapping.fitting import fit_densities
@@ -23,7 +23,6 @@ from rholoc.mapping.merging import moved_map
 from rholoc.maps import DensityKind, Map, check_observations, load_map, save_map
 from rholoc.maps.validation import ARRAY_NAMES
 from rholoc.recordings import GivenPoses, Recording
-from rholoc.trajectory.alignment import Similarity
 
 TURN = Similarity(1.0, Rotation.from_euler("z", 70, degrees=True).as_matrix(), np.array([4.0, -1.0, 0.2]))
 

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from rholoc.features import FeatureSet, Metric
-from rholoc.geometry import Camera, FloatArray, IntArray, Pose
+from rholoc.geometry import Camera, FloatArray, IntArray, Pose, Similarity
 from rholoc.mapping.assembly import assemble
 from rholoc.mapping.joining import join, without_source
 from rholoc.mapping.landmarks import Landmarks
@@ -20,7 +20,6 @@ from rholoc.mapping.memory import with_landmarks
 from rholoc.mapping.merging import moved_map
 from rholoc.mapping.observations import Views
 from rholoc.maps import DensityKind, Map, MapInfo, Source, packed_pixels, unpacked_pixels
-from rholoc.trajectory.alignment import Similarity
 
 EXACT_M = 1e-6
 CAMERA = Camera(640, 480, 520.0, 520.0, 319.5, 239.5)

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from rholoc.geometry import Similarity
 from rholoc.mapping import forget_recording, merge_maps
 from rholoc.mapping.joining import join, without_source
 from rholoc.mapping.report import map_statistics
 from rholoc.mapping.uncertainty import expected_error, moved_covariances, storable_covariances, uncertainty_in
 from rholoc.maps import Map
-from rholoc.trajectory.alignment import Similarity
 
 
 def spreads(count: int, sigma_m: float, seed: int = 0) -> np.ndarray:

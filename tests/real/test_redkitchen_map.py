@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from rholoc.geometry import pose_distances
 from rholoc.localization import Dof, Localizer, Query
-from rholoc.localization.verification import distance_between
 from rholoc.mapping import BuildOptions, build_map
 from rholoc.maps import map_to_bytes
 from rholoc.recordings import read_recording
@@ -39,7 +39,7 @@ def _recall(localizer: Localizer, folder: Path, frames: str) -> float:
         if answer.pose is None:
             right.append(False)
             continue
-        apart_m, turned_rad = distance_between(answer.pose.T_map_camera, recording.poses.T_map_camera[row])
+        apart_m, turned_rad = pose_distances(answer.pose.T_map_camera, recording.poses.T_map_camera[row])
         right.append(apart_m < 0.05 and turned_rad < np.deg2rad(5))
     return float(np.mean(right))
 

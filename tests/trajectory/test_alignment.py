@@ -12,9 +12,8 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from rholoc.errors import InvalidWaypoints, MappingFailed
-from rholoc.geometry import FloatArray, pose_matrix
+from rholoc.geometry import FloatArray, Similarity, align_poses, pose_matrix, umeyama
 from rholoc.recordings import Waypoint
-from rholoc.trajectory.alignment import Similarity, align_poses, umeyama
 from rholoc.trajectory.waypoint_alignment import UpMeasurement, align_to_waypoints
 
 _TIMES = np.arange(0.0, 10.0, 0.1)

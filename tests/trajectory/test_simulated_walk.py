@@ -8,15 +8,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from rholoc.trajectory.imu_evidence import ImuEvidence, compare_with_inertial, weigh_imu
 from scipy.spatial.transform import Rotation
 
 from rholoc.features import Channel, FeatureSet
-from rholoc.geometry import ByteArray, FloatArray, IntArray, pose_matrix
+from rholoc.geometry import ByteArray, FloatArray, IntArray, pose_matrix, umeyama
 from rholoc.recordings import Recording, Waypoint
 from rholoc.simulation import PHONE_CAMERA, Walk, make_walk, measure_imu, measure_waypoints
 from rholoc.trajectory import PoseMethod, Scale, estimate
-from rholoc.trajectory.alignment import umeyama
-from rholoc.trajectory.imu_evidence import ImuEvidence, compare_with_inertial, weigh_imu
 from rholoc.trajectory.map_frame import frame_of_first_camera, frame_of_waypoints
 
 _DELAY_S = 0.03

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -149,12 +148,11 @@ def _read(path: Path) -> Camera:
 
 
 def _figures(profile: CameraProfile) -> dict[str, Any]:
-    return {**asdict(profile.camera), "calibration": profile.calibration}
+    return {**profile.camera.to_dict(), "calibration": profile.calibration}
 
 
 def _line(camera: Camera) -> str:
-    values = (camera.fx, camera.fy, camera.cx, camera.cy, *camera.distortion)
-    return f"{camera.width}x{camera.height} {','.join(f'{value:.6g}' for value in values)}"
+    return f"{camera.width}x{camera.height} {','.join(f'{value:.6g}' for value in camera.parameters)}"
 
 
 def _print(name: str, profile: CameraProfile, as_json: bool) -> None:

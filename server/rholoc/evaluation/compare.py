@@ -25,7 +25,7 @@ from rholoc.evaluation.errors import PoseErrors, quantile, trajectory_errors
 from rholoc.evaluation.retrieval import VladPipeline
 from rholoc.evaluation.splits import QuerySet
 from rholoc.features import FeatureSet, get_extractor
-from rholoc.geometry import ByteArray, FloatArray
+from rholoc.geometry import ByteArray, FloatArray, direction_angles
 from rholoc.localization import Dof, Localizer, Query
 from rholoc.localization.matches import Matches
 from rholoc.localization.seeds import vote_for_places
@@ -315,7 +315,7 @@ def _result(method: str, answers: Sequence[Answer], truth: FloatArray, map_bytes
 def _distance_to_views(truth: FloatArray, map_: Map) -> FloatArray:
     """(N,) metres plus radians of heading from each pose (N, 4, 4) to the nearest of the map's views."""
     apart = np.linalg.norm(truth[:, None, :3, 3] - map_.view_positions[None], axis=2)
-    turned = np.arccos(np.clip(truth[:, :3, 2] @ map_.view_headings.T, -1, 1))
+    turned = direction_angles(truth[:, :3, 2], map_.view_headings)
     return np.asarray((apart + _RADIAN_M * turned).min(axis=1))
 
 

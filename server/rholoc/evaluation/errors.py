@@ -6,9 +6,8 @@ import math
 from dataclasses import asdict, dataclass
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
-from rholoc.geometry import BoolArray, FloatArray, pose_matrix
+from rholoc.geometry import BoolArray, FloatArray, kabsch, pose_distances, pose_matrix
 
 RECALL_THRESHOLDS = ((0.05, 5.0), (0.10, 5.0), (0.25, 10.0))
 """Metres and degrees within which a frame counts as localized well: 5 cm/5°, 10 cm/5°, 25 cm/10°."""
@@ -78,9 +77,7 @@ def trajectory_errors(estimated: FloatArray, truth: FloatArray) -> PoseErrors:
     position_m = np.full(len(estimated), np.inf)
     rotation_rad = np.full(len(estimated), np.inf)
     if known.any():
-        position_m[known] = np.linalg.norm(estimated[known, :3, 3] - truth[known, :3, 3], axis=1)
-        R_estimated = Rotation.from_matrix(estimated[known, :3, :3])
-        rotation_rad[known] = (R_estimated.inv() * Rotation.from_matrix(truth[known, :3, :3])).magnitude()
+        position_m[known], rotation_rad[known] = pose_distances(estimated[known], truth[known])
     return PoseErrors(position_m, rotation_rad)
 
 
@@ -120,10 +117,8 @@ def rigid_alignment(estimated: FloatArray, truth: FloatArray) -> FloatArray:
     do not lie on a line fix it. NaN poses are left out.
     """
     known = np.isfinite(estimated).all(axis=(1, 2))
-    source, target = estimated[known, :3, 3], truth[known, :3, 3]
-    R, _ = Rotation.align_vectors(target - target.mean(axis=0), source - source.mean(axis=0))
-    t = target.mean(axis=0) - R.apply(source.mean(axis=0))
-    return pose_matrix(R.as_matrix(), t)
+    aligned = kabsch(estimated[known, :3, 3], truth[known, :3, 3])
+    return pose_matrix(aligned.rotation, aligned.translation)
 
 
 def _fraction(flags: BoolArray) -> float:

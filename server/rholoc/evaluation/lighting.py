@@ -16,7 +16,7 @@ from rholoc.errors import MappingFailed
 from rholoc.evaluation.errors import PoseErrors, quantile, trajectory_errors
 from rholoc.evaluation.redetection import Redetection, redetection
 from rholoc.features import Extractor, FeatureSet, extractor_names, get_extractor
-from rholoc.geometry import Camera, FloatArray, IntArray, Pose
+from rholoc.geometry import Camera, FloatArray, IntArray, Pose, direction_angles
 from rholoc.localization import Dof, Localizer, Query
 from rholoc.mapping import BuildOptions, build_map
 from rholoc.progress import ProgressListener, Stage, silent
@@ -178,7 +178,7 @@ def _shown_in(points: FloatArray, others: FloatArray, pose: Pose, camera: Camera
 
 def _nearest(T: FloatArray, others: FloatArray) -> int:
     apart = np.linalg.norm(others[:, :3, 3] - T[:3, 3], axis=1)
-    turned = np.arccos(np.clip(others[:, :3, 2] @ T[:3, 2], -1, 1))
+    turned = direction_angles(others[:, :3, 2], T[:3, 2][None])[:, 0]
     return int(np.argmin(apart + _RADIAN_M * turned))
 
 

@@ -1,5 +1,14 @@
 """Cameras, poses, rays. Depends on nothing of ours."""
 
+from rholoc.geometry.alignment import (
+    Similarity,
+    align_poses,
+    aligning_rotation,
+    kabsch,
+    posed_alignment,
+    umeyama,
+)
+from rholoc.geometry.angles import direction_angles, pose_distances, rotation_angles
 from rholoc.geometry.arrays import BoolArray, ByteArray, FloatArray, IntArray
 from rholoc.geometry.camera import Camera
 from rholoc.geometry.pose import Pose, is_rotation, pose_matrix, poses_from_rows, rotation_from_heading, rows_from_poses
@@ -12,11 +21,20 @@ __all__ = [
     "FloatArray",
     "IntArray",
     "Pose",
+    "Similarity",
+    "align_poses",
+    "aligning_rotation",
     "basis_across",
     "cross",
+    "direction_angles",
     "is_rotation",
+    "kabsch",
+    "pose_distances",
     "pose_matrix",
+    "posed_alignment",
     "poses_from_rows",
+    "rotation_angles",
     "rotation_from_heading",
     "rows_from_poses",
+    "umeyama",
 ]

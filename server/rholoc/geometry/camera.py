@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
+from typing import Any
 
 import cv2
 import numpy as np
@@ -70,6 +72,29 @@ class Camera:
             raise InvalidCamera(f"'{text}' is not a camera.", "Give fx,fy,cx,cy[,k1,k2,p1,p2[,k3]] in pixels.")
         fx, fy, cx, cy, *distortion = values
         return cls(width, height, fx, fy, cx, cy, tuple(distortion))
+
+    @classmethod
+    def from_dict(cls, values: Mapping[str, Any]) -> Camera:
+        """From ``width``, ``height``, ``fx``, ``fy``, ``cx``, ``cy`` and, where there is one, ``distortion``.
+
+        Raises:
+            KeyError: a value is missing.
+            TypeError, ValueError: one is not a number.
+            InvalidCamera: the values are absurd.
+        """
+        intrinsics = {name: values[name] for name in ("fx", "fy", "cx", "cy")}
+        width, height = int(values["width"]), int(values["height"])
+        distortion = tuple(map(float, values.get("distortion") or ()))
+        return cls(width, height, **{name: float(value) for name, value in intrinsics.items()}, distortion=distortion)
+
+    def to_dict(self) -> dict[str, Any]:
+        """What :meth:`from_dict` takes, ready for JSON."""
+        return asdict(self) | {"distortion": list(self.distortion)}
+
+    @property
+    def parameters(self) -> tuple[float, ...]:
+        """fx, fy, cx, cy and the distortion, in the order that :meth:`parse` reads."""
+        return (self.fx, self.fy, self.cx, self.cy, *self.distortion)
 
     @property
     def matrix(self) -> FloatArray:

@@ -11,7 +11,7 @@ import numpy as np
 from rholoc.density import Evidence
 from rholoc.errors import InvalidDescriptors
 from rholoc.features import Extractor, get_extractor
-from rholoc.geometry import Camera, FloatArray, Pose
+from rholoc.geometry import Camera, FloatArray, Pose, pose_distances
 from rholoc.localization.ascent import Optimum, ascend, upright
 from rholoc.localization.confidence import MIN_CONFIDENCE, confidence_of
 from rholoc.localization.diagnosis import TOO_LITTLE_TIME, Cause, Diagnosis, diagnose_picture, wrong_camera
@@ -22,7 +22,7 @@ from rholoc.localization.matches import Matches
 from rholoc.localization.ransac import lo_ransac
 from rholoc.localization.seeds import Place, minimal_samples, place_of_prior, vote_for_places
 from rholoc.localization.types import Dof, Intrinsics, Localization, Prior, Query, Reason
-from rholoc.localization.verification import Verified, distance_between, evidence_of, verify
+from rholoc.localization.verification import Verified, evidence_of, verify
 from rholoc.maps import Map
 
 _MIN_FEATURES = 8
@@ -387,7 +387,7 @@ def _contradicted(found: _Found, query: Query) -> Diagnosis:
 def _plausible(T_map_camera: FloatArray, query: Query) -> bool:
     """Whether a seed may be what is asked for: upright where that is demanded, true to gravity."""
     if query.dof is Dof.UPRIGHT:
-        _, rolled = distance_between(T_map_camera, upright(T_map_camera))
+        _, rolled = pose_distances(T_map_camera, upright(T_map_camera))
         if rolled > _MAX_UPRIGHT_ROLL_RAD:
             return False
     return _true_to_gravity(T_map_camera, query.gravity)

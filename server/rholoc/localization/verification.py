@@ -107,9 +107,3 @@ def verify(
             ),
         )
     return found
-
-
-def distance_between(a: FloatArray, b: FloatArray) -> tuple[float, float]:
-    """Metres and radians between two poses (4, 4)."""
-    turned = np.clip((np.trace(a[:3, :3].T @ b[:3, :3]) - 1) / 2, -1, 1)
-    return float(np.linalg.norm(a[:3, 3] - b[:3, 3])), float(np.arccos(turned))

@@ -12,7 +12,7 @@ from scipy.sparse import coo_array
 from rholoc.errors import Conflict, InvalidInput
 from rholoc.features import FeatureSet
 from rholoc.features.matching import LIMITS
-from rholoc.geometry import Camera, IntArray, poses_from_rows, rows_from_poses
+from rholoc.geometry import Camera, IntArray, Similarity, poses_from_rows, rows_from_poses
 from rholoc.localization import Localizer
 from rholoc.mapping.fitting import ray_form
 from rholoc.mapping.joining import join, without_source
@@ -23,7 +23,6 @@ from rholoc.mapping.uncertainty import moved_covariances, uncertainty_in
 from rholoc.mapping.versions import as_learned
 from rholoc.maps import DensityKind, Map, check_observations, source_cameras
 from rholoc.progress import ProgressListener, Stage, silent
-from rholoc.trajectory.alignment import Similarity
 
 _MAX_LOCALIZED = 60
 _RADIUS_PX = 5.0

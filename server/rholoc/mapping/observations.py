@@ -10,7 +10,7 @@ import numpy as np
 
 from rholoc.features import FeatureSet, Metric
 from rholoc.features.matching import LIMITS, descriptor_distances, mutual_matches
-from rholoc.geometry import BoolArray, Camera, FloatArray, IntArray
+from rholoc.geometry import BoolArray, Camera, FloatArray, IntArray, direction_angles
 from rholoc.progress import ProgressListener, Stage, silent
 
 _TEMPORAL_NEIGHBOURS = 8
@@ -89,7 +89,7 @@ def neighbour_pairs(views: Views) -> IntArray:
         for i in range(k)
         for j in range(i + 1, min(i + 1 + _TEMPORAL_NEIGHBOURS, k))
     }
-    turned = np.arccos(np.clip(views.headings @ views.headings.T, -1, 1))
+    turned = direction_angles(views.headings, views.headings)
     apart = np.linalg.norm(views.positions[:, None] - views.positions[None], axis=2)
     difference = apart + _METRES_PER_RADIAN * turned
     for i in range(k):

@@ -6,14 +6,21 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from rholoc.errors import MappingFailed
 from rholoc.features import FeatureSet
-from rholoc.geometry import BoolArray, Camera, FloatArray, IntArray, Pose
+from rholoc.geometry import (
+    BoolArray,
+    Camera,
+    FloatArray,
+    IntArray,
+    Pose,
+    Similarity,
+    pose_distances,
+    posed_alignment,
+)
 from rholoc.localization import Dof, Localizer, Prior, Query
 from rholoc.progress import ProgressListener, Stage, silent
-from rholoc.trajectory.alignment import Similarity
 
 SURE = 0.8  # the confidence asked of a frame that a map is to be learned from
 _PROBES = 12  # frames, spread over all, by which a recording of another place is told at once
@@ -89,8 +96,7 @@ def without_jumps(found: Found, times: FloatArray, what: str) -> Found:
     """
     rows = found.rows
     T, elapsed_s = found.T_map_camera[rows], np.diff(times[rows])
-    moved = np.linalg.norm(np.diff(T[:, :3, 3], axis=0), axis=1)
-    turned = Rotation.from_matrix(np.swapaxes(T[:-1, :3, :3], 1, 2) @ T[1:, :3, :3]).magnitude()
+    moved, turned = pose_distances(T[:-1], T[1:])
     reached = (
         (elapsed_s <= _MAX_GAP_S)
         & (moved <= _JUMP_M + _MAX_SPEED_M_PER_S * elapsed_s)
@@ -148,26 +154,12 @@ def _fit(own: FloatArray, target: FloatArray, fixed_scale: bool) -> tuple[Simila
     """The robust similarity, and what it leaves of each pose: metres (L,) and radians (L,)."""
     weights = np.ones(len(own))
     for _ in range(_ROUNDS):
-        similarity = _weighted_fit(own, target, weights, fixed_scale)
+        similarity = posed_alignment(own, target, weights, fixed_scale, _MIN_SPREAD_M)
         aligned = similarity.poses(own)
-        distance = np.linalg.norm(aligned[:, :3, 3] - target[:, :3, 3], axis=1)
-        turned = np.swapaxes(aligned[:, :3, :3], 1, 2) @ target[:, :3, :3]
-        angle = Rotation.from_matrix(turned).magnitude()
+        distance, angle = pose_distances(aligned, target)
         weights = 1 / (1 + (distance / max(float(np.median(distance)), 1e-6)) ** 2)
         weights *= 1 / (1 + (angle / max(float(np.median(angle)), 1e-6)) ** 2)
-    return similarity, distance, np.asarray(angle)
-
-
-def _weighted_fit(own: FloatArray, target: FloatArray, weights: FloatArray, fixed_scale: bool) -> Similarity:
-    w = weights / weights.sum()
-    U, _, Vt = np.linalg.svd(np.einsum("l,lij,lkj->ik", w, target[:, :3, :3], own[:, :3, :3]))
-    R = U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt
-    own_mean, target_mean = w @ own[:, :3, 3], w @ target[:, :3, 3]
-    a, b = (own[:, :3, 3] - own_mean) @ R.T, target[:, :3, 3] - target_mean
-    spread, aligned = float(w @ (a * a).sum(axis=1)), float(w @ (a * b).sum(axis=1))
-    told = not fixed_scale and aligned > 0 and float(w @ (b * b).sum(axis=1)) > _MIN_SPREAD_M**2
-    scale = aligned / spread if told else 1.0
-    return Similarity(scale, R, target_mean - scale * R @ own_mean)
+    return similarity, distance, angle
 
 
 def _localize(

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rholoc.features import FeatureSet
-from rholoc.geometry import Camera, FloatArray
+from rholoc.geometry import Camera, FloatArray, pose_distances
 from rholoc.localization import Dof, Localizer, Query
 from rholoc.mapping.uncertainty import expected_error
 from rholoc.maps import Map, coverage_of, landmark_sigmas
@@ -94,5 +94,5 @@ def _error_statistics(errors: list[tuple[float, float] | None], confidences: lis
 
 def _error(estimated: FloatArray, truth: FloatArray) -> tuple[float, float]:
     """Metres and degrees between two poses (4, 4)."""
-    cosine = (np.trace(estimated[:3, :3].T @ truth[:3, :3]) - 1) / 2
-    return float(np.linalg.norm(estimated[:3, 3] - truth[:3, 3])), float(np.degrees(np.arccos(np.clip(cosine, -1, 1))))
+    apart_m, turned_rad = pose_distances(estimated, truth)
+    return float(apart_m), float(np.degrees(turned_rad))

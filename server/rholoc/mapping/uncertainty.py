@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from rholoc.geometry import FloatArray
+from rholoc.geometry import FloatArray, Similarity
 from rholoc.localization.map_error import map_covariance_at
 from rholoc.maps import Map
 from rholoc.reports import ExpectedError
-from rholoc.trajectory.alignment import Similarity
 
 _NEAREST = 10  # views of a map that say how uncertain it is at a place
 _NEAR_M = 0.1  # closer than this, a view is not nearer than another

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from rholoc.geometry import FloatArray, IntArray
+from rholoc.geometry import FloatArray, IntArray, pose_distances
 
 _METRES_PER_RADIAN = 1.0
 VIEW_STEP = 0.05  # metres moved plus radians turned from view to view; in a map of arbitrary scale, of its unit
@@ -32,8 +32,5 @@ def choose_views(T_map_camera: FloatArray, hold_out: bool, step: float = VIEW_ST
 
 def _motion(T_map_camera: FloatArray) -> FloatArray:
     """(K,) how far the camera has moved and turned since the first pose."""
-    moved = np.linalg.norm(np.diff(T_map_camera[:, :3, 3], axis=0), axis=1)
-    relative = np.einsum("kji,kjl->kil", T_map_camera[:-1, :3, :3], T_map_camera[1:, :3, :3])
-    cosine = (np.trace(relative, axis1=1, axis2=2) - 1) / 2
-    turned = np.arccos(np.clip(cosine, -1, 1))
+    moved, turned = pose_distances(T_map_camera[:-1], T_map_camera[1:])
     return np.concatenate([[0.0], np.cumsum(moved + _METRES_PER_RADIAN * turned)])

@@ -117,7 +117,6 @@ def _from_json(name: str, text: str) -> CameraProfile:
         values = json.loads(text)
         calibration = dict(values.pop("calibration", {}))
         check_json_value(calibration)
-        intrinsics = {member: values[member] for member in ("width", "height", "fx", "fy", "cx", "cy")}
-        return CameraProfile(Camera(**intrinsics, distortion=tuple(values.get("distortion", ()))), calibration)
+        return CameraProfile(Camera.from_dict(values), calibration)
     except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
         raise InvalidCamera(f"The file of the camera {name} is broken.", "Calibrate or add it again.") from error

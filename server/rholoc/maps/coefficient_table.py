@@ -89,7 +89,7 @@ def coefficient_table(map_: Map) -> Iterator[str]:
 
 def camera_text(camera: Camera) -> str:
     """``width height fx fy cx cy`` and the distortion, with blanks between."""
-    values = (camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy, *camera.distortion)
+    values = (camera.width, camera.height, *camera.parameters)
     return " ".join(repr(value) for value in values)
 
 

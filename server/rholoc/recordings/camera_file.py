@@ -57,8 +57,7 @@ def write_camera_json(path: Path, description: CameraFile) -> None:
     """Write ``camera.json``; :func:`read_camera_json` reads the same back."""
     values: dict[str, Any] = {"gravity_included": description.gravity_included}
     if description.camera is not None:
-        values |= {name: getattr(description.camera, name) for name in _INTRINSICS}
-        values["distortion"] = list(description.camera.distortion)
+        values |= description.camera.to_dict()
     if description.fps is not None:
         values["fps"] = description.fps
     if description.R_camera_imu is not None:
@@ -80,12 +79,11 @@ def _camera(values: dict[str, Any], path: Path) -> Camera | None:
         missing = ", ".join(name for name in _INTRINSICS if name not in given)
         raise InvalidCamera(f"{path.name} has no {missing}.", _hint())
     try:
-        width, height, fx, fy, cx, cy = (float(values[name]) for name in _INTRINSICS)
-        distortion = tuple(float(value) for value in values.get("distortion") or ())
-        size = (int(width), int(height))
+        return Camera.from_dict(values)
+    except InvalidCamera:
+        raise
     except (TypeError, ValueError, OverflowError) as error:
         raise InvalidCamera(f"{path.name}: a part of the intrinsics is not a number.", _hint()) from error
-    return Camera(*size, fx, fy, cx, cy, distortion)
 
 
 def _fps(values: dict[str, Any], path: Path) -> float | None:

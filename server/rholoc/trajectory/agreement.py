@@ -6,8 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rholoc.geometry import BoolArray, FloatArray, IntArray
-from rholoc.trajectory.alignment import align_poses, rotation_angles_deg
+from rholoc.geometry import BoolArray, FloatArray, IntArray, align_poses, rotation_angles
 
 _FEWEST_COMMON = 0.7  # the share of the second's keyframes that both must have placed
 _MAX_DISTANCE = 0.02  # of the median depth, between two reconstructions that count as the same …
@@ -69,11 +68,10 @@ def compare(
     a, b = T[some[both]], other[both]
     aligned = align_poses(b, a).poses(b)
     apart = np.linalg.norm(aligned[:, :3, 3] - a[:, :3, 3], axis=1) / median_depth
-    turned = np.swapaxes(aligned[:, :3, :3], 1, 2) @ a[:, :3, :3]
     return Agreement(
         float(np.median(apart)),
         float(np.percentile(apart, 90)),
-        float(np.median(rotation_angles_deg(turned))),
+        float(np.degrees(np.median(rotation_angles(aligned[:, :3, :3], a[:, :3, :3])))),
         common,
         len(some),
     )

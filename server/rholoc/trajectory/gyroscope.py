@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
-from rholoc.geometry import BoolArray, FloatArray
+from rholoc.geometry import BoolArray, FloatArray, aligning_rotation
 from rholoc.recordings import Imu
 
 _OFFSETS_S = np.arange(-0.25, 0.2501, 0.01)
@@ -108,7 +108,7 @@ def _fit(times: FloatArray, R_world_camera: FloatArray, imu: Imu) -> GyroCalibra
         for candidate in offsets if offsets is _OFFSETS_S else offset + offsets:
             turned = slerp(t + candidate)
             gyro = (turned[:-1].inv() * turned[1:]).as_rotvec()
-            mounting = imu.R_camera_imu if imu.R_camera_imu is not None else _wahba(gyro, camera)
+            mounting = imu.R_camera_imu if imu.R_camera_imu is not None else aligning_rotation(gyro, camera)
             remaining = gyro - camera @ mounting
             drift = np.median(remaining / spans[:, None], axis=0)
             error = np.linalg.norm(remaining - drift * spans[:, None], axis=1)
@@ -170,9 +170,3 @@ def _mounting_sigma_deg(camera: FloatArray, sigma: float) -> float:
     """Of Wahba's rotation, from the rotation vectors (N, 3) it rests on: about an axis, only those across it tell."""
     information = np.sum(camera**2) * np.eye(3) - camera.T @ camera
     return float(np.degrees(sigma / np.sqrt(max(float(np.linalg.eigvalsh(information)[0]), 1e-12))))
-
-
-def _wahba(source: FloatArray, target: FloatArray) -> FloatArray:
-    """The rotation (3, 3) that takes vectors (N, 3) to vectors (N, 3) best (Kabsch)."""
-    U, _, Vt = np.linalg.svd(target.T @ source)
-    return np.asarray(U @ np.diag([1, 1, np.sign(np.linalg.det(U @ Vt))]) @ Vt)

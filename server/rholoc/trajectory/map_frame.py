@@ -8,9 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from rholoc.errors import MappingFailed
-from rholoc.geometry import FloatArray
+from rholoc.geometry import FloatArray, Similarity
 from rholoc.recordings import Waypoint
-from rholoc.trajectory.alignment import Similarity
 from rholoc.trajectory.trajectory import Scale
 from rholoc.trajectory.upright import rotation_to_upright, up_without_roll
 from rholoc.trajectory.waypoint_alignment import UpMeasurement, WaypointAlignment, align_to_waypoints

@@ -12,7 +12,7 @@ from threadpoolctl import threadpool_limits
 
 from rholoc.errors import MappingFailed
 from rholoc.features import FeatureSet
-from rholoc.geometry import BoolArray, Camera, FloatArray, IntArray, pose_matrix
+from rholoc.geometry import BoolArray, Camera, FloatArray, IntArray, Similarity, pose_matrix
 from rholoc.progress import ProgressListener, Stage, silent
 from rholoc.recordings import Imu, Waypoint
 from rholoc.recordings.waypoints import DEFAULT_SIGMA_M
@@ -30,7 +30,6 @@ from rholoc.trajectory.adjustment import (
     triangulate,
 )
 from rholoc.trajectory.agreement import Agreement, compare
-from rholoc.trajectory.alignment import Similarity
 from rholoc.trajectory.blame import LeftOut, leave_out, worst
 from rholoc.trajectory.camera_guess import calibrate_by_flow, guess_camera
 from rholoc.trajectory.flow import Flow

@@ -11,9 +11,8 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from rholoc.errors import InvalidWaypoints, MappingFailed
-from rholoc.geometry import FloatArray
+from rholoc.geometry import FloatArray, Similarity, umeyama
 from rholoc.recordings import Waypoint, check_waypoints_fix_frame
-from rholoc.trajectory.alignment import Similarity, umeyama
 
 _WAYPOINT_SIGMA_M = 0.02  # how well a phone is held to a measured point
 _ROBUST_FROM = 5  # waypoints; fewer cannot outvote a wrong one

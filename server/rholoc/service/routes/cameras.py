@@ -83,15 +83,4 @@ def _profile(cameras: CameraLibrary, name: str) -> CameraProfileOut:
 
 
 def _out(name: str, profile: CameraProfile) -> CameraProfileOut:
-    camera = profile.camera
-    return CameraProfileOut(
-        name=name,
-        width=camera.width,
-        height=camera.height,
-        fx=camera.fx,
-        fy=camera.fy,
-        cx=camera.cx,
-        cy=camera.cy,
-        distortion=list(camera.distortion),
-        calibration=profile.calibration,
-    )
+    return CameraProfileOut(name=name, calibration=profile.calibration, **profile.camera.to_dict())

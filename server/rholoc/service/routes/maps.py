@@ -437,15 +437,7 @@ def _detail_of(name: str, map_: Map, size_bytes: int, before: MapInfo | None) ->
 
 
 def _camera(camera: Camera) -> CameraIn:
-    return CameraIn(
-        width=camera.width,
-        height=camera.height,
-        fx=camera.fx,
-        fy=camera.fy,
-        cx=camera.cx,
-        cy=camera.cy,
-        distortion=list(camera.distortion),
-    )
+    return CameraIn(**camera.to_dict())
 
 
 def _opened(library: MapLibrary, name: str, headers: dict[str, str]) -> OpenedFile:

@@ -1,0 +1,104 @@
+"""Similarity transforms between frames, estimated from corresponding points, vectors and poses."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from rholoc.geometry.arrays import FloatArray
+from rholoc.geometry.pose import pose_matrix
+
+
+@dataclass(frozen=True, eq=False)
+class Similarity:
+    """x ↦ scale · rotation @ x + translation."""
+
+    scale: float
+    rotation: FloatArray
+    translation: FloatArray
+
+    def points(self, points: FloatArray) -> FloatArray:
+        """Points (N, 3) → points (N, 3)."""
+        return np.asarray(self.scale * points @ self.rotation.T + self.translation)
+
+    def poses(self, T_source_camera: FloatArray) -> FloatArray:
+        """Poses (N, 4, 4) in the source frame → poses (N, 4, 4) in the target frame."""
+        return pose_matrix(self.rotation @ T_source_camera[:, :3, :3], self.points(T_source_camera[:, :3, 3]))
+
+    @classmethod
+    def identity(cls) -> Similarity:
+        """The transform that changes nothing."""
+        return cls(1.0, np.eye(3), np.zeros(3))
+
+
+def aligning_rotation(source: FloatArray, target: FloatArray) -> FloatArray:
+    """The rotation (3, 3) that takes vectors (N, 3) to vectors (N, 3) best, in the sense of least squares (Kabsch)."""
+    return _nearest_rotation(target.T @ source)[0]
+
+
+def _nearest_rotation(correlation: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """The rotation (3, 3) nearest to a correlation (3, 3), and the singular values (3,), the last one signed."""
+    U, singular, Vt = np.linalg.svd(correlation)
+    sign = np.array([1.0, 1.0, np.sign(np.linalg.det(U) * np.linalg.det(Vt))])
+    return U @ np.diag(sign) @ Vt, singular * sign
+
+
+def umeyama(source: FloatArray, target: FloatArray, weights: FloatArray | None = None) -> Similarity:
+    """The least-squares similarity that takes ``source`` (N, 3) to ``target`` (N, 3) (Umeyama, 1991).
+
+    The points must not be collinear; ``weights`` (N,) are relative.
+    """
+    w = _normalized(weights, len(source))
+    source_mean, target_mean = w @ source, w @ target
+    a, b = source - source_mean, target - target_mean
+    R, singular = _nearest_rotation((b * w[:, None]).T @ a)
+    scale = float(singular.sum() / (w @ (a * a).sum(axis=1)))
+    return Similarity(scale, R, target_mean - scale * R @ source_mean)
+
+
+def kabsch(source: FloatArray, target: FloatArray) -> Similarity:
+    """The least-squares rotation and translation, without scale, that take ``source`` (N, 3) to ``target`` (N, 3).
+
+    At least three points that do not lie on a line fix it.
+    """
+    source_mean, target_mean = source.mean(axis=0), target.mean(axis=0)
+    R = aligning_rotation(source - source_mean, target - target_mean)
+    return Similarity(1.0, R, target_mean - R @ source_mean)
+
+
+def posed_alignment(
+    source: FloatArray, target: FloatArray, weights: FloatArray, fixed_scale: bool, min_spread_m: float = 0.0
+) -> Similarity:
+    """The similarity between poses (N, 4, 4) of the same cameras, whose rotations say how the frames are turned.
+
+    So a walk along a line, or on the spot, is aligned as well. The scale stays 1 where it is fixed, or where the
+    target's positions are within ``min_spread_m`` of each other: they show no scale. ``weights`` (N,) are relative.
+    """
+    w = _normalized(weights, len(source))
+    R, _ = _nearest_rotation(np.einsum("l,lij,lkj->ik", w, target[:, :3, :3], source[:, :3, :3]))
+    source_mean, target_mean = w @ source[:, :3, 3], w @ target[:, :3, 3]
+    a, b = (source[:, :3, 3] - source_mean) @ R.T, target[:, :3, 3] - target_mean
+    spread, aligned = float(w @ (a * a).sum(axis=1)), float(w @ (a * b).sum(axis=1))
+    has_scale = not fixed_scale and aligned > 0 and float(w @ (b * b).sum(axis=1)) > min_spread_m**2
+    scale = aligned / spread if has_scale else 1.0
+    return Similarity(scale, R, target_mean - scale * R @ source_mean)
+
+
+def _normalized(weights: FloatArray | None, count: int) -> FloatArray:
+    w = np.ones(count) if weights is None else np.asarray(weights, dtype=np.float64)
+    return np.asarray(w / w.sum())
+
+
+def align_poses(source: FloatArray, target: FloatArray, rounds: int = 5) -> Similarity:
+    """The robust similarity between two pose lists (N, 4, 4) of the same cameras.
+
+    Camera centres alone, reweighted so that a minority of wrong ones does not count (Cauchy weights at their median).
+    """
+    a, b = source[:, :3, 3], target[:, :3, 3]
+    weights = np.ones(len(a))
+    for _ in range(rounds):
+        similarity = umeyama(a, b, weights)
+        error = np.linalg.norm(similarity.points(a) - b, axis=1)
+        weights = 1 / (1 + (error / max(float(np.median(error)), 1e-9)) ** 2)
+    return similarity

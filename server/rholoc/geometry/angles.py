@@ -1,0 +1,26 @@
+"""How far rotations, directions and poses are apart."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from rholoc.geometry.arrays import FloatArray
+
+
+def rotation_angles(R_a: FloatArray, R_b: FloatArray) -> FloatArray:
+    """The angle (...) in radians that each rotation (..., 3, 3) of one array is turned from the other's."""
+    relative = np.swapaxes(R_a, -1, -2) @ R_b
+    angles = Rotation.from_matrix(relative.reshape(-1, 3, 3)).magnitude() if relative.size else np.zeros(0)
+    return np.asarray(np.reshape(angles, relative.shape[:-2]))
+
+
+def direction_angles(a: FloatArray, b: FloatArray) -> FloatArray:
+    """The angles (N, M) in radians between unit vectors (N, 3) and (M, 3)."""
+    return np.asarray(np.arccos(np.clip(a @ b.T, -1, 1)))
+
+
+def pose_distances(T_a: FloatArray, T_b: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Metres (...) and radians (...) between poses (..., 4, 4) of two arrays."""
+    apart = np.linalg.norm(T_a[..., :3, 3] - T_b[..., :3, 3], axis=-1)
+    return np.asarray(apart), rotation_angles(T_a[..., :3, :3], T_b[..., :3, :3])
