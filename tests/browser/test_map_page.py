@@ -252,3 +252,12 @@ def test_the_room_has_the_colours_of_its_pictures_and_is_clicked(desk_browser, r
         page.goto(f"{running.url}/#/maps/room")
         settled(page)
         expect(page.get_by_role("button", name="Colours of the pictures")).to_have_count(0)
+
+
+def test_a_german_browser_is_spoken_to_in_german(desk_browser, running, opened, settled):
+    with opened(desk_browser, running.url, "maps/doubtful", locale="de-DE") as page:
+        expect(settled(page).get_by_text("Auf diese Karte ist kein Verlass.")).to_be_visible()
+        assert page.evaluate("document.documentElement.lang") == "de"
+        expect(page.get_by_role("link", name="Aufträge")).to_be_visible()
+        page.get_by_role("button", name="Löschen").click()
+        expect(page.get_by_role("dialog").get_by_role("button", name="Abbrechen")).to_be_focused()

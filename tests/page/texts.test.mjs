@@ -1,0 +1,69 @@
+import assert from "node:assert/strict";
+import { readdirSync, readFileSync } from "node:fs";
+import { join } from "node:path";
+import { test } from "node:test";
+
+import { key, translated } from "../../client/recorder/shared/text.js";
+import { GERMAN } from "../../client/recorder/shared/texts.js";
+
+const ROOT = new URL("../../client/recorder", import.meta.url).pathname;
+const SPOKEN = ["queued", "running", "published", "failed", "cancelled", "received", "read", "keyframes", "features"];
+const LOOKED_UP = [...SPOKEN, "poses", "observations", "densities", "report", "accelerometer", "gyroscope"];
+const VALUES = /\{\d\}/g;
+
+/** The texts of all t`…` in a module, as they are looked up. */
+function textsOf(source) {
+  const found = [];
+  for (const { index } of source.matchAll(/(?<![\w$.`])t`(?!…)/g)) {
+    let [at, text, count] = [index + 2, "", 0];
+    while (source[at] !== "`") {
+      if (!source.startsWith("${", at)) {
+        text += source[at++];
+        continue;
+      }
+      text += `{${count++}}`;
+      at = endOfValue(source, at + 2);
+    }
+    found.push(text);
+  }
+  return found;
+}
+
+function endOfValue(source, at) {
+  for (let depth = 1; depth > 0; at++) {
+    if (source[at] === "`") at = source.indexOf("`", at + 1);
+    else if (source[at] === "{") depth++;
+    else if (source[at] === "}") depth--;
+  }
+  return at;
+}
+
+function written() {
+  const files = readdirSync(ROOT, { recursive: true, encoding: "utf8" });
+  const code = files.filter((name) => name.endsWith(".js") && !name.endsWith("shared/text.js"));
+  const texts = code.flatMap((name) => textsOf(readFileSync(join(ROOT, name), "utf8")));
+  for (const name of ["index.html", "record/index.html"]) {
+    const page = readFileSync(join(ROOT, name), "utf8");
+    texts.push(...[...page.matchAll(/data-text>([^<\n]+)</g)].map((match) => match[1]));
+    texts.push(...[...page.matchAll(/aria-label="([^"]+)" data-text/g)].map((match) => match[1]));
+  }
+  return new Set([...texts, ...LOOKED_UP]);
+}
+
+test("every text is in the file of texts, and no other", () => {
+  const texts = written();
+  assert.ok(texts.size > 300);
+  assert.deepEqual([...texts].filter((text) => !(text in GERMAN)), []);
+  assert.deepEqual(Object.keys(GERMAN).filter((text) => !texts.has(text)), []);
+});
+
+test("a translation has the values of its text", () => {
+  for (const [text, german] of Object.entries(GERMAN)) {
+    assert.deepEqual((german.match(VALUES) ?? []).sort(), (text.match(VALUES) ?? []).sort(), text);
+  }
+});
+
+test("values are put in, in any order, and not looked into", () => {
+  assert.equal(key`from ${1} to ${2}`, "from {0} to {1}");
+  assert.equal(translated("{1} before {0}", ["a", "{1}"]), "{1} before a");
+});
