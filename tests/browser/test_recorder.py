@@ -489,3 +489,17 @@ def test_a_key_that_allows_too_little_is_asked_for_again(serve, phone):
     page.get_by_role("textbox", name="Key").fill(enough)
     page.get_by_role("button", name="Use this key").click()
     expect(page.get_by_role("heading", name="The server makes the map")).to_be_visible()
+
+
+def test_four_pictures_stand_before_the_first_walk_until_they_were_seen(running, phone):
+    page = phone(running.url)
+    pictures = page.locator(".guide svg")
+    expect(pictures).to_have_count(4)
+    expect(pictures.first).to_be_visible()
+    page.get_by_role("button", name="Got it").click()
+    expect(pictures.first).to_be_hidden()
+    page.reload()
+    expect(page.get_by_role("heading", name="Record a walk")).to_be_visible()
+    expect(pictures.first).to_be_hidden()
+    page.get_by_text("Before the first walk").click()
+    expect(pictures.first).to_be_visible()

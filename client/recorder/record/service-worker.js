@@ -26,6 +26,7 @@ const FILES = [
   "record/take.js",
   "record/upload.js",
   "record/views/camera_field.js",
+  "record/views/guide.js",
   "record/views/home.js",
   "record/views/live.js",
   "record/views/meters.js",

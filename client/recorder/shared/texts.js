@@ -340,6 +340,16 @@ export const GERMAN = {
   // The recorder: before the walk
   "New recording": "Neue Aufnahme",
   "Measured points": "Gemessene Punkte",
+  "Before the first walk": "Vor dem ersten Gang",
+  "Got it": "Verstanden",
+  "Measure three points or more, not on one line, and where they are: with a tape, from a corner of the room.":
+    "Drei oder mehr Punkte, die nicht auf einer Geraden liegen, ausmessen: mit dem Maßband, von einer Ecke des Raums aus.",
+  "At each point stand still for two seconds, the phone upright, and mark it.":
+    "An jedem Punkt zwei Sekunden still stehen, das Telefon aufrecht, und ihn markieren.",
+  "Walk slowly and rather sideways; do not turn on the spot. Keep things in view: furniture, posters, shelves, no bare walls.":
+    "Langsam und eher seitwärts gehen, nicht auf der Stelle drehen. Dinge im Bild behalten: Möbel, Plakate, Regale, keine kahlen Wände.",
+  "Come back to where you began, and look at it again as you did then: the loop shows the map its own errors.":
+    "Zum Anfang zurückkommen und ihn wieder so ansehen wie zu Beginn: Die Schleife zeigt der Karte ihre eigenen Fehler.",
   "Open the camera": "Kamera öffnen",
   "Walk slowly, keep texture in view, and come back to where you began.":
     "Langsam gehen, Strukturen im Bild behalten, und zum Anfang zurückkommen.",

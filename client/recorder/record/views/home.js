@@ -7,6 +7,7 @@ import { draft, keepDraft } from "../draft.js";
 import { missing } from "../problem.js";
 import { askForSensors } from "../sensors.js";
 import { State } from "../store.js";
+import { guide } from "./guide.js";
 import { waypointList } from "./waypoint_list.js";
 import { duration, moment, size } from "./words.js";
 
@@ -48,6 +49,7 @@ export async function homeView({ content, store }) {
       h("h1", {}, t`Record a walk`),
       lack && h("div", { class: "notice bad", role: "alert" }, h("strong", {}, lack.title), " ", lack.advice),
       await roomNotice(),
+      guide(),
       form,
       recordings.length > 0 && h("h2", {}, t`On this phone`),
       recordings.length > 0 &&
