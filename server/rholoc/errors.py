@@ -22,6 +22,7 @@
     ├── Cancelled               the work was cancelled on request
     ├── TooLarge                the upload exceeds the limit
     ├── StorageFull             the disk is full; nothing was replaced
+    ├── StorageUnavailable      storage or database cannot be written, is locked or damaged
     ├── Busy                    the queue is full; try again later
     └── DeadlineExceeded        the caller's deadline passed
 
@@ -155,6 +156,12 @@ class StorageFull(RholocError):
     """The disk is full. Nothing that was stored before is changed."""
 
     code = "storage_full"
+
+
+class StorageUnavailable(RholocError):
+    """Storage or database cannot be written, is locked or damaged. Nothing that was stored before is changed."""
+
+    code = "storage_unavailable"
 
 
 class Busy(RholocError):

@@ -15,7 +15,7 @@ from sqlalchemy.schema import CreateColumn, CreateTable
 from rholoc.errors import Conflict, InvalidInput
 from rholoc.jobs.disk import storage_full, telling_full_disk
 
-_BUSY_TIMEOUT_MS = 30_000
+_BUSY_TIMEOUT_MS = 10_000
 
 _metadata = sa.MetaData()
 

@@ -97,6 +97,18 @@ class JobQueue:
             self._jobs.cancel(job_id)
         return self._jobs.get(job_id)
 
+    def delete(self, job_id: str) -> Job:
+        """Remove a job that has ended; returns it as it was. Its recording and its map stay.
+
+        Raises:
+            UnknownJob: there is none with this id.
+            Conflict: it has not ended.
+        """
+        job = self._jobs.get(job_id)
+        with telling_full_database():
+            self._jobs.delete(job_id)
+        return job
+
     def retry(self, job_id: str) -> Job:
         """Queue a failed or cancelled job again, from its start.
 

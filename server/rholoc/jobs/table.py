@@ -146,6 +146,16 @@ class JobTable:
         if not changed.rowcount:
             raise Conflict("The job has ended, or its map is being published.", "Retry it, or submit a new one.")
 
+    def delete(self, job_id: str) -> None:
+        """Remove a job that has ended. Raises Conflict."""
+        ended = [state for state in JobState if state.ended]
+        with self._engine.begin() as connection:
+            removed = connection.execute(
+                jobs_table.delete().where(jobs_table.c.id == job_id, jobs_table.c.state.in_(ended))
+            )
+        if not removed.rowcount:
+            raise Conflict("The job has not ended.", "Cancel it first.")
+
     # What workers do
 
     def take_up(self, job_id: str, workflow: str) -> tuple[Lease, JobWork] | None:

@@ -10,6 +10,7 @@ from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse
 from pydantic import ValidationError
+from sqlalchemy.exc import SQLAlchemyError
 from starlette.exceptions import HTTPException
 
 from rholoc import __version__
@@ -19,6 +20,7 @@ from rholoc.logs import configure_logs
 from rholoc.maps import CameraLibrary, MapLibrary
 from rholoc.service import web
 from rholoc.service.compute import ComputePool
+from rholoc.service.connections import SlowBodies
 from rholoc.service.errors import (
     InvalidRequest,
     MethodNotAllowed,
@@ -32,6 +34,7 @@ from rholoc.service.errors import (
 from rholoc.service.exports import Exports
 from rholoc.service.guard import Guard, SecurityHeaders
 from rholoc.service.housekeeping import keep_house
+from rholoc.service.job_events import JobEvents
 from rholoc.service.json_bodies import JsonBodies
 from rholoc.service.keys import KeyStore
 from rholoc.service.localizers import Localizers
@@ -85,10 +88,11 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     for router in ROUTERS:
         app.include_router(router)
     web.install(app)
-    for kind in (RholocError, ValidationError, RequestValidationError, HTTPException, OSError):
+    for kind in (RholocError, ValidationError, RequestValidationError, HTTPException, OSError, SQLAlchemyError):
         app.add_exception_handler(kind, _answer_error)
     keys = KeyStore(settings.data_dir)
     app.add_middleware(JsonBodies, max_bytes=settings.max_json_bytes)
+    app.add_middleware(SlowBodies, silence_s=settings.slow_client_timeout_s)
     app.add_middleware(Guard, routes=app.routes, keys=keys, policy=settings.keys, host=settings.host)
     app.add_middleware(Tus)
     app.add_middleware(RequestBoundary)
@@ -118,6 +122,7 @@ def _start(settings: Settings, metrics: Metrics) -> State:
         recordings=recordings,
         uploads=UploadStore(recordings, jobs, settings.upload_expires_s, settings.max_upload_files),
         jobs=jobs,
+        job_events=JobEvents(jobs),
         worker=_worker(settings) if settings.worker else None,
     )
 

@@ -10,9 +10,10 @@ from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 from pydantic import ValidationError
+from sqlalchemy.exc import DatabaseError, InterfaceError, OperationalError
 
 from rholoc import errors
-from rholoc.errors import Busy, RholocError, StorageFull
+from rholoc.errors import Busy, RholocError, StorageFull, StorageUnavailable
 
 
 class HttpError(RholocError):
@@ -67,6 +68,12 @@ class CrossSite(HttpError):
     code = "cross_site"
 
 
+class RequestTimeout(HttpError):
+    """The request's body stops coming, or comes too slowly."""
+
+    code = "request_timeout"
+
+
 class UnsupportedVersion(HttpError):
     """The client speaks a version of the upload protocol that the server does not."""
 
@@ -94,6 +101,7 @@ STATUS: Mapping[type[RholocError], int] = {
     errors.Cancelled: 409,
     errors.TooLarge: 413,
     errors.StorageFull: 507,
+    errors.StorageUnavailable: 503,
     errors.Busy: 503,
     errors.DeadlineExceeded: 504,
     InvalidRequest: 422,
@@ -101,6 +109,7 @@ STATUS: Mapping[type[RholocError], int] = {
     Forbidden: 403,
     CrossSite: 403,
     UnknownRoute: 404,
+    RequestTimeout: 408,
     MethodNotAllowed: 405,
     UnsupportedMediaType: 415,
     UnsupportedVersion: 412,
@@ -109,6 +118,8 @@ STATUS: Mapping[type[RholocError], int] = {
 }
 
 TUS_VERSION = "1.0.0"  # the protocol of resumable uploads
+_NOT_WRITABLE = (errno.EROFS, errno.EACCES, errno.EPERM, errno.EIO)
+_DATABASE_ERRORS = (OperationalError, InterfaceError, DatabaseError)  # themselves: others are mistakes of ours
 _MAX_TEXT = 1000  # of a message: it may quote what was sent
 _DISK_FULL = (errno.ENOSPC, errno.EDQUOT)
 
@@ -134,6 +145,10 @@ def as_rholoc_error(error: Exception) -> RholocError | None:
         return error
     if isinstance(error, OSError) and error.errno in _DISK_FULL:
         return StorageFull("The server's disk is full.", "Nothing was changed. Free space on the server and try again.")
+    if isinstance(error, OSError) and error.errno in _NOT_WRITABLE:
+        return StorageUnavailable("The server's storage cannot be written.", "Tell whoever runs the server.")
+    if type(error) in _DATABASE_ERRORS:
+        return StorageUnavailable("The server's database is locked, damaged or does not answer.", "Try again later.")
     if isinstance(error, ValidationError):
         return invalid_request(error.errors(include_url=False, include_context=False, include_input=False))
     return None

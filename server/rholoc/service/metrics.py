@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator, Mapping
 
+import structlog
 from prometheus_client import CollectorRegistry, Counter, Histogram, generate_latest
 from prometheus_client.core import GaugeMetricFamily
 from prometheus_client.registry import Collector
@@ -12,6 +13,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from rholoc.service.access import found_route
 
+_log = structlog.get_logger("rholoc.service")
 METRICS_TYPE = "text/plain; version=0.0.4; charset=utf-8"
 _SECONDS = (0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0, 60.0)
 
@@ -58,7 +60,12 @@ class _Gauge(Collector):
 
     def collect(self) -> Iterator[GaugeMetricFamily]:
         family = GaugeMetricFamily(self._name, self._text, labels=[self._label])
-        for value, number in self._read().items():
+        try:
+            values = self._read()
+        except Exception as error:  # whatever a database's driver raises: the other metrics are wanted all the more
+            _log.warning("gauge_unread", gauge=self._name, error=repr(error)[:200])
+            values = {}
+        for value, number in values.items():
             family.add_metric([value], number)
         yield family
 

@@ -67,6 +67,11 @@ class Settings(BaseSettings):
     export_time_limit_s: float = Field(
         default=300, gt=0, description="How long the export of a map into another format may take."
     )
+    slow_client_timeout_s: float = Field(
+        default=30,
+        gt=0,
+        description="How long a request's body may be silent, or behind 500 bytes a second, before it is given up.",
+    )
     upload_expires_s: float = Field(
         default=24 * 3600, gt=0, description="How long an unfinished upload is kept without a further byte."
     )

@@ -11,6 +11,7 @@ from rholoc.jobs import EmbeddedWorker, JobQueue, RecordingStore, UploadStore
 from rholoc.maps import CameraLibrary, MapLibrary
 from rholoc.service.compute import ComputePool
 from rholoc.service.exports import Exports
+from rholoc.service.job_events import JobEvents
 from rholoc.service.localizers import Localizers
 from rholoc.service.metrics import Metrics
 from rholoc.service.renderings import Renderings
@@ -32,6 +33,7 @@ class State:
     recordings: RecordingStore
     uploads: UploadStore
     jobs: JobQueue
+    job_events: JobEvents
     worker: EmbeddedWorker | None
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 from pathlib import Path
 
 from fastapi import APIRouter, Response
@@ -17,6 +18,7 @@ from rholoc.service.state import Service, State
 
 router = APIRouter(tags=["service"])
 _OK = "ok"
+_LEAST_FREE_BYTES = 2**26
 
 
 @router.get("/healthz", dependencies=[OPEN], summary="Whether the process answers")
@@ -64,7 +66,9 @@ def _checks(service: State) -> dict[str, str]:
 def _folder(folder: Path) -> str:
     if not folder.is_dir():
         return "the folder is missing"
-    return _OK if os.access(folder, os.R_OK | os.W_OK | os.X_OK) else "the folder cannot be read and written"
+    if not os.access(folder, os.R_OK | os.W_OK | os.X_OK) or os.statvfs(folder).f_flag & os.ST_RDONLY:
+        return "the folder cannot be read and written"
+    return _OK if shutil.disk_usage(folder).free >= _LEAST_FREE_BYTES else "the disk is full"
 
 
 def _worker(service: State) -> str:
@@ -78,7 +82,7 @@ def _worker(service: State) -> str:
 
 def _jobs(service: State) -> str:
     try:
-        service.jobs.list()
+        service.jobs.counts()
     except Exception as error:
         return _unanswered(error)
     return _OK

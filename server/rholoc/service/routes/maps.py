@@ -55,9 +55,9 @@ from rholoc.service.errors import InvalidRequest
 from rholoc.service.examples import REPORT, sent
 from rholoc.service.exports import LONG_FORMATS, ExportRequest
 from rholoc.service.files import OpenedFile
+from rholoc.service.job_events import job_out
 from rholoc.service.openapi import BINARY, failures, request_body
 from rholoc.service.renderings import etag_of
-from rholoc.service.routes.jobs import job_out
 from rholoc.service.schemas import (
     CameraIn,
     ForgetIn,

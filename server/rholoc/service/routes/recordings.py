@@ -23,8 +23,8 @@ from rholoc.service.access import NEEDS_MAP, NEEDS_READ
 from rholoc.service.bodies import media_type, read_multipart
 from rholoc.service.errors import InvalidRequest, UnsupportedMediaType, UnsupportedVersion
 from rholoc.service.intake import UPLOAD_FAILURES, RecordingFields, checked_options
+from rholoc.service.job_events import job_out
 from rholoc.service.openapi import BINARY, failures, request_body
-from rholoc.service.routes.jobs import job_out
 from rholoc.service.routes.uploads import begin_upload
 from rholoc.service.schemas import RecordingAccepted, RecordingList, RecordingOut
 from rholoc.service.state import Service, State

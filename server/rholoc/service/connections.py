@@ -1,0 +1,98 @@
+"""Connections of clients that send slowly, or nothing: given up, so that they cannot hold all there are."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from typing import Any
+
+import h11
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+from uvicorn.protocols.http.h11_impl import H11Protocol
+
+from rholoc.service.errors import RequestTimeout
+
+_HEAD_TIMEOUT_S = 20.0  # for a request's line and headers
+_LEAST_BYTES_PER_S = 500.0  # of a body, on average
+
+
+class PatientProtocol(H11Protocol):
+    """Uvicorn's HTTP/1.1, which closes a connection whose request's head does not arrive in time.
+
+    Uvicorn itself closes connections that are silent between requests, but not those that send a byte now and then.
+    """
+
+    head_timeout_s = _HEAD_TIMEOUT_S
+    _giving_up: asyncio.TimerHandle | None = None
+
+    def connection_made(self, transport: Any) -> None:
+        super().connection_made(transport)
+        self._watch_head()
+
+    def data_received(self, data: bytes) -> None:
+        super().data_received(data)
+        self._watch_head()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        super().connection_lost(exc)
+        self._stop_watching()
+
+    def _watch_head(self) -> None:
+        """Let the time run from a head's first byte, not from its last."""
+        if self.conn.their_state is not h11.IDLE:
+            self._stop_watching()
+        elif self._giving_up is None:
+            self._giving_up = self.loop.call_later(self.head_timeout_s, self._give_up)
+
+    def _give_up(self) -> None:
+        self._giving_up = None
+        if self.conn.their_state is h11.IDLE and self.transport is not None:
+            self.transport.close()
+
+    def _stop_watching(self) -> None:
+        if self._giving_up is not None:
+            self._giving_up.cancel()
+            self._giving_up = None
+
+
+class SlowBodies:
+    """ASGI middleware: a body that stops coming, or trickles, ends its request.
+
+    Args:
+        app: what reads the bodies.
+        silence_s: how long nothing may come, and how far a body may be behind 500 bytes a second.
+    """
+
+    def __init__(self, app: ASGIApp, silence_s: float) -> None:
+        self._app = app
+        self._silence_s = silence_s
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Answer one request.
+
+        Raises:
+            RequestTimeout: its body takes too long.
+        """
+        if scope["type"] != "http":
+            await self._app(scope, receive, send)
+            return
+        waited_s, received, whole = 0.0, 0, False
+
+        async def receive_in_time() -> Message:
+            nonlocal waited_s, received, whole
+            if whole:
+                return await receive()  # which waits for the client to leave
+            begun = time.monotonic()
+            try:
+                async with asyncio.timeout(self._silence_s):
+                    message = await receive()
+            except TimeoutError:
+                raise RequestTimeout("The request's body stopped coming.", "Send it again.") from None
+            waited_s += time.monotonic() - begun
+            received += len(message.get("body", b""))
+            whole = not message.get("more_body", False)
+            if not whole and waited_s > self._silence_s + received / _LEAST_BYTES_PER_S:
+                raise RequestTimeout("The request's body comes too slowly.", "Send it again over a better connection.")
+            return message
+
+        await self._app(scope, receive_in_time, send)

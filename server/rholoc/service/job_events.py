@@ -1,0 +1,80 @@
+"""Jobs as they change, for any number of watchers: each job is looked up once for all who watch it."""
+
+from __future__ import annotations
+
+import asyncio
+import hashlib
+import time
+from dataclasses import dataclass
+
+from starlette.concurrency import run_in_threadpool
+
+from rholoc.jobs import Job, JobQueue
+from rholoc.service.schemas import JobError, JobOut
+
+LOOK_EVERY_S = 0.5
+_MAX_KEPT = 1000  # jobs that were watched
+
+
+@dataclass(frozen=True)
+class JobEvent:
+    """A job at one moment. Its id is made from what it says: the same moment has the same id on every server."""
+
+    id: str
+    data: str
+    last: bool
+
+    @classmethod
+    def of(cls, job: Job) -> JobEvent:
+        """The event that tells of a job."""
+        data = job_out(job).model_dump_json()
+        return cls(hashlib.blake2s(data.encode(), digest_size=8).hexdigest(), data, job.state.ended)
+
+
+class JobEvents:
+    """The latest event of each job that is watched. Used from the event loop's thread alone."""
+
+    def __init__(self, jobs: JobQueue) -> None:
+        self._jobs = jobs
+        self._looks: dict[str, tuple[float, asyncio.Task[JobEvent]]] = {}
+
+    async def latest(self, job_id: str) -> JobEvent:
+        """How the job was at most half a second ago.
+
+        Raises:
+            UnknownJob: there is none with this id.
+        """
+        now = time.monotonic()
+        look = self._looks.get(job_id)
+        if look is None or now - look[0] >= LOOK_EVERY_S:
+            if len(self._looks) >= _MAX_KEPT:
+                self._looks.clear()
+            look = self._looks[job_id] = (now, asyncio.create_task(self._look(job_id)))
+        return await asyncio.shield(look[1])
+
+    async def _look(self, job_id: str) -> JobEvent:
+        return JobEvent.of(await run_in_threadpool(self._jobs.get, job_id))
+
+
+def job_out(job: Job) -> JobOut:
+    """A job as it goes out."""
+    error = None
+    if job.error_code is not None:
+        error = JobError(code=job.error_code, message=job.error_message or "", hint=job.error_hint or "")
+    return JobOut(
+        id=job.id,
+        recording=job.recording,
+        map=job.map_name,
+        state=job.state,
+        stage=job.stage,
+        progress=job.progress,
+        message=job.message,
+        log=list(job.log),
+        warnings=list(job.warnings),
+        trusted=job.trusted,
+        error=error,
+        created=job.created,
+        started=job.started,
+        ended=job.ended,
+        attempts=job.attempts,
+    )
