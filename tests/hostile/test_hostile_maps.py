@@ -13,8 +13,10 @@ from safetensors import safe_open
 from safetensors.numpy import save
 
 from rholoc.errors import InvalidMap
+from rholoc.mapping import ExportFormat
 from rholoc.maps import MapLibrary, load_map, map_to_bytes
 from rholoc.maps.rho_file import _checksum
+from rholoc.service.exports import is_long
 
 PNG = {"Content-Type": "image/png"}
 
@@ -188,6 +190,21 @@ def test_a_download_is_of_one_version_whatever_happens_meanwhile(serve, picture_
     assert sizes <= {first, second}
 
 
+def test_only_long_exports_are_left_to_a_process():
+    assert not is_long(300, ExportFormat.CSV, None, None)
+    assert is_long(5000, ExportFormat.CSV, None, None)
+    assert is_long(300, ExportFormat.CSV, 3, None)
+    assert is_long(5000, ExportFormat.SURFACES, None, None)
+    assert not is_long(5000, ExportFormat.SURFACES, None, [1, 2])
+    assert not is_long(10**6, ExportFormat.PLY, None, None)
+
+
+@pytest.fixture
+def every_export_is_long(monkeypatch):
+    monkeypatch.setattr("rholoc.service.exports.SHORT_NUMBERS", 0)
+
+
+@pytest.mark.usefixtures("every_export_is_long")
 def test_an_export_that_takes_too_long_ends_with_its_process(serve, picture_world):
     running = serve(export_time_limit_s=0.01)
     (running.settings.maps_dir / "room.rho").write_bytes(picture_world.rho())
@@ -196,6 +213,7 @@ def test_an_export_that_takes_too_long_ends_with_its_process(serve, picture_worl
         assert (answer.status_code, answer.json()["code"]) == (504, "deadline_exceeded")
 
 
+@pytest.mark.usefixtures("every_export_is_long")
 def test_an_export_that_nobody_waits_for_gives_its_place_back(serve, picture_world):
     running = serve()
     (running.settings.maps_dir / "room.rho").write_bytes(picture_world.rho())
@@ -203,9 +221,9 @@ def test_an_export_that_nobody_waits_for_gives_its_place_back(serve, picture_wor
     for _ in range(3):
         with httpx.stream("GET", url, timeout=60) as answer:
             assert next(answer.iter_raw(100))
-    whole = httpx.get(url, timeout=60)
+    whole = httpx.get(url, timeout=120)
     assert whole.is_success
-    refused = httpx.get(f"{url}&degree=7", timeout=60)
+    refused = httpx.get(f"{url}&degree=7", timeout=120)
     assert (refused.status_code, refused.json()["code"]) == (422, "invalid_input")
 
 

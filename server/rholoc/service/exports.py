@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import math
 import sys
 from collections.abc import AsyncIterator, Callable, Sequence
 from contextlib import suppress
@@ -17,7 +18,9 @@ from rholoc.errors import Busy, DeadlineExceeded, InvalidInput, InvalidMap
 from rholoc.mapping import ExportFormat
 from rholoc.mapping.export_process import REFUSED
 
-LONG_FORMATS = frozenset({ExportFormat.CSV, ExportFormat.SURFACES})
+SHORT_NUMBERS = 4_000_000  # a few seconds' work: less than a process needs to start on a busy machine
+_NUMBERS_PER_SURFACE = 40_000
+_VARIABLES, _DEGREE = 8, 2  # of the tensor form of equation (3), as it is written where no degree is given
 _AT_ONCE = 1
 _MAX_WAITING = 8
 _PIECE_BYTES = 2**16
@@ -47,6 +50,19 @@ class ExportRequest:
         features = None if self.features is None else list(self.features)
         members = {"source": str(self.source.resolve()), "title": self.title, "format": self.format}
         return json.dumps({**members, "degree": self.degree, "features": features}).encode() + b"\n"
+
+
+def is_long(landmarks: int, format: ExportFormat, degree: int | None, features: Sequence[int] | None) -> bool:
+    """Whether an export is left to a process: by how many numbers it computes or writes."""
+    match format:
+        case ExportFormat.CSV:
+            powers = 1 + (_DEGREE if degree is None else max(0, degree))
+            return landmarks * math.pow(powers, _VARIABLES) > SHORT_NUMBERS
+        case ExportFormat.SURFACES:
+            chosen = landmarks if features is None else len(features)
+            return chosen * _NUMBERS_PER_SURFACE > SHORT_NUMBERS
+        case _:
+            return False
 
 
 class Exports:

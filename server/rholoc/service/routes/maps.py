@@ -53,7 +53,7 @@ from rholoc.service.access import NEEDS_ADMIN, NEEDS_MAP, NEEDS_READ
 from rholoc.service.bodies import save_body
 from rholoc.service.errors import InvalidRequest
 from rholoc.service.examples import REPORT, sent
-from rholoc.service.exports import LONG_FORMATS, ExportRequest
+from rholoc.service.exports import ExportRequest, is_long
 from rholoc.service.files import OpenedFile
 from rholoc.service.job_events import job_out
 from rholoc.service.openapi import BINARY, failures, request_body
@@ -181,10 +181,10 @@ async def download_map(
         rendered = await service.renderings.get(map_name, Rendering.PREVIEW)
         return Response(rendered.content, headers=headers, media_type=format.media_type)
     chosen = None if features is None else parse_features(features)
-    if format in LONG_FORMATS:
+    map_ = await run_in_threadpool(service.library.get, map_name)
+    if is_long(len(map_), format, degree, chosen):
         wanted = ExportRequest(service.library.path(map_name), map_name, format, degree, chosen)
         return await service.exports.answer(wanted, headers)
-    map_ = await run_in_threadpool(service.library.get, map_name)
     pieces = await service.compute.run(lambda: export_map(map_, format, title=map_name, degree=degree, features=chosen))
     return StreamingResponse(pieces, headers=headers, media_type=format.media_type)
 
