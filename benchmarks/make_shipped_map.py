@@ -20,11 +20,11 @@ import numpy as np
 
 from rholoc.errors import MappingFailed
 from rholoc.evaluation import trajectory_errors
-from rholoc.evaluation.plots import plot_top_view, save_figure
 from rholoc.geometry import ByteArray, FloatArray, Pose
 from rholoc.localization import Localizer, Query
 from rholoc.mapping import BuildOptions, build_map
 from rholoc.maps import Map, map_to_bytes, save_map
+from rholoc.pictures.trajectories import plot_top_view, save_figure
 from rholoc.recordings import CameraFile, GivenPoses, Recording, read_recording, write_camera_json
 from rholoc.simulation import SimulatedRecording, simulate_recording
 from rholoc.trajectory import PoseMethod

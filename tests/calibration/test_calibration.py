@@ -10,9 +10,9 @@ import pytest
 
 from rholoc.calibration import Board, BoardKind, Calibration, calibrate
 from rholoc.calibration.boards import BoardFinder
-from rholoc.calibration.picture import calibration_png
 from rholoc.errors import InvalidInput, InvalidRecording
 from rholoc.geometry import ByteArray, Camera
+from rholoc.pictures.calibration import calibration_png
 
 _CHECKERBOARD = Board.parse("9x6", 25, BoardKind.CHECKERBOARD)
 _CHARUCO = Board.parse("10x7", 25, BoardKind.CHARUCO)

@@ -13,8 +13,9 @@ import typer.main
 
 from rholoc import __version__
 from rholoc.cli import app
+from rholoc.exports import ExportFormat
 from rholoc.features import extractor_names
-from rholoc.mapping import BuildOptions, ExportFormat
+from rholoc.mapping import BuildOptions
 from rholoc.maps import DensityKind
 from rholoc.simulation import Light
 from rholoc.trajectory import PoseMethod

@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 
 from rholoc.evaluation.compare import RETRIEVAL, CompareOptions, Comparison, MethodResult, compare
-from rholoc.evaluation.comparison_plots import plot_error_by_distance, plot_errors_from_above, plot_recall
 from rholoc.evaluation.errors import PoseErrors
 from rholoc.evaluation.lighting import compare_lights
-from rholoc.evaluation.lighting_plots import plot_lights
-from rholoc.evaluation.plots import save_figure
 from rholoc.evaluation.splits import QuerySet
+from rholoc.pictures.comparison import plot_error_by_distance, plot_errors_from_above, plot_recall
+from rholoc.pictures.lighting import plot_lights
+from rholoc.pictures.trajectories import save_figure
 
 
 @pytest.fixture(scope="module")

@@ -13,7 +13,7 @@ import pytest
 from PIL import Image
 
 from rholoc.maps import Map, landmark_sigmas, map_to_ply, map_to_scene, map_to_vtp
-from rholoc.maps.preview import preview_png
+from rholoc.pictures.map_preview import preview_png
 
 
 def numbers(element: ElementTree.Element | None) -> np.ndarray:

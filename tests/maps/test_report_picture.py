@@ -10,7 +10,7 @@ import pytest
 from PIL import Image
 
 from rholoc.maps import Map
-from rholoc.maps.report_picture import report_png
+from rholoc.pictures.map_report import report_png
 from rholoc.reports import HeldOutReport, MapReport
 
 FRAMES = HeldOutReport(4, 3, 0.02, 0.3, errors_m=(0.01, 0.02, None, 0.3), confidences=(0.9, 0.8, 0.1, 0.4))

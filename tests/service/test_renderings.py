@@ -12,7 +12,7 @@ import pytest
 
 from rholoc.errors import InvalidMap, UnknownMap
 from rholoc.maps import MapLibrary
-from rholoc.maps.rendering import Rendering
+from rholoc.pictures.rendering import Rendering
 from rholoc.service.renderings import Renderings
 
 

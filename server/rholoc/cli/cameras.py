@@ -120,7 +120,7 @@ def calibrate(
     if name is not None:
         library.put(name, profile)
     if picture is not None:
-        from rholoc.calibration.picture import calibration_png
+        from rholoc.pictures.calibration import calibration_png
 
         replace_file(picture, calibration_png(found))
     _print(name or str(source), profile, as_json)

@@ -125,7 +125,7 @@ def _recordings(
     walks: Sequence[Recording], sets: Sequence[QuerySet], settings: Any, out: Path | None, as_json: bool
 ) -> None:
     from rholoc.evaluation.compare import compare as run
-    from rholoc.evaluation.comparison_plots import plot_error_by_distance, plot_errors_from_above, plot_recall
+    from rholoc.pictures.comparison import plot_error_by_distance, plot_errors_from_above, plot_recall
 
     with stage_progress() as progress:
         comparison = run(walks, sets, settings, progress)
@@ -146,8 +146,8 @@ def _recordings(
 
 def _lighting(features: list[str] | None, seconds: float, seed: int, out: Path | None, as_json: bool) -> None:
     from rholoc.evaluation.lighting import compare_lights
-    from rholoc.evaluation.lighting_plots import plot_lights
     from rholoc.evaluation.splits import with_poses
+    from rholoc.pictures.lighting import plot_lights
     from rholoc.recordings import read_recording
     from rholoc.simulation import Light, Renderer, make_test_site, simulate_recording
 
@@ -182,7 +182,7 @@ def _lighting(features: list[str] | None, seconds: float, seed: int, out: Path |
 
 def _lighting_pairs(folder: Path, features: list[str] | None, out: Path | None, as_json: bool) -> None:
     from rholoc.evaluation.lighting_pairs import compare_lighting_pairs
-    from rholoc.evaluation.lighting_plots import plot_scenes
+    from rholoc.pictures.lighting import plot_scenes
 
     with stage_progress() as progress:
         pairs = compare_lighting_pairs(folder, features, progress)
@@ -206,7 +206,7 @@ def _folder(out: Path | None) -> Iterator[Path]:
 
 
 def _write(out: Path, name: str, figures: Any, plots: dict[str, Figure]) -> None:
-    from rholoc.evaluation.plots import save_figure
+    from rholoc.pictures.trajectories import save_figure
 
     (out / name).write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")
     for file, figure in plots.items():

@@ -205,8 +205,8 @@ class _Figures:
 def _evaluation(files: _Files, table: TrajectoryTable, every: int) -> Evaluation:
     """Compare with the truth, and write the trajectory and the top view."""
     from rholoc.evaluation import evaluate, pair_poses, read_frame_poses, trajectory_errors
-    from rholoc.evaluation.plots import plot_top_view, save_figure
     from rholoc.maps import load_map, write_trajectory_csv
+    from rholoc.pictures.trajectories import plot_top_view, save_figure
 
     write_trajectory_csv(files.trajectory, table)
     truth = read_frame_poses(files.truth / "walk-2.csv")

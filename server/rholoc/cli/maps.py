@@ -227,7 +227,7 @@ def export(
     ] = None,
 ) -> None:
     """Write a map for other programs, or as a picture."""
-    from rholoc.mapping import ExportFormat, export_map, parse_features
+    from rholoc.exports import ExportFormat, export_map, parse_features
     from rholoc.maps import load_map
     from rholoc.maps.files import replace_file
 
@@ -264,7 +264,7 @@ def report(
     """Draw a map's report: where it works and where not, how wrong it was, what its landmarks are worth."""
     from rholoc.maps import load_map
     from rholoc.maps.files import replace_file
-    from rholoc.maps.report_picture import report_png
+    from rholoc.pictures.map_report import report_png
 
     map_ = load_map(map_file)
     target = out or map_file.with_name(f"{map_file.stem}-report.png")

@@ -42,7 +42,7 @@ def info(
         _print_findings(description)
     if out is not None:
         from rholoc.maps.files import replace_file
-        from rholoc.recordings.recording_picture import recording_png
+        from rholoc.pictures.recording import recording_png
 
         replace_file(out, recording_png(read))
         print_notice(f"{out} shows it.")

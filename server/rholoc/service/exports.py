@@ -15,8 +15,8 @@ from starlette.responses import StreamingResponse
 from starlette.types import Receive, Scope, Send
 
 from rholoc.errors import Busy, DeadlineExceeded, InvalidInput, InvalidMap
-from rholoc.mapping import ExportFormat
-from rholoc.mapping.export_process import REFUSED
+from rholoc.exports import ExportFormat
+from rholoc.exports.process import REFUSED
 
 SHORT_NUMBERS = 4_000_000  # a few seconds' work: less than a process needs to start on a busy machine
 _NUMBERS_PER_SURFACE = 40_000
@@ -29,7 +29,7 @@ _RETRY_AFTER_S = 10.0
 
 @dataclass(frozen=True)
 class ExportRequest:
-    """What to export: see :func:`rholoc.mapping.export_map`.
+    """What to export: see :func:`rholoc.exports.export_map`.
 
     Attributes:
         source: the map's file.
@@ -115,7 +115,7 @@ class _Export:
     async def begin(self, wanted: ExportRequest) -> None:
         """Start the process and wait for its first bytes."""
         pipe = asyncio.subprocess.PIPE
-        command = (sys.executable, "-m", "rholoc.mapping.export_process")
+        command = (sys.executable, "-m", "rholoc.exports.process")
         self._last_s = asyncio.get_running_loop().time() + self._time_limit_s
         self._process = process = await asyncio.create_subprocess_exec(*command, stdin=pipe, stdout=pipe, stderr=pipe)
         assert process.stdin is not None

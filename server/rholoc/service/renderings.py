@@ -19,7 +19,7 @@ from starlette.concurrency import run_in_threadpool
 from rholoc import __version__
 from rholoc.errors import Busy, InvalidMap, RholocError
 from rholoc.maps import MapLibrary, MapStat
-from rholoc.maps.rendering import Rendering
+from rholoc.pictures.rendering import Rendering
 
 _IDLE_S = 120.0  # after which the process is let go, and its memory with it
 _MAX_WAITING = 200
@@ -104,7 +104,7 @@ class Renderings:
             self._idle.cancel()
         if self._process is None or self._process.returncode is not None:
             pipe = asyncio.subprocess.PIPE
-            command = (sys.executable, "-m", "rholoc.maps.rendering")
+            command = (sys.executable, "-m", "rholoc.pictures.rendering")
             self._process = await asyncio.create_subprocess_exec(*command, stdin=pipe, stdout=pipe)
         assert self._process.stdin is not None
         assert self._process.stdout is not None

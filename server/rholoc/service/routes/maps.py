@@ -28,11 +28,12 @@ from rholoc.errors import (
     UnknownMap,
     UnknownRecording,
 )
+from rholoc.exports import ExportFormat, export_map, parse_features
 from rholoc.features import get_extractor
 from rholoc.geometry import Camera
 from rholoc.jobs import JobKind, JobOptions
 from rholoc.localization import Localizer
-from rholoc.mapping import ExportFormat, export_map, forget_recording, merge_maps, parse_features
+from rholoc.mapping import forget_recording, merge_maps
 from rholoc.maps import (
     Map,
     MapInfo,
@@ -47,7 +48,7 @@ from rholoc.maps import (
     read_coefficient_table,
     trust_of,
 )
-from rholoc.maps.rendering import Rendering
+from rholoc.pictures.rendering import Rendering
 from rholoc.reports import CoverageReport
 from rholoc.service.access import NEEDS_ADMIN, NEEDS_MAP, NEEDS_READ
 from rholoc.service.bodies import save_body

@@ -8,16 +8,16 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
 from rholoc.geometry import FloatArray
+from rholoc.pictures.style import AMBER, MARKED, TEAL, figure_of
 
 _TRUTH_COLOUR = "#1a1a1a"
-_ESTIMATE_COLOUR = "#d1495b"
-_FAILURE_COLOUR = "#f2a71b"
-_WAYPOINT_COLOUR = "#00798c"
+_ESTIMATE_COLOUR = MARKED
+_FAILURE_COLOUR = AMBER
+_WAYPOINT_COLOUR = TEAL
 _ARROWS = 40  # headings drawn along a path: enough to see where it looks, few enough to see the path
 _LONGEST_SIDE_INCHES = 10.0
 _MARGIN_M = 0.4
@@ -39,8 +39,7 @@ def plot_top_view(
         waypoints: names and positions (3,) of measured points.
         title: a line above the plot.
     """
-    figure = Figure(layout="constrained", dpi=150, facecolor="white")
-    FigureCanvasAgg(figure)
+    figure = figure_of(None, 150)
     axes = figure.add_subplot()
     if landmarks is not None and len(landmarks):
         _draw_landmarks(figure, axes, landmarks)

@@ -12,7 +12,7 @@ import sys
 from pathlib import Path
 
 from rholoc.errors import RholocError
-from rholoc.mapping.export import ExportFormat, export_map
+from rholoc.exports.formats import ExportFormat, export_map
 from rholoc.maps import load_map
 
 REFUSED = 3  # exit status

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
@@ -15,13 +14,14 @@ from matplotlib.figure import Figure
 from rholoc.evaluation.baselines import MatchSet, Solver
 from rholoc.evaluation.compare import RETRIEVAL, Comparison, MethodResult, SplitResult
 from rholoc.geometry import FloatArray
+from rholoc.pictures.style import AMBER, MARKED, TEAL, figure_of
 
 _COLOURS = {
-    "ray": "#d1495b",
+    "ray": MARKED,
     "tensor": "#7b2d8b",
-    Solver.CV2: "#00798c",
+    Solver.CV2: TEAL,
     Solver.POSELIB: "#2e7d32",
-    RETRIEVAL: "#f2a71b",
+    RETRIEVAL: AMBER,
 }
 _DASHES = {MatchSet.EVERYWHERE: ":", MatchSet.DISTINCT: "--", MatchSet.PLACE: "-."}
 _SMALLEST_CM, _LARGEST_CM = 0.3, 100.0
@@ -127,7 +127,7 @@ def _draw_from_above(
         zorder=3,
     )
     if not placed.all():
-        axes.plot(*truth[~placed, :2, 3].T, "x", color="#d1495b", ms=6, zorder=4, label=f"{(~placed).sum()} no pose")
+        axes.plot(*truth[~placed, :2, 3].T, "x", color=MARKED, ms=6, zorder=4, label=f"{(~placed).sum()} no pose")
     axes.set_title(f"{method.name}: {100 * _recall(method):.0f} % within 5 cm and 5°", fontsize=10)
     axes.legend(fontsize=7, loc="upper left")
 
@@ -162,6 +162,4 @@ def _style(method: MethodResult) -> dict[str, Any]:
 
 
 def _figure(size_inches: tuple[float, float]) -> Figure:
-    figure = Figure(figsize=size_inches, layout="constrained", dpi=130, facecolor="white")
-    FigureCanvasAgg(figure)
-    return figure
+    return figure_of(size_inches, 130)

@@ -7,8 +7,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from rholoc.evaluation.plots import plot_top_view, save_figure
 from rholoc.geometry import Pose
+from rholoc.pictures.trajectories import plot_top_view, save_figure
 
 
 def walk(n: int = 50) -> np.ndarray:

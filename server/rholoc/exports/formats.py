@@ -103,7 +103,7 @@ def export_map(
         case ExportFormat.SURFACES:
             return iter([map_surfaces_vtp(map_, _most_seen(map_) if features is None else features)])
         case ExportFormat.PNG:
-            from rholoc.maps.preview import preview_png
+            from rholoc.pictures.map_preview import preview_png
 
             return iter([preview_png(map_, title)])
 

@@ -1,50 +1,40 @@
-"""A map from above, as a picture. Not imported with the package: loading matplotlib takes a third of a second."""
+"""A map from above, as a picture."""
 
 from __future__ import annotations
 
-import io
-
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import PathCollection
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from rholoc.maps.export import landmark_sigmas
 from rholoc.maps.map import Map
+from rholoc.pictures.style import INK, MARKED, MUTED, draw_scale_bar, figure_of, png_of
 
-_INK = "#22303c"
-_MUTED = "#7b8794"
-_MARKED = "#d1495b"
 _MIN_SIGMA_M = 1e-3  # the colour scale's lower end at least
 _MARGIN = 0.06  # of the plotted width, around it
 _VISIBLE_SHARE = (1.0, 99.0)  # percentiles of the landmarks that the picture is made to hold
-_BAR_LENGTHS_M = (0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50, 100, 200, 500)
 
 
 def preview_png(map_: Map, title: str = "", size_px: tuple[int, int] = (1200, 900)) -> bytes:
     """The map from above as a PNG: landmarks coloured by uncertainty, the view path with its headings, waypoints."""
-    figure = Figure(figsize=(size_px[0] / 150, size_px[1] / 150), dpi=150, facecolor="white")
-    FigureCanvasAgg(figure)
+    figure = figure_of((size_px[0] / 150, size_px[1] / 150), 150)
     figure.set_layout_engine("constrained", w_pad=0.15, h_pad=0.15)
     axes = figure.add_subplot()
     shown = _plot_landmarks(axes, map_)
     _plot_path(axes, map_)
     _plot_waypoints(axes, map_)
     _frame(axes, map_)
-    axes.set_title(title or "Map from above", loc="left", pad=22, fontsize=13, fontweight="bold", color=_INK)
+    axes.set_title(title or "Map from above", loc="left", pad=22, fontsize=13, fontweight="bold", color=INK)
     axes.annotate(
-        _caption(map_), (0, 1), (0, 7), xycoords="axes fraction", textcoords="offset points", fontsize=8, color=_MUTED
+        _caption(map_), (0, 1), (0, 7), xycoords="axes fraction", textcoords="offset points", fontsize=8, color=MUTED
     )
     if shown is not None:
         _plot_colour_scale(figure, axes, shown, "cm" if map_.info.metric else "units")
-    png = io.BytesIO()
-    figure.savefig(png, format="png")
-    return png.getvalue()
+    return png_of(figure)
 
 
 def _plot_landmarks(axes: Axes, map_: Map) -> PathCollection | None:
@@ -67,11 +57,11 @@ def _plot_landmarks(axes: Axes, map_: Map) -> PathCollection | None:
 
 def _plot_colour_scale(figure: Figure, axes: Axes, shown: PathCollection, unit: str) -> None:
     bar = figure.colorbar(shown, ax=axes, shrink=0.55, aspect=28, pad=0.01)
-    bar.set_label(f"landmark uncertainty, {unit}", fontsize=8, color=_MUTED)
+    bar.set_label(f"landmark uncertainty, {unit}", fontsize=8, color=MUTED)
     bar.ax.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
     bar.ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     bar.ax.yaxis.set_minor_formatter(NullFormatter())
-    bar.ax.tick_params(which="both", labelsize=7, colors=_MUTED)
+    bar.ax.tick_params(which="both", labelsize=7, colors=MUTED)
     bar.outline.set_visible(False)
 
 
@@ -80,22 +70,22 @@ def _plot_path(axes: Axes, map_: Map) -> None:
         return
     x, y = map_.view_positions[:, :2].T
     hx, hy = map_.view_headings[:, :2].T
-    axes.plot(x, y, color=_INK, linewidth=1.2, zorder=3)
-    axes.quiver(x, y, hx, hy, color=_INK, angles="xy", scale=28, width=0.002, headwidth=4, zorder=3)
-    axes.plot(x[0], y[0], marker="o", markersize=6, color=_INK, markerfacecolor="white", zorder=4)
+    axes.plot(x, y, color=INK, linewidth=1.2, zorder=3)
+    axes.quiver(x, y, hx, hy, color=INK, angles="xy", scale=28, width=0.002, headwidth=4, zorder=3)
+    axes.plot(x[0], y[0], marker="o", markersize=6, color=INK, markerfacecolor="white", zorder=4)
 
 
 def _plot_waypoints(axes: Axes, map_: Map) -> None:
     for waypoint in map_.info.waypoints:
         x, y = waypoint.position[:2]
-        axes.plot(x, y, marker="D", markersize=6, color=_MARKED, markeredgecolor="white", zorder=5)
+        axes.plot(x, y, marker="D", markersize=6, color=MARKED, markeredgecolor="white", zorder=5)
         axes.annotate(
             waypoint.name,
             (x, y),
             (6, 6),
             textcoords="offset points",
             fontsize=9,
-            color=_MARKED,
+            color=MARKED,
             fontweight="bold",
             path_effects=[withStroke(linewidth=2.5, foreground="white")],
         )
@@ -114,15 +104,12 @@ def _frame(axes: Axes, map_: Map) -> None:
     axes.set_aspect("equal")
     axes.set_axis_off()
     width = float(high[0] - low[0]) + 2 * margin
-    length = max((bar for bar in _BAR_LENGTHS_M if bar <= width / 4), default=_BAR_LENGTHS_M[0])
-    x, y = low[0] - margin / 2, low[1] - 1.3 * margin
-    axes.add_line(Line2D([x, x + length], [y, y], color=_INK, linewidth=2.5, solid_capstyle="butt"))
     unit = "m" if map_.info.metric else "units"
-    axes.annotate(f"{length:g} {unit}", (x + length, y), (5, 0), textcoords="offset points", va="center", fontsize=8)
-    axes.plot([], [], color=_INK, linewidth=1.2, label="view path")
+    draw_scale_bar(axes, low[0] - margin / 2, low[1] - 1.3 * margin, width, unit, fontsize=8)
+    axes.plot([], [], color=INK, linewidth=1.2, label="view path")
     if map_.info.waypoints:
-        axes.plot([], [], marker="D", linestyle="", color=_MARKED, label="waypoints")
-    axes.legend(loc="lower right", fontsize=8, frameon=False, labelcolor=_INK)
+        axes.plot([], [], marker="D", linestyle="", color=MARKED, label="waypoints")
+    axes.legend(loc="lower right", fontsize=8, frameon=False, labelcolor=INK)
 
 
 def _caption(map_: Map) -> str:

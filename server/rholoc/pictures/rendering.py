@@ -55,13 +55,13 @@ def _answer(request: dict[str, str]) -> dict[str, str]:
 
 
 def _preview(map_: Map, name: str) -> bytes:
-    from rholoc.maps.preview import preview_png  # matplotlib is loaded only where something is drawn
+    from rholoc.pictures.map_preview import preview_png  # matplotlib is loaded only where something is drawn
 
     return preview_png(map_, title=name)
 
 
 def _report(map_: Map, name: str) -> bytes:
-    from rholoc.maps.report_picture import report_png
+    from rholoc.pictures.map_report import report_png
 
     return report_png(map_, name)
 

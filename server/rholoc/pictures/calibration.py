@@ -1,30 +1,23 @@
-"""A calibration as a picture. Apart from the package's other modules: loading matplotlib takes a third of a second."""
+"""A calibration as a picture."""
 
 from __future__ import annotations
 
-import io
-
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import PolyCollection
-from matplotlib.figure import Figure
 
 from rholoc.calibration.calibrate import Calibration
 from rholoc.calibration.views import outline
+from rholoc.pictures.style import INK, MUTED, figure_of, png_of
 
 _WIDTH_IN = 9.0
 _DPI = 130
-_INK = "#22303c"
 _EMPTY = "#f6d5d8"
-_OUTLINE = "#7b8794"
 
 
 def calibration_png(calibration: Calibration) -> bytes:
     """Where in the image corners were seen and how far each is missed; cells without corners are shaded."""
     camera = calibration.camera
-    figure = Figure(figsize=(_WIDTH_IN, 1.1 + 0.86 * _WIDTH_IN * camera.height / camera.width), dpi=_DPI)
-    FigureCanvasAgg(figure)
-    figure.set_layout_engine("constrained")
+    figure = figure_of((_WIDTH_IN, 1.1 + 0.86 * _WIDTH_IN * camera.height / camera.width), _DPI)
     axes = figure.add_subplot()
     covered = calibration.covered
     edges_u = np.linspace(-0.5, camera.width - 0.5, covered.shape[1] + 1)
@@ -32,7 +25,7 @@ def calibration_png(calibration: Calibration) -> bytes:
     for row, column in np.argwhere(~covered):
         axes.fill_between(edges_u[column : column + 2], *edges_v[row : row + 2], color=_EMPTY, linewidth=0)
     outlines = [outline(view.sighting, calibration.board) for view in calibration.views]
-    axes.add_collection(PolyCollection(outlines, facecolors="none", edgecolors=_OUTLINE, linewidths=0.5, alpha=0.6))
+    axes.add_collection(PolyCollection(outlines, facecolors="none", edgecolors=MUTED, linewidths=0.5, alpha=0.6))
     pixels = np.concatenate([view.sighting.pixels for view in calibration.views])
     missed_px = np.linalg.norm(np.concatenate([view.residuals_px for view in calibration.views]), axis=1)
     order = np.argsort(missed_px)
@@ -56,8 +49,6 @@ def calibration_png(calibration: Calibration) -> bytes:
         f"cx {camera.cx:.1f} ± {calibration.sigmas['cx']:.1f}, cy {camera.cy:.1f} ± {calibration.sigmas['cy']:.1f} px",
         loc="left",
         fontsize=10,
-        color=_INK,
+        color=INK,
     )
-    png = io.BytesIO()
-    figure.savefig(png, format="png")
-    return png.getvalue()
+    return png_of(figure)

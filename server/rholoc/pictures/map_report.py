@@ -1,22 +1,16 @@
-"""A map's report as a picture: where it will work and where not, how wrong it was, what its landmarks are worth.
-
-Not imported with the package, for matplotlib's sake.
-"""
+"""A map's report as a picture: where it will work and where not, how wrong it was, what its landmarks are worth."""
 
 from __future__ import annotations
 
-import io
 import math
 from dataclasses import dataclass
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.cm import ScalarMappable
 from matplotlib.collections import PolyCollection
 from matplotlib.colors import BoundaryNorm, Colormap, ListedColormap
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter, PercentFormatter
 
@@ -25,19 +19,15 @@ from rholoc.maps.coverage import SUFFICIENT, Coverage, coverage_of
 from rholoc.maps.export import landmark_sigmas
 from rholoc.maps.map import Map
 from rholoc.maps.trust import expected_error_m, trust_of
+from rholoc.pictures.style import GREEN, INK, MARKED, MUTED, draw_scale_bar, figure_of, png_of
 from rholoc.reports import MapReport
 
-_GREEN = "#1a7f5a"
-_INK = "#22303c"
-_MUTED = "#7b8794"
-_MARKED = "#d1495b"
 _SIZE_PX = (1800, 1080)
 _DPI = 120
 _LEVELS = (0, 1, SUFFICIENT / 4, SUFFICIENT / 2, SUFFICIENT, 2 * SUFFICIENT, 4 * SUFFICIENT, 8 * SUFFICIENT, 10_000)
 _COLOURS = ("#e6e4e1", "#a50026", "#e4593c", "#fbae62", "#c6e2c0", "#78c08c", "#2f8f63", "#0b5440")
 _RADIUS = 0.47  # of a rose, in steps
 _ARC_STEPS = 4
-_BAR_LENGTHS_M = (0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50, 100, 200, 500)
 _HIDDEN_SHARE = (0.5, 99.5)  # percentiles that histograms are made to hold
 _NO_FRAMES = "no errors of single frames are known"
 _LEAST_ERROR = 1e-4  # where the logarithmic error scale ends
@@ -53,10 +43,9 @@ class _HeldOut:
 
 def report_png(map_: Map, title: str = "") -> bytes:
     """The report on a map as a PNG: coverage by position and heading, consistency, landmarks."""
-    figure = Figure(figsize=(_SIZE_PX[0] / _DPI, _SIZE_PX[1] / _DPI), dpi=_DPI, facecolor="white")
-    FigureCanvasAgg(figure)
+    figure = figure_of((_SIZE_PX[0] / _DPI, _SIZE_PX[1] / _DPI), _DPI)
     figure.set_layout_engine("constrained", w_pad=0.12, h_pad=0.12)
-    figure.suptitle(title or "The map's report", x=0.012, ha="left", fontsize=16, fontweight="bold", color=_INK)
+    figure.suptitle(title or "The map's report", x=0.012, ha="left", fontsize=16, fontweight="bold", color=INK)
     grid = figure.add_gridspec(2, 3, width_ratios=(2.15, 1, 1))
     _plot_coverage(figure, figure.add_subplot(grid[:, 0]), map_, coverage_of(map_))
     unit, factor = ("cm", 100.0) if map_.info.metric else ("units", 1.0)
@@ -67,9 +56,7 @@ def report_png(map_: Map, title: str = "") -> bytes:
         _plot_confidences(figure.add_subplot(grid[0, 2]), _held_out(map_.info.report), unit, factor)
     _plot_sigmas(figure.add_subplot(grid[1, 1]), map_, unit, factor)
     _plot_views_per_landmark(figure.add_subplot(grid[1, 2]), map_)
-    png = io.BytesIO()
-    figure.savefig(png, format="png")
-    return png.getvalue()
+    return png_of(figure)
 
 
 def _held_out(report: MapReport) -> _HeldOut | None:
@@ -85,7 +72,7 @@ def _plot_coverage(figure: Figure, axes: Axes, map_: Map, coverage: Coverage) ->
     colours: Colormap = ListedColormap(_COLOURS)
     norm = BoundaryNorm(_LEVELS, colours.N)
     landmarks, places = map_.landmarks @ coverage.axes.T, map_.view_positions @ coverage.axes.T
-    axes.scatter(landmarks[:, 0], landmarks[:, 1], s=2.0, color=_MUTED, alpha=0.35, linewidths=0, zorder=1)
+    axes.scatter(landmarks[:, 0], landmarks[:, 1], s=2.0, color=MUTED, alpha=0.35, linewidths=0, zorder=1)
     axes.add_collection(
         PolyCollection(
             _wedges(coverage),
@@ -100,14 +87,14 @@ def _plot_coverage(figure: Figure, axes: Axes, map_: Map, coverage: Coverage) ->
     _plot_path(axes, places, map_.view_headings @ coverage.axes.T)
     _plot_waypoints(axes, map_, coverage)
     _frame(axes, coverage, places, "m" if map_.info.metric else "units")
-    axes.set_title(_caption(map_, coverage), loc="left", fontsize=9, linespacing=1.5, color=_MUTED)
+    axes.set_title(_caption(map_, coverage), loc="left", fontsize=9, linespacing=1.5, color=MUTED)
     axes.set_anchor("N")
     bar = figure.colorbar(
         ScalarMappable(norm, colours), ax=axes, orientation="horizontal", shrink=0.75, aspect=45, pad=0.01
     )
     bar.set_ticks(_LEVELS[1:-1], labels=[f"{level:g}" for level in _LEVELS[1:-1]])
-    bar.set_label("landmarks in view, a wedge for each heading of the camera", fontsize=9, color=_INK)
-    bar.ax.tick_params(labelsize=8, colors=_MUTED, length=0)
+    bar.set_label("landmarks in view, a wedge for each heading of the camera", fontsize=9, color=INK)
+    bar.ax.tick_params(labelsize=8, colors=MUTED, length=0)
     bar.outline.set_visible(False)
 
 
@@ -124,32 +111,32 @@ def _plot_path(axes: Axes, places: FloatArray, headings: FloatArray) -> None:
     if len(places) == 0:
         return
     halo = [withStroke(linewidth=2.6, foreground="white")]
-    axes.plot(*places.T, color=_INK, linewidth=1.0, zorder=3, path_effects=halo)
+    axes.plot(*places.T, color=INK, linewidth=1.0, zorder=3, path_effects=halo)
     every = max(1, len(places) // 60)
     axes.quiver(
         *places[::every].T,
         *headings[::every].T,
-        color=_INK,
+        color=INK,
         angles="xy",
         scale=34,
         width=0.0022,
         headwidth=4.5,
         zorder=4,
     )
-    axes.plot(*places[0], marker="o", markersize=6, color=_INK, markerfacecolor="white", zorder=5)
+    axes.plot(*places[0], marker="o", markersize=6, color=INK, markerfacecolor="white", zorder=5)
 
 
 def _plot_waypoints(axes: Axes, map_: Map, coverage: Coverage) -> None:
     for waypoint in map_.info.waypoints:
         place = coverage.axes @ np.array(waypoint.position, dtype=np.float64)
-        axes.plot(*place, marker="D", markersize=6, color=_MARKED, markeredgecolor="white", zorder=6)
+        axes.plot(*place, marker="D", markersize=6, color=MARKED, markeredgecolor="white", zorder=6)
         axes.annotate(
             waypoint.name,
             (float(place[0]), float(place[1])),
             (6, 6),
             textcoords="offset points",
             fontsize=9,
-            color=_MARKED,
+            color=MARKED,
             fontweight="bold",
             zorder=6,
             path_effects=[withStroke(linewidth=2.5, foreground="white")],
@@ -164,10 +151,8 @@ def _frame(axes: Axes, coverage: Coverage, places: FloatArray, unit: str) -> Non
     axes.set_ylim(low[1], high[1])
     axes.set_aspect("equal")
     axes.set_axis_off()
-    length = max((bar for bar in _BAR_LENGTHS_M if bar <= (high[0] - low[0]) / 4), default=_BAR_LENGTHS_M[0])
     x, y = low[0] + coverage.step_m / 2, low[1] + coverage.step_m / 2
-    axes.add_line(Line2D([x, x + length], [y, y], color=_INK, linewidth=2.5, solid_capstyle="butt"))
-    axes.annotate(f"{length:g} {unit}", (x + length, y), (5, 0), textcoords="offset points", va="center", fontsize=9)
+    draw_scale_bar(axes, x, y, high[0] - low[0], unit)
 
 
 def _caption(map_: Map, coverage: Coverage) -> str:
@@ -210,14 +195,14 @@ def _plot_errors(axes: Axes, report: MapReport, unit: str, factor: float) -> Non
         _say(axes, f"none of {len(errors)} frames was localized")
         return
     shares = np.arange(1, len(found) + 1) / len(errors)
-    axes.step(np.append(found, 2 * found[-1]), np.append(shares, shares[-1]), where="post", color=_GREEN, linewidth=1.8)
-    axes.fill_between(found, shares, step="post", color=_GREEN, alpha=0.12, linewidth=0)
+    axes.step(np.append(found, 2 * found[-1]), np.append(shares, shares[-1]), where="post", color=GREEN, linewidth=1.8)
+    axes.fill_between(found, shares, step="post", color=GREEN, alpha=0.12, linewidth=0)
     for share in (0.5, 0.9):
         if shares[-1] >= share:
             error = float(found[np.searchsorted(shares, share - 1e-9)])
-            axes.plot([error, error], [0, share], color=_INK, linewidth=0.8, linestyle=":")
+            axes.plot([error, error], [0, share], color=INK, linewidth=0.8, linestyle=":")
             label = f"{share:.0%}: {error:.2g} {unit}"
-            axes.annotate(label, (error, share), (5, -10), textcoords="offset points", fontsize=8.5, color=_INK)
+            axes.annotate(label, (error, share), (5, -10), textcoords="offset points", fontsize=8.5, color=INK)
     axes.set_ylim(0, 1.04)
     axes.yaxis.set_major_formatter(PercentFormatter(1.0))
     _logarithmic(axes, 0.7 * found[0], 2 * found[-1])
@@ -227,7 +212,7 @@ def _plot_errors(axes: Axes, report: MapReport, unit: str, factor: float) -> Non
         xycoords="axes fraction",
         ha="right",
         fontsize=8.5,
-        color=_MUTED,
+        color=MUTED,
     )
 
 
@@ -251,7 +236,7 @@ def _plot_confidences(axes: Axes, held_out: _HeldOut | None, unit: str, factor: 
         _say(axes, "none was localized")
         return
     errors = factor * np.maximum(held_out.errors_m[found], _LEAST_ERROR)
-    axes.scatter(errors, held_out.confidences[found], s=22, color=_GREEN, alpha=0.6, linewidths=0, clip_on=False)
+    axes.scatter(errors, held_out.confidences[found], s=22, color=GREEN, alpha=0.6, linewidths=0, clip_on=False)
     axes.set_ylim(0, 1.04)
     _logarithmic(axes, 0.7 * float(errors.min()), 1.4 * float(errors.max()))
 
@@ -261,8 +246,8 @@ def _plot_expected_error(axes: Axes, map_: Map, unit: str, factor: float) -> Non
     _panel(axes, "Expected error over the walk", "view", f"root mean square, {unit}")
     errors = factor * map_.expected_errors_m
     numbers = np.arange(len(errors))
-    axes.plot(numbers, errors, color=_GREEN, linewidth=1.5)
-    axes.fill_between(numbers, errors, color=_GREEN, alpha=0.12, linewidth=0)
+    axes.plot(numbers, errors, color=GREEN, linewidth=1.5)
+    axes.fill_between(numbers, errors, color=GREEN, alpha=0.12, linewidth=0)
     axes.set_ylim(0, 1.15 * float(np.nanmax(errors)))
     axes.set_xlim(0, max(len(errors) - 1, 1))
 
@@ -274,7 +259,7 @@ def _plot_sigmas(axes: Axes, map_: Map, unit: str, factor: float) -> None:
         return
     sigmas = factor * np.maximum(landmark_sigmas(map_), _LEAST_ERROR)
     low, high = _range(sigmas)
-    axes.hist(sigmas, bins=np.geomspace(low, high, 36).tolist(), color=_GREEN, alpha=0.75)
+    axes.hist(sigmas, bins=np.geomspace(low, high, 36).tolist(), color=GREEN, alpha=0.75)
     _median_line(axes, float(np.median(sigmas)), f" {unit}")
     _logarithmic(axes, low, high)
 
@@ -287,7 +272,7 @@ def _plot_views_per_landmark(axes: Axes, map_: Map) -> None:
     views = np.bincount(map_.observation_features, minlength=len(map_))
     last = int(np.ceil(np.percentile(views, _HIDDEN_SHARE[1]))) + 1
     width = -(-last // 40)
-    axes.hist(views, bins=(np.arange(1, last + width + 1, width) - 0.5).tolist(), color=_GREEN, alpha=0.75)
+    axes.hist(views, bins=(np.arange(1, last + width + 1, width) - 0.5).tolist(), color=GREEN, alpha=0.75)
     _median_line(axes, float(np.median(views)), "")
 
 
@@ -297,7 +282,7 @@ def _range(values: FloatArray) -> tuple[float, float]:
 
 
 def _median_line(axes: Axes, median: float, unit: str) -> None:
-    axes.axvline(median, color=_INK, linewidth=0.8, linestyle=":")
+    axes.axvline(median, color=INK, linewidth=0.8, linestyle=":")
     axes.annotate(
         f"median {median:.3g}{unit}",
         (median, 0.97),
@@ -306,7 +291,7 @@ def _median_line(axes: Axes, median: float, unit: str) -> None:
         textcoords="offset points",
         va="top",
         fontsize=8.5,
-        color=_INK,
+        color=INK,
         path_effects=[withStroke(linewidth=2.5, foreground="white")],
     )
     axes.margins(y=0.12)
@@ -323,16 +308,16 @@ def _logarithmic(axes: Axes, low: float, high: float) -> None:
 
 
 def _panel(axes: Axes, title: str, x: str, y: str) -> None:
-    axes.set_title(title, loc="left", fontsize=11, fontweight="bold", color=_INK)
-    axes.set_xlabel(x, fontsize=9, color=_MUTED)
-    axes.set_ylabel(y, fontsize=9, color=_MUTED)
-    axes.tick_params(which="both", labelsize=8, colors=_MUTED)
+    axes.set_title(title, loc="left", fontsize=11, fontweight="bold", color=INK)
+    axes.set_xlabel(x, fontsize=9, color=MUTED)
+    axes.set_ylabel(y, fontsize=9, color=MUTED)
+    axes.tick_params(which="both", labelsize=8, colors=MUTED)
     axes.spines[["top", "right"]].set_visible(False)
-    axes.spines[["left", "bottom"]].set_color(_MUTED)
+    axes.spines[["left", "bottom"]].set_color(MUTED)
 
 
 def _say(axes: Axes, what: str) -> None:
     """Nothing to plot, and why."""
     axes.set_xticks([])
     axes.set_yticks([])
-    axes.text(0.5, 0.5, what, transform=axes.transAxes, ha="center", va="center", fontsize=9, color=_MUTED)
+    axes.text(0.5, 0.5, what, transform=axes.transAxes, ha="center", va="center", fontsize=9, color=MUTED)

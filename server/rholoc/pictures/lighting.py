@@ -6,12 +6,12 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from rholoc.evaluation.lighting import LightPair
 from rholoc.evaluation.lighting_pairs import ScenePair
 from rholoc.geometry import FloatArray
+from rholoc.pictures.style import figure_of
 
 _DARK = 0.55  # of the scale: text turns white above
 
@@ -27,8 +27,7 @@ def plot_lights(pairs: Sequence[LightPair]) -> Figure:
         ("within 5 cm, 5° (%)", lambda p: 100 * p.recall, 100, "{:.0f}"),
         ("median error (cm)", lambda p: p.median_cm, 5, "{:.1f}"),
     ]
-    figure = Figure(figsize=(2.1 * len(names) + 1.2, 8.2), layout="constrained", dpi=130, facecolor="white")
-    FigureCanvasAgg(figure)
+    figure = figure_of((2.1 * len(names) + 1.2, 8.2), 130)
     panels = figure.subplots(len(rows), len(names), squeeze=False)
     for row, (line, (title, value, top, form)) in enumerate(zip(panels, rows, strict=True)):
         for column, (axes, name) in enumerate(zip(line, names, strict=True)):
@@ -54,8 +53,7 @@ def plot_scenes(pairs: Sequence[ScenePair]) -> Figure:
         ("match precision, registered (%)", lambda p: None if p.registered is None else p.registered.precision),
         ("match precision, stereo (%)", lambda p: p.stereo_precision),
     ]
-    figure = Figure(figsize=(11, 1.0 + 0.75 * len(scenes)), layout="constrained", dpi=130, facecolor="white")
-    FigureCanvasAgg(figure)
+    figure = figure_of((11, 1.0 + 0.75 * len(scenes)), 130)
     for axes, (title, value) in zip(figure.subplots(1, len(figures), squeeze=False)[0], figures, strict=True):
         cells = {(p.scene, p.features): _percent(value(p)) for p in pairs}
         matrix = np.array([[_or_nan(cells.get((scene, name))) for name in names] for scene in scenes])

@@ -1,0 +1,44 @@
+"""What all pictures share: colours, figures, scale bars."""
+
+from __future__ import annotations
+
+import io
+
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+INK = "#22303c"
+MUTED = "#7b8794"
+MARKED = "#d1495b"
+GREEN = "#1a7f5a"
+BLUE = "#2a6fb0"
+TEAL = "#00798c"
+AMBER = "#f2a71b"
+
+_BAR_LENGTHS_M = (0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50, 100, 200, 500)
+
+
+def figure_of(size_inches: tuple[float, float] | None, dpi: int) -> Figure:
+    """A white figure that is drawn without a display; ``size_inches`` is width and height."""
+    figure = Figure(figsize=size_inches, dpi=dpi, facecolor="white")
+    FigureCanvasAgg(figure)
+    figure.set_layout_engine("constrained")
+    return figure
+
+
+def png_of(figure: Figure) -> bytes:
+    """A figure as a PNG file."""
+    png = io.BytesIO()
+    figure.savefig(png, format="png")
+    return png.getvalue()
+
+
+def draw_scale_bar(axes: Axes, x: float, y: float, width: float, unit: str, fontsize: float = 9) -> None:
+    """A bar of round length, a quarter of the shown ``width`` at most, from (x, y) to the right."""
+    length = max((bar for bar in _BAR_LENGTHS_M if bar <= width / 4), default=_BAR_LENGTHS_M[0])
+    axes.add_line(Line2D([x, x + length], [y, y], color=INK, linewidth=2.5, solid_capstyle="butt"))
+    axes.annotate(
+        f"{length:g} {unit}", (x + length, y), (5, 0), textcoords="offset points", va="center", fontsize=fontsize
+    )
