@@ -22,7 +22,16 @@ from rholoc.trajectory import PoseMethod
 
 ROOT = Path(__file__).parents[2]
 PAGES = [
-    ROOT / name for name in ("README.md", "CHANGELOG.md", "server/README.md", "server/COMMANDS.md", "maps/README.md")
+    ROOT / name
+    for name in (
+        "README.md",
+        "CHANGELOG.md",
+        "CONTRIBUTING.md",
+        "docs/method.md",
+        "server/README.md",
+        "server/COMMANDS.md",
+        "maps/README.md",
+    )
 ]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 REFERENCE = (ROOT / "server" / "COMMANDS.md").read_text(encoding="utf-8")

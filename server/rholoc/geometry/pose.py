@@ -1,4 +1,4 @@
-"""Poses of a camera in the map frame (DESIGN: right-handed, z up, metres)."""
+"""Poses of a camera in the map frame (right-handed, z up, metres)."""
 
 from __future__ import annotations
 

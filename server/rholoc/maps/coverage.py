@@ -1,8 +1,8 @@
 """Where a map covers: how many landmarks a camera would see, by position and heading.
 
 Around the places that the map was made from, positions lie on a grid at the height the camera was held; at each of them
-a camera like the map's looks in twelve directions. A landmark counts where the camera may expect it (presence π_f of
-DESIGN, section 3) and its field of view holds it. What stands in the way between two views is not known.
+a camera like the map's looks in twelve directions. A landmark counts where the camera may expect it (presence π_f,
+:mod:`rholoc.density.presence`) and its field of view holds it. What stands in the way between two views is not known.
 """
 
 from __future__ import annotations

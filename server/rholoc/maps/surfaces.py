@@ -1,7 +1,7 @@
 """Where densities peak, as surfaces for ParaView.
 
 Around its landmark a ``ray`` density seen from the feature's views is constant on ellipsoids: those of the landmark's
-covariance Λ⁻¹ (DESIGN, section 3). The surface drawn is three standard deviations wide.
+covariance Λ⁻¹ (:mod:`rholoc.density.ray`). The surface drawn is three standard deviations wide.
 """
 
 from __future__ import annotations
