@@ -261,3 +261,13 @@ def test_a_german_browser_is_spoken_to_in_german(desk_browser, running, opened, 
         expect(page.get_by_role("link", name="Aufträge")).to_be_visible()
         page.get_by_role("button", name="Löschen").click()
         expect(page.get_by_role("dialog").get_by_role("button", name="Abbrechen")).to_be_focused()
+
+
+def test_the_next_walk_is_proposed_and_taken_up_by_the_recorder(desk_browser, running, opened, settled):
+    with opened(desk_browser, running.url, "maps/room") as page:
+        expect(settled(page).get_by_text("Walk here next:")).to_be_visible()
+        page.get_by_role("link", name="Record it").click()
+        expect(
+            page.get_by_text(re.compile(r"For the map room: .* walk to about -?[\d.]+, -?[\d.]+, look"))
+        ).to_be_visible()
+        expect(page.get_by_label("Name of the map")).to_have_value("room")

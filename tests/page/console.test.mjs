@@ -1,7 +1,7 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 
-import { cameraAt, moved, sayPlace, summary } from "../../client/recorder/console/coverage_view.js";
+import { cameraAt, moved, nextWalk, sayPlace, summary } from "../../client/recorder/console/coverage_view.js";
 import { halfExtents, intrinsicsFor, intrinsicsOfFieldOfView, Known } from "../../client/recorder/console/intrinsics.js";
 import { matches } from "../../client/recorder/console/list_tools.js";
 import { sayPicked } from "../../client/recorder/console/scene.js";
@@ -115,4 +115,15 @@ test("programs quote what is strange and take the key from outside", () => {
     assert.match(snippet(language, asked), /RHOLOC_API_KEY/);
     assert.doesNotMatch(snippet(language, { ...asked, withKey: false }), /RHOLOC_API_KEY/);
   }
+});
+
+test("the next walk goes to where most directions fail, and looks in them", () => {
+  const works = [90, 90, 90, 90];
+  const row = Array.from({ length: 9 }, (_, i) => [i, 0]);
+  const coverage = { ...COVERAGE, cells: row, counts: row.map(([i]) => (i >= 6 ? [5, 90, 90, 90] : works)) };
+  const { cell, degrees, position } = nextWalk(coverage);
+  assert.ok(cell >= 6);
+  near(Math.min(degrees, 360 - degrees), 0, 1e-6);
+  near(position[0], 1 + 0.5 * cell);
+  assert.equal(nextWalk({ ...coverage, counts: row.map(() => works) }), null);
 });

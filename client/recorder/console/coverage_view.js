@@ -17,6 +17,7 @@ const LEVELS = [
 const RADIUS = 0.47; // of a rose, in steps
 const MARGIN_STEPS = 1.2; // around the roses
 const MAX_HEIGHT = 560; // px
+const NEAR_M = 0.5; // within which places count together, standard deviation
 const BARS_M = [0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50, 100];
 
 /**
@@ -34,7 +35,8 @@ export function coverageView(coverage, map, signal, look) {
   );
   const unit = map.scale === "metric" ? "m" : t`units`;
   const rose = { cell: null, heading: 0 };
-  const draw = () => drawCoverage(canvas, coverage, map, unit, rose);
+  const next = nextWalk(coverage);
+  const draw = () => drawCoverage(canvas, coverage, map, unit, rose, next);
   const choose = (cell, heading) => {
     Object.assign(rose, { cell, heading });
     said.textContent = sayPlace(coverage, cell, heading, unit);
@@ -58,7 +60,35 @@ export function coverageView(coverage, map, signal, look) {
   observer.observe(canvas);
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", draw, { signal });
   signal.addEventListener("abort", () => observer.disconnect());
-  return h("div", { class: "card stack" }, h("p", {}, summary(coverage)), canvas, said, legend(coverage.sufficient));
+  return h(
+    "div",
+    { class: "card stack" },
+    h("p", {}, summary(coverage)),
+    canvas,
+    said,
+    legend(coverage.sufficient),
+    next && walkNext(next, map, unit),
+  );
+}
+
+/**
+ * What to walk next, with a link that the recorder takes up.
+ * @param {{degrees: number, position: number[]}} next
+ */
+function walkNext({ degrees, position: [x, y] }, map, unit) {
+  const place = [x.toFixed(1), y.toFixed(1), degrees.toFixed(0)];
+  return h(
+    "div",
+    { class: "row spread" },
+    h(
+      "p",
+      {},
+      h("strong", {}, t`Walk here next:`),
+      " ",
+      t`around ${place[0]}, ${place[1]} ${unit}, looking to ${place[2]}° (the arrow).`,
+    ),
+    h("a", { class: "button", href: `record#/next/${encodeURIComponent(map.name)}/${place.join(",")}` }, t`Record it`),
+  );
 }
 
 /** One sentence on the whole. */
@@ -78,6 +108,28 @@ export function sayPlace(coverage, cell, heading, unit) {
     [0, t`it will fail`],
   ].find(([share]) => seen >= share * coverage.sufficient);
   return t`At ${x}, ${y} ${unit}, looking ${degrees}°: ${seen} landmarks in view; ${verdict}.`;
+}
+
+/**
+ * Where a further walk would help most: the place around which most directions fail, and the direction in which they do,
+ * `{cell, degrees, position}`; null where it works everywhere. Every failing direction counts as far as its place is near.
+ */
+export function nextWalk(coverage) {
+  const { cells, counts, headings_deg: headings, sufficient, step } = coverage;
+  const failing = counts.map((seen) => headings.filter((_, i) => seen[i] < sufficient));
+  if (!failing.some((found) => found.length)) return null;
+  const weight = (a, b) => Math.exp(-(((a[0] - b[0]) ** 2 + (a[1] - b[1]) ** 2) * step ** 2) / (2 * NEAR_M ** 2));
+  const lacks = cells.map((here) => cells.reduce((sum, there, i) => sum + weight(here, there) * failing[i].length, 0));
+  const cell = lacks.indexOf(Math.max(...lacks));
+  let [x, y] = [0, 0];
+  cells.forEach((there, i) => {
+    for (const degrees of failing[i]) {
+      x += weight(cells[cell], there) * Math.cos((degrees * Math.PI) / 180);
+      y += weight(cells[cell], there) * Math.sin((degrees * Math.PI) / 180);
+    }
+  });
+  const degrees = ((Math.atan2(y, x) * 180) / Math.PI + 360) % 360;
+  return { cell, degrees, position: position(coverage, cell) };
 }
 
 /** The camera (T_map_camera, 4 × 4) that stands in a cell and looks in a heading. */
@@ -150,7 +202,7 @@ function roseAt(canvas, coverage, x, y) {
   };
 }
 
-function drawCoverage(canvas, coverage, map, unit, chosen) {
+function drawCoverage(canvas, coverage, map, unit, chosen, next) {
   const ratio = Math.min(devicePixelRatio, 2);
   const wanted = placement(coverage, canvas.clientWidth, Infinity);
   const rows = coverage.cells.map((cell) => cell[1]);
@@ -165,6 +217,7 @@ function drawCoverage(canvas, coverage, map, unit, chosen) {
   drawRoses(context, coverage, place, token("--surface"));
   if (chosen.cell !== null) drawChosen(context, coverage, place, chosen, token("--ink"));
   drawWaypoints(context, coverage, place, map.waypoints, token);
+  if (next) drawArrow(context, place.cell(...coverage.cells[next.cell]), next.degrees, place.pixels, token);
   drawBar(context, coverage.step, place.pixels, unit, height, token("--ink"));
 }
 
@@ -215,6 +268,36 @@ function drawWaypoints(context, { axes }, place, waypoints, token) {
     context.rect(x - 4, y - 4, 8, 8);
     context.stroke();
     context.fill();
+  }
+}
+
+/**
+ * An arrow from a place, over what is drawn there.
+ * @param {CanvasRenderingContext2D} context
+ * @param {number[]} place
+ */
+function drawArrow(context, [x, y], degrees, pixels, token) {
+  const angle = (-degrees * Math.PI) / 180;
+  const reach = Math.max(2.5 * pixels, 40);
+  /** @returns {[number, number]} */
+  const at = (along, aside) => [
+    x + along * Math.cos(angle) - aside * Math.sin(angle),
+    y + along * Math.sin(angle) + aside * Math.cos(angle),
+  ];
+  for (const [colour, width] of [
+    [token("--surface"), 8],
+    [token("--ink"), 4],
+  ]) {
+    context.strokeStyle = colour;
+    context.lineWidth = width;
+    context.lineCap = context.lineJoin = "round";
+    context.beginPath();
+    context.moveTo(...at(0, 0));
+    context.lineTo(...at(reach, 0));
+    context.moveTo(...at(reach - 12, -9));
+    context.lineTo(...at(reach, 0));
+    context.lineTo(...at(reach - 12, 9));
+    context.stroke();
   }
 }
 

@@ -46,7 +46,7 @@ export async function showMap(main, name, signal) {
   await Promise.all([
     loading(trust, async () => fill(trust, trustNotice(map, await report)), signal),
     loading(about, async () => fillAbout(about, map, await report), signal),
-    loading(works, async () => fill(works, await showCoverage(map, scene, signal)), signal),
+    loading(works, async () => fill(works, await showCoverage(map, await report, scene, signal)), signal),
     showScene(scene, map, signal),
   ]);
 }
@@ -57,8 +57,11 @@ export async function showScene(view, map, signal) {
   view.showMap(readScene(await response.arrayBuffer()), map.waypoints, map.scale === "metric");
 }
 
-async function showCoverage(map, scene, signal) {
-  const coverage = await get(path`v1/maps/${map.name}/coverage`, { signal });
+/** What the report has of it; older maps have it worked out by the server. */
+async function showCoverage(map, report, scene, signal) {
+  const coverage = report.coverage?.counts
+    ? report.coverage
+    : await get(path`v1/maps/${map.name}/coverage`, { signal });
   return coverageView(coverage, map, signal, (T) => scene.showPose(T));
 }
 

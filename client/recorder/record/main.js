@@ -10,17 +10,17 @@ import { liveView } from "./views/live.js";
 import { reviewView } from "./views/review.js";
 import { sendView } from "./views/send.js";
 
-const VIEWS = { "": homeView, live: liveView, review: reviewView, send: sendView };
+const VIEWS = { "": homeView, next: homeView, live: liveView, review: reviewView, send: sendView };
 const content = document.getElementById("content");
 let leave = () => {};
 
-/** Show the view of the address: `#/`, `#/live`, `#/review/ID`, `#/send/ID`. A view gives back what ends it. */
+/** Show the view of the address: `#/`, `#/next/MAP/X,Y,DEGREES`, `#/live`, `#/review/ID`, `#/send/ID`. A view gives back what ends it. */
 async function show(store) {
-  const [name, id] = location.hash.replace(/^#\/?/, "").split("/");
+  const [name, id, place] = location.hash.replace(/^#\/?/, "").split("/");
   leave();
   leave = () => {};
   try {
-    leave = (await (VIEWS[name] ?? homeView)({ content, store, id })) ?? leave;
+    leave = (await (VIEWS[name] ?? homeView)({ content, store, id, place })) ?? leave;
   } catch (error) {
     fill(content, problemNotice(error), h("p", {}, h("a", { href: "#/" }, t`Back`)));
   }

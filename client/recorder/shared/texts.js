@@ -180,6 +180,9 @@ export const GERMAN = {
   "it will fail": "es misslingt",
   "At {0}, {1} {2}, looking {3}°: {4} landmarks in view; {5}.":
     "Bei {0}, {1} {2}, Blick nach {3}°: {4} Landmarken im Bild; {5}.",
+  "Walk here next:": "Als Nächstes hier gehen:",
+  "around {0}, {1} {2}, looking to {3}° (the arrow).": "um {0}, {1} {2}, Blick nach {3}° (der Pfeil).",
+  "Record it": "Aufnehmen",
   fewer: "weniger",
   units: "Einheiten",
   " units": " Einheiten",
@@ -342,6 +345,8 @@ export const GERMAN = {
   "Measured points": "Gemessene Punkte",
   "Before the first walk": "Vor dem ersten Gang",
   "Got it": "Verstanden",
+  "For the map {0}: begin where it works, walk to about {1}, {2}, look to {3}°, and come back. Before sending, choose that the map learns it.":
+    "Für die Karte {0}: beginnen, wo sie funktioniert, bis etwa {1}, {2} gehen, nach {3}° blicken, und zurückkommen. Vor dem Senden wählen, dass die Karte sie lernt.",
   "Measure three points or more, not on one line, and where they are: with a tape, from a corner of the room.":
     "Drei oder mehr Punkte, die nicht auf einer Geraden liegen, ausmessen: mit dem Maßband, von einer Ecke des Raums aus.",
   "At each point stand still for two seconds, the phone upright, and mark it.":

@@ -14,7 +14,8 @@ import { duration, moment, size } from "./words.js";
 const LITTLE_ROOM_BYTES = 300e6;
 
 /** The first page. */
-export async function homeView({ content, store }) {
+export async function homeView({ content, store, id, place }) {
+  if (id) keepDraft({ map: decodeURIComponent(id) });
   const recordings = await store.recordings();
   const { map, waypoints } = draft();
   const lack = missing();
@@ -49,6 +50,7 @@ export async function homeView({ content, store }) {
       h("h1", {}, t`Record a walk`),
       lack && h("div", { class: "notice bad", role: "alert" }, h("strong", {}, lack.title), " ", lack.advice),
       await roomNotice(),
+      place && walkHere(draft().map, place),
       guide(),
       form,
       recordings.length > 0 && h("h2", {}, t`On this phone`),
@@ -59,6 +61,16 @@ export async function homeView({ content, store }) {
           recordings.map((recording) => card(recording, store)),
         ),
     ),
+  );
+}
+
+/** Where a further walk of a map is to go. */
+function walkHere(map, place) {
+  const [x, y, degrees] = place.split(",");
+  return h(
+    "p",
+    { class: "notice good" },
+    t`For the map ${map}: begin where it works, walk to about ${x}, ${y}, look to ${degrees}°, and come back. Before sending, choose that the map learns it.`,
   );
 }
 
