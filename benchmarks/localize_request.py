@@ -1,9 +1,10 @@
 """How long one /localize request takes on one core, stage by stage.
 
-    python benchmarks/localize_request.py MAP.rho FRAMES --camera fx,fy,cx,cy --frames 200:400 --dof 6
+    python benchmarks/localize_request.py MAP.rho FRAMES --camera fx,fy,cx,cy --frames 200:400 [--priors]
 
 Starts the service, pinned to one core, on 127.0.0.1, posts the frames as they are one after another, and prints the
-median and the 90th percentile of each stage. Ends by itself.
+median and the 90th percentile of each stage; with ``--priors`` again, told priors off by a little, by more, and wholly.
+Ends by itself.
 """
 
 from __future__ import annotations
@@ -16,10 +17,15 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from enum import StrEnum
 from pathlib import Path
+from typing import Any
 
 import httpx
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from rholoc.recordings import read_recording
 
@@ -62,21 +68,74 @@ def start(folder: Path, port: int) -> subprocess.Popen[bytes]:
     raise SystemExit("The service did not start.")
 
 
-def post_frames(port: int, files: list[Path], fields: dict[str, str]) -> dict[str, list[float]]:
-    """Milliseconds by stage of each request; ``round trip`` is what the caller sees."""
-    spent: dict[str, list[float]] = {}
+class PriorKind(StrEnum):
+    """What each request is told of its pose."""
+
+    NONE = "no prior"
+    NEAR = "prior 10 cm and 4° off"
+    ROUGH = "prior 40 cm and 15° off"
+    WRONG = "prior 5 m and 90° off"
+
+
+_OFF = {PriorKind.NEAR: (0.1, 4.0), PriorKind.ROUGH: (0.4, 15.0), PriorKind.WRONG: (5.0, 90.0)}  # metres, degrees
+
+
+def prior_fields(kind: PriorKind, pose: dict[str, Any] | None, rng: np.random.Generator) -> dict[str, str]:
+    """A prior off a pose in a random direction, as query parameters."""
+    if kind is PriorKind.NONE or pose is None:
+        return {}
+    off_m, off_deg = _OFF[kind]
+    shift, axis = rng.normal(size=(2, 3))
+    position = np.array(pose["position"]) + off_m * shift / np.linalg.norm(shift)
+    heading = np.array(pose["heading"])
+    axis -= (axis @ heading) * heading
+    turn = Rotation.from_rotvec(np.radians(off_deg) * axis / np.linalg.norm(axis))
+    return {
+        "prior_position": ",".join(f"{x:.4f}" for x in position),
+        "prior_heading": ",".join(f"{x:.5f}" for x in turn.apply(heading)),
+    }
+
+
+@dataclass
+class Answers:
+    """What a run of requests was answered: milliseconds by stage, and the poses."""
+
+    spent: dict[str, list[float]] = field(default_factory=dict)
+    poses: list[dict[str, Any] | None] = field(default_factory=list)
+
+
+def post_frames(
+    port: int,
+    files: list[Path],
+    fields: dict[str, str],
+    kind: PriorKind = PriorKind.NONE,
+    known: Sequence[dict[str, Any] | None] = (),
+) -> Answers:
+    """One request a frame, told a prior off the known poses; ``round trip`` is what the caller sees."""
+    answers, rng = Answers(), np.random.default_rng(0)
     with httpx.Client(base_url=f"http://127.0.0.1:{port}", timeout=30) as client:
-        for file in files:
+        for number, file in enumerate(files):
             content = file.read_bytes()
+            told = fields | prior_fields(kind, known[number] if known else None, rng)
             begun = time.perf_counter()
             answer = client.post(
-                "/v1/maps/bench/localize", params=fields, content=content, headers={"Content-Type": "image/jpeg"}
+                "/v1/maps/bench/localize", params=told, content=content, headers={"Content-Type": "image/jpeg"}
             )
             elapsed_ms = 1e3 * (time.perf_counter() - begun)
             answer.raise_for_status()
-            for stage, value in {**answer.json()["timings_ms"], "round trip": elapsed_ms}.items():
-                spent.setdefault(stage, []).append(value)
-    return spent
+            body = answer.json()
+            answers.poses.append(body["pose"])
+            for stage, value in {**body["timings_ms"], "round trip": elapsed_ms}.items():
+                answers.spent.setdefault(stage, []).append(value)
+    return answers
+
+
+def apart_cm(a: Answers, b: Answers) -> str:
+    """How far the poses of two runs are apart, and how many one has that the other lacks."""
+    pairs = list(zip(a.poses, b.poses, strict=True))
+    both = [np.linalg.norm(np.subtract(p["position"], q["position"])) for p, q in pairs if p and q]
+    lost = sum(p is not None and q is None for p, q in pairs)
+    return f"median {100 * np.median(both):.2f} cm, worst {100 * np.max(both):.2f} cm, {lost} lost" if both else "none"
 
 
 def main() -> None:
@@ -86,7 +145,8 @@ def main() -> None:
     parser.add_argument("frames_folder", type=Path)
     parser.add_argument("--camera", required=True)
     parser.add_argument("--frames")
-    parser.add_argument("--dof", default="6")
+    parser.add_argument("--dof", default="auto")
+    parser.add_argument("--priors", action="store_true", help="again with priors, near, rough and wrong")
     parser.add_argument("--every", type=int, default=4)
     args = parser.parse_args()
     recording = read_recording(args.frames_folder, frames=args.frames)
@@ -101,14 +161,20 @@ def main() -> None:
         service = start(folder, port)
         try:
             post_frames(port, files[:2], fields)  # the first request builds the map's index
-            spent = post_frames(port, files, fields)
+            plain = post_frames(port, files, fields)
+            runs = {PriorKind.NONE: plain}
+            if args.priors:
+                runs |= {kind: post_frames(port, files, fields, kind, plain.poses) for kind in _OFF}
         finally:
             service.terminate()
             service.wait(20)
-    print(f"{len(files)} requests, one core")
-    print(f"{'stage':12}{'median ms':>12}{'90 % ms':>12}")
-    for stage, values in spent.items():
-        print(f"{stage:12}{np.median(values):12.1f}{np.percentile(values, 90):12.1f}")
+    for kind, answers in runs.items():
+        print(f"{len(files)} requests, one core, {kind}; {sum(p is not None for p in answers.poses)} localized")
+        if kind is not PriorKind.NONE:
+            print(f"  against no prior: {apart_cm(plain, answers)}")
+        print(f"{'stage':12}{'median ms':>12}{'90 % ms':>12}")
+        for stage, values in answers.spent.items():
+            print(f"{stage:12}{np.median(values):12.1f}{np.percentile(values, 90):12.1f}")
 
 
 if __name__ == "__main__":

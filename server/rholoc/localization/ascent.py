@@ -11,10 +11,10 @@ accuracy: real errors have long tails, and the tail would decide. Where peaks ar
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from rholoc.density import Densities, Evidence, LocalDensities, RayDensities
 from rholoc.density.ray import RayOffsets, ray_densities, squared_tolerances
@@ -193,8 +193,9 @@ def _bounded(gradient_: FloatArray, hessian: FloatArray) -> FloatArray | None:
         step = np.linalg.solve(hessian + damping * np.eye(len(hessian)), gradient_)
     except np.linalg.LinAlgError:
         return None
-    length = max(float(np.linalg.norm(step[:3])) / 0.5, float(np.linalg.norm(step[3:6])) / 0.3, 1.0)
-    return np.asarray(step / length) if np.isfinite(step).all() else None
+    move_m, turn_rad = math.hypot(*step[:3]), math.hypot(*step[3:6])
+    length = max(move_m / 0.5, turn_rad / 0.3, 1.0)
+    return np.asarray(step / length) if math.isfinite(length) else None
 
 
 def _normal_equations(
@@ -227,5 +228,14 @@ def roll_prior(T_map_camera: FloatArray, dof: Dof) -> tuple[FloatArray, FloatArr
 
 def moved(T: FloatArray, step: FloatArray) -> FloatArray:
     """The pose (4, 4) after a ``step`` (6,): position in metres, rotation in radians from the left, map frame."""
-    R = Rotation.from_rotvec(step[3:]).as_matrix() @ T[:3, :3]
+    R = _rotation(step[3:]) @ T[:3, :3]
     return pose_matrix(R, T[:3, 3] + step[:3])
+
+
+def _rotation(vector: FloatArray) -> FloatArray:
+    """The rotation matrix (3, 3) of a rotation vector (3,), by Rodrigues' formula."""
+    x, y, z = vector.tolist()
+    angle = math.hypot(x, y, z)
+    sine, versine = (math.sin(angle) / angle, (1 - math.cos(angle)) / angle**2) if angle > 1e-9 else (1.0, 0.5)
+    K = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    return np.asarray(np.eye(3) + sine * K + versine * (K @ K))

@@ -13,7 +13,7 @@ from math import erf, sqrt
 import numpy as np
 
 from rholoc.geometry import Camera, FloatArray
-from rholoc.localization.ascent import ascend_with_focal
+from rholoc.localization.ascent import ascend_with_focal, gains
 from rholoc.localization.map_index import MapIndex
 from rholoc.localization.matches import Matches
 from rholoc.localization.ransac import lo_ransac
@@ -22,13 +22,14 @@ from rholoc.localization.verification import Verified, evidence_of, verify
 
 _WIDE_RADIUS_PX = 14.0
 _TOLERANCES_PX = (14.0, 7.0, 4.0)
-_FIRST_TOLERANCES_PX = (40.0, 20.0, 10.0, 5.0)
+_FIRST_TOLERANCES_PX = (40.0, 15.0, 5.0)
 _ROUNDS = 3
-_SETTLED = 0.01  # of the focal length's logarithm: rounds that change less end
+_SETTLED = 0.02  # of the focal length's logarithm: rounds that change less end
 _SIGMAS = 3.0  # measured on real recordings: the estimate's error against its curvature's
 _OWN_SIGMA = 0.015  # what maps and calibrations differ by, as a share of the focal length
 _RIGHT_M = 0.1  # what confidence is about
 _HARMLESS_M = 0.05  # a pose that a free focal length would move by less is right either way
+_TELLING_NATS = (8.0, 20.0)  # how much likelier a free focal length makes the matches: begins to tell, and does
 _GUESSES = tuple(0.5 * 1.17**step for step in range(10))  # focal lengths to try, as shares of the longer side
 _GUESS_TOLERANCE_SHARE = 0.02  # of the longer side: a guess may be off by half a step
 _MIN_MATCHES = 8
@@ -58,13 +59,15 @@ def check_focal(index: MapIndex, query: Query, verified: Verified, matches: Matc
         matches: of a place, made without any idea of the pose; or those around the pose.
     """
     camera, T = query.camera, verified.optimum.T_map_camera
-    total, sigma = 1.0, np.inf
+    total, sigma, gain = 1.0, np.inf, 0.0
     tolerances_px: tuple[float, ...] = _FIRST_TOLERANCES_PX
     for _ in range(_ROUNDS):
         if len(matches) < _MIN_MATCHES:
             break
         evidence = evidence_of(index, matches, camera.rays(query.features.pixels), camera)
         optimum, scale, sigma = ascend_with_focal(evidence, T, tolerances_px, query.dof)
+        as_given = evidence_of(index, matches, query.camera.rays(query.features.pixels), query.camera)
+        gain = optimum.value - float(gains(as_given, verified.optimum.T_map_camera[None], tolerances_px[-1])[0])
         tolerances_px = _TOLERANCES_PX
         total, T = total * scale, optimum.T_map_camera
         if abs(np.log(scale)) < _SETTLED or not _sensible(query.camera, total):
@@ -74,7 +77,9 @@ def check_focal(index: MapIndex, query: Query, verified: Verified, matches: Matc
     moved_m = float(np.linalg.norm(T[:3, 3] - verified.optimum.T_map_camera[:3, 3]))
     off = abs(float(np.log(total))) / float(np.hypot(_SIGMAS * sigma, _OWN_SIGMA))
     harm = min(max(moved_m / _HARMLESS_M - 1, 0.0), 1.0)
-    belief = 1 - harm * (1 - float(np.exp(-0.5 * max(off - 1, 0.0) ** 2)))
+    doubt = 1 - float(np.exp(-0.5 * max(off - 1, 0.0) ** 2))
+    least, enough = _TELLING_NATS
+    belief = 1 - harm * doubt * float(np.clip((gain - least) / (enough - least), 0, 1))
     focal_px = query.camera.focal * total
     return FocalEstimate(focal_px, min(_SIGMAS * sigma, 1.0) * focal_px, moved_m, belief)
 

@@ -109,6 +109,7 @@ class _Search:
         elsewhere: the likeliest pose where it was not.
         reason: why there is none, should there be none.
         place: the place that most matches speak for.
+        everywhere: the matches with the whole map.
     """
 
     query: Query
@@ -118,6 +119,7 @@ class _Search:
     elsewhere: _Found | None = None
     reason: Reason = Reason.NO_AGREEMENT
     place: Place | None = None
+    everywhere: Matches | None = None
 
     def add(self, found: _Found | None) -> None:
         """Take in a candidate."""
@@ -212,12 +214,32 @@ class Localizer:
                 search.reason = Reason.DEADLINE
                 break
             search.place = search.place or place
-            look = self._look if query.intrinsics is Intrinsics.GIVEN else self._look_with_any_focal
-            for found in look(place, query, rays, watch):
+            for found in self._look(place, search, rays):
                 search.add(found)
                 if search.is_over(self.options.conclusive):
                     return search
         return search
+
+    def _look(self, place: Place, search: _Search, rays: FloatArray) -> Iterator[_Found | None]:
+        """Poses that one place leads to, the cheapest to find first."""
+        query, watch = search.query, search.watch
+        if query.intrinsics is Intrinsics.UNKNOWN:
+            yield from self._look_with_any_focal(place, query, rays, watch)
+            return
+        if search.everywhere is not None:
+            in_place = np.isin(search.everywhere.landmarks, place.landmarks)
+            yield self._glance(search.everywhere.take(np.flatnonzero(in_place)), query, rays, watch)
+        yield from self._look_closely(place, query, rays, watch)
+
+    def _glance(self, matches: Matches, query: Query, rays: FloatArray, watch: _Stopwatch) -> _Found | None:
+        """The pose that LO-RANSAC finds in matches with the whole map: enough for most frames."""
+        seed = self._ransac_seed(matches, query, rays)
+        watch.lap("seed")
+        if seed is None or not _plausible(seed, query):
+            return None
+        found = self._checked(verify(self.index, query, rays, seed), query, matches)
+        watch.lap("verify")
+        return found
 
     def _places(self, search: _Search) -> Iterator[Place]:
         """Where to look: about the prior, then where matches with the whole map point to."""
@@ -227,14 +249,14 @@ class Localizer:
             if near is not None:
                 yield near
         everywhere = self.index.match_everywhere(query.features)
-        search.matches = len(everywhere)
+        search.everywhere, search.matches = everywhere, len(everywhere)
         search.watch.lap("match")
         if len(everywhere) < _MIN_FEATURES:
             search.reason = Reason.NO_MATCHES
             return
         yield from vote_for_places(self.index, everywhere, options.places, options.views_each, query.prior)
 
-    def _look(self, place: Place, query: Query, rays: FloatArray, watch: _Stopwatch) -> Iterator[_Found | None]:
+    def _look_closely(self, place: Place, query: Query, rays: FloatArray, watch: _Stopwatch) -> Iterator[_Found | None]:
         """Poses that matches within one place lead to: from LO-RANSAC, then from samples scored by the density."""
         matches = self.index.match_within(query.features, place.landmarks)
         watch.lap("match")
@@ -285,7 +307,7 @@ class Localizer:
     def _look_with_any_focal(
         self, place: Place, query: Query, rays: FloatArray, watch: _Stopwatch
     ) -> Iterator[_Found | None]:
-        """As :meth:`_look`, the focal length estimated along with the pose."""
+        """As :meth:`_look_closely`, the focal length estimated along with the pose."""
         matches = self.index.match_within(query.features, place.landmarks)
         watch.lap("match")
         seed = focal_seed(self.index, matches, query, self.options.ransac_samples[0])

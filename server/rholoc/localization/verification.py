@@ -97,7 +97,7 @@ def verify(
             return None
         wide = wide or matches
         evidence = evidence_of(index, matches, rays, query.camera)
-        tolerances_px = (radius, radius / 2, FINAL_TOLERANCE_PX)
+        tolerances_px = (*(px for px in (radius, radius / 2) if px > FINAL_TOLERANCE_PX), FINAL_TOLERANCE_PX)
         optimum = ascend(index.map.densities, evidence, T, tolerances_px, query.dof)
         optimum = settle(index, matches, evidence, optimum, query.dof)
         T, found = (

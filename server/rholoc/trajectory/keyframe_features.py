@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from rholoc.features import FeatureSet
-from rholoc.features.extractors.sift import SiftExtractor
+from rholoc.features.extractors._sift import SiftExtractor
 from rholoc.geometry import ByteArray, IntArray
 from rholoc.progress import ProgressListener, Stage, silent
 from rholoc.recordings import FrameSource
