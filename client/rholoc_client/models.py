@@ -13,7 +13,7 @@ Vector3 = tuple[float, float, float]
 class Camera:
     """Intrinsics in pixels; pixel (0, 0) is the centre of the top-left pixel.
 
-    ``width`` and ``height`` are the size that they are meant for; left out, the image's own.
+    ``width`` and ``height`` are the size of the images that they belong to; left out, the image's own.
     ``distortion`` holds OpenCV's k1, k2, p1, p2[, k3[, k4, k5, k6]].
     """
 

@@ -124,8 +124,8 @@ def _with_a_descriptor_twice(cells: list[list[str]]) -> None:
 @pytest.mark.parametrize(
     ("edit", "said"),
     [
-        (_without_column, "lacks a_0_0_0_0_1_1"),
-        (_with_column, "has also 1"),
+        (_without_column, "has no a_0_0_0_0_1_1"),
+        (_with_column, "has the unexpected 1"),
         (_of_another_degree, "of degree 5"),
         (_with_nan, "row 2 has 'nan' in a_0_0_0_0_0_0"),
         (_with_a_descriptor_twice, "row 2 repeats a descriptor"),

@@ -79,7 +79,7 @@ def test_people_read_the_same_in_words(
         "unknown: will be calibrated",
     ):
         assert words in " ".join(printed.split())
-    assert printed.count("amiss: ") == 2
+    assert printed.count("problem: ") == 2
     assert printed.count("next time: ") == 4
 
 

@@ -192,9 +192,9 @@ def _cut_within_a_row(cells: list[list[str]]) -> None:
 @pytest.mark.parametrize(
     ("damage", "says"),
     [
-        (_drop_column, "lacks a_"),
-        (_add_column, "has also mood"),
-        (_other_degree, "lacks a_|degree 3"),
+        (_drop_column, "has no a_"),
+        (_add_column, "has the unexpected mood"),
+        (_other_degree, "has no a_|degree 3"),
         (_swap_columns, "not in their order"),
         (_repeat, "row 2 repeats a descriptor"),
         (_drop_row, "rows are missing"),

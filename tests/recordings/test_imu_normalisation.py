@@ -1,4 +1,4 @@
-"""An IMU's table in any unit, order and state: seconds, m/s² and rad/s come of it, and what was amiss is told."""
+"""An IMU's table in any unit, order and state: seconds, m/s² and rad/s come of it, and problems are reported."""
 
 from __future__ import annotations
 

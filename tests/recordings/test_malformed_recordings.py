@@ -230,7 +230,7 @@ REFUSED: list[tuple[str, Callable[[Path], Path], str, str]] = [
     ("a camera of another shape", written("android-csv", "camera.json", json.dumps({"width": 64, "height": 64, "fx": 60, "fy": 60, "cx": 32, "cy": 32})), "invalid_camera", "64×64"),
 ]  # fmt: skip
 
-# What was fed, how it is made, and what it was told to be amiss in what is read all the same.
+# What was fed, how it is made, and which problem is reported of what is read all the same.
 READ: list[tuple[str, Callable[[Path], Path], WarningKind]] = [
     ("a video with a frame less than times", edited("android-csv", "frames.csv", lambda rows: rows[:-1]), WarningKind.FRAME_COUNT),
     ("a frame's time twice", edited("android-csv", "frames.csv", lambda rows: [*rows[:5], rows[4][:1] + rows[5][1:], *rows[6:]]), WarningKind.REPEATED_TIMES),

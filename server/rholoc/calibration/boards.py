@@ -16,8 +16,8 @@ from rholoc.geometry import ByteArray, FloatArray, IntArray
 
 _SIDES = range(3, 51)  # squares or corners along a side that boards have
 _LONGER_SIDE_PX = 1280  # larger pictures are searched at this size; corners are then refined at the full one
-_FEWEST_CORNERS = 12
-_FEWEST_SHARE = 0.25  # of the board's corners
+_MIN_CORNERS = 12
+_MIN_SHARE = 0.25  # of the board's corners
 _MARKER_SHARE = 0.75  # a marker's side over its square's; what it really is hardly matters, corners are refined
 _DICTIONARIES = (
     cv2.aruco.DICT_4X4_1000,
@@ -133,7 +133,7 @@ class BoardFinder:
         return np.arange(size[0] * size[1]), np.asarray(pixels, np.float64).reshape(-1, 2)
 
     def _charuco(self, gray: Any) -> tuple[IntArray, FloatArray] | None:
-        fewest = max(_FEWEST_CORNERS, _FEWEST_SHARE * self.board.columns * self.board.rows)
+        fewest = max(_MIN_CORNERS, _MIN_SHARE * self.board.columns * self.board.rows)
         for detector in self._detectors:
             pixels, corners, _, _ = detector.detectBoard(gray)
             if corners is not None and len(corners) >= fewest:

@@ -15,7 +15,7 @@ from rholoc.errors import InvalidCamera, InvalidRecording
 from rholoc.geometry import BoolArray, Camera, FloatArray
 from rholoc.recordings import FrameSource
 
-_FEWEST_VIEWS = 8
+_MIN_VIEWS = 8
 _MAX_RMS_PX = 2.0  # at a width of 1000 px: beyond, the board is another one, bent, or smeared
 _MAX_FOCAL_SIGMA = 0.01  # relative
 _LEAST_TILT_DEG = 6.0
@@ -119,10 +119,10 @@ def calibrate(frames: FrameSource, board: Board, advance: Callable[[], None] = l
             f"None of {found.searched} frames shows the {board}.",
             f"Count its {counts}, keep it sharp" + (", and wholly in view." if counts != "squares" else "."),
         )
-    if len(found.chosen) < _FEWEST_VIEWS:
+    if len(found.chosen) < _MIN_VIEWS:
         raise InvalidRecording(
             f"{found.found} frames show the board, but only {len(found.chosen)} sharp views of it differ; "
-            f"{_FEWEST_VIEWS} are the least.",
+            f"at least {_MIN_VIEWS} are needed.",
             _MOVE,
         )
     try:

@@ -30,7 +30,7 @@ def info(
     camera: options.Camera = None,
     as_json: options.Json = False,
 ) -> None:
-    """Tell what a recording is, what is amiss in it, and what to do better next time."""
+    """Describe a recording: what it is, its problems, and what to do better next time."""
     from rholoc.recordings import describe_recording, read_recording
 
     read = read_recording(recording, camera=camera, frames=frames)
@@ -101,6 +101,6 @@ def _poses(poses: dict[str, Any]) -> str:
 
 
 def _print_findings(description: dict[str, Any]) -> None:
-    for title, findings in (("amiss", description["warnings"]), ("next time", description["advice"])):
+    for title, findings in (("problem", description["warnings"]), ("next time", description["advice"])):
         for finding in findings:
             output.print(f"{title}: {finding['text']}", markup=False, soft_wrap=True)

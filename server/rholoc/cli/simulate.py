@@ -1,4 +1,4 @@
-"""``rholoc simulate``: a phone's recording of a walk that never was."""
+"""``rholoc simulate``: a simulated recording of a phone."""
 
 from __future__ import annotations
 

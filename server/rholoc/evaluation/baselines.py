@@ -22,7 +22,7 @@ from rholoc.localization.matches import Matches
 from rholoc.localization.ransac import lo_ransac
 from rholoc.localization.verification import FINAL_TOLERANCE_PX, evidence_of, settle
 
-_FEWEST_MATCHES = 4
+_MIN_MATCHES = 4
 _DISTINCT_CHANCE = 0.3
 _ASCENT_PX = (4 * FINAL_TOLERANCE_PX, 2 * FINAL_TOLERANCE_PX, FINAL_TOLERANCE_PX)
 
@@ -61,7 +61,7 @@ def solve(
     solver: Solver, pixels: FloatArray, points: FloatArray, camera: Camera, options: RansacOptions | None = None
 ) -> FloatArray | None:
     """T_map_camera (4, 4) from pixels (M, 2) and points (M, 3) of the map frame, the likeliest match first, or None."""
-    if len(pixels) < _FEWEST_MATCHES:
+    if len(pixels) < _MIN_MATCHES:
         return None
     straight = camera.undistort(pixels) * (camera.fx, camera.fy) + (camera.cx, camera.cy)
     run = _solve_cv2 if solver is Solver.CV2 else _solve_poselib
@@ -99,7 +99,7 @@ def _solve_cv2(pixels: FloatArray, points: FloatArray, camera: Camera, options: 
             confidence=options.confidence,
             flags=cv2.SOLVEPNP_P3P,
         )
-        if not found or inliers is None or len(inliers) < _FEWEST_MATCHES:
+        if not found or inliers is None or len(inliers) < _MIN_MATCHES:
             return None
         chosen = inliers[:, 0]
         rotation, translation = cv2.solvePnPRefineLM(

@@ -37,7 +37,7 @@ from rholoc.recordings import Recording
 from rholoc.trajectory import PoseMethod
 
 THRESHOLDS = ((0.02, 2.0), (0.05, 5.0), (0.10, 5.0), (0.25, 10.0))
-"""Metres and degrees that recall is told at."""
+"""Metres and degrees that recall is reported at."""
 
 RETRIEVAL = "sift retrieval + poselib"
 _RETRIEVAL_FEATURES = "sift"

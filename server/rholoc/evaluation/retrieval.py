@@ -1,6 +1,6 @@
 """Localization as hierarchical pipelines do it, without a GPU: SIFT, image retrieval by VLAD, LO-RANSAC.
 
-It stands for hloc (Sarlin et al., CVPR 2019) with classical parts: the likest views are retrieved by a global
+It stands for hloc (Sarlin et al., CVPR 2019) with classical parts: the most similar views are retrieved by a global
 descriptor, the query is matched with each of them alone, and the 2D–3D matches of all give one pose by poselib. The
 points are those of a SIFT map: landmarks triangulated from the views' given poses.
 """

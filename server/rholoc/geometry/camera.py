@@ -55,7 +55,7 @@ class Camera:
         if not (0 <= self.cx <= self.width and 0 <= self.cy <= self.height):
             raise InvalidCamera(f"The principal point ({self.cx:g}, {self.cy:g}) lies outside the image.", hint)
         if len(self.distortion) not in (0, 4, 5, 8):
-            raise InvalidCamera(f"{len(self.distortion)} distortion coefficients; 0, 4, 5 or 8 are meant.", hint)
+            raise InvalidCamera(f"Expected 0, 4, 5 or 8 distortion coefficients, not {len(self.distortion)}.", hint)
 
     @classmethod
     def parse(cls, text: str, width: int, height: int) -> Camera:

@@ -55,7 +55,7 @@ class JobQueue:
 
         Raises:
             UnknownRecording: there is no such recording.
-            InvalidName: ``map_name`` is none.
+            InvalidName: ``map_name`` is not a valid map name.
             StorageFull: the disk is full.
         """
         check_map_name(map_name)

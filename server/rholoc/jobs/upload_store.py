@@ -48,7 +48,7 @@ class Upload:
 
 @dataclass(frozen=True)
 class _Plan:
-    """What is to become of an upload."""
+    """What to do with an upload once it is complete."""
 
     file_name: str
     length: int
@@ -120,7 +120,7 @@ class UploadStore:
                 self._check_whole(upload_id, plan)
                 self._recordings.adopt(self._folder(upload_id), upload_id, plan.file_name)
         except FileNotFoundError:
-            pass  # it is whole already, or it never was
+            pass  # it is complete already, or never existed
         return self._whole(upload_id)
 
     def append(self, upload_id: str, offset: int, data: bytes) -> Upload:

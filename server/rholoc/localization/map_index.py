@@ -114,7 +114,7 @@ class MapIndex:
     ) -> tuple[Matches, float]:
         """Matches with the landmarks that a camera at ``T_map_camera`` (4, 4) would see close by.
 
-        Each is the other's likest within ``radius_px``. Also tells how many detections would find
+        Each is the other's best match within ``radius_px``. Also returns how many detections would find
         something alike there by chance alone: what the matches are to be held against.
         """
         present = np.flatnonzero(self.present(T_map_camera[:3, 3]))

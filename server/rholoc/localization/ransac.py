@@ -7,7 +7,7 @@ import poselib
 
 from rholoc.geometry import FloatArray, pose_matrix
 
-_FEWEST_MATCHES = 4
+_MIN_MATCHES = 4
 
 
 def lo_ransac(
@@ -33,7 +33,7 @@ def lo_ransac(
         fewest_samples: the least, however well the first ones fit.
         success: how probable it must be that no better sample was missed.
     """
-    if len(plane) < _FEWEST_MATCHES:
+    if len(plane) < _MIN_MATCHES:
         return None
     pinhole = {"model": "SIMPLE_PINHOLE", "width": 1, "height": 1, "params": [focal_px, 0.0, 0.0]}
     settings = {
@@ -49,4 +49,4 @@ def lo_ransac(
     R_camera_map = np.asarray(pose.R)
     T_map_camera = pose_matrix(R_camera_map.T, -R_camera_map.T @ np.asarray(pose.t))
     agreeing = int(report["num_inliers"])
-    return (T_map_camera, agreeing) if agreeing >= _FEWEST_MATCHES and np.isfinite(T_map_camera).all() else None
+    return (T_map_camera, agreeing) if agreeing >= _MIN_MATCHES and np.isfinite(T_map_camera).all() else None

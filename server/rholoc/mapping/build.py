@@ -115,7 +115,7 @@ def _walk(recording: Recording, options: BuildOptions, progress: ProgressListene
     views, held_out = choose_views(trajectory.T_map_camera, hold_out=options.report)
     if len(views) < _MIN_VIEWS:
         raise MappingFailed(
-            f"Only {len(views)} frames with different views have a pose; {_MIN_VIEWS} are the least for a map.",
+            f"Only {len(views)} frames with different views have a pose; a map needs at least {_MIN_VIEWS}.",
             "Record a longer walk, or give poses for more frames.",
         )
     return _Walk(recording, trajectory, views, held_out)
@@ -174,7 +174,7 @@ def _landmarks(views: Views, extractor: Extractor, progress: ProgressListener) -
     stable = select_stable(views, landmarks, _FEATURES_PER_VIEW)
     if len(stable) < _MIN_FEATURES:
         raise MappingFailed(
-            f"Only {len(stable)} features are stable; {_MIN_FEATURES} are the least for a map.",
+            f"Only {len(stable)} features are stable; a map needs at least {_MIN_FEATURES}.",
             "Walk slower and sideways rather than turning on the spot, with more light and texture in view.",
         )
     return stable

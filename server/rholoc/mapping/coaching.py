@@ -1,4 +1,4 @@
-"""What a mapping job tells of its recordings: what was amiss, what was measured of the walk, what to do better."""
+"""What a mapping job reports about its recordings: problems, what was measured of the walk, what to do better."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def advice_line(coaching: Sequence[CoachingReport]) -> str:
 
 
 def with_advice(failure: MappingFailed, recording: Recording) -> MappingFailed:
-    """The failure with what is amiss in the recording, and what its frames and IMU advise, added to the hint."""
+    """The failure, with the recording's problems and what its frames and IMU advise added to the hint."""
     try:
         section = coach(recording, look_through(recording.frames), np.zeros(0), np.zeros((0, 4, 4)))
     except InvalidRecording:

@@ -219,7 +219,7 @@ def _residuals(
 def _guided_matches(
     views: Views, landmarks: Landmarks, medoids: IntArray, presence: Presence, k: int, metric: Metric
 ) -> tuple[IntArray, IntArray]:
-    """Landmarks (C,) and the detections (C,) of view ``k`` near their projections, each the other's likest."""
+    """Landmarks (C,) and the detections (C,) of view ``k`` near their projections, each the other's best match."""
     T, camera = views.T_map_camera[k], views.cameras[k]
     pixels = camera.project((landmarks.positions - T[:3, 3]) @ T[:3, :3])
     visible = np.flatnonzero(camera.contains(pixels) & presence.allows(landmarks.positions, T[:3, 3]))
@@ -236,12 +236,12 @@ def _guided_matches(
     seen, rows, distance = seen[alike], rows[alike], distance[alike]
     order = np.lexsort((rows, seen, distance))
     seen, rows = seen[order], rows[order]
-    likest = np.zeros(len(seen), dtype=bool)
+    is_best = np.zeros(len(seen), dtype=bool)
     first_of_landmark = np.unique(seen, return_index=True)[1]
-    likest[first_of_landmark] = True
+    is_best[first_of_landmark] = True
     first_of_detection = np.zeros(len(seen), dtype=bool)
     first_of_detection[np.unique(rows, return_index=True)[1]] = True
-    mutual = likest & first_of_detection
+    mutual = is_best & first_of_detection
     return seen[mutual], rows[mutual]
 
 

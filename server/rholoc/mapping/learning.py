@@ -18,7 +18,15 @@ from rholoc.mapping.joining import join
 from rholoc.mapping.landmarks import Landmarks, extend_and_merge, select_stable, triangulate
 from rholoc.mapping.memory import recording_id
 from rholoc.mapping.observations import Views, link_observations
-from rholoc.mapping.registration import MIN_FOUND, SURE, Alignment, Found, align_to_found, find_frames, without_jumps
+from rholoc.mapping.registration import (
+    LEARNING_CONFIDENCE,
+    MIN_FOUND,
+    Alignment,
+    Found,
+    align_to_found,
+    find_frames,
+    without_jumps,
+)
 from rholoc.mapping.uncertainty import uncertainty_in
 from rholoc.mapping.versions import as_learned
 from rholoc.mapping.views import choose_views
@@ -87,7 +95,7 @@ def update_map(
     if any(source.id == id_ for source in map_.info.sources):
         raise Conflict(f"The map has learned {recording.name} already.", "Forget it first, to learn it anew.")
     known = ray_form(map_)
-    localizer = Localizer(known, min_confidence=SURE)
+    localizer = Localizer(known, min_confidence=LEARNING_CONFIDENCE)
     method = options.poses or (PoseMethod.GIVEN if recording.poses is not None else None)
     if method is None:
         walk = _localized_walk(localizer, recording, progress)

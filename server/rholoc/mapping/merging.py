@@ -18,7 +18,7 @@ from rholoc.mapping.fitting import ray_form
 from rholoc.mapping.joining import join, without_source
 from rholoc.mapping.learning import alignment_report
 from rholoc.mapping.memory import with_landmarks
-from rholoc.mapping.registration import SURE, align_to_found, find_frames
+from rholoc.mapping.registration import LEARNING_CONFIDENCE, align_to_found, find_frames
 from rholoc.mapping.uncertainty import moved_covariances, uncertainty_in
 from rholoc.mapping.versions import as_learned
 from rholoc.maps import DensityKind, Map, check_observations, source_cameras
@@ -47,7 +47,7 @@ def merge_maps(a: Map, b: Map, progress: ProgressListener = silent) -> Map:
     if all(source.id in shared for source in b.info.sources):
         raise Conflict("The first map has learned all that the second has.", "There is nothing to merge.")
     b = _without_shared(ray_form(b), shared)
-    localizer = Localizer(ray_form(a), min_confidence=SURE)
+    localizer = Localizer(ray_form(a), min_confidence=LEARNING_CONFIDENCE)
     frames, own = _frames(b), b.T_map_camera
     tried = np.unique(np.linspace(0, len(frames) - 1, _MAX_LOCALIZED).round().astype(np.int64))
     found = find_frames(localizer, frames, tried, "The second map", progress)

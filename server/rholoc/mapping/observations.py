@@ -104,7 +104,7 @@ def link_observations(views: Views, metric: Metric, progress: ProgressListener =
     """Track labels (N,) of all detections, -1 where a detection stands alone.
 
     Two detections are linked where they are mutual nearest neighbours and the views' poses allow it (epipolar
-    distance). The likest are linked first, and no track ever gets two detections of one view.
+    distance). The most similar are linked first, and no track ever gets two detections of one view.
     """
     pairs = neighbour_pairs(views)
     feature_sets = [views.of_view(k) for k in range(len(views))]

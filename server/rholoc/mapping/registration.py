@@ -22,8 +22,8 @@ from rholoc.geometry import (
 from rholoc.localization import Dof, Localizer, Prior, Query
 from rholoc.progress import ProgressListener, Stage, silent
 
-SURE = 0.8  # the confidence asked of a frame that a map is to be learned from
-_PROBES = 12  # frames, spread over all, by which a recording of another place is told at once
+LEARNING_CONFIDENCE = 0.8  # required of a frame that a map learns from
+_PROBES = 12  # frames, spread over all, by which a recording of another place is recognized at once
 MIN_FOUND = 5
 _MIN_SHARE = 0.1
 _MAX_GAP_S = 2.0  # between frames found, beyond which one says nothing of the other
@@ -33,7 +33,7 @@ _ROUNDS = 10
 _MAX_MEDIAN_M = 0.1  # of the localized positions against the aligned ones
 _MAX_MEDIAN_RAD = np.deg2rad(3.0)
 _MAX_SCALE_ERROR = 0.05  # of two maps or trajectories that both claim to be metric
-_MIN_SPREAD_M = 0.05  # of the positions, below which they tell nothing of scale
+_MIN_SPREAD_M = 0.05  # of the positions, below which they do not show the scale
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,7 +183,7 @@ def _enough(found: Found, what: str) -> Found:
     if len(found.rows) < max(MIN_FOUND, _MIN_SHARE * found.tried):
         if 2 * len(found.rows) >= found.tried:
             raise MappingFailed(
-                f"{what} shows the place of the map in {len(found.rows)} frames; {MIN_FOUND} are the least.",
+                f"Only {len(found.rows)} frames of {what} show the place of the map; at least {MIN_FOUND} are needed.",
                 "Give a longer recording; the map is unchanged.",
             )
         raise _elsewhere(len(found.rows), found.tried, what)

@@ -85,7 +85,7 @@ def read_coefficient_table(path: Path, called: str = "") -> Map:
             for count, values in _rows(name, file, header):
                 of_map = values[-6:-2]
                 if shared is not None and of_map != shared:
-                    raise _invalid(name, count, "speaks of another map than the rows before")
+                    raise _invalid(name, count, "describes another map than the rows before it")
                 shared = of_map
                 _add(name, count, header, values, features)
     except UnicodeDecodeError as error:
@@ -116,7 +116,7 @@ def _header(name: str, columns: list[str]) -> _Header:
     wanted = table_columns(form, degree)
     missing, extra = _without(wanted, columns), _without(columns, wanted)
     if missing or extra or len(columns) != len(wanted):
-        complaints = [f"lacks {_some(missing)}"] * bool(missing) + [f"has also {_some(extra)}"] * bool(extra)
+        complaints = [f"has no {_some(missing)}"] * bool(missing) + [f"has the unexpected {_some(extra)}"] * bool(extra)
         complaint = " and ".join(complaints) or "has a column twice"
         raise InvalidMap(f"{name} {complaint}; of degree {degree} it has {len(wanted)} columns.", _HINT)
     if columns != wanted:
@@ -249,9 +249,9 @@ def _info(name: str, kind: DensityKind, shared: list[str]) -> MapInfo:
     except InvalidInput as error:
         raise InvalidMap(f"{name}: {error.message}", error.hint) from error
     except ValueError as error:
-        raise InvalidMap(f"{name} has the camera '{camera[:40]}', which is not one.", _HINT) from error
+        raise InvalidMap(f"{name} has '{camera[:40]}' for a camera, which is not valid.", _HINT) from error
     if {metric, upright} - {"0", "1"}:
-        raise InvalidMap(f"{name} says neither 0 nor 1 in metric or upright.", _HINT)
+        raise InvalidMap(f"{name} has something other than 0 or 1 in metric or upright.", _HINT)
     return MapInfo(
         id=uuid.uuid4().hex,
         version=1,
@@ -273,7 +273,7 @@ def _views(name: str, seen_from: list[str]) -> tuple[FloatArray, FloatArray, Int
         for view in filter(None, text.split(";")):
             number, _, _ = view.partition(" ")
             if not number.isdecimal():
-                raise InvalidMap(f"{name} has the view '{view[:30]}', which is not one.", _HINT)
+                raise InvalidMap(f"{name} has '{view[:30]}' for a view, which is not valid.", _HINT)
             known.setdefault(view, int(number))
             saw.setdefault(int(number), []).append(feature)
     if len(known) != len(saw):
@@ -282,7 +282,7 @@ def _views(name: str, seen_from: list[str]) -> tuple[FloatArray, FloatArray, Int
     for view, _ in sorted(known.items(), key=lambda item: item[1]):
         numbers = np.array([_float_or_nan(number) for number in view.split(" ")[1:]])
         if len(numbers) != VIEW_NUMBERS or not np.isfinite(numbers).all():
-            raise InvalidMap(f"{name} has the view '{view[:30]}', which is not one.", _HINT)
+            raise InvalidMap(f"{name} has '{view[:30]}' for a view, which is not valid.", _HINT)
         values.append(numbers)
     table = np.array(values).reshape(-1, VIEW_NUMBERS)
     lists = [saw[number] for number in sorted(saw)]

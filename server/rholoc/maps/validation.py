@@ -53,7 +53,7 @@ def validate_map(map_: Map) -> None:
         _check_array("colours", map_.colours, np.uint8, (None, 3))
         _check(len(map_.colours) == features, "colours and landmarks differ in number")
     if map_.view_covariances is not None:
-        _check(_all_covariances(map_.view_covariances, views), "its views' covariances are none")
+        _check(_all_covariances(map_.view_covariances, views), "its views' covariances are not valid")
     if map_.observations is not None:
         _check(observations_fit(map_, map_.observations), "its observations and its recordings do not fit together")
     _check(map_.densities.kind is map_.info.density, "it has densities of another form")

@@ -1,4 +1,4 @@
-"""What is amiss in a whole recording, whatever its format."""
+"""Problems of a whole recording, whatever its format."""
 
 from __future__ import annotations
 

@@ -23,7 +23,9 @@ def _advices(figures: WalkFigures) -> Iterator[Advice]:
         text = f"Turn slower: a tenth of the walk was above {turn:.0f}°/s; above {MAX_TURN_DEG_S:.0f} pictures blur."
         yield Advice(AdviceKind.TOO_FAST, text, turn, MAX_TURN_DEG_S)
     if brightness is not None and brightness < MIN_BRIGHTNESS:
-        text = f"Switch on more light: the mean grey is {brightness:.0f} of 255; {MIN_BRIGHTNESS:.0f} is the least."
+        text = (
+            f"Switch on more light: the mean grey is {brightness:.0f} of 255; at least {MIN_BRIGHTNESS:.0f} is needed."
+        )
         yield Advice(AdviceKind.TOO_DARK, text, brightness, MIN_BRIGHTNESS)
     if bare is not None and bare > MAX_BARE_SHARE:
         text = f"Keep more texture in view: {bare:.0%} of the frames show hardly any corners (bare walls, or blur)."

@@ -131,7 +131,7 @@ def require_columns(path: Path, header: Sequence[str], columns: Sequence[str], e
     """Check that the header has the columns.
 
     Raises:
-        error: one is missing; the hint says which are meant.
+        error: one is missing; the hint says which are expected.
     """
     missing = [column for column in columns if column not in header]
     if missing:

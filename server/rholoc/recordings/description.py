@@ -16,7 +16,7 @@ from rholoc.reports import report_to_json
 
 
 def describe_recording(recording: Recording) -> dict[str, Any]:
-    """Format, frames, camera, IMU, waypoints, poses, what is amiss, what was measured of the walk, and advice.
+    """Format, frames, camera, IMU, waypoints, poses, problems, what was measured of the walk, and advice.
 
     A few frames are decoded to measure light and texture.
 

@@ -1,7 +1,7 @@
 """An IMU's table as a phone logged it → seconds, m/s², rad/s, one row a time. Pure functions, used by all readers.
 
 Formats document their units, and apps, versions and settings depart from them. What the numbers themselves show is
-believed before the documentation, and each departure is told as a warning:
+believed before the documentation, and each departure is reported as a warning:
 
 - the unit of time by the interval between samples, since no IMU samples slower than 2.5 or faster than 2500 times a
   second;
@@ -33,14 +33,14 @@ MAX_SPAN_S = 48 * 3600.0  # from the first row of a table to its last
 _MAX_DROPPED = 0.05  # share of rows whose time does not advance
 _GAP_INTERVALS = 5.0  # a gap is this many usual intervals …
 _GAP_S = 0.1  # … and at least this long
-_FEWEST_TO_MEASURE = 20
+_MIN_TO_MEASURE = 20
 _STEADY = 0.65  # 10th percentile to median of the acceleration's length: with gravity above it, without below
 _ONE_G_TOLERANCE = 0.15  # of the median length, in g
 _LARGEST = 1e5  # of a reading in any unit
 _FASTEST_TURN = 12.0  # rad/s that a walking hand does not exceed in one row of twenty
 _TURN_WINDOW_S = 0.4
 _TOLD_TURN = 0.05  # rad that gravity must turn between two windows to tell anything …
-_FEWEST_TURNS = 5  # … this often
+_MIN_TURNS = 5  # … this often
 _DISTINCTLY = 3.0  # times better, for degrees to be believed; a wrong sign alone makes 2
 
 
@@ -202,7 +202,7 @@ def gap_rows(times: FloatArray) -> IntArray:
 
 def measure_acceleration(values: FloatArray, says: ImuConvention) -> ImuConvention:
     """What the accelerations (M, 3) themselves show of unit and gravity; the rest as the format says."""
-    if len(values) < _FEWEST_TO_MEASURE:
+    if len(values) < _MIN_TO_MEASURE:
         return says
     low, median = np.percentile(np.linalg.norm(values, axis=1), [10, 50])
     if _is_one(median / STANDARD_GRAVITY):  # no hand thrusts as hard as gravity half of the time
@@ -215,7 +215,7 @@ def measure_acceleration(values: FloatArray, says: ImuConvention) -> ImuConventi
 def is_in_degrees(turned: Samples, felt: Samples | None) -> bool:
     """Whether the gyroscope's values are degrees, not radians: too fast for a hand, or gravity, where the accelerations
     ``felt`` include it, turns as they say only as degrees."""
-    if len(turned.values) < _FEWEST_TO_MEASURE:
+    if len(turned.values) < _MIN_TO_MEASURE:
         return False
     if np.percentile(np.linalg.norm(turned.values, axis=1), 95) > _FASTEST_TURN:
         return True
@@ -223,7 +223,7 @@ def is_in_degrees(turned: Samples, felt: Samples | None) -> bool:
         return False
     down, turns = _gravity_turns(felt, turned)
     told = np.linalg.norm(down[1:] - down[:-1], axis=1) > _TOLD_TURN
-    if told.sum() < _FEWEST_TURNS:
+    if told.sum() < _MIN_TURNS:
         return False
     as_radians, as_degrees = (
         float(np.median(np.linalg.norm(Rotation.from_rotvec(-turn).apply(down[:-1][told]) - down[1:][told], axis=1)))
@@ -274,7 +274,7 @@ def _on_clock(what: str, sensors: list[Samples], says: str, warnings: list[Recor
     """Sensors with the same times, in seconds, without the rows that do not advance; notes what is wrong with them."""
     times = sensors[0].times
     unit = time_unit(times)
-    if unit is None and len(times) >= _FEWEST_TO_MEASURE:
+    if unit is None and len(times) >= _MIN_TO_MEASURE:
         raise InvalidRecording(
             f"The times of the {what} make no sense in s, ms, µs or ns.",
             "They must advance by the time between two samples.",

@@ -122,7 +122,7 @@ class Recording:
         format: the layout that it was read as.
         frame_intrinsics: (N, 4) fx, fy, cx, cy of each frame in pixels, NaN where not logged; None where none were.
         readout_s: how long a rolling shutter takes from the first row to the last, or None where not logged.
-        warnings: what is amiss in it.
+        warnings: its problems.
     """
 
     name: str

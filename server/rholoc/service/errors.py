@@ -140,7 +140,7 @@ def error_classes() -> Iterator[type[RholocError]]:
 
 
 def as_rholoc_error(error: Exception) -> RholocError | None:
-    """The error that a user is told of, or None where the fault is the service's own."""
+    """The error to report to the user, or None where the fault is the service's own."""
     if isinstance(error, RholocError):
         return error
     if isinstance(error, OSError) and error.errno in _DISK_FULL:

@@ -1,4 +1,4 @@
-"""What a server does beside answering: it removes what has had its time."""
+"""What a server does beside answering: it removes what has expired."""
 
 from __future__ import annotations
 

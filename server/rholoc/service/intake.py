@@ -1,4 +1,4 @@
-"""What is to become of an upload, as the sender says, and whether that can be."""
+"""What the sender of an upload asks for, and whether it is possible."""
 
 from __future__ import annotations
 

@@ -37,7 +37,7 @@ class Frame:
 def camera_for(frame: Frame, size: tuple[int, int], map_camera: Camera) -> Camera:
     """The intrinsics of a frame of ``size`` (width, height) px: those stored under a name, or given, or the map's own.
 
-    Either are scaled where they are meant for another size of the same aspect ratio. Where they are unknown, the
+    Either are scaled where they belong to another size of the same aspect ratio. Where they are unknown, the
     principal point is the image's centre and the focal length a guess.
 
     Raises:

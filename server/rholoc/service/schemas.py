@@ -61,8 +61,8 @@ class ErrorAnswer(_Out):
 class CameraIn(_In):
     """Intrinsics in pixels; pixel (0, 0) is the centre of the top-left pixel.
 
-    ``width`` and ``height`` are the size that the intrinsics are meant for; an image of the same aspect ratio but
-    another size is told from them. Without ``fx`` the map's own camera serves where the aspect ratio is its own.
+    ``width`` and ``height`` are the size of the images that the intrinsics belong to; for an image of the same aspect
+    ratio but another size they are scaled. Without ``fx`` the map's own camera serves where the aspect ratio is its own.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, json_schema_extra={"example": _CAMERA})
@@ -157,7 +157,9 @@ class LocalizeOptions(_In):
     prior: PriorIn | None = None
     gravity: Vector3 | None = Field(default=None, description="the direction of gravity (down) in the camera frame")
     deadline_ms: float | None = Field(default=None, gt=0, le=600_000, description="how long the answer may take")
-    with_matches: bool = Field(default=False, description="whether the answer tells which matches agree with the pose")
+    with_matches: bool = Field(
+        default=False, description="whether the answer lists the matches that agree with the pose"
+    )
 
 
 class FirstError(FailFast):

@@ -32,7 +32,7 @@ from rholoc.recordings.waypoints import read_waypoints_csv
 
 @dataclass(frozen=True)
 class Reader:
-    """How a format is told from the others, and read."""
+    """How a format is recognized, and read."""
 
     format: RecordingFormat
     recognises: Callable[[Path], bool]

@@ -33,7 +33,7 @@ async def healthz() -> Health:
 async def readyz(service: Service, response: Response) -> Readiness:
     """200 when maps can be read, uploads stored, jobs queued and frames localized; else 503 and what is not ready.
 
-    Workers apart from the server are told of, but a server without any is ready: the jobs wait."""
+    Workers apart from the server are reported, but a server without any is ready: the jobs wait."""
     checks = await run_in_threadpool(_checks, service)
     needed = checks.keys() - (set() if service.settings.worker else {"worker"})
     ready = all(checks[name] == _OK for name in needed)

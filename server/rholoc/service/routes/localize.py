@@ -91,7 +91,9 @@ class OptionParameters:
     prior_radius_deg: Annotated[float | None, Query(description="degrees", examples=[35])] = None
     gravity: Annotated[str | None, Query(description="down in the camera frame: x,y,z", examples=["0,1,0"])] = None
     deadline_ms: Annotated[float | None, Query(description="how long the answer may take", examples=[500])] = None
-    with_matches: Annotated[bool | None, Query(description="whether the agreeing matches are told")] = None
+    with_matches: Annotated[
+        bool | None, Query(description="whether the answer lists the matches that agree with the pose")
+    ] = None
 
     def options(self) -> dict[str, Any]:
         """The same as the fields of :class:`LocalizeOptions`; what was not given is left out."""
