@@ -158,6 +158,10 @@ def test_a_form_has_a_limit_of_parts_and_of_their_headers(serve):
     url = f"{running.url}/v1/recordings"
     many = b"".join(part("same.csv") for _ in range(200)) + end
     assert code(httpx.post(url, content=many, headers=MULTIPART)) == "too_large"
+    fields = b"".join(
+        b"--" + BOUNDARY + b'\r\nContent-Disposition: form-data; name="a"\r\n\r\n\r\n' for _ in range(101)
+    )
+    assert code(httpx.post(url, content=fields + end, headers=MULTIPART)) == "invalid_request"
     long = part("a.csv", header=b"X-Long: " + b"x" * 20_000 + b"\r\n") + end
     assert code(httpx.post(url, content=long, headers=MULTIPART)) == "invalid_request"
     assert not [path for path in (running.settings.data_dir / "recordings").iterdir() if path.is_dir()]

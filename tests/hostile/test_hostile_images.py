@@ -49,6 +49,17 @@ def test_a_picture_of_too_many_scans_is_refused_before_it_is_decoded(monkeypatch
             decode_image(data, pixels)
 
 
+def test_a_short_file_is_decoded_in_many_pieces_too():
+    asked = 0
+
+    def still_wanted():
+        nonlocal asked
+        asked += 1
+
+    decode_image(with_more_scans(30), still_wanted=still_wanted)
+    assert asked > 50
+
+
 def test_decoding_ends_when_the_picture_is_not_wanted_any_more():
     class TooLateError(Exception): ...
 

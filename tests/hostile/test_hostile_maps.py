@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import threading
 from dataclasses import replace
@@ -11,12 +12,13 @@ import numpy as np
 import pytest
 from safetensors import safe_open
 from safetensors.numpy import save
+from starlette.requests import ClientDisconnect
 
 from rholoc.errors import InvalidMap
 from rholoc.mapping import ExportFormat
 from rholoc.maps import MapLibrary, load_map, map_to_bytes
 from rholoc.maps.rho_file import _checksum
-from rholoc.service.exports import is_long
+from rholoc.service.exports import ExportRequest, Exports, is_long
 
 PNG = {"Content-Type": "image/png"}
 
@@ -211,6 +213,23 @@ def test_an_export_that_takes_too_long_ends_with_its_process(serve, picture_worl
     for _ in range(2):  # the first gives its place back
         answer = httpx.get(f"{running.url}/v1/maps/room/download?format=csv", timeout=30)
         assert (answer.status_code, answer.json()["code"]) == (504, "deadline_exceeded")
+
+
+def test_an_export_whose_client_leaves_before_it_begins_is_given_up(tmp_path, monkeypatch):
+    monkeypatch.setattr("rholoc.service.exports._LOOK_EVERY_S", 0.05)
+
+    async def is_gone():
+        return True
+
+    async def ask():
+        exports = Exports(time_limit_s=1000)
+        wanted = ExportRequest(tmp_path / "missing.rho", "room", ExportFormat.CSV)
+        for _ in range(3):
+            with pytest.raises(ClientDisconnect):
+                await exports.answer(wanted, {}, is_gone)
+        assert (exports._open, exports._turn.locked()) == (0, False)
+
+    asyncio.run(ask())
 
 
 @pytest.mark.usefixtures("every_export_is_long")

@@ -84,6 +84,8 @@ class Camera:
         """
         intrinsics = {name: values[name] for name in ("fx", "fy", "cx", "cy")}
         width, height = int(values["width"]), int(values["height"])
+        if (width, height) != (float(values["width"]), float(values["height"])):
+            raise ValueError("width and height are whole numbers")
         distortion = tuple(map(float, values.get("distortion") or ()))
         return cls(width, height, **{name: float(value) for name, value in intrinsics.items()}, distortion=distortion)
 

@@ -118,5 +118,5 @@ def _from_json(name: str, text: str) -> CameraProfile:
         calibration = dict(values.pop("calibration", {}))
         check_json_value(calibration)
         return CameraProfile(Camera.from_dict(values), calibration)
-    except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
+    except (ArithmeticError, ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
         raise InvalidCamera(f"The file of the camera {name} is broken.", "Calibrate or add it again.") from error

@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
-from PIL import Image, ImageOps, UnidentifiedImageError
+from PIL import Image, ImageFile, ImageOps, UnidentifiedImageError
 
 from rholoc.errors import InvalidImage
 from rholoc.geometry import ByteArray
@@ -23,7 +23,8 @@ _FORMATS = ("JPEG", "PNG", "WEBP", "BMP", "PPM")
 SENT_FORMATS = ("JPEG", "PNG", "WEBP")  # of which none takes much longer to decode than its pixels take to be written
 MAX_JPEG_SCANS = 100  # cameras write 1 or 3, progressive encoders 6 to 12; an empty one visits every pixel too
 MAX_SCANNED_IMAGES = 10  # pixels times scans, as a multiple of the pixels allowed
-_BLOCK_BYTES = 4096  # decoded at once: as often it is asked whether the image is still wanted
+_PIECES = 256  # that a file is decoded in: as often it is asked whether the image is still wanted
+_LEAST_PIECE_BYTES, _MOST_PIECE_BYTES = 64, 2**16
 _JPEG_MARKER = re.compile(rb"\xff([^\x00\xff\xd0-\xd7])")  # in coded data: the end of it
 _JPEG_SCAN, _JPEG_END = 0xDA, 0xD9
 _ORIENTATION_TAG = 0x0112  # EXIF
@@ -59,6 +60,8 @@ def decode_image(
         raise InvalidImage("The image is empty: 0 bytes.", "Send a JPEG or PNG file.")
     with _opened(_Watched(data, still_wanted), max_pixels, formats) as image:
         _check_scans(data, image, max_pixels)
+        if isinstance(image, ImageFile.ImageFile):
+            image.decodermaxblock = min(max(len(data) // _PIECES, _LEAST_PIECE_BYTES), _MOST_PIECE_BYTES)
         upright = ImageOps.exif_transpose(image)
         if upright.mode.startswith("I"):  # 16-bit grey
             grey = (np.asarray(upright).astype(np.int64) >> 8).clip(0, 255).astype(np.uint8)
@@ -128,7 +131,6 @@ def _opened(source: Path | io.BytesIO, max_pixels: int, formats: tuple[str, ...]
     hint = "Send a whole JPEG or PNG file."
     try:
         with Image.open(source, formats=formats) as image:
-            image.decodermaxblock = _BLOCK_BYTES
             if any(tile[0] == "ppm_plain" for tile in getattr(image, "tile", ())):
                 raise InvalidImage("The image's pixels are written as text.", "Save it as PNG, or as binary PPM.")
             width, height = image.size

@@ -83,6 +83,7 @@ class _Parts:
         self.events: list[_Event] = []
         self.ended = False
         self._parts_left = max_parts
+        self._fields_left = _MAX_FIELDS
         self._header_bytes = 0
         self._part = _Part()
         self._header = b""
@@ -137,6 +138,10 @@ class _Parts:
             raise InvalidRequest("A part of the multipart body has no name.", "Let an HTTP library write it.")
         self._part.name = options[b"name"].decode("utf-8", "replace")
         filename = options.get(b"filename")
+        if filename is None:
+            self._fields_left -= 1
+        if self._fields_left < 0:
+            raise InvalidRequest(f"The form has more than {_MAX_FIELDS} text fields.", "Send files with a filename.")
         self._part.filename = None if filename is None else filename.decode("utf-8", "replace")
         self.events.append(_Event(self._part, b""))
 
@@ -165,7 +170,7 @@ async def read_multipart(request: Request, max_bytes: int, max_files: int, write
     parts = _Parts(boundary, max_files + _MAX_FIELDS)
     fields: dict[str, bytearray] = {}
     async for chunk in limited_stream(request, max_bytes):
-        events = parts.feed(chunk)
+        events = await run_in_threadpool(parts.feed, chunk)  # many small parts take a while
         files = [event for event in events if event.part.filename is not None]
         if files:
             await run_in_threadpool(_write_all, write, files)

@@ -6,11 +6,13 @@ import asyncio
 import json
 import math
 import sys
-from collections.abc import AsyncIterator, Callable, Sequence
+from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
+from starlette.requests import ClientDisconnect
 from starlette.responses import StreamingResponse
 from starlette.types import Receive, Scope, Send
 
@@ -25,6 +27,7 @@ _AT_ONCE = 1
 _MAX_WAITING = 8
 _PIECE_BYTES = 2**16
 _RETRY_AFTER_S = 10.0
+_LOOK_EVERY_S = 0.5
 
 
 @dataclass(frozen=True)
@@ -73,10 +76,18 @@ class Exports:
         self._turn = asyncio.Semaphore(_AT_ONCE)
         self._open = 0
 
-    async def answer(self, wanted: ExportRequest, headers: dict[str, str]) -> StreamingResponse:
+    async def answer(
+        self, wanted: ExportRequest, headers: dict[str, str], is_gone: Callable[[], Awaitable[bool]]
+    ) -> StreamingResponse:
         """The answer that streams an export; its beginning is there when this returns.
 
+        Args:
+            wanted: what to export.
+            headers: the answer's.
+            is_gone: whether nobody waits for it any more.
+
         Raises:
+            ClientDisconnect: nobody does.
             InvalidMap, InvalidInput: the map or an option does not allow it.
             Busy: too many others wait, or the process was killed.
             DeadlineExceeded: it takes longer than the limit.
@@ -86,9 +97,9 @@ class Exports:
         self._open += 1
         export = _Export(self._time_limit_s)
         try:
-            await self._turn.acquire()
+            await _unless(is_gone, self._turn.acquire())
             try:
-                await export.begin(wanted)
+                await _unless(is_gone, export.begin(wanted))
             except BaseException:
                 self._turn.release()
                 raise
@@ -101,6 +112,18 @@ class Exports:
     def _ended(self) -> None:
         self._open -= 1
         self._turn.release()
+
+
+async def _unless(is_gone: Callable[[], Awaitable[bool]], work: Coroutine[Any, Any, object]) -> None:
+    """Do work, unless whoever waits for it goes: then it is cancelled. Raises ClientDisconnect."""
+    task = asyncio.create_task(work)
+    try:
+        while not (await asyncio.wait({task}, timeout=_LOOK_EVERY_S))[0]:
+            if await is_gone():
+                raise ClientDisconnect
+    finally:
+        task.cancel()
+    await task
 
 
 class _Export:

@@ -54,7 +54,7 @@ class Settings(BaseSettings):
     max_feature_pixels: int = Field(
         default=4_000_000, ge=1, description="Images of more pixels are scaled down to so many to find their features."
     )
-    max_features: int = Field(default=20_000, ge=1, description="The most features a descriptor set may hold.")
+    max_features: int = Field(default=5000, ge=1, description="The most features a descriptor set may hold.")
     max_request_bytes: int = Field(
         default=32 * 2**20,
         ge=1,

@@ -160,6 +160,7 @@ async def delete_map(map_name: str, service: Service) -> None:
 )
 async def download_map(
     map_name: str,
+    request: Request,
     service: Service,
     format: Annotated[
         ExportFormat, Query(description="the native map, or a form for other programs", examples=["rho"])
@@ -185,7 +186,7 @@ async def download_map(
     map_ = await run_in_threadpool(service.library.get, map_name)
     if is_long(len(map_), format, degree, chosen):
         wanted = ExportRequest(service.library.path(map_name), map_name, format, degree, chosen)
-        return await service.exports.answer(wanted, headers)
+        return await service.exports.answer(wanted, headers, request.is_disconnected)
     pieces = await service.compute.run(lambda: export_map(map_, format, title=map_name, degree=degree, features=chosen))
     return StreamingResponse(pieces, headers=headers, media_type=format.media_type)
 
