@@ -17,6 +17,8 @@ const LEVELS = [
 const RADIUS = 0.47; // of a rose, in steps
 const MARGIN_STEPS = 1.2; // around the roses
 const MAX_HEIGHT = 560; // px
+const BAR_HEIGHT = 28; // px, below the roses
+const BAR_SHARE = 0.25; // of the width at most
 const NEAR_M = 0.5; // within which places count together, standard deviation
 const BARS_M = [0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50, 100];
 
@@ -184,7 +186,7 @@ function placement(coverage, width, height) {
 }
 
 function roseAt(canvas, coverage, x, y) {
-  const place = placement(coverage, canvas.clientWidth, canvas.clientHeight);
+  const place = placement(coverage, canvas.clientWidth, canvas.clientHeight - BAR_HEIGHT);
   const offsets = coverage.cells.map((cell) => {
     const [cx, cy] = place.cell(...cell);
     return [x - cx, cy - y];
@@ -207,18 +209,18 @@ function drawCoverage(canvas, coverage, map, unit, chosen, next) {
   const wanted = placement(coverage, canvas.clientWidth, Infinity);
   const rows = coverage.cells.map((cell) => cell[1]);
   const tall = Math.min(MAX_HEIGHT, wanted.pixels * (Math.max(...rows) - Math.min(...rows) + 2 * MARGIN_STEPS));
-  canvas.style.height = `${Math.round(tall)}px`;
+  canvas.style.height = `${Math.round(tall + BAR_HEIGHT)}px`;
   const [width, height] = [canvas.clientWidth, canvas.clientHeight];
   Object.assign(canvas, { width: Math.round(width * ratio), height: Math.round(height * ratio) });
   const context = canvas.getContext("2d");
   context.scale(ratio, ratio);
   const token = (name) => resolvedColour(canvas, name);
-  const place = placement(coverage, width, height);
+  const place = placement(coverage, width, height - BAR_HEIGHT);
   drawRoses(context, coverage, place, token("--surface"));
   if (chosen.cell !== null) drawChosen(context, coverage, place, chosen, token("--ink"));
   drawWaypoints(context, coverage, place, map.waypoints, token);
   if (next) drawArrow(context, place.cell(...coverage.cells[next.cell]), next.degrees, place.pixels, token);
-  drawBar(context, coverage.step, place.pixels, unit, height, token("--ink"));
+  drawBar(context, place.pixels / coverage.step, unit, [width, height], token("--ink"));
 }
 
 function wedge(context, x, y, radius, coverage, heading) {
@@ -301,13 +303,13 @@ function drawArrow(context, [x, y], degrees, pixels, token) {
   }
 }
 
-function drawBar(context, step, pixels, unit, height, ink) {
-  const bar = BARS_M.findLast((one) => (one / step) * pixels <= 120) ?? BARS_M[0];
+function drawBar(context, pixelsPerUnit, unit, [width, height], ink) {
+  const bar = BARS_M.findLast((one) => one * pixelsPerUnit <= BAR_SHARE * width) ?? BARS_M[0];
   context.strokeStyle = context.fillStyle = ink;
   context.lineWidth = 3;
   context.beginPath();
   context.moveTo(8, height - 8);
-  context.lineTo(8 + (bar / step) * pixels, height - 8);
+  context.lineTo(8 + bar * pixelsPerUnit, height - 8);
   context.stroke();
   context.font = "12px system-ui, sans-serif";
   context.fillText(`${bar} ${unit}`, 8, height - 14);

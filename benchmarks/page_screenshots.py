@@ -1,0 +1,123 @@
+"""Pictures of every page of the console and of the recorder, for docs/page.md: desktop and phone, light and dark.
+
+    python benchmarks/page_screenshots.py [OUT]
+
+Starts a service of its own with the shipped map, trusted and, under another name, not. Needs Chromium.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+import socket
+import sys
+import tempfile
+import threading
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import httpx
+import uvicorn
+from playwright.sync_api import Browser, Page, sync_playwright
+
+from rholoc.mapping.report import map_statistics
+from rholoc.maps import load_map, save_map
+from rholoc.service import Settings, create_app
+
+ROOT = Path(__file__).parents[1]
+OUT = ROOT / "docs" / "page"
+WINDOWS = {"desktop": {"width": 1280, "height": 850}, "phone": {"width": 390, "height": 844}}
+SCHEMES = ("light", "dark")
+PAGES = {
+    "maps": "#/maps",
+    "map": "#/maps/testsite",
+    "map-in-doubt": "#/maps/hall",
+    "try": "#/try/testsite",
+    "jobs": "#/jobs",
+    "recordings": "#/recordings",
+    "cameras": "#/cameras",
+    "record": "record",
+}
+QUALITY = 70  # of the JPEG files
+TALLEST_PX = 1800
+WHY = (
+    "Two reconstructions disagree: 3.1% of the median depth and 1.2° apart, nine in ten keyframes within 5.4%. "
+    "A waypoint is missed by 0.31 m."
+)
+
+
+def main() -> None:
+    """Write the pictures."""
+    out = Path(sys.argv[1]) if len(sys.argv) > 1 else OUT
+    out.mkdir(parents=True, exist_ok=True)
+    folder = Path(tempfile.mkdtemp())
+    url, server = start(folder)
+    fill(url)
+    try:
+        with sync_playwright() as playwright:
+            arguments = ["--no-sandbox", "--enable-unsafe-swiftshader"]
+            browser = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=arguments)
+            for device in WINDOWS:
+                for scheme in SCHEMES:
+                    take_all(browser, url, device, scheme, out)
+            browser.close()
+    finally:
+        server.should_exit = True
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def start(folder: Path) -> tuple[str, uvicorn.Server]:
+    """A service with the shipped map as ``testsite``, and one like it whose walk is in doubt as ``hall``."""
+    maps = folder / "maps"
+    maps.mkdir()
+    map_ = load_map(ROOT / "maps" / "testsite.rho")
+    report = replace(map_.info.report, coverage=map_statistics(map_).coverage)
+    (walk,) = report.trajectories
+    doubted = replace(report, trajectories=(replace(walk, trusted=False, why=WHY),))
+    save_map(replace(map_, info=replace(map_.info, report=report)), maps / "testsite.rho")
+    save_map(replace(map_, info=replace(map_.info, report=doubted)), maps / "hall.rho")
+    settings = Settings(maps_dir=maps, data_dir=folder / "data", worker=False)
+    server = uvicorn.Server(uvicorn.Config(create_app(settings), log_level="error"))
+    listener = socket.create_server(("127.0.0.1", 0))
+    threading.Thread(target=server.run, kwargs={"sockets": [listener]}, daemon=True).start()
+    while not server.started:
+        time.sleep(0.05)
+    return f"http://127.0.0.1:{listener.getsockname()[1]}", server
+
+
+def fill(url: str) -> None:
+    """A camera, and a recording with its job."""
+    camera = json.loads((ROOT / "maps" / "queries" / "camera.json").read_text())
+    known = {name: camera[name] for name in ("width", "height", "fx", "fy", "cx", "cy")}
+    httpx.put(f"{url}/v1/cameras/phone", json=known).raise_for_status()
+    walk = {"file": ("walk.mp4", b"\0\0\0\x18ftypmp42" + b"\0" * 5_000_000)}
+    httpx.post(f"{url}/v1/recordings", files=walk, data={"map": "stairs"}, timeout=60).raise_for_status()
+
+
+def take_all(browser: Browser, url: str, device: str, scheme: str, out: Path) -> None:
+    """Every page on one device in one colour scheme."""
+    context = browser.new_context(viewport=WINDOWS[device], color_scheme=scheme, locale="en-GB")
+    page = context.new_page()
+    page.set_default_timeout(120_000)
+    for name, address in PAGES.items():
+        page.goto(f"{url}/{address}")
+        page.locator("main h1").first.wait_for()
+        page.locator("main [aria-busy]").first.wait_for(state="detached")
+        if name == "try":
+            page.get_by_label("Picture or trajectory").set_input_files(ROOT / "maps" / "queries" / "1.jpg")
+            page.locator(".answer .badge").wait_for()
+        page.wait_for_timeout(1500)
+        save(page, out / f"{name}-{device}-{scheme}.jpg")
+    context.close()
+
+
+def save(page: Page, path: Path) -> None:
+    """The whole page, or as much of it as is worth its bytes."""
+    height = min(TALLEST_PX, page.evaluate("document.documentElement.scrollHeight"))
+    clip = {"x": 0, "y": 0, "width": page.viewport_size["width"], "height": height}
+    page.screenshot(path=path, type="jpeg", quality=QUALITY, full_page=True, clip=clip)
+
+
+if __name__ == "__main__":
+    main()
