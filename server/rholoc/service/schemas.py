@@ -62,7 +62,8 @@ class CameraIn(_In):
     """Intrinsics in pixels; pixel (0, 0) is the centre of the top-left pixel.
 
     ``width`` and ``height`` are the size of the images that the intrinsics belong to; for an image of the same aspect
-    ratio but another size they are scaled. Without ``fx`` the map's own camera serves where the aspect ratio is its own.
+    ratio but another size they are scaled. Without ``fx`` the map's own camera serves where the aspect ratio is its
+    own.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, json_schema_extra={"example": _CAMERA})
