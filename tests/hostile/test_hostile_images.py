@@ -12,7 +12,7 @@ from PIL import Image
 
 from rholoc.errors import InvalidImage
 from rholoc.features import get_extractor
-from rholoc.recordings.image import MAX_JPEG_SCANS, decode_image, jpeg_scans
+from rholoc.recordings.frames.image import MAX_JPEG_SCANS, decode_image, jpeg_scans
 from rholoc.service.localize import extract_bounded
 
 

@@ -23,8 +23,8 @@ from rholoc.jobs.table import shortened
 from rholoc.progress import ProgressListener
 from rholoc.recordings import check_archive, read_recording
 from rholoc.recordings.archive import unpack
-from rholoc.recordings.csv_table import read_numbers
-from rholoc.recordings.logged_table import read_logged_table
+from rholoc.recordings.tables.csv_table import read_numbers
+from rholoc.recordings.tables.logged_table import read_logged_table
 from rholoc.service import Settings
 
 IMU_HEADER = "timestamp,ax,ay,az,gx,gy,gz\n"
@@ -118,8 +118,8 @@ def test_a_video_of_too_many_pixels_is_refused_before_a_frame_is_decoded(tmp_pat
     writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"MJPG"), 30, (640, 480))
     writer.write(np.zeros((480, 640, 3), np.uint8))
     writer.release()
-    monkeypatch.setattr("rholoc.recordings.video.MAX_FRAME_PIXELS", 640 * 480 - 1)
-    monkeypatch.setattr("rholoc.recordings.video._retrieved_size", lambda _: pytest.fail("decoded"))
+    monkeypatch.setattr("rholoc.recordings.frames.video.MAX_FRAME_PIXELS", 640 * 480 - 1)
+    monkeypatch.setattr("rholoc.recordings.frames.video._retrieved_size", lambda _: pytest.fail("decoded"))
     with pytest.raises(InvalidRecording, match="pixels"):
         read_recording(path)
 

@@ -24,9 +24,9 @@ from rholoc.recordings import (
     pauses,
     read_recording,
 )
-from rholoc.recordings.missing_images import MissingImages
-from rholoc.recordings.stillness import is_still
-from rholoc.recordings.walk_figures import look_through, nearest_return
+from rholoc.recordings.frames.missing_images import MissingImages
+from rholoc.recordings.walk.stillness import is_still
+from rholoc.recordings.walk.walk_figures import look_through, nearest_return
 from rholoc.reports import report_to_json
 
 GOOD = {"turn_deg_s": 30.0, "brightness": 120.0, "bare_share": 0.0, "pauses": 3, "waypoints": 3, "nearest_return": 0.05}

@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from rholoc.geometry import FloatArray
 from rholoc.pictures.style import BLUE, GREEN, INK, MARKED, MUTED, figure_of, png_of
 from rholoc.recordings.recording import FrameSource, Imu, Recording, Waypoint
-from rholoc.recordings.stillness import pauses
+from rholoc.recordings.walk.stillness import pauses
 
 _SIZE_PX = (1600, 1080)
 _DPI = 120

@@ -2,20 +2,20 @@
 
 from rholoc.recordings.archive import MAX_FILES, check_archive
 from rholoc.recordings.camera_file import CameraFile, read_camera_json, write_camera_json
-from rholoc.recordings.coaching import advise
 from rholoc.recordings.contents import START_BYTES, ZIP_SUFFIX, check_file_name, check_file_start
 from rholoc.recordings.description import describe_recording
-from rholoc.recordings.frames_table import read_frames_csv, write_frames_csv
-from rholoc.recordings.image import decode_image, read_image
-from rholoc.recordings.imu_table import read_imu_csv, write_imu_csv
-from rholoc.recordings.memory_frames import MemoryFrames
-from rholoc.recordings.pose_table import PoseTable, read_pose_table
+from rholoc.recordings.frames.image import decode_image, read_image
+from rholoc.recordings.frames.memory_frames import MemoryFrames
 from rholoc.recordings.reader import read_recording
 from rholoc.recordings.recording import FrameSource, GivenPoses, Imu, Recording, RecordingFormat, Waypoint
 from rholoc.recordings.selection import parse_frame_slice
-from rholoc.recordings.stillness import pauses
-from rholoc.recordings.walk_figures import Look, look_at, look_through, measure_walk
-from rholoc.recordings.waypoints import check_waypoints_fix_frame, read_waypoints_csv, write_waypoints_csv
+from rholoc.recordings.tables.frames_table import read_frames_csv, write_frames_csv
+from rholoc.recordings.tables.imu_table import read_imu_csv, write_imu_csv
+from rholoc.recordings.tables.pose_table import PoseTable, read_pose_table
+from rholoc.recordings.tables.waypoints import check_waypoints_fix_frame, read_waypoints_csv, write_waypoints_csv
+from rholoc.recordings.walk.coaching import advise
+from rholoc.recordings.walk.stillness import pauses
+from rholoc.recordings.walk.walk_figures import Look, look_at, look_through, measure_walk
 from rholoc.reports import Advice, AdviceKind, RecordingWarning, WalkFigures, WarningKind
 
 __all__ = [

@@ -14,7 +14,7 @@ from pathlib import Path, PurePosixPath
 
 from rholoc.errors import InvalidRecording, StorageFull, TooLarge
 from rholoc.recordings.contents import START_BYTES, check_file_start
-from rholoc.recordings.video import VIDEO_SUFFIXES
+from rholoc.recordings.frames.video import VIDEO_SUFFIXES
 
 DEFAULT_MAX_BYTES = 8 * 2**30  # unpacked
 MAX_FILES = 100_000

@@ -11,7 +11,7 @@ import numpy as np
 
 from rholoc.errors import InvalidCamera
 from rholoc.geometry import Camera, FloatArray, is_rotation
-from rholoc.recordings.csv_table import read_json, shortened
+from rholoc.recordings.tables.csv_table import read_json, shortened
 
 _MAX_BYTES = 2**20
 _MAX_READOUT_S = 0.2

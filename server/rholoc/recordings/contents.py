@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import PurePath
 
 from rholoc.errors import InvalidRecording
-from rholoc.recordings.video import VIDEO_SUFFIXES
+from rholoc.recordings.frames.video import VIDEO_SUFFIXES
 
 START_BYTES = 12
 ZIP_SUFFIX = ".zip"

@@ -12,12 +12,12 @@ from pathlib import Path
 from rholoc.errors import InvalidRecording
 from rholoc.geometry import Camera
 from rholoc.recordings.archive import DEFAULT_MAX_BYTES, unpack
-from rholoc.recordings.checks import whole_warnings
+from rholoc.recordings.frames.video import VIDEO_SUFFIXES, read_video
 from rholoc.recordings.readers import read_folder
 from rholoc.recordings.recording import Recording, RecordingFormat
 from rholoc.recordings.selection import parse_frame_slice, select_frames
-from rholoc.recordings.video import VIDEO_SUFFIXES, read_video
-from rholoc.recordings.waypoints import read_waypoints_csv
+from rholoc.recordings.tables.waypoints import read_waypoints_csv
+from rholoc.recordings.walk.checks import whole_warnings
 
 _KNOWN = (
     "Known are: a video (" + ", ".join(sorted(VIDEO_SUFFIXES)) + "); a folder with images whose names end in a number; "

@@ -16,7 +16,7 @@ from rholoc.errors import DeadlineExceeded, InvalidCamera, InvalidDescriptors
 from rholoc.features import Extractor, FeatureSet
 from rholoc.geometry import ByteArray, FloatArray, Pose
 from rholoc.localization import TOO_LITTLE_TIME, Localization, Localizer, Query, Reason
-from rholoc.recordings.image import SENT_FORMATS, decode_image
+from rholoc.recordings.frames.image import SENT_FORMATS, decode_image
 from rholoc.service.localizers import Localizers
 from rholoc.service.queries import Frame, camera_for, feature_set, gravity_of, prior_of
 from rholoc.service.schemas import DiagnosisOut, EstimatedCameraOut, LocalizationOut, MatchesOut, PoseOut

@@ -16,7 +16,7 @@ import numpy as np
 from rholoc.errors import StorageFull
 from rholoc.geometry import ByteArray, Camera, FloatArray, Pose
 from rholoc.recordings import CameraFile, write_camera_json, write_frames_csv, write_imu_csv, write_waypoints_csv
-from rholoc.recordings.waypoints import MIN_WAYPOINTS
+from rholoc.recordings.tables.waypoints import MIN_WAYPOINTS
 from rholoc.simulation.light import Light, light_building, light_scene
 from rholoc.simulation.render import SAMPLES, Renderer
 from rholoc.simulation.scene import Building, Scene

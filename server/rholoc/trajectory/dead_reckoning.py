@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation, Slerp
 from rholoc.errors import MappingFailed
 from rholoc.geometry import FloatArray, pose_matrix
 from rholoc.recordings import Imu, Waypoint, check_waypoints_fix_frame
-from rholoc.recordings.stillness import pauses
+from rholoc.recordings.walk.stillness import pauses
 from rholoc.trajectory.gyroscope import orientations
 from rholoc.trajectory.inertial_alignment import GRAVITY
 from rholoc.trajectory.upright import rotation_to_upright

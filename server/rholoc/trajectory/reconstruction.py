@@ -15,7 +15,7 @@ from rholoc.features import FeatureSet
 from rholoc.geometry import BoolArray, Camera, FloatArray, IntArray, Similarity, pose_matrix
 from rholoc.progress import ProgressListener, Stage, silent
 from rholoc.recordings import Imu, Waypoint
-from rholoc.recordings.waypoints import DEFAULT_SIGMA_M
+from rholoc.recordings.tables.waypoints import DEFAULT_SIGMA_M
 from rholoc.trajectory.adjustment import (
     GIVEN,
     GUESSED,

@@ -13,7 +13,7 @@ from scipy.ndimage import uniform_filter1d
 from rholoc.errors import InvalidWaypoints
 from rholoc.geometry import FloatArray
 from rholoc.recordings import Imu, Waypoint
-from rholoc.recordings.stillness import MIN_PAUSE_S, is_still
+from rholoc.recordings.walk.stillness import MIN_PAUSE_S, is_still
 
 _STILL_IMAGE = 0.1  # image widths a second, up to which an image alone shows a camera at rest
 _TREMBLING_IMAGE = 0.15  # … and up to which it does not contradict an IMU that feels rest

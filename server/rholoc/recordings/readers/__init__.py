@@ -27,7 +27,7 @@ from rholoc.recordings.readers import (
     tum_rgbd,
 )
 from rholoc.recordings.recording import Recording, RecordingFormat
-from rholoc.recordings.waypoints import read_waypoints_csv
+from rholoc.recordings.tables.waypoints import read_waypoints_csv
 
 
 @dataclass(frozen=True)

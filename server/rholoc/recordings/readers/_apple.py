@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 
 from rholoc.geometry import FloatArray
-from rholoc.recordings.logged_table import read_logged_table
-from rholoc.recordings.pose_table import PoseTable, match_poses, poses_from_rows
 from rholoc.recordings.recording import FrameSource, GivenPoses
+from rholoc.recordings.tables.logged_table import read_logged_table
+from rholoc.recordings.tables.pose_table import PoseTable, match_poses, poses_from_rows
 
 R_LANDSCAPE_CAMERA_IMU: FloatArray = np.array([[0.0, -1, 0], [-1, 0, 0], [0, 0, -1]])  # images as ARKit has them
 R_PORTRAIT_CAMERA_IMU: FloatArray = np.diag([1.0, -1, -1])  # images turned upright

@@ -10,11 +10,11 @@ import numpy as np
 
 from rholoc.errors import InvalidRecording
 from rholoc.geometry import FloatArray, IntArray
-from rholoc.recordings.image_folder import DEFAULT_FPS, image_frames, number_in_name
+from rholoc.recordings.frames.image_folder import DEFAULT_FPS, image_frames, number_in_name
+from rholoc.recordings.frames.video import VIDEO_SUFFIXES, VideoFrames, read_video
 from rholoc.recordings.imu_normalisation import advancing_rows
 from rholoc.recordings.recording import FrameSource
 from rholoc.recordings.selection import SelectedFrames
-from rholoc.recordings.video import VIDEO_SUFFIXES, VideoFrames, read_video
 from rholoc.reports import RecordingWarning, WarningKind
 
 MAX_FRAME_COUNT_DIFFERENCE = 2  # frames that a recorder may lose at the end of the video or of its table

@@ -22,10 +22,10 @@ from rholoc.recordings.imu_normalisation import (
     normalise_imu,
     with_sign_by_poses,
 )
-from rholoc.recordings.logged_table import is_bare_table, read_logged_table
 from rholoc.recordings.readers._apple import R_PORTRAIT_CAMERA_IMU, read_arkit_poses
 from rholoc.recordings.readers._frames import require_video, timed_video
 from rholoc.recordings.recording import Recording, RecordingFormat
+from rholoc.recordings.tables.logged_table import is_bare_table, read_logged_table
 
 
 def recognises(folder: Path) -> bool:

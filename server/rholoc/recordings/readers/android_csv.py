@@ -13,9 +13,9 @@ from __future__ import annotations
 from pathlib import Path
 
 from rholoc.recordings.imu_normalisation import ImuConvention, Samples, frame_times_s, normalise_imu
-from rholoc.recordings.logged_table import has_columns, read_logged_table
 from rholoc.recordings.readers._frames import find_video, listed_file, timed_images, timed_video
 from rholoc.recordings.recording import Recording, RecordingFormat
+from rholoc.recordings.tables.logged_table import has_columns, read_logged_table
 
 _ACCELEROMETER = ("timestamp_ns", "ax", "ay", "az")
 _GYROSCOPE = ("timestamp_ns", "gx", "gy", "gz")

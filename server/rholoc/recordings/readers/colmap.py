@@ -19,10 +19,10 @@ import numpy as np
 
 from rholoc.errors import InvalidCamera, InvalidRecording
 from rholoc.geometry import Camera, FloatArray
-from rholoc.recordings.csv_table import read_text
-from rholoc.recordings.pose_table import poses_from_rows
 from rholoc.recordings.readers._frames import listed_file, untimed_images
 from rholoc.recordings.recording import GivenPoses, Recording, RecordingFormat
+from rholoc.recordings.tables.csv_table import read_text
+from rholoc.recordings.tables.pose_table import poses_from_rows
 from rholoc.reports import RecordingWarning, WarningKind
 
 SCALE_WARNING = RecordingWarning(

@@ -21,12 +21,12 @@ import yaml
 
 from rholoc.errors import InvalidCamera
 from rholoc.geometry import Camera, FloatArray, is_rotation
-from rholoc.recordings.csv_table import read_text
 from rholoc.recordings.imu_normalisation import ImuConvention, Samples, frame_times_s, normalise_imu
-from rholoc.recordings.logged_table import has_columns, read_logged_table
-from rholoc.recordings.pose_table import PoseTable, match_poses, poses_from_rows
 from rholoc.recordings.readers._frames import listed_file, timed_images
 from rholoc.recordings.recording import FrameSource, GivenPoses, Imu, Recording, RecordingFormat
+from rholoc.recordings.tables.csv_table import read_text
+from rholoc.recordings.tables.logged_table import has_columns, read_logged_table
+from rholoc.recordings.tables.pose_table import PoseTable, match_poses, poses_from_rows
 from rholoc.reports import RecordingWarning, WarningKind
 
 _GYROSCOPE = tuple(f"w_rs_s_{axis}" for axis in "xyz")

@@ -17,6 +17,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from rholoc.geometry import FloatArray
+from rholoc.recordings.frames.missing_images import MissingImages
 from rholoc.recordings.imu_normalisation import (
     ImuConvention,
     Samples,
@@ -25,11 +26,10 @@ from rholoc.recordings.imu_normalisation import (
     normalise_imu,
     with_sign_by_poses,
 )
-from rholoc.recordings.logged_table import is_bare_table, read_logged_table
-from rholoc.recordings.missing_images import MissingImages
 from rholoc.recordings.readers._apple import R_LANDSCAPE_CAMERA_IMU, read_arkit_poses
 from rholoc.recordings.readers._frames import TimedFrames, find_video, timed_video
 from rholoc.recordings.recording import Imu, Recording, RecordingFormat
+from rholoc.recordings.tables.logged_table import is_bare_table, read_logged_table
 from rholoc.reports import RecordingWarning, WarningKind
 
 

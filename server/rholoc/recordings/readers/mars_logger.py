@@ -20,9 +20,9 @@ import numpy as np
 from rholoc.errors import InvalidRecording
 from rholoc.geometry import FloatArray
 from rholoc.recordings.imu_normalisation import ImuConvention, Samples, frame_times_s, normalise_imu
-from rholoc.recordings.logged_table import LoggedTable, has_columns, read_logged_table
 from rholoc.recordings.readers._frames import require_video, timed_video
 from rholoc.recordings.recording import Recording, RecordingFormat
+from rholoc.recordings.tables.logged_table import LoggedTable, has_columns, read_logged_table
 
 _IMU = ("timestamp", "gx", "gy", "gz", "ax", "ay", "az")
 _FRAMES = ("timestamp", "fx", "fy")

@@ -19,11 +19,11 @@ import numpy as np
 
 from rholoc.errors import InvalidCamera, InvalidRecording, InvalidTrajectory
 from rholoc.geometry import Camera, FloatArray, is_rotation
-from rholoc.recordings.csv_table import read_json
 from rholoc.recordings.readers._apple import opencv_camera
 from rholoc.recordings.readers._frames import listed_file, untimed_images
 from rholoc.recordings.readers.colmap import SCALE_WARNING
 from rholoc.recordings.recording import GivenPoses, Recording, RecordingFormat
+from rholoc.recordings.tables.csv_table import read_json
 from rholoc.reports import RecordingWarning, WarningKind
 
 _FILE = "transforms.json"

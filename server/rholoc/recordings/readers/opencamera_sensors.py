@@ -14,9 +14,9 @@ from pathlib import Path
 
 from rholoc.errors import InvalidRecording
 from rholoc.recordings.imu_normalisation import ImuConvention, Samples, frame_times_s, normalise_imu
-from rholoc.recordings.logged_table import is_bare_table, read_logged_table
 from rholoc.recordings.readers._frames import find_video, require_video, timed_video
 from rholoc.recordings.recording import Recording, RecordingFormat
+from rholoc.recordings.tables.logged_table import is_bare_table, read_logged_table
 
 _GYROSCOPE, _ACCELEROMETER, _TIMES = "_gyro.csv", "_accel.csv", "_timestamps.csv"
 

@@ -16,15 +16,15 @@ from pathlib import Path
 
 from rholoc.errors import InvalidRecording
 from rholoc.recordings.camera_file import CameraFile, read_camera_json
-from rholoc.recordings.frames_table import read_frame_numbers
-from rholoc.recordings.image_folder import find_images, read_image_folder
+from rholoc.recordings.frames.image_folder import find_images, read_image_folder
+from rholoc.recordings.frames.video import read_video
 from rholoc.recordings.imu_normalisation import ImuConvention, Samples, frame_times_s, normalise_imu
-from rholoc.recordings.imu_table import read_imu_rows
-from rholoc.recordings.pose_table import match_poses, read_pose_table
 from rholoc.recordings.readers._frames import find_video, timed_video
 from rholoc.recordings.recording import FrameSource, Imu, Recording, RecordingFormat
-from rholoc.recordings.video import read_video
-from rholoc.recordings.waypoints import read_waypoints_csv
+from rholoc.recordings.tables.frames_table import read_frame_numbers
+from rholoc.recordings.tables.imu_table import read_imu_rows
+from rholoc.recordings.tables.pose_table import match_poses, read_pose_table
+from rholoc.recordings.tables.waypoints import read_waypoints_csv
 from rholoc.reports import RecordingWarning
 
 

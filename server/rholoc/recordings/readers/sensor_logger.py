@@ -20,13 +20,13 @@ from pathlib import Path
 import numpy as np
 
 from rholoc.errors import InvalidRecording
-from rholoc.recordings.image import IMAGE_SUFFIXES
-from rholoc.recordings.image_folder import number_in_name
+from rholoc.recordings.frames.image import IMAGE_SUFFIXES
+from rholoc.recordings.frames.image_folder import number_in_name
+from rholoc.recordings.frames.video import read_video
 from rholoc.recordings.imu_normalisation import ImuConvention, Samples, interpolated, normalise_imu
-from rholoc.recordings.logged_table import has_columns, read_logged_table
 from rholoc.recordings.readers._frames import TimedFrames, find_video, timed_images
 from rholoc.recordings.recording import Recording, RecordingFormat
-from rholoc.recordings.video import read_video
+from rholoc.recordings.tables.logged_table import has_columns, read_logged_table
 
 _COLUMNS = ("time", "x", "y", "z")
 

@@ -17,9 +17,9 @@ import numpy as np
 
 from rholoc.errors import InvalidTrajectory
 from rholoc.geometry import FloatArray, is_rotation
-from rholoc.recordings.csv_table import read_text
 from rholoc.recordings.readers._frames import untimed_images
 from rholoc.recordings.recording import GivenPoses, Recording, RecordingFormat
+from rholoc.recordings.tables.csv_table import read_text
 
 _ROTATION_TOLERANCE = 1e-2
 _COLOUR = (".color.png", ".color.jpg")

@@ -19,10 +19,10 @@ import numpy as np
 
 from rholoc.errors import InvalidCamera, InvalidRecording
 from rholoc.geometry import Camera, FloatArray, is_rotation
-from rholoc.recordings.csv_table import read_text
 from rholoc.recordings.imu_normalisation import ImuConvention, Samples, normalise_imu
 from rholoc.recordings.readers._frames import require_video, timed_video
 from rholoc.recordings.recording import Imu, Recording, RecordingFormat
+from rholoc.recordings.tables.csv_table import read_text
 from rholoc.reports import RecordingWarning, WarningKind
 
 _INTRINSICS = ("focalLengthX", "focalLengthY", "principalPointX", "principalPointY")

@@ -20,11 +20,11 @@ import numpy as np
 from rholoc.errors import InvalidCamera
 from rholoc.geometry import Camera, FloatArray, IntArray
 from rholoc.recordings.imu_normalisation import ImuConvention, Samples, normalise_imu, with_sign_by_poses
-from rholoc.recordings.logged_table import LoggedTable, has_columns, read_logged_table
-from rholoc.recordings.pose_table import poses_from_rows
 from rholoc.recordings.readers._apple import R_LANDSCAPE_CAMERA_IMU, z_up
 from rholoc.recordings.readers._frames import require_video, timed_video
 from rholoc.recordings.recording import GivenPoses, Imu, Recording, RecordingFormat
+from rholoc.recordings.tables.logged_table import LoggedTable, has_columns, read_logged_table
+from rholoc.recordings.tables.pose_table import poses_from_rows
 from rholoc.reports import RecordingWarning
 
 _POSES = ("x", "y", "z", "qx", "qy", "qz", "qw")

@@ -13,10 +13,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from rholoc.recordings.logged_table import is_bare_table, read_logged_table
-from rholoc.recordings.pose_table import match_poses, read_pose_table
 from rholoc.recordings.readers._frames import listed_file, timed_images
 from rholoc.recordings.recording import Recording, RecordingFormat
+from rholoc.recordings.tables.logged_table import is_bare_table, read_logged_table
+from rholoc.recordings.tables.pose_table import match_poses, read_pose_table
 from rholoc.reports import RecordingWarning, WarningKind
 
 

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from rholoc.geometry import FloatArray
-from rholoc.recordings.csv_table import read_numbers, require_increasing, write_numbers
 from rholoc.recordings.recording import Imu
+from rholoc.recordings.tables.csv_table import read_numbers, require_increasing, write_numbers
 
 IMU_COLUMNS = ("timestamp", "ax", "ay", "az", "gx", "gy", "gz")
 

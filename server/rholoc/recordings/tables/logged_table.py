@@ -12,7 +12,7 @@ import numpy as np
 
 from rholoc.errors import InvalidRecording
 from rholoc.geometry import FloatArray
-from rholoc.recordings.csv_table import MAX_TABLE_ROWS, parse_number, read_text, require_columns
+from rholoc.recordings.tables.csv_table import MAX_TABLE_ROWS, parse_number, read_text, require_columns
 
 _UNIT = re.compile(r"\[[^\]]*\]|\([^)]*\)")  # of a column's name
 _HEAD_BYTES = 4096

@@ -8,8 +8,8 @@ import numpy as np
 
 from rholoc.errors import InvalidRecording
 from rholoc.geometry import FloatArray, IntArray
-from rholoc.recordings.csv_table import read_numbers, require_increasing, write_numbers
 from rholoc.recordings.imu_normalisation import checked_span
+from rholoc.recordings.tables.csv_table import read_numbers, require_increasing, write_numbers
 
 FRAME_COLUMNS = ("frame", "timestamp")
 

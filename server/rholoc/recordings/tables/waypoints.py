@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from rholoc.errors import InvalidWaypoints
-from rholoc.recordings.csv_table import parse_number, read_rows, require_columns, shortened
 from rholoc.recordings.recording import FrameSource, Waypoint
+from rholoc.recordings.tables.csv_table import parse_number, read_rows, require_columns, shortened
 
 MIN_WAYPOINTS = 3
 MAX_WAYPOINTS = 1000

@@ -1,4 +1,4 @@
-"""What a recording shows of how it was walked, measured for :mod:`rholoc.recordings.coaching`."""
+"""What a recording shows of how it was walked, measured for :mod:`rholoc.recordings.walk.coaching`."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from rholoc.geometry import ByteArray, FloatArray
 from rholoc.recordings.recording import FrameSource, Imu, Recording, Waypoint
-from rholoc.recordings.stillness import pauses
+from rholoc.recordings.walk.stillness import pauses
 from rholoc.reports import WalkFigures
 
 _LOOKED_AT = 25  # frames

@@ -12,9 +12,9 @@ import numpy as np
 
 from rholoc.errors import InvalidImage, InvalidRecording
 from rholoc.geometry import ByteArray, FloatArray, IntArray
-from rholoc.recordings.frames_table import read_frames_csv
-from rholoc.recordings.image import IMAGE_SUFFIXES, image_size, read_image
-from rholoc.recordings.video import check_frame_size
+from rholoc.recordings.frames.image import IMAGE_SUFFIXES, image_size, read_image
+from rholoc.recordings.frames.video import check_frame_size
+from rholoc.recordings.tables.frames_table import read_frames_csv
 
 DEFAULT_FPS = 30.0  # assumed where neither a table of times nor camera.json says otherwise
 

@@ -10,8 +10,8 @@ from scipy.spatial.transform import Rotation
 
 from rholoc.errors import InvalidTrajectory
 from rholoc.geometry import FloatArray, IntArray, pose_matrix
-from rholoc.recordings.csv_table import read_text
 from rholoc.recordings.recording import FrameSource, GivenPoses
+from rholoc.recordings.tables.csv_table import read_text
 
 _COLUMNS_HINT = "Each row is: frame or time, tx ty tz in metres, qx qy qz qw (T_map_camera)."
 _NORM_TOLERANCE = 1e-2

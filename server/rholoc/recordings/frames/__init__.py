@@ -1,0 +1,1 @@
+"""Where the pictures of a recording come from: a video, a folder of images, memory."""

@@ -1,0 +1,1 @@
+"""How a recording was walked: pauses, problems, figures, advice."""
