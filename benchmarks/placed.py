@@ -208,7 +208,9 @@ def main() -> None:
         for name in arguments.recordings:
             for method in arguments.methods:
                 table.append(flat(measure(name, method, arguments, arguments.cache or Path(folder))))
-                print(f"{name}, {method}: {table[-1].get('placed', table[-1].get('failed'))}", flush=True)
+                row = table[-1]
+                placed = f"{row['placed']} placed" if "placed" in row else row["failed"]
+                print(f"{name}, {method}: {placed}, covers {row['covered_percent']} %, {row['seconds']} s", flush=True)
     if arguments.json:
         arguments.json.write_text(json.dumps(table, indent=2) + "\n")
     shown = [{title: row[key] for key, title in COLUMNS.items() if key in row} for row in table]
