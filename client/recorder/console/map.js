@@ -4,7 +4,7 @@ import { call, download, get, path, request } from "../shared/api.js";
 import { ask, fill, h } from "../shared/dom.js";
 import { field, nameChoice, nameField } from "../shared/name_choice.js";
 import { t } from "../shared/text.js";
-import { inPlainWords, mistakesIn, Trust, trustOf, whatToDo } from "../shared/trust.js";
+import { inPlainWords, mistakesIn, restsOnGivenPoses, Trust, trustOf, whatToDo } from "../shared/trust.js";
 import { coverageView } from "./coverage_view.js";
 import { bytes, count, fileNames, length, when } from "./format.js";
 import { action, facts, loading, page, skeletons, tell } from "./parts.js";
@@ -74,12 +74,19 @@ function trustNotice(map, report) {
     [Trust.UNKNOWN]: ["warn", t`Nothing has checked this map.`],
   }[trust];
   const reason = inPlainWords(map.trust_reason);
+  const given = trust === Trust.YES && restsOnGivenPoses(map.trust_reason);
   const mistakes = mistakesIn(report);
   const next = whatToDo(trust, mistakes);
   return h(
     "section",
     { class: ["notice stack", kind], "aria-label": t`Trust` },
-    h("p", {}, h("strong", {}, title), " ", reason?.plain),
+    h(
+      "p",
+      {},
+      h("strong", {}, given ? t`Its poses came with the recording.` : title),
+      " ",
+      given ? t`Nothing else has checked this map: it is as right as they are.` : reason?.plain,
+    ),
     mistakes.map((mistake) => h("p", {}, h("strong", {}, mistake))),
     next && h("p", {}, h("strong", {}, t`What to do:`), " ", next),
     reason?.technical &&

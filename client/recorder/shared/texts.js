@@ -51,6 +51,9 @@ export const GERMAN = {
   "{0} (not trusted)": "{0} (nicht vertrauenswürdig)",
   Trust: "Vertrauen",
   "This map passed its checks.": "Diese Karte hat ihre Prüfungen bestanden.",
+  "Its poses came with the recording.": "Ihre Posen kamen mit der Aufnahme.",
+  "Nothing else has checked this map: it is as right as they are.":
+    "Nichts sonst hat diese Karte geprüft: Sie ist so richtig wie diese.",
   "Do not rely on this map.": "Auf diese Karte ist kein Verlass.",
   "Nothing has checked this map.": "Niemand hat diese Karte geprüft.",
   "What to do:": "Was zu tun ist:",

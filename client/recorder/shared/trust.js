@@ -14,6 +14,9 @@ export function mistakesIn(report) {
   return walks.map((walk) => walk?.waypoint_mistake).filter((text) => typeof text === "string" && text);
 }
 
+/** Whether a map is trusted only because nobody doubted the poses that came with its recording. */
+export const restsOnGivenPoses = (why) => why === "The poses were given.";
+
 /** A reason as the server gives it, and where it is full of figures, what they mean. */
 export function inPlainWords(why) {
   if (typeof why !== "string" || !why) return null;
