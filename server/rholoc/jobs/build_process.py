@@ -17,8 +17,8 @@ from multiprocessing.connection import Connection
 from multiprocessing.context import SpawnProcess
 from pathlib import Path
 
+from rholoc.disk import is_full, storage_full
 from rholoc.errors import Cancelled, RholocError
-from rholoc.jobs.disk import is_full, storage_full
 from rholoc.jobs.pipeline import MappingTask, Pipeline
 from rholoc.jobs.table import Failure
 from rholoc.progress import ProgressListener, Stage

@@ -12,8 +12,8 @@ from dbos import DBOS
 from sqlalchemy.exc import DatabaseError, OperationalError
 from sqlalchemy.schema import CreateColumn, CreateTable
 
+from rholoc.disk import storage_full, telling_full_disk
 from rholoc.errors import Conflict, InvalidInput
-from rholoc.jobs.disk import storage_full, telling_full_disk
 
 _BUSY_TIMEOUT_MS = 10_000
 

@@ -14,8 +14,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path, PurePosixPath
 from typing import BinaryIO
 
+from rholoc.disk import sync_folder, telling_full_disk
 from rholoc.errors import Conflict, InvalidRecording, TooLarge, UnknownRecording
-from rholoc.jobs.disk import sync_folder, telling_full_disk
 
 _ENTRY_FILE = ".entry.json"  # no uploaded file can be called so: their names start with no dot
 _PENDING_PREFIX = ".pending-"

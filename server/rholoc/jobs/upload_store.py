@@ -14,8 +14,8 @@ from dataclasses import asdict, dataclass
 from io import RawIOBase
 from pathlib import Path
 
+from rholoc.disk import storage_full, telling_full_disk
 from rholoc.errors import Busy, Conflict, InvalidRecording, RholocError, TooLarge, UnknownJob
-from rholoc.jobs.disk import storage_full, telling_full_disk
 from rholoc.jobs.job import Job, JobOptions
 from rholoc.jobs.queue import JobQueue
 from rholoc.jobs.recording_store import RecordingStore, is_recording_id, sanitized, unknown_recording

@@ -17,10 +17,10 @@ from types import FrameType
 from dbos import DBOS, DBOSConfig
 from sqlalchemy.exc import SQLAlchemyError
 
+from rholoc.disk import is_full, storage_full, telling_full_disk
 from rholoc.errors import Cancelled, RholocError
 from rholoc.jobs.build_process import Limits, Progress, build_in_process, describe, unexpected
 from rholoc.jobs.database import open_database
-from rholoc.jobs.disk import is_full, storage_full, telling_full_disk
 from rholoc.jobs.pipeline import MappingPipeline, MappingTask, Pipeline
 from rholoc.jobs.queue import APPLICATION, APPLICATION_VERSION, QUEUE_NAME, WORKFLOW_NAME, open_client
 from rholoc.jobs.recording_store import RecordingStore

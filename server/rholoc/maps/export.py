@@ -8,6 +8,7 @@ import numpy as np
 
 from rholoc.geometry import FloatArray, IntArray
 from rholoc.maps.map import Map
+from rholoc.maps.vtp import Cells, Owner, data_array, piece, polydata
 
 
 def landmark_sigmas(map_: Map) -> FloatArray:
@@ -66,7 +67,7 @@ def map_to_vtp(map_: Map) -> bytes:
         map_.channels,
         np.zeros((features, 3)),
         np.arange(features)[:, None],
-        "Verts",
+        Cells.POINTS,
     )
     path = _piece(
         map_.view_positions,
@@ -74,22 +75,9 @@ def map_to_vtp(map_: Map) -> bytes:
         np.full(views, 255),
         map_.view_headings,
         np.arange(views)[None] if views > 1 else np.zeros((0, 0), int),
-        "Lines",
+        Cells.LINES,
     )
     return polydata(landmarks, path)
-
-
-def polydata(*pieces: str) -> bytes:
-    """A VTK XML PolyData file of these pieces."""
-    lines = [
-        '<?xml version="1.0"?>',
-        '<VTKFile type="PolyData" version="0.1" byte_order="LittleEndian">',
-        "<PolyData>",
-        *pieces,
-        "</PolyData>",
-        "</VTKFile>",
-    ]
-    return ("\n".join(lines) + "\n").encode("ascii")
 
 
 def _piece(
@@ -98,33 +86,11 @@ def _piece(
     channels: IntArray,
     headings: FloatArray,
     cells: IntArray,
-    kind: str,
+    kind: Cells,
 ) -> str:
-    """A piece of PolyData; ``cells`` (C, L) holds the points of C cells of one length, ``kind`` is Verts or Lines."""
-    offsets = np.arange(1, len(cells) + 1) * cells.shape[1]
-    return "\n".join(
-        [
-            f'<Piece NumberOfPoints="{len(points)}" NumberOf{kind}="{len(cells)}">',
-            '<PointData Scalars="sigma_m" Vectors="heading">',
-            data_array("sigma_m", "Float32", sigmas, "%.5f"),
-            data_array("channel", "UInt8", channels, "%d"),
-            data_array("heading", "Float32", headings, "%.5f", components=3),
-            "</PointData>",
-            "<Points>",
-            data_array("position", "Float32", points, "%.5f", components=3),
-            "</Points>",
-            f"<{kind}>",
-            data_array("connectivity", "Int32", cells.ravel(), "%d"),
-            data_array("offsets", "Int32", offsets, "%d"),
-            f"</{kind}>",
-            "</Piece>",
-        ]
-    )
-
-
-def data_array(name: str, kind: str, values: FloatArray | IntArray, form: str, components: int = 1) -> str:
-    """A DataArray element of VTK's XML: ``values`` (N,) or (N, components), written with ``form``."""
-    text = io.StringIO()
-    np.savetxt(text, values, fmt=form)
-    opening = f'<DataArray type="{kind}" Name="{name}" NumberOfComponents="{components}" format="ascii">'
-    return f"{opening}\n{text.getvalue()}</DataArray>"
+    data = [
+        data_array("sigma_m", "Float32", sigmas, "%.5f"),
+        data_array("channel", "UInt8", channels, "%d"),
+        data_array("heading", "Float32", headings, "%.5f", components=3),
+    ]
+    return piece(points, cells, kind, Owner.POINTS, 'Scalars="sigma_m" Vectors="heading"', data)

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import errno
 import os
 from collections.abc import Iterable
 from pathlib import Path
 from uuid import uuid4
 
+from rholoc.disk import is_full, sync_folder
 from rholoc.errors import InvalidInput, StorageFull
-
-_FULL = (errno.ENOSPC, errno.EDQUOT)
 
 
 def replace_file(path: Path, data: bytes | memoryview | Iterable[bytes], called: str = "") -> None:
@@ -31,9 +29,9 @@ def replace_file(path: Path, data: bytes | memoryview | Iterable[bytes], called:
         except BaseException:
             temporary.unlink(missing_ok=True)
             raise
-        _sync_folder(path.parent)
+        sync_folder(path.parent)
     except OSError as error:
-        if error.errno in _FULL:
+        if is_full(error):
             raise StorageFull(
                 f"No room left to write {called or path.name}; what was there is unchanged.",
                 "Free some space and try again.",
@@ -49,17 +47,5 @@ def _write(path: Path, data: bytes | memoryview | Iterable[bytes]) -> None:
             while len(rest):
                 rest = rest[os.write(descriptor, rest) :]
         os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
-
-
-def _sync_folder(folder: Path) -> None:
-    """Bring a rename to the disk; file systems that cannot sync a folder do so by themselves."""
-    descriptor = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    except OSError as error:
-        if error.errno not in (errno.EINVAL, errno.ENOTSUP):
-            raise
     finally:
         os.close(descriptor)

@@ -13,8 +13,9 @@ from scipy.spatial import ConvexHull
 
 from rholoc.errors import InvalidInput
 from rholoc.geometry import FloatArray, IntArray
-from rholoc.maps.export import data_array, landmark_sigmas, polydata
+from rholoc.maps.export import landmark_sigmas
 from rholoc.maps.map import Map
+from rholoc.maps.vtp import Cells, Owner, data_array, piece, polydata
 
 SIGMAS = 3.0
 _POINTS = 162  # of a surface
@@ -39,7 +40,7 @@ def map_surfaces_vtp(map_: Map, features: Sequence[int]) -> bytes:
     surfaces = _piece(
         points.reshape(-1, 3),
         faces.reshape(-1, 3),
-        "Polys",
+        Cells.TRIANGLES,
         owners,
         map_.channels[owners],
         landmark_sigmas(map_)[owners],
@@ -47,7 +48,7 @@ def map_surfaces_vtp(map_: Map, features: Sequence[int]) -> bytes:
     views = len(map_.view_times)
     line = np.arange(views)[None] if views > 1 else np.zeros((0, 0), dtype=np.int64)
     of_path = np.full(len(line), _PATH)
-    path = _piece(map_.view_positions, line, "Lines", of_path, np.full(len(line), 255), np.zeros(len(line)))
+    path = _piece(map_.view_positions, line, Cells.LINES, of_path, np.full(len(line), 255), np.zeros(len(line)))
     return polydata(surfaces, path)
 
 
@@ -83,24 +84,11 @@ def _roots(map_: Map, features: IntArray) -> FloatArray:
 
 
 def _piece(
-    points: FloatArray, cells: IntArray, kind: str, features: IntArray, channels: IntArray, sigmas: FloatArray
+    points: FloatArray, cells: IntArray, kind: Cells, features: IntArray, channels: IntArray, sigmas: FloatArray
 ) -> str:
-    """A piece of PolyData; ``cells`` (C, L) holds the points of C cells of one length, ``kind`` is Polys or Lines."""
-    return "\n".join(
-        [
-            f'<Piece NumberOfPoints="{len(points)}" NumberOf{kind}="{len(cells)}">',
-            '<CellData Scalars="feature">',
-            data_array("feature", "Int32", features, "%d"),
-            data_array("channel", "UInt8", channels, "%d"),
-            data_array("sigma_m", "Float32", sigmas, "%.5f"),
-            "</CellData>",
-            "<Points>",
-            data_array("position", "Float32", points, "%.6f", components=3),
-            "</Points>",
-            f"<{kind}>",
-            data_array("connectivity", "Int32", cells.ravel(), "%d"),
-            data_array("offsets", "Int32", np.arange(1, len(cells) + 1) * cells.shape[1], "%d"),
-            f"</{kind}>",
-            "</Piece>",
-        ]
-    )
+    data = [
+        data_array("feature", "Int32", features, "%d"),
+        data_array("channel", "UInt8", channels, "%d"),
+        data_array("sigma_m", "Float32", sigmas, "%.5f"),
+    ]
+    return piece(points, cells, kind, Owner.CELLS, 'Scalars="feature"', data, form="%.6f")

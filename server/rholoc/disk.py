@@ -1,4 +1,4 @@
-"""Writing to disk so that nothing is half there: syncing, and a full disk told as what it is."""
+"""The disk: making renames durable, and reporting a full one as what it is."""
 
 from __future__ import annotations
 
@@ -35,9 +35,12 @@ def telling_full_disk() -> Iterator[None]:
 
 
 def sync_folder(folder: Path) -> None:
-    """Make the folder's entries durable."""
+    """Make the folder's entries durable; file systems that cannot sync a folder do so by themselves."""
     descriptor = os.open(folder, os.O_RDONLY)
     try:
         os.fsync(descriptor)
+    except OSError as error:
+        if error.errno not in (errno.EINVAL, errno.ENOTSUP):
+            raise
     finally:
         os.close(descriptor)
