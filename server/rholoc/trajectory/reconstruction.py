@@ -32,10 +32,12 @@ from rholoc.trajectory.adjustment import (
 from rholoc.trajectory.agreement import Agreement, compare
 from rholoc.trajectory.blame import LeftOut, leave_out, worst
 from rholoc.trajectory.camera_guess import calibrate_by_flow, guess_camera
+from rholoc.trajectory.directions import PairDirection, direction_between
 from rholoc.trajectory.flow import Flow
 from rholoc.trajectory.global_positions import global_positions
 from rholoc.trajectory.gyroscope import GyroCalibration, camera_rotations
 from rholoc.trajectory.inertial_alignment import GRAVITY
+from rholoc.trajectory.inertial_start import InertialStart, inertial_start, loops_in_reach
 from rholoc.trajectory.map_frame import (
     MapFrame,
     frame_of_first_camera,
@@ -46,12 +48,14 @@ from rholoc.trajectory.map_frame import (
 from rholoc.trajectory.matching import VerifiedPair, match_keyframes
 from rholoc.trajectory.rolling_shutter import RollingShutter
 from rholoc.trajectory.rotations import PairRotation, average_rotations
-from rholoc.trajectory.stitching import Stitched, pieces_of, stitch
-from rholoc.trajectory.tracks import Observations, followed_corners, matched_features
+from rholoc.trajectory.tracks import Observations, followed_corners, matched_features, pieces_of
 from rholoc.trajectory.upright import rotation_to_upright
 
 _CORNERS_PER_KEYFRAME = 90
 _FEATURES_PER_KEYFRAME = 150
+_CORNERS_APART = (1, 2, 4, 8)  # keyframes, between which corners show the direction of the way
+_FEWEST_CORNERS = 15
+_DIRECTION_TOLERANCE_PX = 2.0
 _FOLLOWED = 60  # corners that neighbouring keyframes share, in the median, where pictures are close enough to follow
 _ROUNDS = 3  # of adjusting and judging sightings anew
 _ITERATIONS = 12
@@ -165,11 +169,26 @@ class Reconstruction:
 
 @dataclass(frozen=True, eq=False)
 class _Evidence:
-    """What the pictures alone tell."""
+    """What the pictures alone tell: corners that were followed, matches of neighbours, and of places seen again."""
 
-    observations: Observations
-    rotations: list[PairRotation]
-    loops: int
+    corners: Observations
+    turned: list[PairRotation]
+    sequential: list[VerifiedPair]
+    loops: list[VerifiedPair]
+
+    @property
+    def rotations(self) -> list[PairRotation]:
+        """Between pairs of keyframes."""
+        return [*self.turned, *(pair.rotation for pair in (*self.sequential, *self.loops))]
+
+    def observations(self, sights: Sights) -> Observations:
+        """Of the points that corners and matches are of."""
+        places = [features.pixels.astype(np.float64) for features in sights.features]
+        matched = matched_features(places, [*self.sequential, *self.loops]).thinned(_FEATURES_PER_KEYFRAME)
+        found = self.corners.thinned(_CORNERS_PER_KEYFRAME).joined(matched)
+        if len(found) == 0:
+            raise MappingFailed("The pictures show nothing that could be followed from one to the next.", _ADVICE)
+        return found
 
 
 def reconstruct(
@@ -204,7 +223,7 @@ def _reconstruct(
     if imu is not None and gyro is not None and felt is not None:
         start = _start_with_imu(sights, camera, evidence, imu, gyro, felt)
         if start is not None:
-            return _solve_with_imu(sights, evidence, imu, gyro, start, waypoints, told)
+            return _solve_with_imu(sights, imu, gyro, start, waypoints, told)
         reason = "The pictures do not show enough of the walk for the accelerometer to measure it."
     found = _solve_from_pictures(sights, camera, evidence, waypoints, reason, told)
     told.step(0.95, 0.99, "checked by a second reconstruction")
@@ -269,13 +288,7 @@ def _look(sights: Sights, camera: Camera, felt: Rotation | None, progress: Progr
     sequential, loops = match_keyframes(
         sights.features, planes, camera.focal, sights.times, felt, _is_followed(sights), progress
     )
-    pairs: list[VerifiedPair] = [*sequential, *loops]
-    places = [features.pixels.astype(np.float64) for features in sights.features]
-    matched = matched_features(places, pairs).thinned(_FEATURES_PER_KEYFRAME)
-    observations = corners.thinned(_CORNERS_PER_KEYFRAME).joined(matched)
-    if len(observations) == 0:
-        raise MappingFailed("The pictures show nothing that could be followed from one to the next.", _ADVICE)
-    return _Evidence(observations, [*rotations, *(pair.rotation for pair in pairs)], len(loops))
+    return _Evidence(corners, rotations, sequential, loops)
 
 
 def _is_followed(sights: Sights) -> bool:
@@ -286,27 +299,56 @@ def _is_followed(sights: Sights) -> bool:
 
 def _start_with_imu(
     sights: Sights, camera: Camera, evidence: _Evidence, imu: Imu, gyro: GyroCalibration, felt: Rotation
-) -> tuple[State, Stitched] | None:
-    """A metric, upright start: rotations averaged, every piece's positions, the pieces stitched by the IMU."""
-    count, observations = len(sights.rows), evidence.observations
-    R, _ = average_rotations(count, evidence.rotations, sights.times, felt)
-    piece = pieces_of(count, observations)
-    if piece.max(initial=-1) < 0:
+) -> tuple[State, InertialStart, _Evidence] | None:
+    """A metric, upright start from rotations, directions and the IMU; the evidence without loops that contradict it."""
+    count, times = len(sights.rows), sights.times
+    steady = replace(evidence, loops=[])
+    R, _ = average_rotations(count, steady.rotations, times, felt)
+    along = _directions(sights, camera, R, evidence.sequential)
+    start = inertial_start(times, R, along, imu, gyro)
+    if start is None:
         return None
-    positions = np.zeros((count, 3))
-    plane = camera.undistort(observations.pixels)
-    for number in range(int(piece.max()) + 1):
-        members = np.flatnonzero(piece == number)
-        positions[members] = _positions_of(members, R, observations, plane)
-    stitched = stitch(sights.times, R, positions, piece, imu, gyro)
-    if stitched is None or stitched.scales[0] <= 0 or stitched.scale_sigma > 1:
-        return None
-    upright = rotation_to_upright(stitched.up)
+    seen_again = [(pair, _direction_of(sights, camera, R, pair)) for pair in evidence.loops]
+    judged = [(pair, direction) for pair, direction in seen_again if direction is not None]
+    kept = loops_in_reach(start, [direction for _, direction in judged])
+    loops = [one for one, keep in zip(judged, kept, strict=True) if keep]
+    if loops:
+        evidence = replace(evidence, loops=[pair for pair, _ in loops])
+        R, _ = average_rotations(count, evidence.rotations, times, felt)
+        along = _directions(sights, camera, R, [*evidence.sequential, *evidence.loops])
+        start = inertial_start(times, R, along, imu, gyro)
+        if start is None:
+            return None
+    else:
+        evidence = steady
+    upright = rotation_to_upright(start.up)
     T_imu_camera = pose_matrix(gyro.R_camera_imu.T, np.zeros(3))
-    biases = np.tile(np.concatenate([stitched.accelerometer_bias, gyro.bias]), (count, 1))
-    inertial = InertialState(stitched.velocities @ upright.T, biases, T_imu_camera, 0.0, np.array([0.0, 0.0, -GRAVITY]))
-    T = pose_matrix(upright @ R, stitched.positions @ upright.T)
-    return State(T, np.zeros((observations.points, 3)), camera, inertial), stitched
+    biases = np.tile(np.concatenate([start.accelerometer_bias, gyro.bias]), (count, 1))
+    inertial = InertialState(start.velocities @ upright.T, biases, T_imu_camera, 0.0, np.array([0.0, 0.0, -GRAVITY]))
+    T = pose_matrix(upright @ R, start.positions @ upright.T)
+    return State(T, np.zeros((0, 3)), camera, inertial), start, evidence
+
+
+def _directions(sights: Sights, camera: Camera, R: FloatArray, pairs: Sequence[VerifiedPair]) -> list[PairDirection]:
+    """Between keyframes a few apart, by followed corners, and between pairs whose features match."""
+    found: list[PairDirection | None] = []
+    rows = sights.rows.tolist()
+    for apart in _CORNERS_APART:
+        for k in range(len(rows) - apart):
+            shared, a, b = sights.flow.shared(rows[k], rows[k + apart])
+            if len(shared) >= _FEWEST_CORNERS:
+                plane = camera.undistort(a), camera.undistort(b)
+                found.append(direction_between(k, k + apart, R, plane, _DIRECTION_TOLERANCE_PX, camera.focal))
+    found += [_direction_of(sights, camera, R, pair) for pair in pairs]
+    return [one for one in found if one is not None]
+
+
+def _direction_of(sights: Sights, camera: Camera, R: FloatArray, pair: VerifiedPair) -> PairDirection | None:
+    a, b = (
+        camera.undistort(sights.features[keyframe].pixels[pair.matches[:, side]].astype(np.float64))
+        for side, keyframe in enumerate((pair.first, pair.second))
+    )
+    return direction_between(pair.first, pair.second, R, (a, b), _DIRECTION_TOLERANCE_PX, camera.focal)
 
 
 def _positions_of(members: IntArray, R: FloatArray, observations: Observations, plane: FloatArray) -> FloatArray:
@@ -323,15 +365,16 @@ def _positions_of(members: IntArray, R: FloatArray, observations: Observations, 
 
 def _solve_with_imu(
     sights: Sights,
-    evidence: _Evidence,
     imu: Imu,
     gyro: GyroCalibration,
-    start: tuple[State, Stitched],
+    start: tuple[State, InertialStart, _Evidence],
     waypoints: Sequence[tuple[Waypoint, ...]],
     told: _Progress,
 ) -> Reconstruction:
-    state, stitched = start
-    problem = Problem(sights.times, evidence.observations, imu, gyro, camera_sigmas=_camera_sigmas(sights.camera))
+    state, began, evidence = start
+    problem = Problem(
+        sights.times, evidence.observations(sights), imu, gyro, camera_sigmas=_camera_sigmas(sights.camera)
+    )
     problem, adjusted = _adjusted_in_rounds(problem, state, told)
     assert adjusted.state.inertial is not None
     read = float(np.linalg.norm(adjusted.state.inertial.gravity)) / GRAVITY
@@ -364,7 +407,7 @@ def _solve_with_imu(
         -R_camera_imu @ inertial.T_imu_camera[:3, 3],
         inertial.clock_s,
         read,
-        stitched.residual,
+        began.residual,
     )
     return _finished(sights, evidence, problem, adjusted, frame, waypoints, figures, "", left_out, mistaken)
 
@@ -399,7 +442,7 @@ def _solve_from_pictures(
     some = sights.take(members)
     number = np.full(len(sights.rows), -1)
     number[members] = np.arange(len(members))
-    whole = evidence.observations
+    whole = evidence.observations(sights)
     numbered = Observations(number[whole.keyframes], whole.tracks, whole.pixels)
     observations = numbered.take(numbered.keyframes >= 0)
     problem = Problem(some.times, observations, camera_sigmas=_camera_sigmas(sights.camera))
@@ -426,7 +469,7 @@ def _solve_from_pictures(
 
 def _start_from_pictures(sights: Sights, camera: Camera, evidence: _Evidence) -> tuple[State, IntArray]:
     """The largest piece of the walk: its state in a frame of its own, and its keyframes."""
-    count, observations = len(sights.rows), evidence.observations
+    count, observations = len(sights.rows), evidence.observations(sights)
     R, component = average_rotations(count, evidence.rotations, sights.times, None)
     piece = pieces_of(count, observations)
     both = component * (count + 1) + piece
@@ -583,7 +626,7 @@ def _finished(
         mistaken,
         float(np.median(off[adjusted.used])),
         len(np.unique(problem.observations.tracks[right])),
-        evidence.loops,
+        len(evidence.loops),
         scale * _median_depth(problem.observations, adjusted),
     )
 

@@ -23,6 +23,8 @@ _FEWEST_SHARED = 12  # corners, for a relative pose
 _FEWEST_FOR_ROTATION = 30
 _FEWEST_SIGHTINGS = 3
 _MAX_FELT_APART_RAD = np.radians(1.0)  # between neighbours, from which the gyroscope is believed rather than the image
+_FEWEST_TOGETHER = 10  # points that two keyframes see, for them to be of one piece
+_LEAST_PIECE = 3  # keyframes; fewer have no shape of their own
 _FURTHER = 4  # keyframes, over which corners show the rotation better than from one to the next
 
 
@@ -172,3 +174,24 @@ def matched_features(planes: Sequence[FloatArray], pairs: Sequence[VerifiedPair]
     twice = np.concatenate([same, [False]]) | np.concatenate([[False], same])
     found = Observations(keyframe, label, places)
     return found.take(~twice)
+
+
+def pieces_of(count: int, observations: Observations) -> IntArray:
+    """The piece (K,) of each of ``count`` keyframes: those that see ten points together are of one; -1 without one.
+
+    Pieces are numbered from the largest on.
+    """
+    seen = coo_matrix(
+        (np.ones(len(observations), np.float32), (observations.keyframes, observations.tracks)),
+        shape=(count, max(observations.points, 1)),
+    ).tocsr()
+    shared = (seen @ seen.T).tocoo()
+    strong = shared.data >= _FEWEST_TOGETHER
+    graph = coo_matrix((shared.data[strong], (shared.row[strong], shared.col[strong])), shape=(count, count))
+    label: IntArray = connected_components(graph, directed=False)[1]
+    sizes = np.bincount(label)
+    order = np.argsort(-sizes, kind="stable")
+    large = order[sizes[order] >= _LEAST_PIECE]
+    number = np.full(len(sizes), -1)
+    number[large] = np.arange(len(large))
+    return np.asarray(number[label])

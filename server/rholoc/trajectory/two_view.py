@@ -60,7 +60,7 @@ def inliers_of_rotation(
         R_second_first: (3, 3).
         tolerance: radians between a ray and its epipolar plane.
     """
-    turned, seen = _rays(first) @ R_second_first.T, _rays(second)
+    turned, seen = rays_of(first) @ R_second_first.T, rays_of(second)
     normals = np.cross(turned, seen)
     still = np.linalg.norm(normals, axis=1) < tolerance
     if len(first) < 2:
@@ -97,7 +97,8 @@ def angle_between(R_a: FloatArray, R_b: FloatArray) -> float:
     return float(Rotation.from_matrix(R_a @ R_b.T).magnitude())
 
 
-def _rays(plane: FloatArray) -> FloatArray:
+def rays_of(plane: FloatArray) -> FloatArray:
+    """Points (N, 2) on the plane z = 1 → unit rays (N, 3)."""
     rays = np.column_stack([plane, np.ones(len(plane))])
     return np.asarray(rays / np.linalg.norm(rays, axis=1, keepdims=True))
 

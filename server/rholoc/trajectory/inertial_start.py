@@ -1,0 +1,242 @@
+"""Positions of all keyframes, metric and upright, from the IMU and the directions between pairs of them.
+
+With all rotations known, the equations of motion between keyframes are linear in positions, velocities, gravity and the
+accelerometer's bias, and so is "the way from this keyframe to that one has this direction". One sparse least-squares
+problem holds both: no guess is needed to start from, the scale is the accelerometer's, and where pictures show nothing
+for a second or two the IMU alone carries the walk across.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import coo_matrix, csr_matrix, diags_array
+from scipy.sparse.linalg import spsolve
+
+from rholoc.geometry import BoolArray, FloatArray, IntArray
+from rholoc.recordings import Imu
+from rholoc.trajectory.directions import PairDirection
+from rholoc.trajectory.gyroscope import GyroCalibration, orientations
+from rholoc.trajectory.inertial_alignment import GRAVITY
+
+_BIAS_SIGMA = 0.3  # m/s²
+_GRAVITY_SIGMA = 0.05  # m/s², once its direction is known
+_NOISE = 0.03  # m/s² / √Hz, of the accelerometer and of all that the model leaves out
+_PLACE_SIGMA_M = 0.002
+_USUAL_SPEED_M_S = 0.3  # of a walker with a phone, until the way between two keyframes is known …
+_LONGEST_WAY_M = 1.0
+_LEAST_WAY_M = 0.02  # … and the shortest, for a direction's uncertainty to be a distance's
+_ROUNDS = 12
+_CAUCHY = 2.0
+_BACKWARD = 3.0  # sigmas, added where a way leads backward
+_UNCOVERED = 1e-3  # the weight of the equations of motion over a gap of the IMU's table
+_MAX_GAP_S = 0.1
+_DRIFT = 0.05  # of the way walked between, by which the walk without loops may be off at a place seen again
+_DRIFT_M = 0.15
+_LOOP_SIGMAS = 3.0
+_UNKNOWNS_APART = 6  # gravity and bias, before the velocities and positions
+
+
+@dataclass(frozen=True, eq=False)
+class InertialStart:
+    """A walk in metres, in the frame of its rotations.
+
+    Attributes:
+        up: (3,), unit.
+        positions: (K, 3) metres.
+        velocities: (K, 3) m/s.
+        accelerometer_bias: (3,) m/s².
+        residual: of the accelerations, the median, in units of the noise that is expected.
+    """
+
+    up: FloatArray
+    positions: FloatArray
+    velocities: FloatArray
+    accelerometer_bias: FloatArray
+    residual: float
+
+
+def inertial_start(
+    times: FloatArray, R: FloatArray, directions: Sequence[PairDirection], imu: Imu, gyro: GyroCalibration
+) -> InertialStart | None:
+    """Positions from the IMU and directions; None where the IMU covers too little of the walk.
+
+    Args:
+        times: (K,) seconds, of the keyframes.
+        R: (K, 3, 3) R_world_camera.
+        directions: between pairs of keyframes; wrong ones are outvoted.
+        imu: of the same recording.
+        gyro: how it relates to the camera.
+    """
+    t = times + gyro.time_offset_s
+    covered = _covered(t, imu)
+    if covered.sum() < len(covered) / 2 or not directions:
+        return None
+    motion = _equations_of_motion(t, R, imu, gyro, covered)
+    first, second = (np.array([getattr(one, end) for one in directions]) for end in ("first", "second"))
+    unit = np.array([one.direction for one in directions])
+    sigma = np.array([one.sigma_rad for one in directions])
+    count = len(times)
+    A = _stacked(motion, _direction_rows(count, first, second, unit))
+    n = len(motion.sigmas)
+    measured = np.concatenate([motion.measured, np.zeros(3 * len(unit))])
+    way = np.minimum(_USUAL_SPEED_M_S * np.abs(t[second] - t[first]), _LONGEST_WAY_M)
+    robust = np.ones(n // 3 + len(unit))
+    prior, toward = np.full(A.shape[1], 1e-9), np.zeros(A.shape[1])
+    prior[3:6] = _BIAS_SIGMA**-2
+    places = _UNKNOWNS_APART + 3 * count
+    prior[places : places + 3] = 1e6  # the first keyframe is the origin
+    x = toward
+    for _ in range(_ROUNDS):
+        sigmas = np.concatenate([motion.sigmas, np.repeat(sigma * np.maximum(way, _LEAST_WAY_M), 3)])
+        weights = np.sqrt(np.repeat(robust, 3)) / sigmas
+        weighted = diags_array(weights) @ A
+        information = (weighted.T @ weighted).tocsc()
+        information.setdiag(information.diagonal() + prior)
+        x = spsolve(information, weighted.T @ (weights * measured) + prior * toward)
+        off = np.linalg.norm(((A @ x - measured) / sigmas).reshape(-1, 3), axis=1)
+        felt, seen = off[: n // 3], off[n // 3 :]
+        between = x[places:].reshape(-1, 3)[second] - x[places:].reshape(-1, 3)[first]
+        way = np.linalg.norm(between, axis=1)
+        seen = seen + _BACKWARD * (np.sum(between * unit, axis=1) < 0)
+        robust = np.concatenate(
+            [
+                1 / (1 + (felt / (_CAUCHY * max(float(np.median(felt)), 1.0))) ** 2),
+                1 / (1 + (seen / _CAUCHY) ** 2) ** 2,
+            ]
+        )
+        toward[:3] = x[:3] * GRAVITY / max(float(np.linalg.norm(x[:3])), 1e-9)
+        prior[:3] = _GRAVITY_SIGMA**-2
+    return InertialStart(
+        -x[:3] / np.linalg.norm(x[:3]),
+        x[places:].reshape(-1, 3),
+        x[_UNKNOWNS_APART:places].reshape(-1, 3),
+        x[3:6],
+        float(np.median(felt)),
+    )
+
+
+def loops_in_reach(start: InertialStart, loops: Sequence[PairDirection]) -> BoolArray:
+    """Which pairs (N,) that seem to show one place may do so, by the walk without them.
+
+    Places that look alike are told apart by how the camera came from one to the other: the way between must have the
+    direction that the pictures say, as far as the walk is known by then.
+    """
+    path = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(start.positions, axis=0), axis=1))])
+    kept = np.zeros(len(loops), dtype=np.bool_)
+    for i, loop in enumerate(loops):
+        way = start.positions[loop.second] - start.positions[loop.first]
+        length = float(np.linalg.norm(way))
+        across = float(np.linalg.norm(way - (way @ loop.direction) * loop.direction))
+        backward = way @ loop.direction < 0
+        drift = _DRIFT_M + _DRIFT * float(path[loop.second] - path[loop.first])
+        allowed = drift + _LOOP_SIGMAS * loop.sigma_rad * length
+        kept[i] = (length if backward else across) <= allowed
+    return kept
+
+
+@dataclass(frozen=True, eq=False)
+class _Motion:
+    """The equations of motion: entries of a sparse matrix, what was measured (6 (K - 1),), its deviations."""
+
+    rows: IntArray
+    columns: IntArray
+    entries: FloatArray
+    measured: FloatArray
+    sigmas: FloatArray
+
+
+def _covered(t: FloatArray, imu: Imu) -> BoolArray:
+    """Which intervals (K - 1,) between keyframes the IMU's table covers without a gap."""
+    inside = (t[:-1] >= imu.times[0]) & (t[1:] <= imu.times[-1])
+    longest = max(_MAX_GAP_S, 5 * float(np.median(np.diff(imu.times))))
+    gaps = np.flatnonzero(np.diff(imu.times) > longest)
+    for gap in gaps.tolist():
+        inside &= (t[1:] <= imu.times[gap]) | (t[:-1] >= imu.times[gap + 1])
+    return np.asarray(inside)
+
+
+def _equations_of_motion(t: FloatArray, R: FloatArray, imu: Imu, gyro: GyroCalibration, covered: BoolArray) -> _Motion:
+    """v_j - v_i - g dt - J_v b = Δv and p_j - p_i - v_i dt - g dt²/2 - J_p b = Δp for every interval, i to j."""
+    n, count = len(t) - 1, len(t)
+    dt = np.diff(t)
+    speed, way, by_bias_v, by_bias_p = _integrated(imu, gyro, t, R)
+    axes = np.arange(3)
+    of_speed = 3 * np.arange(n)[:, None] + axes
+    of_way = 3 * n + of_speed
+    velocity = _UNKNOWNS_APART + 3 * np.arange(count)[:, None] + axes
+    place = velocity + 3 * count
+    ones, step = np.ones((n, 3)), np.repeat(dt[:, None], 3, axis=1)
+    gravity = np.broadcast_to(axes, (n, 3))
+    parts = [
+        (of_speed, velocity[1:], ones),
+        (of_speed, velocity[:-1], -ones),
+        (of_speed, gravity, -step),
+        (of_way, place[1:], ones),
+        (of_way, place[:-1], -ones),
+        (of_way, velocity[:-1], -step),
+        (of_way, gravity, -0.5 * step**2),
+    ]
+    for axis in range(3):
+        parts.append((of_speed, np.full((n, 3), 3 + axis), -by_bias_v[:, :, axis]))
+        parts.append((of_way, np.full((n, 3), 3 + axis), -by_bias_p[:, :, axis]))
+    rows, columns, entries = (np.concatenate([part[i].ravel() for part in parts]) for i in range(3))
+    sigma = np.concatenate([_NOISE * np.sqrt(dt), np.hypot(_NOISE * dt**1.5 / np.sqrt(3), _PLACE_SIGMA_M)])
+    sigma[~np.tile(covered, 2)] /= _UNCOVERED
+    return _Motion(rows, columns, entries, np.concatenate([speed.ravel(), way.ravel()]), np.repeat(sigma, 3))
+
+
+def _direction_rows(
+    count: int, first: IntArray, second: IntArray, unit: FloatArray
+) -> tuple[IntArray, IntArray, FloatArray]:
+    """(I - d dᵀ) (p_second - p_first) = 0 for every direction d: entries of a sparse matrix."""
+    across = np.eye(3) - unit[:, :, None] * unit[:, None, :]
+    row = np.broadcast_to(3 * np.arange(len(unit))[:, None, None] + np.arange(3)[None, :, None], across.shape)
+    place = _UNKNOWNS_APART + 3 * count
+    to = np.broadcast_to(place + 3 * second[:, None, None] + np.arange(3)[None, None, :], across.shape)
+    start = np.broadcast_to(place + 3 * first[:, None, None] + np.arange(3)[None, None, :], across.shape)
+    return (
+        np.concatenate([row.ravel(), row.ravel()]),
+        np.concatenate([to.ravel(), start.ravel()]),
+        np.concatenate([across.ravel(), -across.ravel()]),
+    )
+
+
+def _stacked(motion: _Motion, directions: tuple[IntArray, IntArray, FloatArray]) -> csr_matrix:
+    n = len(motion.measured)
+    rows = np.concatenate([motion.rows, n + directions[0]])
+    columns = np.concatenate([motion.columns, directions[1]])
+    entries = np.concatenate([motion.entries, directions[2]])
+    return coo_matrix((entries, (rows, columns))).tocsr()
+
+
+def _integrated(
+    imu: Imu, gyro: GyroCalibration, t: FloatArray, R: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """What the force felt between one keyframe and the next does: changes of velocity and displacements (K - 1, 3).
+
+    In the frame of the rotations; and their derivatives (K - 1, 3, 3) by the accelerometer's bias.
+    """
+    R_start_imu = orientations(imu, gyro.bias).as_matrix()
+    n = len(t) - 1
+    speed, way = np.zeros((n, 3)), np.zeros((n, 3))
+    by_v, by_p = np.zeros((n, 3, 3)), np.zeros((n, 3, 3))
+    last_row = len(imu.times) - 1
+    for k in range(n):
+        first = int(np.clip(np.searchsorted(imu.times, t[k], side="right") - 1, 0, last_row - 1))
+        last = int(np.clip(np.searchsorted(imu.times, t[k + 1]), first + 1, last_row))
+        spans = np.minimum(imu.times[first + 1 : last + 1], t[k + 1]) - np.maximum(imu.times[first:last], t[k])
+        R_world_start = R[k] @ gyro.R_camera_imu @ R_start_imu[first].T
+        turned = R_world_start @ R_start_imu[first:last]
+        force = 0.5 * (imu.acceleration[first:last] + imu.acceleration[first + 1 : last + 1])
+        felt = np.einsum("nij,nj->ni", turned, force)
+        v, p, w, q = np.zeros(3), np.zeros(3), np.zeros((3, 3)), np.zeros((3, 3))
+        for dt, f, Q in zip(np.maximum(spans, 0.0).tolist(), felt, turned, strict=True):
+            p += v * dt + 0.5 * f * dt * dt
+            q += w * dt - 0.5 * Q * dt * dt
+            v += f * dt
+            w -= Q * dt
+        speed[k], way[k], by_v[k], by_p[k] = v, p, w, q
+    return speed, way, by_v, by_p
