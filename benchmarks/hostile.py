@@ -27,7 +27,7 @@ import threading
 import time
 import zipfile
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -196,22 +196,27 @@ def main() -> int:
         (folder / "maps").mkdir()
         (folder / "maps" / "testsite.rho").write_bytes((MAPS / "testsite.rho").read_bytes())
         with running_server(folder / "maps", folder / "data", folder / "log") as server:
-            found = measured(server.url, options)
+            found = []
+            for one in measured(server.url, options):
+                found.append(one)
+                if not options.json:
+                    print(row(one), flush=True)
     if options.json:
         print(json.dumps([asdict(one) for one in found], indent=2))
-    else:
-        print(f"{'attack':26} {'frames':>6} {'ratio':>6} {'healthz ms':>10} {'MiB':>6}  answers")
-        for one in found:
-            ratio = "-" if one.frame_ratio is None else f"{one.frame_ratio:.1f}"
-            answers = ", ".join(f"{code} {count}" for code, count in one.answers.items())
-            costs = f"{ratio:>6} {one.health_worst_ms:10.0f} {one.memory_mib:6.0f}"
-            print(f"{one.attack:26} {one.frames:6} {costs}  {answers}")
     broken = any(one.answers.keys() & {"internal", "broken off"} or one.frames_refused for one in found)
     return 1 if broken else 0
 
 
-def measured(url: str, options: argparse.Namespace) -> list[Outcome]:
-    """The outcome of each attack; of none first."""
+def row(one: Outcome) -> str:
+    """A line of the table."""
+    ratio = "-" if one.frame_ratio is None else f"{one.frame_ratio:.1f}"
+    answers = ", ".join(f"{code} {count}" for code, count in one.answers.items())
+    costs = f"{one.frames:3} frames, {ratio:>5} ×, /healthz {one.health_worst_ms:5.0f} ms, {one.memory_mib:5.0f} MiB"
+    return f"{one.attack:26} {costs}  {answers}"
+
+
+def measured(url: str, options: argparse.Namespace) -> Iterator[Outcome]:
+    """The outcome of each attack, as it is found; of none first."""
     picture = sorted((MAPS / "queries").glob("*.jpg"))[0].read_bytes()
     with httpx.Client(base_url=url, timeout=TIMEOUT_S) as honest:
 
@@ -223,11 +228,10 @@ def measured(url: str, options: argparse.Namespace) -> list[Outcome]:
         frame()
         alone_s = statistics.median(frame()[0] for _ in range(FRAMES_ALONE))
         chosen = {name: one for name, one in attacks(url).items() if options.only in (None, name)}
-        found = [beside(url, "none", lambda _: None, frame, alone_s, options)]
+        yield beside(url, "none", lambda _: None, frame, alone_s, options)
         for name, attack in chosen.items():
-            found.append(beside(url, name, attack, frame, alone_s, options))
+            yield beside(url, name, attack, frame, alone_s, options)
             alone_s = statistics.median(frame()[0] for _ in range(FRAMES_ALONE))  # the machine's load changes
-        return found
 
 
 def beside(
