@@ -27,9 +27,8 @@ import poselib
 from rholoc.evaluation.lighting_pairs import compare_lighting_pairs
 from rholoc.features import extractor_names, get_extractor
 from rholoc.features.matching import LIMITS, mutual_matches
-from rholoc.geometry import Pose
+from rholoc.geometry import Pose, pose_distances
 from rholoc.localization import Localizer, Query
-from rholoc.localization.verification import distance_between
 from rholoc.mapping import BuildOptions, build_map
 from rholoc.maps import map_to_bytes
 from rholoc.recordings import decode_image, read_image, read_recording
@@ -93,7 +92,7 @@ def measure_split(args: argparse.Namespace, split: Split, features: str) -> Spli
         pose: Pose | None = localizer.localize(Query(found, asked.camera)).pose
         whole_ms.append(1e3 * (time.thread_time() - start))
         truth = asked.poses.T_map_camera[row]
-        errors.append(None if pose is None else distance_between(pose.T_map_camera, truth))
+        errors.append(None if pose is None else pose_distances(pose.T_map_camera, truth))
     given = [error for error in errors if error is not None]
     return SplitFigures(
         len(errors),

@@ -15,7 +15,7 @@ from safetensors.numpy import save
 from starlette.requests import ClientDisconnect
 
 from rholoc.errors import InvalidMap
-from rholoc.mapping import ExportFormat
+from rholoc.exports import ExportFormat
 from rholoc.maps import MapLibrary, load_map, map_to_bytes
 from rholoc.maps.rho_file import _checksum
 from rholoc.service.exports import ExportRequest, Exports, is_long
