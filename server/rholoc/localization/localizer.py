@@ -29,6 +29,7 @@ _MIN_FEATURES = 8
 _FEW_FEATURES = 40
 _MAX_GRAVITY_ERROR_RAD = np.deg2rad(10.0)
 _MAX_UPRIGHT_ROLL_RAD = np.deg2rad(15.0)
+_TRACKED_OVER_CHANCE = 1.5
 _TRACKING_RADII_PX = (30.0, 5.0)  # around a prior: what a camera turns and moves in a twentieth of a second
 
 
@@ -203,7 +204,7 @@ class Localizer:
             return search
         rays = query.camera.rays(query.features.pixels)
         if query.prior is not None and query.intrinsics is Intrinsics.GIVEN:
-            tracked = verify(self.index, query, rays, query.prior.pose.T_map_camera, _TRACKING_RADII_PX)
+            tracked = self._track(query, query.prior, rays)
             search.matches = 0 if tracked is None else len(tracked.wide)
             search.add(self._checked(tracked, query, None if tracked is None else tracked.wide))
             watch.lap("verify")
@@ -240,6 +241,14 @@ class Localizer:
         found = self._checked(verify(self.index, query, rays, seed), query, matches)
         watch.lap("verify")
         return found
+
+    def _track(self, query: Query, prior: Prior, rays: FloatArray) -> Verified | None:
+        """The pose next to a prior; None, at little cost, where no more is found there than by chance."""
+        T_map_camera = prior.pose.T_map_camera
+        near, by_chance = self.index.match_near(query.features, query.camera, T_map_camera, _TRACKING_RADII_PX[0])
+        if len(near) < _TRACKED_OVER_CHANCE * by_chance + _MIN_FEATURES:
+            return None
+        return verify(self.index, query, rays, T_map_camera, _TRACKING_RADII_PX)
 
     def _places(self, search: _Search) -> Iterator[Place]:
         """Where to look: about the prior, then where matches with the whole map point to."""

@@ -32,7 +32,7 @@ from rholoc.progress import ProgressListener, Stage, silent
 from rholoc.recordings import Look, Recording, Waypoint, look_at
 from rholoc.trajectory import PoseMethod, Scale, Trajectory, estimate_trajectory
 
-DEFAULT_FEATURES = "lab3"
+DEFAULT_FEATURES = "sift48"
 _FEATURES_PER_VIEW = 400
 _EXTENSION_ROUNDS = 2
 _MIN_VIEWS = 5
