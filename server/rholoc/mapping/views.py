@@ -9,14 +9,14 @@ from rholoc.geometry import FloatArray, IntArray, pose_distances
 _METRES_PER_RADIAN = 1.0
 VIEW_STEP = 0.05  # metres moved plus radians turned from view to view; in a map of arbitrary scale, of its unit
 _HOLD_OUT_EVERY = 10
-_MAX_VIEWS = 400
+_MAX_VIEWS = 2000
 
 
 def choose_views(T_map_camera: FloatArray, hold_out: bool, step: float = VIEW_STEP) -> tuple[IntArray, IntArray]:
     """Rows of the views and of the frames held out, of a trajectory's poses (K, 4, 4) in the order of time.
 
     Every tenth pose is held out. Of the others a view is taken whenever the camera has moved or turned on (a radian
-    counting as a metre), in steps ``step`` small enough for features to overlap well, and never more than 400 in all.
+    counting as a metre), in steps ``step`` small enough for features to overlap well, and never more than 2000 in all.
     """
     rows = np.arange(len(T_map_camera))
     held_out = (
