@@ -8,9 +8,9 @@ from scipy.integrate import cumulative_trapezoid
 from scipy.spatial.transform import Rotation
 
 from rholoc.geometry import Pose
-from rholoc.recordings import check_waypoints_fix_frame
+from rholoc.recordings import GRAVITY, check_waypoints_fix_frame
 from rholoc.simulation import ImuErrors, make_walk, measure_imu, measure_waypoints
-from rholoc.simulation.walk import GRAVITY_M_S2, PAUSE_S
+from rholoc.simulation.walk import PAUSE_S
 
 SECONDS = 30.0
 PERFECT = ImuErrors(0.0, 0.0, 0.0, 0.0)
@@ -54,7 +54,7 @@ def test_acceleration_integrates_to_the_path() -> None:
     imu = measure_imu(walk, SECONDS, rate_hz=400.0, errors=PERFECT)
     assert imu.R_camera_imu is not None
     R_map_imu = walk.rotations(imu.times) @ imu.R_camera_imu
-    acceleration = np.einsum("nij,nj->ni", R_map_imu, imu.acceleration) - (0, 0, GRAVITY_M_S2)
+    acceleration = np.einsum("nij,nj->ni", R_map_imu, imu.acceleration) - (0, 0, GRAVITY)
     start = walk.positions(np.array([-1e-4, 0.0, 1e-4]))
     velocity = (start[2] - start[0]) / 2e-4 + cumulative_trapezoid(acceleration, imu.times, axis=0, initial=0)
     position = start[1] + cumulative_trapezoid(velocity, imu.times, axis=0, initial=0)

@@ -11,6 +11,7 @@ import pytest
 
 from rholoc.features import Channel, FeatureSet
 from rholoc.geometry import ByteArray, FloatArray, IntArray
+from rholoc.trajectory.flow import track_corners
 from rholoc.trajectory.rolling_shutter import measure_rolling_shutter
 
 _READOUT_S = 0.015
@@ -79,7 +80,7 @@ def test_features_are_put_where_they_were_at_one_time(row: int) -> None:
     rolling = at_once.copy()
     for _ in range(5):
         rolling = _seen_at(points, time + ((rolling[:, 1] + 0.5) / _SIZE[1] - 0.5) * _READOUT_S)
-    shutter = measure_rolling_shutter(film, np.array([1, row] if row > 1 else [row, 3]), _READOUT_S)
+    shutter = measure_rolling_shutter(track_corners(film), np.array([1, row] if row > 1 else [row, 3]), _READOUT_S)
     corrected = shutter.at_once(1 if row > 1 else 0, _features(rolling)).pixels
     assert np.abs(rolling - at_once).max() > 1.2
     assert np.abs(corrected - at_once).max() < 0.15
@@ -87,7 +88,7 @@ def test_features_are_put_where_they_were_at_one_time(row: int) -> None:
 
 def test_what_cannot_be_tracked_is_left_where_it_is() -> None:
     blank = _Film(np.full((*_SIZE[::-1], 3), 128, np.uint8))
-    shutter = measure_rolling_shutter(blank, np.array([1, 3]), _READOUT_S)
+    shutter = measure_rolling_shutter(track_corners(blank), np.array([1, 3]), _READOUT_S)
     features = _features(np.array([[10.0, 20.0]]))
     np.testing.assert_array_equal(shutter.at_once(1, features).pixels, features.pixels)
     assert len(shutter.take(np.array([1])).velocities) == 1

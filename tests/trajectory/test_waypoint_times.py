@@ -66,15 +66,16 @@ def test_of_more_pauses_those_are_taken_that_fit_the_waypoints() -> None:
     at = np.concatenate([[-1.0], _RESTS.mean(axis=1), [41.0]])
     path = np.column_stack([np.interp(_TIMES, _RESTS.mean(axis=1), column) for column in np.array(_PLACES).T])
     T = pose_matrix(np.tile(np.eye(3), (len(_TIMES), 1, 1)), path / 3)
-    frame = frame_of_waypoints(_TIMES, T, choices_of_pauses(_unnamed(0, 1, 2, 4), _RESTS), None)
-    taken = [frame.report["waypoint_times_s"][name] for name in ("W0", "W1", "W2", "W4")]
+    frame = frame_of_waypoints(_TIMES, T, choices_of_pauses(_unnamed(0, 1, 2, 4), _RESTS), None, "")
+    assert [waypoint.name for waypoint in frame.waypoints] == ["W0", "W1", "W2", "W4"]
+    taken = [waypoint.time for waypoint in frame.waypoints]
     np.testing.assert_allclose(taken, at[[1, 2, 3, 5]], atol=1e-6)
     assert not frame.doubts
     np.testing.assert_allclose(frame.similarity.points(path / 3), path, atol=0.02)
     square = tuple(Waypoint(str(i), float("nan"), (float(i == 1), float(i == 2), 0.0)) for i in range(3))
     alike = np.column_stack([np.sin(_TIMES), np.cos(_TIMES), 0 * _TIMES])
     pauses = np.add.outer(np.arange(5) * np.pi / 2, [-0.5, 0.5]) + 2
-    doubtful = frame_of_waypoints(_TIMES, pose_matrix(T[:, :3, :3], alike), choices_of_pauses(square, pauses), None)
+    doubtful = frame_of_waypoints(_TIMES, pose_matrix(T[:, :3, :3], alike), choices_of_pauses(square, pauses), None, "")
     assert any("Other pauses" in doubt for doubt in doubtful.doubts)
 
 

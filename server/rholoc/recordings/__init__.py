@@ -7,7 +7,7 @@ from rholoc.recordings.description import describe_recording
 from rholoc.recordings.frames.image import decode_image, read_image
 from rholoc.recordings.frames.memory_frames import MemoryFrames
 from rholoc.recordings.reader import read_recording
-from rholoc.recordings.recording import FrameSource, GivenPoses, Imu, Recording, RecordingFormat, Waypoint
+from rholoc.recordings.recording import GRAVITY, FrameSource, GivenPoses, Imu, Recording, RecordingFormat, Waypoint
 from rholoc.recordings.selection import parse_frame_slice
 from rholoc.recordings.tables.frames_table import read_frames_csv, write_frames_csv
 from rholoc.recordings.tables.imu_table import read_imu_csv, write_imu_csv
@@ -19,6 +19,7 @@ from rholoc.recordings.walk.walk_figures import Look, look_at, look_through, mea
 from rholoc.reports import Advice, AdviceKind, RecordingWarning, WalkFigures, WarningKind
 
 __all__ = [
+    "GRAVITY",
     "MAX_FILES",
     "START_BYTES",
     "ZIP_SUFFIX",

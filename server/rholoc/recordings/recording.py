@@ -11,6 +11,8 @@ from typing import Protocol
 from rholoc.geometry import BoolArray, ByteArray, Camera, FloatArray, IntArray
 from rholoc.reports import RecordingWarning
 
+GRAVITY = 9.81  # m/s², what an accelerometer at rest reads
+
 
 class RecordingFormat(StrEnum):
     """How a recording is laid out; maps/README.md describes each."""

@@ -10,12 +10,11 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
 from rholoc.geometry import FloatArray, Pose, pose_matrix
-from rholoc.recordings import Imu, Waypoint
+from rholoc.recordings import GRAVITY, Imu, Waypoint
 
 WAYPOINT_NAMES = ("START", "W1", "W2", "W3", "E")
 SHORTEST_WALK_S = 30.0  # in less, the way could not be walked at a walking phone's speed
 PAUSE_S = 1.2
-GRAVITY_M_S2 = 9.81
 R_CAMERA_IMU = np.diag([1.0, -1.0, -1.0])  # a phone's x points right, y up, z out of its screen, at the user
 
 # Where the camera is at the waypoints, metres in the map frame; E is the last.
@@ -266,7 +265,7 @@ def measure_imu(
     times = np.arange(0.0, seconds + 0.5 / rate_hz, 1 / rate_hz)
     taken = times - time_offset_s
     R_imu_map = R_CAMERA_IMU.T @ np.swapaxes(walk.rotations(taken), 1, 2)
-    force = walk.accelerations(taken) + np.array([0.0, 0.0, GRAVITY_M_S2])
+    force = walk.accelerations(taken) + np.array([0.0, 0.0, GRAVITY])
     acceleration = np.einsum("nij,nj->ni", R_imu_map, force)
     angular_velocity = walk.angular_velocities(taken) @ R_CAMERA_IMU
     acceleration += rng.normal(0, errors.accelerometer_bias_m_s2, 3)

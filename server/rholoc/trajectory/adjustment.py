@@ -17,10 +17,9 @@ import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import B, C, D, E, G, L, S, V, X
 
-from rholoc.geometry import BoolArray, Camera, FloatArray, pose_matrix
-from rholoc.recordings import Imu
+from rholoc.geometry import BoolArray, Camera, FloatArray, cross, pose_matrix
+from rholoc.recordings import GRAVITY, Imu
 from rholoc.trajectory.gyroscope import GyroCalibration
-from rholoc.trajectory.inertial_alignment import GRAVITY
 from rholoc.trajectory.tracks import Observations
 
 _PIXEL_SIGMA_PX = 0.7  # of a sighting, at first
@@ -402,15 +401,17 @@ def _tie(k: int, rate: FloatArray, noise: gtsam.noiseModel.Base) -> gtsam.Custom
         velocity, T_imu_camera = values.atVector(V(k)), values.atPose3(E(0))
         clock_s = float(values.atVector(S(0))[0])
         R_imu_map = T_map_imu.rotation().matrix().T
-        twist = np.concatenate([rate, R_imu_map @ velocity])
+        speed = R_imu_map @ velocity
+        twist = np.concatenate([rate, speed])
         moved = gtsam.Pose3.Expmap(twist * clock_s)
         expected = T_map_imu.compose(moved).compose(T_imu_camera)
         if jacobians is not None:
             to_camera = T_imu_camera.inverse().AdjointMap()
-            by_velocity = np.zeros((6, 3))
+            by_velocity, by_rotation = np.zeros((6, 3)), np.zeros((6, 6))
             by_velocity[3:] = R_imu_map * clock_s
+            by_rotation[3:, :3] = cross(speed, np.eye(3)).T * clock_s
             jacobians[0] = np.eye(6)
-            jacobians[1] = -moved.compose(T_imu_camera).inverse().AdjointMap()
+            jacobians[1] = -moved.compose(T_imu_camera).inverse().AdjointMap() - to_camera @ by_rotation
             jacobians[2] = -to_camera @ by_velocity
             jacobians[3] = -np.eye(6)
             jacobians[4] = -(to_camera @ twist)[:, None]

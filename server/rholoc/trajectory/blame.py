@@ -12,6 +12,7 @@ from rholoc.geometry import FloatArray
 _CAUCHY = 3.0  # sigmas, as in the adjustment
 _MISTAKEN_SIGMAS = 4.5  # off what all else says
 _MISTAKEN_M = 0.08
+_LEAST_SAY = 1e-3  # of all else in a waypoint's place, as a share of its own: less is not told from rounding
 _ONE_AXIS = 0.9  # the share of the error that lies along the coordinate that is named
 
 
@@ -48,7 +49,7 @@ def leave_out(measured: FloatArray, estimated: FloatArray, covariance: FloatArra
     weight = 1 / (1 + (float(np.linalg.norm(off)) / (sigma_m * _CAUCHY)) ** 2) / sigma_m**2
     information = np.linalg.inv(covariance) - weight * np.eye(3)
     values, axes = np.linalg.eigh(information)
-    without = (axes / np.maximum(values, 1e-6)) @ axes.T
+    without = (axes / np.maximum(values, _LEAST_SAY * weight)) @ axes.T
     off = off + weight * without @ off
     expected = without + sigma_m**2 * np.eye(3)
     return LeftOut(off, float(np.sqrt(off @ np.linalg.solve(expected, off))))

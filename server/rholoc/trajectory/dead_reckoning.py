@@ -11,10 +11,9 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from rholoc.errors import MappingFailed
 from rholoc.geometry import FloatArray, pose_matrix
-from rholoc.recordings import Imu, Waypoint, check_waypoints_fix_frame
+from rholoc.recordings import GRAVITY, Imu, Waypoint, check_waypoints_fix_frame
 from rholoc.recordings.walk.stillness import pauses
 from rholoc.trajectory.gyroscope import orientations
-from rholoc.trajectory.inertial_alignment import GRAVITY
 from rholoc.trajectory.upright import rotation_to_upright
 
 _PAUSE_S = 0.6  # the camera rests this long around a waypoint

@@ -16,10 +16,9 @@ from scipy.sparse import coo_matrix, csr_matrix, diags_array
 from scipy.sparse.linalg import spsolve
 
 from rholoc.geometry import BoolArray, FloatArray, IntArray
-from rholoc.recordings import Imu
+from rholoc.recordings import GRAVITY, Imu
 from rholoc.trajectory.directions import PairDirection
 from rholoc.trajectory.gyroscope import GyroCalibration, orientations
-from rholoc.trajectory.inertial_alignment import GRAVITY
 
 _BIAS_SIGMA = 0.3  # m/s²
 _GRAVITY_SIGMA = 0.05  # m/s², once its direction is known

@@ -28,6 +28,8 @@ def loop_candidates(features: Sequence[FeatureSet], apart: int, each: int) -> li
     Retrieval by VLAD (Jégou et al., 2010), its words trained on these keyframes' own descriptors. Neighbours of a pair
     already chosen for the same keyframe are passed over, so that one place does not take all.
     """
+    if not any(len(found) for found in features):
+        return []
     vectors = _vlad(features)
     pairs: set[Pair] = set()
     for i, vector in enumerate(vectors):

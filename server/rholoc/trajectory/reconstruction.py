@@ -14,7 +14,7 @@ from rholoc.errors import MappingFailed
 from rholoc.features import FeatureSet
 from rholoc.geometry import BoolArray, Camera, FloatArray, IntArray, Similarity, pose_matrix
 from rholoc.progress import ProgressListener, Stage, silent
-from rholoc.recordings import Imu, Waypoint
+from rholoc.recordings import GRAVITY, Imu, Waypoint
 from rholoc.recordings.tables.waypoints import DEFAULT_SIGMA_M
 from rholoc.trajectory.adjustment import (
     GIVEN,
@@ -36,7 +36,6 @@ from rholoc.trajectory.directions import PairDirection, direction_between
 from rholoc.trajectory.flow import Flow
 from rholoc.trajectory.global_positions import global_positions
 from rholoc.trajectory.gyroscope import GyroCalibration, camera_rotations
-from rholoc.trajectory.inertial_alignment import GRAVITY
 from rholoc.trajectory.inertial_start import InertialStart, inertial_start, loops_in_reach
 from rholoc.trajectory.map_frame import (
     MapFrame,

@@ -12,6 +12,7 @@ from rholoc.features import FeatureSet
 from rholoc.geometry import BoolArray, FloatArray, IntArray
 
 _RATIO = 0.8  # Lowe's ratio of the nearest to the second nearest distance
+_ROUNDING = 1e-6  # of a dot product of unit descriptors: twins differ by no more
 _ITERATIONS = (30, 1000)  # of RANSAC, at least and at most
 _UNIT_CAMERA = {"model": "PINHOLE", "width": 2, "height": 2, "params": [1.0, 1.0, 0.0, 0.0]}
 _HYPOTHESES = 300  # of the translation, where the rotation is known
@@ -88,7 +89,7 @@ def ratio_matches(a: FloatArray, b: FloatArray) -> IntArray:
     best = alike[rows, to_b]
     others = alike[rows]
     others[np.arange(len(rows)), to_b] = -1
-    distinct = 1 - best < _RATIO**2 * (1 - others.max(1))
+    distinct = 1 - best + _ROUNDING < _RATIO**2 * (1 - others.max(1))
     return np.column_stack([rows[distinct], to_b[distinct]])
 
 
