@@ -15,6 +15,7 @@ from rholoc.geometry import FloatArray, IntArray
 
 _PAIR_SIGMA_RAD = np.radians(0.4)  # of a rotation between two views that see enough of the same
 _CAUCHY = 2.0  # sigmas, from which a pair is doubted
+_NEIGHBOURS = 12  # keyframes apart at most
 _GYRO_SIGMA_RAD = np.radians(0.02)  # of the gyroscope's rotation, at once …
 _GYRO_WALK_RAD = np.radians(0.05)  # … for the square root of every second …
 _GYRO_BIAS_RAD_S = 1e-3  # … and for every second, from what remains of its bias
@@ -73,13 +74,17 @@ def _gyro_sigma_rad(seconds: float) -> float:
 
 
 def _spread(count: int, pairs: Sequence[PairRotation]) -> tuple[FloatArray, IntArray]:
-    """Rotations along the best supported tree of pairs, and the component (K,) of every keyframe."""
+    """Rotations along the best supported tree of pairs, and the component (K,) of every keyframe.
+
+    Pairs of neighbours come before pairs that seem to show a place seen again: places may look alike.
+    """
     R = np.tile(np.eye(3), (count, 1, 1))
     component = np.full(count, -1, dtype=np.int64)
     if not pairs:
         return R, np.arange(count)
     first, second = (np.array([getattr(pair, end) for pair in pairs]) for end in ("first", "second"))
     cost = 1 / np.array([pair.support for pair in pairs], dtype=np.float64)
+    cost += np.abs(second - first) > _NEIGHBOURS
     between = {(pair.first, pair.second): pair.R_second_first for pair in pairs}
     between |= {(b, a): R_ba.T for (a, b), R_ba in between.items()}
     tree = minimum_spanning_tree(coo_matrix((cost, (first, second)), shape=(count, count)).tocsr())
