@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,18 +11,27 @@ import pytest
 from synthetic_walk import DELAY_S, SyntheticWalk
 
 from rholoc.errors import MappingFailed
-from rholoc.geometry import FloatArray
+from rholoc.geometry import FloatArray, umeyama
 from rholoc.progress import ProgressListener
-from rholoc.recordings import Recording
+from rholoc.recordings import Recording, Waypoint
+from rholoc.simulation import PHONE_CAMERA
 from rholoc.trajectory import PoseMethod, Scale, Trajectory, estimate
 
 pytestmark = pytest.mark.slow
+
+_WALLS_S = ((11.0, 12.2), (19.0, 20.0))
 
 
 @pytest.fixture(scope="module")
 def walk() -> SyntheticWalk:
     """A walk that sees something all the time."""
     return SyntheticWalk()
+
+
+@pytest.fixture(scope="module")
+def torn() -> SyntheticWalk:
+    """The same past two blank walls, each for a second."""
+    return SyntheticWalk(blank=_WALLS_S)
 
 
 def _estimated(
@@ -74,7 +84,90 @@ def test_its_covariance_holds_its_errors(walk: SyntheticWalk, measured: Trajecto
     assert 0.3 * np.median(_off_m(walk, measured)) < measured.report.expected_error_m < 0.03
 
 
+def test_waypoints_in_order_and_an_imu_of_unknown_mounting(walk: SyntheticWalk) -> None:
+    unknown = replace(walk.imu, R_camera_imu=None)
+    in_order = tuple(replace(waypoint, time=float("nan")) for waypoint in walk.waypoints)
+    found = _estimated(walk, walk.recording(imu=unknown, waypoints=in_order))
+    assert found.report.trusted, found.report.why
+    assert np.median(_off_m(walk, found)) < 0.01
+    assert list(found.report.waypoint_times_s) == ["START", "W1", "W2", "W3", "E"]
+    np.testing.assert_allclose(list(found.report.waypoint_times_s.values()), walk.walk.pause_times, atol=0.4)
+
+
+def test_the_imu_alone_gives_scale_and_gravity(walk: SyntheticWalk) -> None:
+    found = _estimated(walk, walk.recording(waypoints=()))
+    assert found.scale is Scale.METRIC
+    assert found.upright
+    to_truth = umeyama(found.T_map_camera[:, :3, 3], walk.T_map_camera[found.rows, :3, 3])
+    assert to_truth.scale == pytest.approx(1, abs=0.03)
+    assert np.degrees(np.arccos(to_truth.rotation[2, 2])) < 0.5
+    np.testing.assert_allclose(found.T_map_camera[0, :3, 3], 0, atol=1e-9)
+
+
+def test_an_unknown_camera_is_estimated(walk: SyntheticWalk) -> None:
+    found = _estimated(walk, walk.recording(camera=None))
+    assert found.camera.focal == pytest.approx(PHONE_CAMERA.focal, rel=0.02)
+    assert found.report.camera is not None
+    assert abs(found.camera.fx - PHONE_CAMERA.fx) < 4 * found.report.camera.focal_sigma_px
+    assert np.median(_off_m(walk, found)) < 0.02
+
+
+def test_a_waypoint_wrong_by_15_cm_is_named_and_left_out(walk: SyntheticWalk, measured: Trajectory) -> None:
+    x, y, z = walk.waypoints[2].position
+    wrong = replace(walk.waypoints[2], position=(x, y + 0.15, z))
+    found = _estimated(walk, walk.recording(waypoints=(*walk.waypoints[:2], wrong, *walk.waypoints[3:])))
+    assert found.report.waypoint_mistake is not None
+    assert "W2" in found.report.waypoint_mistake
+    assert all(name not in found.report.waypoint_mistake for name in ("START", "W1", "W3", "E:"))
+    assert found.report.waypoint_residuals_m["W2"] == pytest.approx(0.15, abs=0.04)
+    assert np.median(_off_m(walk, found)) < 0.015
+
+
+def test_a_second_before_a_blank_wall_is_bridged_by_the_imu(torn: SyntheticWalk) -> None:
+    found = _estimated(torn, torn.recording())
+    off_m = _off_m(torn, found)
+    blank = np.any([(found.times >= a) & (found.times < b) for a, b in _WALLS_S], axis=0)
+    assert np.median(off_m) < 0.015
+    assert blank.any(), "no keyframe before the walls was placed"
+    assert off_m[blank].max() < 0.06
+
+
+def test_without_an_imu_the_larger_piece_is_published_and_the_missing_seconds_are_named() -> None:
+    """A blank wall at two thirds of the walk, and another room behind it."""
+    torn = SyntheticWalk(blank=((19.5, 21.0),), other_room_from_s=20.0)
+    found = _estimated(torn, torn.recording(imu=None, waypoints=()), PoseMethod.VISUAL)
+    assert found.times.max() < 20
+    assert found.report.missing
+    last = found.report.missing[-1]
+    assert last.start_s == pytest.approx(19.5, abs=1.0)
+    assert last.end_s == pytest.approx(29.9, abs=0.2)
+    assert "0:" in found.report.why
+    to_truth = umeyama(found.T_map_camera[:, :3, 3], torn.T_map_camera[found.rows, :3, 3])
+    off_m = np.linalg.norm(to_truth.points(found.T_map_camera[:, :3, 3]) - torn.T_map_camera[found.rows, :3, 3], axis=1)
+    assert np.median(off_m) < 0.02
+
+
+@pytest.mark.parametrize("useless", ["noise", "clock"])
+def test_a_useless_imu_falls_back_to_pictures_and_says_so(walk: SyntheticWalk, useless: str) -> None:
+    if useless == "noise":
+        rng = np.random.default_rng(0)
+        imu = replace(walk.imu, angular_velocity=rng.normal(0, 1.5, walk.imu.angular_velocity.shape))
+    else:
+        imu = replace(walk.imu, times=walk.imu.times + 1000)
+    found = _estimated(walk, walk.recording(imu=imu))
+    assert np.median(_off_m(walk, found)) < 0.03
+    reason = found.report.imu.not_observable["all"]
+    assert "from the pictures alone" in reason
+
+
 def test_a_recording_that_shows_nothing_fails_with_a_plain_reason() -> None:
     blank = SyntheticWalk(blank=((0.0, 99.0),))
     with pytest.raises(MappingFailed, match=r"[A-Z].*\. (Walk|Keep|Move)"):
         _estimated(blank, blank.recording(waypoints=()))
+
+
+def test_waypoints_of_another_walk_are_refused(walk: SyntheticWalk) -> None:
+    places = ((0.0, 0.0, 0.0), (9.0, 0.0, 0.0), (0.0, 9.0, 0.0), (5.0, 5.0, 5.0), (-9.0, 2.0, 1.0))
+    elsewhere = tuple(Waypoint(w.name, w.time, place) for w, place in zip(walk.waypoints, places, strict=True))
+    with pytest.raises(MappingFailed, match="misses the waypoints"):
+        _estimated(walk, walk.recording(waypoints=elsewhere))
