@@ -34,6 +34,8 @@
         ├── Cancelled               the work was cancelled
         ├── TooLarge                the upload exceeds the service's limit
         ├── StorageFull             the service's disk is full
+        ├── StorageUnavailable      the service's storage or database cannot be used at present
+        ├── RequestTimeout          the request reached the service too slowly
         ├── Busy                    the service's queue is full, retries included
         ├── DeadlineExceeded        the deadline passed
         ├── UnsupportedVersion      the service speaks another version of the upload protocol
@@ -240,6 +242,18 @@ class StorageFull(ServiceError):
     """The service's disk is full; nothing that was stored is changed."""
 
     code = "storage_full"
+
+
+class StorageUnavailable(ServiceError):
+    """The service's storage or database cannot be used at present; nothing that was stored is changed."""
+
+    code = "storage_unavailable"
+
+
+class RequestTimeout(ServiceError):
+    """The request reached the service too slowly, or stopped half-way."""
+
+    code = "request_timeout"
 
 
 class Busy(ServiceError):

@@ -73,7 +73,7 @@ def test_a_table_takes_the_memory_of_its_numbers(tmp_path):
 @pytest.mark.parametrize("reader", ["own", "logged"])
 def test_a_table_has_a_limit_of_rows(tmp_path, monkeypatch, reader):
     for module in ("csv_table", "logged_table"):
-        monkeypatch.setattr(f"rholoc.recordings.{module}.MAX_TABLE_ROWS", 10)
+        monkeypatch.setattr(f"rholoc.recordings.tables.{module}.MAX_TABLE_ROWS", 10)
     path = tmp_path / "imu.csv"
     path.write_text(imu_rows(np.arange(11) / 100))
     with pytest.raises(InvalidRecording, match="more than 10 rows"):

@@ -235,11 +235,15 @@ def test_a_descriptor_set_without_the_images_size(service):
         json.dumps({"features": 3}),
         json.dumps({"features": {"pixels": "x", "descriptors": []}}),
         json.dumps({**descriptor_set(), "surprise": 1}),
-        "[" * 100_000,
+        "[" * 1000,
     ],
 )
 def test_json_that_is_none_or_of_the_wrong_shape(service, body):
     refused(localize(service, body.encode("latin-1"), JSON), 422, "invalid_request")
+
+
+def test_json_of_more_values_than_any_request_needs(service):
+    refused(localize(service, b"[" * 100_000, JSON), 413, "too_large")
 
 
 def test_a_type_of_body_that_is_not_read(service, picture_world):

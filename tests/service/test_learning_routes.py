@@ -36,12 +36,12 @@ def uploaded(service, **fields):
 def test_maps_are_merged_and_forget(learner):
     merged = post(learner, "west/merge", {"other": "east", "into": "both"})
     assert merged.status_code == 200, merged.text
-    assert [source.name for source in merged.json()["sources"]] == ["west", "east"]
+    assert [source["name"] for source in merged.json()["sources"]] == ["west", "east"]
     assert merged.json()["version"] == 2
     before = load_map(learner.settings.maps_dir / "west.rho")
     left = post(learner, "both/forget", {"source": "east"}).json()
     assert (left["version"], left["id"]) == (3, merged.json()["id"])
-    assert [source.name for source in left["sources"]] == ["west"]
+    assert [source["name"] for source in left["sources"]] == ["west"]
     stored = load_map(learner.settings.maps_dir / "both.rho")
     np.testing.assert_allclose(stored.landmarks, before.landmarks, rtol=0, atol=1e-6)
 

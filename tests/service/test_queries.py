@@ -10,22 +10,27 @@ import pytest
 from rholoc.errors import InvalidCamera, InvalidDescriptors, InvalidInput
 from rholoc.features import get_extractor
 from rholoc.geometry import Camera
-from rholoc.service.queries import camera_for, feature_set, gravity_of, prior_of
-from rholoc.service.schemas import CameraIn, FeaturesIn, PriorIn
+from rholoc.localization import Intrinsics
+from rholoc.service.queries import Frame, camera_for, feature_set, gravity_of, prior_of
+from rholoc.service.schemas import FeaturesIn, LocalizeOptions, PriorIn
 
 MAP_CAMERA = Camera(640, 480, 520.0, 521.0, 318.0, 241.0, (0.1, -0.1, 0.0, 0.0))
 
 
+def frame_by(**camera) -> Frame:
+    return Frame(LocalizeOptions(camera=camera))
+
+
 def test_the_maps_own_camera_serves_pictures_of_its_shape():
-    assert camera_for(CameraIn(), (640, 480), MAP_CAMERA) == MAP_CAMERA
-    assert camera_for(CameraIn(), (1280, 960), MAP_CAMERA) == MAP_CAMERA.resized(1280, 960)
+    assert camera_for(frame_by(), (640, 480), MAP_CAMERA) == MAP_CAMERA
+    assert camera_for(frame_by(), (1280, 960), MAP_CAMERA) == MAP_CAMERA.resized(1280, 960)
     for size in ((480, 640), (640, 360), (0, 0), (-640, -480)):
         with pytest.raises(InvalidCamera):
-            camera_for(CameraIn(), size, MAP_CAMERA)
+            camera_for(frame_by(), size, MAP_CAMERA)
 
 
 def test_given_intrinsics_win_and_are_scaled_to_the_picture():
-    given = CameraIn(width=1920, height=1080, fx=1500.0, fy=1510.0, cx=950.0, cy=530.0, distortion=[0.1, 0, 0, 0])
+    given = frame_by(width=1920, height=1080, fx=1500.0, fy=1510.0, cx=950.0, cy=530.0, distortion=[0.1, 0, 0, 0])
     full = Camera(1920, 1080, 1500.0, 1510.0, 950.0, 530.0, (0.1, 0.0, 0.0, 0.0))
     assert camera_for(given, (1920, 1080), MAP_CAMERA) == full
     assert camera_for(given, (960, 540), MAP_CAMERA) == full.resized(960, 540)
@@ -34,7 +39,16 @@ def test_given_intrinsics_win_and_are_scaled_to_the_picture():
 
 
 def test_only_fx_must_be_given():
-    assert camera_for(CameraIn(fx=500.0), (641, 481), MAP_CAMERA) == Camera(641, 481, 500.0, 500.0, 320.0, 240.0)
+    assert camera_for(frame_by(fx=500.0), (641, 481), MAP_CAMERA) == Camera(641, 481, 500.0, 500.0, 320.0, 240.0)
+
+
+def test_unknown_intrinsics_are_a_guess_about_the_images_middle():
+    unknown = Frame(LocalizeOptions(intrinsics=Intrinsics.UNKNOWN))
+    guess = camera_for(unknown, (640, 480), MAP_CAMERA)
+    assert (guess.cx, guess.cy) == (319.5, 239.5)
+    assert guess.fx == guess.fy == pytest.approx(512)
+    with pytest.raises(InvalidCamera, match="both given and unknown"):
+        camera_for(Frame(LocalizeOptions(intrinsics=Intrinsics.UNKNOWN, camera={"fx": 500.0})), (640, 480), MAP_CAMERA)
 
 
 def test_a_prior_is_a_heading_or_a_quaternion():
