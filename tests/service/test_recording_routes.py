@@ -90,6 +90,16 @@ def test_a_job_is_watched_until_it_ends(service):
     assert httpx.get(f"{service.url}/v1/jobs/{'0' * 32}/events").json()["code"] == "unknown_job"
 
 
+def test_a_job_that_is_tried_again_is_watched_as_it_is_now(service):
+    """Watchers share one look at a job, but never that of a job that had ended."""
+    url = service.url + "/v1/jobs/" + upload(service, {"file": ("walk.mp4", VIDEO)}).json()["job"]["id"]
+    httpx.delete(url)
+    for state, change in (("cancelled", lambda: httpx.post(url + "/retry")), ("queued", lambda: httpx.delete(url))):
+        with httpx.stream("GET", url + "/events", timeout=30) as answer:
+            assert event(answer.iter_lines())["data"]["state"] == state
+        assert change().is_success
+
+
 def event(lines):
     """The next server-sent event, its data read as JSON."""
     fields = {}

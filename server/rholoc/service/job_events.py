@@ -39,14 +39,14 @@ class JobEvents:
         self._looks: dict[str, tuple[float, asyncio.Task[JobEvent]]] = {}
 
     async def latest(self, job_id: str) -> JobEvent:
-        """How the job was at most half a second ago.
+        """How the job was at most half a second ago; one that had ended is looked up anew, for it may be tried again.
 
         Raises:
             UnknownJob: there is none with this id.
         """
         now = time.monotonic()
         look = self._looks.get(job_id)
-        if look is None or now - look[0] >= LOOK_EVERY_S:
+        if look is None or now - look[0] >= LOOK_EVERY_S or _has_ended(look[1]):
             if len(self._looks) >= _MAX_KEPT:
                 self._looks.clear()
             look = self._looks[job_id] = (now, asyncio.create_task(self._look(job_id)))
@@ -54,6 +54,10 @@ class JobEvents:
 
     async def _look(self, job_id: str) -> JobEvent:
         return JobEvent.of(await run_in_threadpool(self._jobs.get, job_id))
+
+
+def _has_ended(look: asyncio.Task[JobEvent]) -> bool:
+    return look.done() and not look.cancelled() and look.exception() is None and look.result().last
 
 
 def job_out(job: Job) -> JobOut:
