@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import os
+import signal
 import time
 
+import pycolmap  # noqa: F401  # the child imports this module, and so installs pycolmap's handlers
 import pytest
 
 from rholoc.errors import Cancelled, InvalidRecording, MappingFailed
@@ -44,6 +46,17 @@ def test_a_childs_error_arrives() -> None:
 def test_a_crashed_child_is_a_failed_mapping() -> None:
     with pytest.raises(MappingFailed, match="process died"):
         run_in_child(_crash, progress=silent, stage=Stage.POSES)
+
+
+def _terminate_itself(progress: ProgressListener = silent) -> None:
+    os.kill(os.getpid(), signal.SIGTERM)
+    time.sleep(60)
+
+
+def test_a_child_ends_at_sigterm() -> None:
+    """Also one that has imported pycolmap, whose own handler of the signal may wait for itself for ever."""
+    with pytest.raises(MappingFailed, match=f"status -{int(signal.SIGTERM)}"):
+        run_in_child(_terminate_itself, progress=silent, stage=Stage.POSES)
 
 
 def test_a_cancelled_child_is_killed() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import multiprocessing
 import os
+import signal
 import threading
 from collections.abc import Callable
 from multiprocessing.connection import Connection
@@ -68,6 +69,7 @@ def run_in_child(function: Callable[..., Result], *args: Any, progress: Progress
 def _child(pipe: Connection, function: Callable[..., Any], args: tuple[Any, ...]) -> None:
     threading.Thread(target=_die_with_parent, daemon=True).start()
     _silence_native_code()
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)  # pycolmap's own handler may wait for itself for ever
     lock = threading.Lock()
 
     def listener(stage: Stage, fraction: float, message: str = "") -> None:
