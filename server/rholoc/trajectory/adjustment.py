@@ -19,7 +19,7 @@ from gtsam.symbol_shorthand import B, C, D, E, G, L, S, V, X
 
 from rholoc.geometry import BoolArray, Camera, FloatArray, cross, pose_matrix
 from rholoc.recordings import GRAVITY, Imu
-from rholoc.trajectory.gyroscope import GyroCalibration
+from rholoc.trajectory.gyroscope import GyroCalibration, longest_interval_s
 from rholoc.trajectory.tracks import Observations
 
 _PIXEL_SIGMA_PX = 0.7  # of a sighting, at first
@@ -41,8 +41,6 @@ _GRAVITY_SIGMA = 0.05  # m/s², of its length as accelerometers read it
 _LEVEL_SIGMA_RAD = np.radians(0.5)  # of the waypoints' z axis
 _GAUGE_SIGMA = 1e-4
 _TIE_SIGMA_RAD, _TIE_SIGMA_M = 2e-4, 5e-4
-_MAX_IMU_GAP_S = 0.1  # in the IMU's table, and as many of its intervals: over a longer one it carries nothing
-_MAX_IMU_GAP_INTERVALS = 5
 _FIXED = 1e-9
 _RELATIVE_TOLERANCE = 1e-4
 _FIRST_DAMPING = 1e-4
@@ -313,7 +311,7 @@ def _add_imu(
     graph.add(gtsam.PriorFactorVector(G(0), np.array([0.0, 0.0, -GRAVITY]), _gravity_prior(problem)))
     tie = gtsam.noiseModel.Diagonal.Sigmas(np.repeat([_TIE_SIGMA_RAD, _TIE_SIGMA_M], 3))
     rates = np.column_stack([np.interp(times, imu.times, axis) for axis in imu.angular_velocity.T])
-    parameters = _imu_noise()
+    parameters, longest_s = _imu_noise(), longest_interval_s(imu)
     walk = np.repeat([_ACCELEROMETER_WALK, _GYROSCOPE_WALK], 3)
     for k in covered:
         bias = gtsam.imuBias.ConstantBias(inertial.biases[k, :3], inertial.biases[k, 3:])
@@ -323,7 +321,7 @@ def _add_imu(
         graph.add(_tie(k, rates[k] - inertial.biases[k, 3:], tie))
     for before, k in itertools.pairwise(covered):
         bias = gtsam.imuBias.ConstantBias(inertial.biases[k, :3], inertial.biases[k, 3:])
-        summed = _preintegrated(imu, times[before], times[k], parameters, bias)
+        summed = _preintegrated(imu, times[before], times[k], parameters, bias, longest_s)
         if summed is not None:
             graph.add(
                 gtsam.CombinedImuFactorWithGravityVector(
@@ -370,13 +368,13 @@ def _preintegrated(
     end_s: float,
     parameters: gtsam.PreintegrationCombinedParams,
     bias: gtsam.imuBias.ConstantBias,
+    longest_s: float,
 ) -> gtsam.PreintegratedCombinedMeasurements | None:
-    """The readings between two times summed, trapezoids; None where the IMU's table has a gap there."""
+    """The readings between two times summed, trapezoids; None over a gap of more than ``longest_s``."""
     first, last = np.searchsorted(imu.times, start_s, side="right"), np.searchsorted(imu.times, end_s, side="left")
     knots = np.concatenate([[start_s], imu.times[first:last], [end_s]])
     around = imu.times[max(first - 1, 0) : last + 1]
-    longest = max(_MAX_IMU_GAP_S, _MAX_IMU_GAP_INTERVALS * float(np.median(np.diff(imu.times))))
-    if np.diff(around).max(initial=0.0) > longest:
+    if np.diff(around).max(initial=0.0) > longest_s:
         return None
     acceleration = np.column_stack([np.interp(knots, imu.times, axis) for axis in imu.acceleration.T])
     rate = np.column_stack([np.interp(knots, imu.times, axis) for axis in imu.angular_velocity.T])

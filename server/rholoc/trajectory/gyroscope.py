@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
-from rholoc.geometry import BoolArray, FloatArray, aligning_rotation
+from rholoc.geometry import FloatArray, aligning_rotation
 from rholoc.recordings import Imu
 
 _OFFSETS_S = np.arange(-0.25, 0.2501, 0.01)
@@ -22,6 +22,8 @@ _CLEARLY_BETTER = 3.0  # times smaller is the residual of a mounting that is bel
 _MAX_MOUNTING_SIGMA_DEG = 3.0  # of a mounting that counts as found
 _NORM_TO_SIGMA = 0.65  # of an axis, from the median norm of a three-vector of normal errors
 _MAX_APART_RAD = np.radians(6.0)  # between a camera's rotation and the gyroscope's, at once …
+_MAX_GAP_S = 0.1  # in the IMU's table, and as many of its intervals
+_MAX_GAP_INTERVALS = 5
 _DRIFT_RAD_S = np.radians(0.1)  # … and more for every second between
 
 
@@ -142,13 +144,9 @@ def allowed_apart(seconds: FloatArray) -> FloatArray:
     return np.asarray(_MAX_APART_RAD + _DRIFT_RAD_S * np.abs(seconds))
 
 
-def agreeing_rotations(times: FloatArray, R_world_camera: FloatArray, by_gyro: Rotation) -> BoolArray:
-    """The largest set of cameras (N,) whose rotations (N, 3, 3) agree with one of them, by the gyroscope."""
-    R_world_start = Rotation.from_matrix(R_world_camera) * by_gyro.inv()
-    quaternions = R_world_start.as_quat()
-    apart = 2 * np.arccos(np.clip(np.abs(quaternions @ quaternions.T), 0, 1))
-    agree = apart <= allowed_apart(times[:, None] - times)
-    return np.asarray(agree[np.argmax(agree.sum(axis=1))])
+def longest_interval_s(imu: Imu) -> float:
+    """From one reading of an IMU's table to the next: over a longer interval it carries nothing."""
+    return max(_MAX_GAP_S, _MAX_GAP_INTERVALS * float(np.median(np.diff(imu.times))))
 
 
 def spaced_rows(times: FloatArray, interval_s: float) -> np.ndarray[tuple[int], np.dtype[np.int64]]:

@@ -18,7 +18,7 @@ from scipy.sparse.linalg import spsolve
 from rholoc.geometry import BoolArray, FloatArray, IntArray
 from rholoc.recordings import GRAVITY, Imu
 from rholoc.trajectory.directions import PairDirection
-from rholoc.trajectory.gyroscope import GyroCalibration, orientations
+from rholoc.trajectory.gyroscope import GyroCalibration, longest_interval_s, orientations
 
 _BIAS_SIGMA = 0.3  # m/s²
 _GRAVITY_SIGMA = 0.05  # m/s², once its direction is known
@@ -31,7 +31,6 @@ _ROUNDS = 12
 _CAUCHY = 2.0
 _BACKWARD = 3.0  # sigmas, added where a way leads backward
 _UNCOVERED = 1e-3  # the weight of the equations of motion over a gap of the IMU's table
-_MAX_GAP_S = 0.1
 _DRIFT = 0.05  # of the way walked between, by which the walk without loops may be off at a place seen again
 _DRIFT_M = 0.15
 _LOOP_SIGMAS = 3.0
@@ -150,8 +149,7 @@ class _Motion:
 def _covered(t: FloatArray, imu: Imu) -> BoolArray:
     """Which intervals (K - 1,) between keyframes the IMU's table covers without a gap."""
     inside = (t[:-1] >= imu.times[0]) & (t[1:] <= imu.times[-1])
-    longest = max(_MAX_GAP_S, 5 * float(np.median(np.diff(imu.times))))
-    gaps = np.flatnonzero(np.diff(imu.times) > longest)
+    gaps = np.flatnonzero(np.diff(imu.times) > longest_interval_s(imu))
     for gap in gaps.tolist():
         inside &= (t[1:] <= imu.times[gap]) | (t[:-1] >= imu.times[gap + 1])
     return np.asarray(inside)

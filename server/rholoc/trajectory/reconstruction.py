@@ -49,6 +49,7 @@ from rholoc.trajectory.rolling_shutter import RollingShutter
 from rholoc.trajectory.rotations import PairRotation, average_rotations
 from rholoc.trajectory.tracks import Observations, followed_corners, matched_features, pieces_of
 from rholoc.trajectory.upright import rotation_to_upright
+from rholoc.trajectory.waypoint_alignment import MAX_GAP_S
 
 _CORNERS_PER_KEYFRAME = 90
 _FEATURES_PER_KEYFRAME = 150
@@ -437,11 +438,11 @@ def _solve_from_pictures(
     reason: str,
     told: _Progress,
 ) -> Reconstruction:
-    state, members = _start_from_pictures(sights, camera, evidence)
+    whole = evidence.observations(sights)
+    state, members = _start_from_pictures(sights, camera, evidence.rotations, whole)
     some = sights.take(members)
     number = np.full(len(sights.rows), -1)
     number[members] = np.arange(len(members))
-    whole = evidence.observations(sights)
     numbered = Observations(number[whole.keyframes], whole.tracks, whole.pixels)
     observations = numbered.take(numbered.keyframes >= 0)
     problem = Problem(some.times, observations, camera_sigmas=_camera_sigmas(sights.camera))
@@ -466,10 +467,12 @@ def _solve_from_pictures(
     return replace(part, placed=placed, T_map_camera=T, covariances=covariances)
 
 
-def _start_from_pictures(sights: Sights, camera: Camera, evidence: _Evidence) -> tuple[State, IntArray]:
+def _start_from_pictures(
+    sights: Sights, camera: Camera, rotations: Sequence[PairRotation], observations: Observations
+) -> tuple[State, IntArray]:
     """The largest piece of the walk: its state in a frame of its own, and its keyframes."""
-    count, observations = len(sights.rows), evidence.observations(sights)
-    R, component = average_rotations(count, evidence.rotations, sights.times, None)
+    count = len(sights.rows)
+    R, component = average_rotations(count, rotations, sights.times, None)
     piece = pieces_of(count, observations)
     both = component * (count + 1) + piece
     both[piece < 0] = -1
@@ -484,16 +487,14 @@ def _start_from_pictures(sights: Sights, camera: Camera, evidence: _Evidence) ->
 def _adjusted_in_rounds(problem: Problem, state: State, told: _Progress) -> tuple[Problem, Adjusted]:
     """Adjust, and judge all sightings anew by what comes out; the problem with those that are right."""
     everything = problem.observations
-    state = replace(state, points=np.zeros((everything.points, 3)))
     adjusted = adjust(problem, state, _ITERATIONS, told.step(0.45, 0.55, "all measurements adjusted together"))
     for round_ in range(1, _ROUNDS):
         off = residuals_px(everything, adjusted.state, triangulate(everything, adjusted.state)[0])
         problem = _cleaned(problem, everything, off)
         share = 0.55 + 0.1 * round_
-        state = replace(adjusted.state, points=np.zeros((problem.observations.points, 3)))
         adjusted = adjust(
             problem,
-            state,
+            adjusted.state,
             _ITERATIONS,
             told.step(share - 0.1, share, f"adjusted anew, {round_ + 1} of {_ROUNDS}"),
         )
@@ -514,7 +515,7 @@ def _held_by_waypoints(
     state = _moved(state, frame.similarity)
     nearest = {waypoint.name: int(np.abs(times - waypoint.time).argmin()) for waypoint in frame.waypoints}
     measured = {waypoint.name: waypoint for waypoint in frame.waypoints}
-    names = [name for name in nearest if abs(times[nearest[name]] - measured[name].time) <= 0.5]
+    names = [name for name in nearest if abs(times[nearest[name]] - measured[name].time) <= MAX_GAP_S]
     mistaken: list[str] = []
     outs: dict[str, LeftOut] = {}
     for attempt in range(1 + int(_MAX_MISTAKES * len(names)) + 1):

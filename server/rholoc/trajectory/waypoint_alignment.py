@@ -17,7 +17,7 @@ from rholoc.recordings import Waypoint, check_waypoints_fix_frame
 _WAYPOINT_SIGMA_M = 0.02  # how well a phone is held to a measured point
 _ROBUST_FROM = 5  # waypoints; fewer cannot outvote a wrong one
 _MAX_RMS_M = 0.25
-_MAX_GAP_S = 0.5  # a waypoint further from any posed frame has no place on the trajectory
+MAX_GAP_S = 0.5  # a waypoint further from any posed frame has no place on the trajectory
 _AGREEING_M = 0.06  # rms of the waypoints left when a mistaken one is taken out …
 _MISTAKE_M = 0.15  # … from which that one is at least this far off
 _CLEARER = 2.0  # times worse do the others fit without any other one
@@ -74,7 +74,7 @@ def align_to_waypoints(
         MappingFailed: the trajectory cannot be brought to the waypoints; one of the two is wrong.
     """
     check_waypoints_fix_frame(waypoints)
-    near = np.array([np.abs(times - waypoint.time).min() <= _MAX_GAP_S for waypoint in waypoints])
+    near = np.array([np.abs(times - waypoint.time).min() <= MAX_GAP_S for waypoint in waypoints])
     _check_enough_near(waypoints, near)
     measured = np.array([waypoint.position for waypoint in waypoints])
     own = positions_at(times, positions, np.array([waypoint.time for waypoint in waypoints]))
