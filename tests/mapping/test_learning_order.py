@@ -106,11 +106,11 @@ def landmarks_by_point(map_: Map, sightings: IntArray) -> FloatArray:
 
 
 def assert_same_landmarks(a: Map, b: Map) -> None:
-    """Of all points that both saw equally often, which are nearly all."""
+    """Of all points that both saw equally often, which are most: what lies at the gate may count in one map alone."""
     sightings = np.bincount(points_of(b)[b.observation_features], minlength=POINTS)
     found, wanted = landmarks_by_point(a, sightings), landmarks_by_point(b, sightings)
     both = np.isfinite(found[:, 0]) & np.isfinite(wanted[:, 0])
-    assert both.sum() >= 0.9 * len(b) > 0
+    assert both.sum() >= 0.75 * len(b) > 0
     np.testing.assert_allclose(found[both], wanted[both], rtol=0, atol=EXACT_M)
 
 

@@ -44,14 +44,17 @@ def running_server(maps_dir: Path, data_dir: Path, log: Path) -> Iterator[Runnin
     server = RunningServer(f"http://127.0.0.1:{port}", log)
     command = [sys.executable, "-m", "rholoc", "serve", "--host", "127.0.0.1", "--port", str(port)]
     command += ["--maps", str(maps_dir), "--data", str(data_dir)]
+    process: subprocess.Popen[bytes] | None = None
     with log.open("wb") as output, interruptible():
-        # In a session of its own: Ctrl-C comes to us alone, and we stop the server in order.
-        process = subprocess.Popen(command, stdout=output, stderr=subprocess.STDOUT, start_new_session=True)
         try:
+            with _interrupts_deferred():
+                # In a session of its own: Ctrl-C comes to us alone, and we stop the server in order.
+                process = subprocess.Popen(command, stdout=output, stderr=subprocess.STDOUT, start_new_session=True)
             _wait_until_it_answers(process, server)
             yield server
         finally:
-            _stop(process)
+            if process is not None:
+                _stop(process)
 
 
 @contextmanager
@@ -79,6 +82,20 @@ def _interrupt(_signal: int, _frame: FrameType | None) -> None:
 
 
 @contextmanager
+def _interrupts_deferred() -> Iterator[None]:
+    """SIGINT and SIGTERM act when the block is left: one that came while a process starts would lose track of it."""
+    arrived: list[int] = []
+    before = {number: signal.signal(number, lambda number, _: arrived.append(number)) for number in _INTERRUPTS}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+        if arrived:
+            signal.raise_signal(arrived[0])
+
+
+@contextmanager
 def in_background(*command: object) -> Iterator[Callable[[], None]]:
     """A ``rholoc`` command in a process of its own, killed when the block is left; yields what waits for its end.
 
@@ -86,22 +103,26 @@ def in_background(*command: object) -> Iterator[Callable[[], None]]:
         RholocError: by the call of what is yielded: the command failed.
     """
     arguments = [sys.executable, "-m", "rholoc", *map(str, command)]
-    # In a session of its own: Ctrl-C comes to us alone.
-    process = subprocess.Popen(
-        arguments, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, start_new_session=True, text=True
-    )
+    process: subprocess.Popen[str] | None = None
 
     def wait() -> None:
+        assert process is not None
         _, errors = process.communicate()
         if process.returncode:
             last = next(reversed(errors.splitlines()), "It ended unexpectedly; it may need more memory.")
             raise RholocError(f"rholoc {command[0]} failed in the background.", last)
 
     try:
+        with _interrupts_deferred():
+            # In a session of its own: Ctrl-C comes to us alone.
+            process = subprocess.Popen(
+                arguments, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, start_new_session=True, text=True
+            )
         yield wait
     finally:
-        process.kill()
-        process.communicate()
+        if process is not None:
+            process.kill()
+            process.communicate()
 
 
 def _wait_until_it_answers(process: subprocess.Popen[bytes], server: RunningServer) -> None:
@@ -118,11 +139,11 @@ def _wait_until_it_answers(process: subprocess.Popen[bytes], server: RunningServ
 
 def _stop(process: subprocess.Popen[bytes]) -> None:
     """End a server in order if it is quick about it, and leave none of its workers behind."""
+    left = set(_descendants(process.pid))  # asked while the server lives: it is what holds them together
     process.terminate()
     with suppress(subprocess.TimeoutExpired):
         process.wait(_STOP_TIMEOUT_S)
-        return
-    left = _descendants(process.pid)  # asked while the server lives: it is what holds them together
+    left.update(_descendants(process.pid))
     process.kill()  # first, or it would start its worker again
     for pid in left:
         with suppress(ProcessLookupError):
