@@ -1,13 +1,15 @@
 """What hostile clients cost the others: each attack in turn, on a server of its own on this machine.
 
-    python benchmarks/hostile.py [--seconds 4] [--attackers 2] [--only NAME] [--json]
+    python benchmarks/hostile.py [--seconds 4] [--attackers 2] [--rounds 3] [--only NAME] [--json]
 
-Starts `rholoc serve` on the shipped map, asks for poses one after the other and for /healthz twenty times a second,
-alone and then beside each attack: a few clients that send the same thing again and again for the seconds given. Prints
-for each the slowest /healthz, the ratio of the median times of honest frames beside the attack and alone, the most
-memory that the server's processes held, how many requests the attack made, and what they were answered; the exit status
-is 1 where an answer was `internal`, an honest frame was refused, or the server did not live to the end. Frames compete
-with the attack for the same cores, and times depend on the machine's load, which the ratio takes out in part only.
+Starts `rholoc serve` on the shipped map and asks for poses one after the other, for so many seconds alone and then for
+as many beside each attack: a few processes that send the same thing again and again. Prints for each the slowest
+/healthz of twenty a second, the ratio of the median times of honest frames beside the attack and alone just before it,
+the most memory that the server's processes held together, and what the attack was answered.
+
+The exit status is 1, and the standard error says which, where a bound was missed in each of three rounds: /healthz
+within a second, honest frames within twice their time and none refused, all processes within 2 GiB, none answered
+`internal` or broken off. Several rounds, because times depend on what else the machine does; stop other work on it.
 """
 
 from __future__ import annotations
@@ -15,6 +17,8 @@ from __future__ import annotations
 import argparse
 import io
 import json
+import math
+import multiprocessing
 import os
 import random
 import resource
@@ -23,7 +27,6 @@ import statistics
 import struct
 import sys
 import tempfile
-import threading
 import time
 import zipfile
 from collections import Counter
@@ -31,6 +34,7 @@ from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 from urllib.parse import urlsplit
 
 import httpx
@@ -46,12 +50,34 @@ JSON = {"Content-Type": "application/json"}
 LOCALIZE = "/v1/maps/testsite/localize"
 CAMERA = {"width": 640, "height": 480, "fx": 520.0, "fy": 520.0, "cx": 320.0, "cy": 240.0}
 HEALTH_EVERY_S = 0.05
-FRAMES_ALONE = 15
+MEMORY_EVERY_S = 0.2
 TIMEOUT_S = 60.0
 DRIBBLERS = 50
+ATTACKERS_NICE = 5
+
+MOST_HEALTH_MS = 1000
+MOST_FRAME_RATIO = 2.0
+MOST_MEMORY_MIB = 2048
+FORK = multiprocessing.get_context("fork")
 
 Answer = httpx.Response | None
 Attack = Callable[[httpx.Client], Answer]
+
+
+@dataclass(frozen=True)
+class Frames:
+    """How long honest frames took, and how many of them were not answered with 200."""
+
+    took_s: list[float]
+    refused: int
+
+
+@dataclass(frozen=True)
+class Watched:
+    """The slowest answer to /healthz, and the most memory that the server's processes held together."""
+
+    slowest_s: float
+    memory_mib: float
 
 
 @dataclass(frozen=True)
@@ -63,7 +89,7 @@ class Outcome:
         requests: how many it made.
         answers: how many of them were answered so: by error code, else by status.
         frames: how many honest frames were answered meanwhile.
-        frame_ratio: the median of their times to that alone; None where none was answered.
+        frame_ratio: the median of their times to that alone.
         frames_refused: how many of them were not answered with 200.
         health_worst_ms: the slowest answer to /healthz.
         memory_mib: the most that the server's processes held together.
@@ -73,10 +99,23 @@ class Outcome:
     requests: int
     answers: dict[str, int]
     frames: int
-    frame_ratio: float | None
+    frame_ratio: float
     frames_refused: int
     health_worst_ms: float
     memory_mib: float
+
+    def missed(self) -> list[str]:
+        """The bounds that were not kept."""
+        broken = [f"{self.answers[code]} × {code}" for code in ("internal", "broken off") if code in self.answers]
+        if self.health_worst_ms > MOST_HEALTH_MS:
+            broken.append(f"/healthz after {self.health_worst_ms:.0f} ms")
+        if self.frame_ratio > MOST_FRAME_RATIO:
+            broken.append(f"frames took {self.frame_ratio:.1f} × their time")
+        if self.frames_refused:
+            broken.append(f"{self.frames_refused} frames refused")
+        if self.memory_mib > MOST_MEMORY_MIB:
+            broken.append(f"{self.memory_mib:.0f} MiB of memory")
+        return broken
 
 
 def progressive_jpeg(width: int, height: int, scans: int) -> bytes:
@@ -110,7 +149,7 @@ def rho_with(info: dict[str, object]) -> bytes:
     return struct.pack("<Q", len(header)) + header.encode()
 
 
-def post(path: str, content: bytes | str, headers: dict[str, str]) -> Attack:
+def post(path: str, content: bytes, headers: dict[str, str]) -> Attack:
     """An attack that posts the same again and again."""
     return lambda client: client.post(path, content=content, headers=headers)
 
@@ -118,15 +157,15 @@ def post(path: str, content: bytes | str, headers: dict[str, str]) -> Attack:
 def attacks(url: str) -> dict[str, Attack]:
     """All attacks by name."""
     address = urlsplit(url)
-    numbers = '{"features":{"pixels":[' + "1," * 4_000_000 + '1],"descriptors":"AA"}}'
-    members = "{" + ",".join(f'"{number}":1' for number in range(60_000)) + "}"
+    numbers = b'{"features":{"pixels":[' + b"1," * 4_000_000 + b'1],"descriptors":"AA"}}'
+    members = b"{" + b",".join(b'"%d":1' % number for number in range(60_000)) + b"}"
     n = Settings().max_features
     valid = {
         "camera": CAMERA,
         "features": {"pixels": [[1.5, 2.5]] * n, "descriptors": ["00" * 32] * n, "channels": [0] * n},
     }
     scans, large = progressive_jpeg(8160, 6120, 1000), progressive_jpeg(4000, 3000, 20)
-    noisy, text = noise(3000, 2500, "JPEG"), b"P3 3000 3000 255 " + b"9 " * 15_000_000
+    noisy, text = noise(3200, 2400, "JPEG"), b"P3 3000 3000 255 " + b"9 " * 15_000_000
     archive = many_entries(100_000)
     boundary = b"x" * 20
     parts = b"".join(
@@ -165,14 +204,14 @@ def attacks(url: str) -> dict[str, Attack]:
     return {
         "numbers for pixels": post(LOCALIZE, numbers, JSON),
         "unknown members": post(LOCALIZE, members, JSON),
-        "a full descriptor set": post(LOCALIZE, json.dumps(valid), JSON),
+        "a full descriptor set": post(LOCALIZE, json.dumps(valid).encode(), JSON),
         "1000 scans": post(f"{LOCALIZE}?deadline_ms=500", scans, JPEG),
         "20 scans": post(f"{LOCALIZE}?deadline_ms=500", large, JPEG),
-        "noise of 7.5 megapixels": post(f"{LOCALIZE}?deadline_ms=500", noisy, JPEG),
+        "noise of 7.7 megapixels": post(f"{LOCALIZE}?deadline_ms=500", noisy, JPEG),
         "pixels as text": post(LOCALIZE, text, JPEG),
         "a deep camera": lambda client: client.put("/v1/cameras/deep", content=deep, headers=JSON),
         "a long camera": lambda client: client.put("/v1/cameras/long", content="[" + "1," * 2**22, headers=JSON),
-        "half a character": post("/v1/maps/testsite/forget", '{"source":"\\ud800"}', JSON),
+        "half a character": post("/v1/maps/testsite/forget", b'{"source":"\\ud800"}', JSON),
         "a map of nothing": lambda client: client.put("/v1/maps/nothing", content=rho_with({"waypoints": ["a"]})),
         "100 000 folders": zip_upload,
         "100 000 parts": post("/v1/recordings", parts, form),
@@ -188,6 +227,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seconds", type=float, default=4, help="how long each attack lasts")
     parser.add_argument("--attackers", type=int, default=2, help="how many clients attack at once")
+    parser.add_argument("--rounds", type=int, default=3, help="how often an attack that misses a bound is measured")
     parser.add_argument("--only", help="the name of one attack")
     parser.add_argument("--json", action="store_true", help="print the figures as JSON")
     options = parser.parse_args()
@@ -202,94 +242,112 @@ def main() -> int:
                 if not options.json:
                     print(row(one), flush=True)
     if options.json:
-        print(json.dumps([asdict(one) for one in found], indent=2))
-    broken = any(one.answers.keys() & {"internal", "broken off"} or one.frames_refused for one in found)
-    return 1 if broken else 0
+        print(json.dumps([{**asdict(one), "missed": one.missed()} for one in found], indent=2))
+    missed = [f"{one.attack}: {bound}" for one in found for bound in one.missed()]
+    for line in missed:
+        print(f"missed: {line}", file=sys.stderr)
+    return 1 if missed else 0
 
 
 def row(one: Outcome) -> str:
     """A line of the table."""
-    ratio = "-" if one.frame_ratio is None else f"{one.frame_ratio:.1f}"
     answers = ", ".join(f"{code} {count}" for code, count in one.answers.items())
-    costs = f"{one.frames:3} frames, {ratio:>5} ×, /healthz {one.health_worst_ms:5.0f} ms, {one.memory_mib:5.0f} MiB"
-    return f"{one.attack:26} {costs}  {answers}"
+    costs = f"{one.frames:3} frames, {one.frame_ratio:5.1f} ×, /healthz {one.health_worst_ms:5.0f} ms, "
+    return f"{one.attack:26} {costs}{one.memory_mib:5.0f} MiB  {answers}"
 
 
 def measured(url: str, options: argparse.Namespace) -> Iterator[Outcome]:
     """The outcome of each attack, as it is found; of none first."""
     picture = sorted((MAPS / "queries").glob("*.jpg"))[0].read_bytes()
+    chosen = {name: one for name, one in attacks(url).items() if options.only in (None, name)}
     with httpx.Client(base_url=url, timeout=TIMEOUT_S) as honest:
 
-        def frame() -> tuple[float, bool]:
-            start = time.perf_counter()
-            answer = honest.post(f"{LOCALIZE}?deadline_ms=30000", content=picture, headers=JPEG)
-            return time.perf_counter() - start, answer.is_success
+        def frames(seconds: float) -> Frames:
+            took_s, refused, last_s = [], 0, time.monotonic() + seconds
+            while time.monotonic() < last_s or not took_s:
+                start = time.perf_counter()
+                answer = honest.post(f"{LOCALIZE}?deadline_ms=30000", content=picture, headers=JPEG)
+                took_s.append(time.perf_counter() - start)
+                refused += not answer.is_success
+            return Frames(took_s, refused)
 
-        frame()
-        alone_s = statistics.median(frame()[0] for _ in range(FRAMES_ALONE))
-        chosen = {name: one for name, one in attacks(url).items() if options.only in (None, name)}
-        yield beside(url, "none", lambda _: None, frame, alone_s, options)
-        for name, attack in chosen.items():
-            yield beside(url, name, attack, frame, alone_s, options)
-            alone_s = statistics.median(frame()[0] for _ in range(FRAMES_ALONE))  # the machine's load changes
+        frames(1)  # the map is loaded
+        for name, attack in {"none": None, **chosen}.items():
+            rounds: list[Outcome] = []
+            while len(rounds) < options.rounds and (not rounds or rounds[-1].missed()):
+                alone = frames(options.seconds)
+                rounds.append(beside(url, name, attack, frames, alone, options))
+            yield rounds[-1] if not rounds[-1].missed() else rounds[0]
 
 
 def beside(
     url: str,
     name: str,
-    attack: Attack,
-    frame: Callable[[], tuple[float, bool]],
-    alone_s: float,
+    attack: Attack | None,
+    frames: Callable[[float], Frames],
+    alone: Frames,
     options: argparse.Namespace,
 ) -> Outcome:
-    """The outcome of one attack."""
-    stop = threading.Event()
-    answers: Counter[str] = Counter()
-    health_s: list[float] = []
-    memory: list[float] = []
-
-    def repeat() -> None:
-        with httpx.Client(base_url=url, timeout=TIMEOUT_S) as client:
-            while not stop.is_set():
-                try:
-                    answer = attack(client)
-                except httpx.TransportError as error:
-                    refused_early = isinstance(error, httpx.WriteError | httpx.ReadError)  # before the body was sent
-                    answers["closed" if refused_early else "broken off"] += 1
-                    continue
-                if answer is None:
-                    stop.wait(0.1)
-                    continue
-                kind = answer.headers.get("Content-Type", "")
-                code = answer.json().get("code") if kind == "application/json" and not answer.is_success else None
-                answers[code or str(answer.status_code)] += 1
-
-    def watch() -> None:
-        with httpx.Client(base_url=url, timeout=TIMEOUT_S) as client:
-            while not stop.wait(HEALTH_EVERY_S):
-                start = time.perf_counter()
-                client.get("/healthz").raise_for_status()
-                health_s.append(time.perf_counter() - start)
-                memory.append(server_memory_mib(url))
-
-    threads = [threading.Thread(target=watch)]
-    threads += [threading.Thread(target=repeat) for _ in range(0 if name == "none" else options.attackers)]
-    for thread in threads:
-        thread.start()
-    frames: list[float] = []
-    refused = 0
-    last_s = time.monotonic() + options.seconds
-    while time.monotonic() < last_s:
-        took_s, fine = frame()
-        frames.append(took_s)
-        refused += not fine
+    """The outcome of one attack. Each attacker is a process, for the server competes with them and frames do not."""
+    stop, said = FORK.Event(), FORK.SimpleQueue()
+    attackers = [FORK.Process(target=repeat, args=(url, attack, stop, said)) for _ in range(options.attackers)]
+    watcher = FORK.Process(target=watch, args=(url, stop, said))
+    chosen = [watcher] if attack is None else [watcher, *attackers]
+    for process in chosen:
+        process.start()
+    attacked = frames(options.seconds)
     stop.set()
-    for thread in threads:
-        thread.join(2 * TIMEOUT_S)
-    ratio = statistics.median(frames) / alone_s if frames else None
-    worst_ms = 1000 * max(health_s, default=float("nan"))
-    total = sum(answers.values())
-    return Outcome(name, total, dict(answers), len(frames), ratio, refused, worst_ms, max(memory, default=0.0))
+    told = [said.get() for _ in chosen]
+    for process in chosen:
+        process.join(TIMEOUT_S)
+    answers = sum((one for one in told if isinstance(one, Counter)), Counter[str]())
+    health = next(one for one in told if isinstance(one, Watched))
+    ratio = statistics.median(attacked.took_s) / statistics.median(alone.took_s)
+    return Outcome(
+        name,
+        sum(answers.values()),
+        dict(answers),
+        len(attacked.took_s),
+        ratio,
+        attacked.refused,
+        1000 * health.slowest_s,
+        health.memory_mib,
+    )
+
+
+def repeat(url: str, attack: Attack, stop: Any, said: Any) -> None:
+    """One attacker: the same again and again; says how often it was answered how."""
+    os.nice(ATTACKERS_NICE)  # what it computes it would compute on its own machine
+    answers: Counter[str] = Counter()
+    with httpx.Client(base_url=url, timeout=TIMEOUT_S) as client:
+        while not stop.is_set():
+            try:
+                answer = attack(client)
+            except httpx.TransportError as error:
+                refused_early = isinstance(error, httpx.WriteError | httpx.ReadError)  # before the body was sent
+                answers["closed" if refused_early else "broken off"] += 1
+                continue
+            if answer is None:
+                stop.wait(0.1)
+                continue
+            kind = answer.headers.get("Content-Type", "")
+            code = answer.json().get("code") if kind == "application/json" and not answer.is_success else None
+            answers[code or str(answer.status_code)] += 1
+    said.put(answers)
+
+
+def watch(url: str, stop: Any, said: Any) -> None:
+    """Ask whether the server lives, and look how much memory it holds; says the worst of both."""
+    slowest_s = memory = 0.0
+    looked_s = -math.inf
+    with httpx.Client(base_url=url, timeout=TIMEOUT_S) as client:
+        while not stop.wait(HEALTH_EVERY_S):
+            start = time.perf_counter()
+            fine = client.get("/healthz").is_success
+            slowest_s = max(slowest_s, time.perf_counter() - start if fine else math.inf)
+            if start - looked_s > MEMORY_EVERY_S:
+                memory, looked_s = max(memory, server_memory_mib(url)), start
+    said.put(Watched(slowest_s, memory))
 
 
 def server_memory_mib(url: str) -> float:
@@ -309,5 +367,4 @@ def server_memory_mib(url: str) -> float:
 
 
 if __name__ == "__main__":
-    os.nice(5)  # the honest clients' times are of the server, not of the attackers
     sys.exit(main())

@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import io
+import json
 import threading
+import time
+from concurrent.futures import ThreadPoolExecutor
 
+import cv2
 import httpx
 import numpy as np
 import pytest
@@ -12,8 +16,11 @@ from PIL import Image
 
 from rholoc.errors import InvalidImage
 from rholoc.features import get_extractor
-from rholoc.recordings.frames.image import MAX_JPEG_SCANS, decode_image, jpeg_scans
+from rholoc.recordings.frames.image import MAX_JPEG_SCANS, decode_image, jpeg_scans, visited_pixels
+from rholoc.service import localize
+from rholoc.service.compute import Effort
 from rholoc.service.localize import extract_bounded
+from rholoc.service.queries import effort_of_set
 
 
 def encoded(format_: str, size=(64, 48), **options) -> bytes:
@@ -119,3 +126,46 @@ def test_features_of_a_large_picture_are_found_in_a_smaller_one(picture_world):
     assert len(found) == len(own)
     np.testing.assert_allclose(found.pixels, 2 * own.pixels + 0.5, atol=1e-3)
     np.testing.assert_allclose(found.sizes, 2 * own.sizes, rtol=1e-4)
+
+
+def test_ordinary_frames_wait_for_no_large_ones(serve, picture_world, monkeypatch):
+    running = serve(concurrency=2, queue_length=1)
+    (running.settings.maps_dir / "room.rho").write_bytes(picture_world.rho())
+    go_on, entered = threading.Event(), threading.Event()
+
+    def slow(image, *_args):
+        entered.set()
+        go_on.wait(60)
+        raise InvalidImage("A large picture.")
+
+    large = cv2.imencode(".jpg", np.zeros((1500, 2000, 3), np.uint8))[1].tobytes()
+    assert visited_pixels(large) == 3_000_000
+    really = localize.decode_image
+    monkeypatch.setattr(localize, "decode_image", lambda data, *a: (slow if data == large else really)(data, *a))
+    url, jpeg = f"{running.url}/v1/maps/room/localize?deadline_ms=60000", {"Content-Type": "image/jpeg"}
+    with ThreadPoolExecutor(4) as pool:
+        try:
+            held = [pool.submit(httpx.post, url, content=large, headers=jpeg, timeout=60) for _ in range(2)]
+            assert entered.wait(60)
+            compute = running.app.state.rholoc.compute
+            while compute.taken < 2:
+                time.sleep(0.01)
+            refused = httpx.post(url, content=large, headers=jpeg, timeout=60)
+            assert (refused.status_code, refused.json()["code"]) == (503, "busy")
+            for _ in range(5):
+                assert httpx.post(f"{url}&dof=6", content=picture_world.png(), headers=jpeg, timeout=60).is_success
+            assert httpx.get(f"{running.url}/readyz").json()["checks"]["compute"] == "ok"
+        finally:
+            go_on.set()
+        assert [one.result().json()["code"] for one in held] == ["invalid_image"] * 2
+
+
+def test_large_sets_are_told_by_their_length():
+    assert effort_of_set(json.dumps({"pixels": [[1, 2]] * 2000}).encode()) is Effort.ORDINARY
+    assert effort_of_set(json.dumps({"pixels": [[1, 2]] * 5000}).encode()) is Effort.LARGE
+
+
+def test_the_pixels_that_a_decoder_visits_are_told_by_the_header():
+    assert visited_pixels(encoded("PNG", (640, 480))) == 640 * 480
+    assert visited_pixels(with_more_scans(30)) > 5 * visited_pixels(encoded("JPEG"))
+    assert visited_pixels(b"") == visited_pixels(b"\xff\xd8\xff") == visited_pixels(encoded("BMP")) == 0

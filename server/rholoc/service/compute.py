@@ -1,4 +1,4 @@
-"""A bounded pool of threads for work that keeps a core busy."""
+"""Bounded pools of threads for work that keeps a core busy: what takes long does not stand before what does not."""
 
 from __future__ import annotations
 
@@ -7,8 +7,10 @@ import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
+from enum import Enum, auto
 from typing import TypeVar
 
+import cv2
 import faiss
 
 from rholoc.errors import Busy
@@ -18,46 +20,81 @@ _SMOOTHING = 0.2  # weight of the newest duration in the running mean
 _FIRST_GUESS_S = 0.2
 
 
-class ComputePool:
-    """Runs at most ``concurrency`` functions at a time; at most ``queue_length`` more wait.
+class Effort(Enum):
+    """How long work takes, as far as one can tell before it is done."""
 
-    Used from the event loop's thread alone, so its counters need no lock.
+    ORDINARY = auto()  # as a camera's frame
+    LARGE = auto()  # many times that
+
+
+class ComputePool:
+    """Runs at most ``concurrency`` functions of either effort at a time; at most ``queue_length`` more of either wait.
+
+    Large work has threads and a queue of its own, one thread fewer where there are several: however much of it there
+    is, ordinary work waits for none of it and has a core left. Used from the event loop's thread alone.
     """
 
     def __init__(self, concurrency: int, queue_length: int) -> None:
-        self._executor = ThreadPoolExecutor(
-            concurrency, thread_name_prefix="rholoc-compute", initializer=_keep_to_one_core
-        )
-        self._concurrency = concurrency
-        self._capacity = concurrency + queue_length
-        self._taken = 0
-        self._mean_s = _FIRST_GUESS_S
+        self._lanes = {
+            Effort.ORDINARY: _Lane("rholoc-compute", concurrency, queue_length),
+            Effort.LARGE: _Lane("rholoc-large", max(1, concurrency - 1), queue_length),
+        }
 
     @property
     def taken(self) -> int:
         """How many calls run or wait."""
-        return self._taken
+        return sum(lane.taken for lane in self._lanes.values())
 
     @property
     def full(self) -> bool:
-        """Whether the next call is refused."""
-        return self._taken >= self._capacity
+        """Whether the next call of ordinary effort is refused."""
+        return self._lanes[Effort.ORDINARY].full
 
-    async def run(self, work: Callable[[], _T]) -> _T:
+    def check_room(self, effort: Effort) -> None:
+        """Refuse what would be refused, before anything is done for it. Raises Busy as :meth:`run` does."""
+        self._lanes[effort].check_room()
+
+    async def run(self, work: Callable[[], _T], effort: Effort = Effort.ORDINARY) -> _T:
         """The result of ``work()``, computed in a thread. Who is cancelled while waiting leaves the queue.
 
         Raises:
             Busy: as many calls wait as may.
         """
+        return await self._lanes[effort].run(work)
+
+    def close(self) -> None:
+        """Let running work end and take no more."""
+        for lane in self._lanes.values():
+            lane.close()
+
+
+class _Lane:
+    """A queue and its threads. Its counters need no lock, for only the event loop's thread uses them."""
+
+    def __init__(self, name: str, concurrency: int, queue_length: int) -> None:
+        self._executor = ThreadPoolExecutor(concurrency, thread_name_prefix=name, initializer=_keep_to_one_core)
+        self._concurrency = concurrency
+        self._capacity = concurrency + queue_length
+        self._mean_s = _FIRST_GUESS_S
+        self.taken = 0
+
+    @property
+    def full(self) -> bool:
+        return self.taken >= self._capacity
+
+    def check_room(self) -> None:
         if self.full:
-            wait_s = self._mean_s * self._taken / self._concurrency
+            wait_s = self._mean_s * self.taken / self._concurrency
             raise Busy("The service has as much to do as it can hold.", "Try again after Retry-After.", wait_s)
+
+    async def run(self, work: Callable[[], _T]) -> _T:
+        self.check_room()
 
         def timed() -> tuple[_T, float]:
             start = time.perf_counter()
             return work(), time.perf_counter() - start
 
-        self._taken += 1
+        self.taken += 1
         loop, future = asyncio.get_running_loop(), self._executor.submit(timed)
         # When the work ends, not when its caller gives up: a thread cannot be stopped, and keeps its place until then.
         future.add_done_callback(lambda _: _from_thread(loop, self._release))
@@ -66,10 +103,9 @@ class ComputePool:
         return result
 
     def _release(self) -> None:
-        self._taken -= 1
+        self.taken -= 1
 
     def close(self) -> None:
-        """Let running work end and take no more."""
         self._executor.shutdown(wait=True, cancel_futures=True)
 
 
@@ -81,3 +117,4 @@ def _from_thread(loop: asyncio.AbstractEventLoop, function: Callable[[], None]) 
 def _keep_to_one_core() -> None:
     """Requests run beside each other; were each to spread over all cores too, they would wait for one another."""
     faiss.omp_set_num_threads(1)  # OpenMP keeps this for each thread apart
+    cv2.setNumThreads(1)

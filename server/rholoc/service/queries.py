@@ -14,9 +14,14 @@ from rholoc.errors import InvalidCamera, InvalidDescriptors, InvalidInput
 from rholoc.features import Extractor, FeatureSet
 from rholoc.geometry import ByteArray, Camera, FloatArray, Pose
 from rholoc.localization import Intrinsics, Prior
+from rholoc.recordings.frames.image import visited_pixels
+from rholoc.service.compute import Effort
 from rholoc.service.schemas import CameraIn, FeaturesIn, LocalizeOptions, PriorIn
 
 _CAMERA_HINT = "Send fx, fy, cx, cy (and distortion) of the image, in pixels."
+
+_ORDINARY_PIXELS = 2_500_000  # Full HD, and a little more
+_ORDINARY_FEATURES = 3000
 
 _GUESSED_FOCAL = 0.8  # of the longer side: phones and webcams are near it
 
@@ -25,13 +30,24 @@ _GUESSED_FOCAL = 0.8  # of the longer side: phones and webcams are near it
 class Frame:
     """What was sent of one frame: an encoded image or a descriptor set, one of the two, and the options.
 
-    ``stored`` is the camera that the options name, if they name one.
+    ``stored`` is the camera that the options name, if they name one; ``effort`` is how long it takes to be localized.
     """
 
     options: LocalizeOptions
     image: bytes | None = None
     features: FeaturesIn | None = None
     stored: Camera | None = None
+    effort: Effort = Effort.ORDINARY
+
+
+def effort_of(image: bytes) -> Effort:
+    """How long a picture takes to be localized, by its header."""
+    return Effort.LARGE if visited_pixels(image) > _ORDINARY_PIXELS else Effort.ORDINARY
+
+
+def effort_of_set(body: bytes) -> Effort:
+    """How long a descriptor set takes, by how many lists its JSON has: one for each feature's pixel."""
+    return Effort.LARGE if body.count(b"[") > _ORDINARY_FEATURES else Effort.ORDINARY
 
 
 def camera_for(frame: Frame, size: tuple[int, int], map_camera: Camera) -> Camera:

@@ -23,6 +23,7 @@ _FORMATS = ("JPEG", "PNG", "WEBP", "BMP", "PPM")
 SENT_FORMATS = ("JPEG", "PNG", "WEBP")  # of which none takes much longer to decode than its pixels take to be written
 MAX_JPEG_SCANS = 100  # cameras write 1 or 3, progressive encoders 6 to 12; an empty one visits every pixel too
 MAX_SCANNED_IMAGES = 10  # pixels times scans, as a multiple of the pixels allowed
+_SCANS_OF_AN_IMAGE = 4  # that take as long to decode as all else of it
 _PIECES = 256  # that a file is decoded in: as often it is asked whether the image is still wanted
 _LEAST_PIECE_BYTES, _MOST_PIECE_BYTES = 64, 2**16
 _JPEG_MARKER = re.compile(rb"\xff([^\x00\xff\xd0-\xd7])")  # in coded data: the end of it
@@ -95,6 +96,18 @@ def image_size(path: Path, max_pixels: int = DEFAULT_MAX_PIXELS) -> tuple[int, i
     return (height, width) if transposed else (width, height)
 
 
+def visited_pixels(data: bytes) -> int:
+    """About how many pixels the decoder of an image file visits: those of the image, for each four scans of it again.
+
+    Only its header is decoded. 0 for what is not an image, which costs nothing.
+    """
+    try:
+        with Image.open(io.BytesIO(data), formats=SENT_FORMATS) as image:
+            return image.width * image.height * max(_SCANS_OF_AN_IMAGE, jpeg_scans(data)) // _SCANS_OF_AN_IMAGE
+    except (UnidentifiedImageError, Image.DecompressionBombError, *_DECODING_ERRORS):
+        return 0
+
+
 class _Watched(io.BytesIO):
     """A file in memory that asks before each read whether it is still wanted."""
 
@@ -108,13 +121,16 @@ class _Watched(io.BytesIO):
 
 
 def jpeg_scans(data: bytes) -> int:
-    """How many scans a JPEG file has; a progressive decoder visits every pixel in each. 0 for another file."""
+    """How many scans a JPEG file has; a progressive decoder visits every pixel in each. 0 for another file.
+
+    Beyond ``MAX_JPEG_SCANS`` none is counted.
+    """
     scans, position = 0, 2
     while data.startswith(b"\xff\xd8") and (found := _JPEG_MARKER.search(data, position)) is not None:
         marker = found[1][0]
-        if marker == _JPEG_END:
-            break
         scans += marker == _JPEG_SCAN
+        if marker == _JPEG_END or scans > MAX_JPEG_SCANS:
+            break
         position = found.end() + int.from_bytes(data[found.end() : found.end() + 2])
     return scans
 
@@ -122,7 +138,7 @@ def jpeg_scans(data: bytes) -> int:
 def _check_scans(data: bytes, image: Image.Image, max_pixels: int) -> None:
     scans = jpeg_scans(data)
     if scans > MAX_JPEG_SCANS or scans * image.width * image.height > MAX_SCANNED_IMAGES * max_pixels:
-        raise InvalidImage(f"The JPEG file has {scans} scans, which are too many.", "Save it as baseline JPEG.")
+        raise InvalidImage("The JPEG file has too many scans.", "Save it as baseline JPEG.")
 
 
 @contextmanager

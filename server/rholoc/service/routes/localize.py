@@ -29,7 +29,7 @@ from rholoc.service.json_bodies import JsonLimits
 from rholoc.service.localize import Stopwatch, frame_deadline_s, late_answer, localize_frame
 from rholoc.service.localizers import Localizers
 from rholoc.service.openapi import BINARY, failures, reference, request_body
-from rholoc.service.queries import Frame
+from rholoc.service.queries import Frame, effort_of, effort_of_set
 from rholoc.service.schemas import DescriptorQuery, LocalizationOut, LocalizeOptions
 from rholoc.service.settings import Settings
 from rholoc.service.state import Service, State
@@ -179,7 +179,7 @@ async def _localize(
     names: list[str], request: Request, service: State, options: OptionParameters, every: bool = False
 ) -> LocalizationOut:
     clock = Stopwatch()
-    frame = await _frame(request, options.options(), service.settings)
+    frame = await _frame(request, options.options(), service)
     if frame.options.camera.name is not None:
         profile = await run_in_threadpool(service.cameras.get, frame.options.camera.name)
         frame = replace(frame, stored=profile.camera)
@@ -189,7 +189,7 @@ async def _localize(
     try:
         async with asyncio.timeout(deadline_s - clock.elapsed_s):
             answer = await service.compute.run(
-                lambda: localize_frame(frame, names, service.localizers, service.settings, clock, every)
+                lambda: localize_frame(frame, names, service.localizers, service.settings, clock, every), frame.effort
             )
     except (TimeoutError, DeadlineExceeded):
         answer = await _late_answer(names[0], service.localizers, clock)
@@ -206,16 +206,20 @@ async def _late_answer(name: str, localizers: Localizers, clock: Stopwatch) -> L
         raise DeadlineExceeded("The deadline passed while the map was loaded.", "Try again.") from None
 
 
-async def _frame(request: Request, options: dict[str, Any], settings: Settings) -> Frame:
+async def _frame(request: Request, options: dict[str, Any], service: State) -> Frame:
+    settings = service.settings
     kind, max_bytes = media_type(request), settings.max_request_bytes
     if kind.startswith("image/"):  # what it really is, its bytes tell
         image = await read_body(request, max_bytes)
-        return Frame(LocalizeOptions.model_validate(options), image=image)
+        effort = await run_in_threadpool(effort_of, image)
+        return Frame(LocalizeOptions.model_validate(options), image=image, effort=effort)
     if kind == "application/json":
         body = await read_body(request, max_bytes)
         JsonLimits.of_features(max_bytes, settings.max_features).check(body)
+        effort = effort_of_set(body)
+        service.compute.check_room(effort)
         query = await run_in_threadpool(DescriptorQuery.model_validate_json, body)
-        return Frame(query, features=query.features)
+        return Frame(query, features=query.features, effort=effort)
     if kind == "multipart/form-data":
         return await _multipart_frame(request, options, settings)
     raise UnsupportedMediaType(
@@ -242,4 +246,5 @@ async def _multipart_frame(request: Request, options: dict[str, Any], settings: 
     text = bytes(files.get("request", b"")) or fields.get("request", "").encode()
     JsonLimits.of_options(settings.max_json_bytes).check(text)
     parsed = LocalizeOptions.model_validate_json(text) if text else LocalizeOptions.model_validate(options)
-    return Frame(parsed, image=bytes(files["image"]))
+    image = bytes(files["image"])
+    return Frame(parsed, image=image, effort=await run_in_threadpool(effort_of, image))

@@ -52,6 +52,7 @@ from rholoc.pictures.rendering import Rendering
 from rholoc.reports import CoverageReport
 from rholoc.service.access import NEEDS_ADMIN, NEEDS_MAP, NEEDS_READ
 from rholoc.service.bodies import save_body
+from rholoc.service.compute import Effort
 from rholoc.service.errors import InvalidRequest
 from rholoc.service.examples import REPORT, sent
 from rholoc.service.exports import ExportRequest, is_long
@@ -187,7 +188,9 @@ async def download_map(
     if is_long(len(map_), format, degree, chosen):
         wanted = ExportRequest(service.library.path(map_name), map_name, format, degree, chosen)
         return await service.exports.answer(wanted, headers, request.is_disconnected)
-    pieces = await service.compute.run(lambda: export_map(map_, format, title=map_name, degree=degree, features=chosen))
+    pieces = await service.compute.run(
+        lambda: export_map(map_, format, title=map_name, degree=degree, features=chosen), Effort.LARGE
+    )
     return StreamingResponse(pieces, headers=headers, media_type=format.media_type)
 
 
@@ -283,7 +286,7 @@ async def merge_map(map_name: str, wanted: MergeIn, service: Service) -> MapDeta
     into = check_map_name(wanted.into)
     a = await run_in_threadpool(service.library.get, map_name)
     b = await run_in_threadpool(service.library.get, wanted.other)
-    merged = await service.compute.run(lambda: merge_maps(a, b))
+    merged = await service.compute.run(lambda: merge_maps(a, b), Effort.LARGE)
     await run_in_threadpool(_publish_merged, service.library, {map_name: a, wanted.other: b}, into, merged)
     return await run_in_threadpool(_detail, service.library, into)
 
@@ -297,7 +300,7 @@ async def merge_map(map_name: str, wanted: MergeIn, service: Service) -> MapDeta
 async def forget_source(map_name: str, wanted: ForgetIn, service: Service) -> MapDetail:
     """The map's next version is without what it learned from the recording, named by its id or name in `sources`."""
     map_ = await run_in_threadpool(service.library.get, map_name)
-    left = await service.compute.run(lambda: forget_recording(map_, wanted.source))
+    left = await service.compute.run(lambda: forget_recording(map_, wanted.source), Effort.LARGE)
     await run_in_threadpool(service.library.replace, map_name, left)
     return await run_in_threadpool(_detail, service.library, map_name)
 
