@@ -1,4 +1,4 @@
-"""Draws the recorder's icons from ``client/recorder/shared/icon.svg``, with the browser that shows them.
+"""Draws the recorder's icons from ``client/page/shared/icon.svg``, with the browser that shows them.
 
 Run it after changing the drawing: ``python benchmarks/make_icons.py``. Needs Debian's chromium.
 """
@@ -9,7 +9,7 @@ from pathlib import Path
 
 from playwright.sync_api import sync_playwright
 
-WEB = Path(__file__).parents[1] / "client" / "recorder"
+WEB = Path(__file__).parents[1] / "client" / "page"
 BACKGROUND = "#0f6d52"
 SAFE_SHARE = 0.8  # of a maskable icon that no mask cuts off
 ICONS = {"icon-192.png": (192, 1.0), "icon-512.png": (512, 1.0), "icon-maskable-512.png": (512, SAFE_SHARE)}

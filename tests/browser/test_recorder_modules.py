@@ -21,7 +21,7 @@ from rholoc.recordings.camera_file import read_camera_json
 from rholoc.recordings.tables.frames_table import read_frames_csv
 from rholoc.recordings.tables.imu_table import read_imu_csv
 
-MODULES = Path(__file__).parents[2] / "client" / "recorder"
+MODULES = Path(__file__).parents[2] / "client" / "page"
 
 
 @pytest.fixture(scope="module")

@@ -1,13 +1,13 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 
-import { cameraAt, moved, nextWalk, sayPlace, summary } from "../../client/recorder/console/coverage_view.js";
-import { halfExtents, intrinsicsFor, intrinsicsOfFieldOfView, Known } from "../../client/recorder/console/intrinsics.js";
-import { matches } from "../../client/recorder/console/list_tools.js";
-import { sayPicked } from "../../client/recorder/console/scene.js";
-import { readScene } from "../../client/recorder/console/scene_data.js";
-import { snippet } from "../../client/recorder/console/snippets.js";
-import { bounds, placement } from "../../client/recorder/console/thumbnail.js";
+import { cameraAt, moved, nextWalk, sayPlace, summary } from "../../client/page/console/coverage_view.js";
+import { halfExtents, intrinsicsFor, intrinsicsOfFieldOfView, Known } from "../../client/page/console/intrinsics.js";
+import { matches } from "../../client/page/console/list_tools.js";
+import { sayPicked } from "../../client/page/console/scene.js";
+import { readScene } from "../../client/page/console/scene_data.js";
+import { snippet } from "../../client/page/console/snippets.js";
+import { bounds, placement } from "../../client/page/console/thumbnail.js";
 
 const CAMERA = { width: 1280, height: 720, fx: 1040, fy: 1030, cx: 645, cy: 350, distortion: [0.1, -0.02, 0.001, 0.002] };
 const near = (a, b, within = 1e-9) => assert.ok(Math.abs(a - b) <= within, `${a} is not ${b}`);

@@ -1,9 +1,9 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 
-import { advice, BAREST, brightness, Flaw, flaws, LEAST_SHARP, sharpness, texture } from "../../client/recorder/record/coaching.js";
-import { flawedSpans, Readings } from "../../client/recorder/record/readings.js";
-import { added, marked, planned } from "../../client/recorder/record/waypoints.js";
+import { advice, BAREST, brightness, Flaw, flaws, LEAST_SHARP, sharpness, texture } from "../../client/page/record/coaching.js";
+import { flawedSpans, Readings } from "../../client/page/record/readings.js";
+import { added, marked, planned } from "../../client/page/record/waypoints.js";
 
 const [WIDTH, HEIGHT] = [160, 120];
 

@@ -3,10 +3,10 @@ import { readdirSync, readFileSync } from "node:fs";
 import { join } from "node:path";
 import { test } from "node:test";
 
-import { key, translated } from "../../client/recorder/shared/text.js";
-import { GERMAN } from "../../client/recorder/shared/texts.js";
+import { key, translated } from "../../client/page/shared/text.js";
+import { GERMAN } from "../../client/page/shared/texts.js";
 
-const ROOT = new URL("../../client/recorder", import.meta.url).pathname;
+const ROOT = new URL("../../client/page", import.meta.url).pathname;
 const SPOKEN = ["queued", "running", "published", "failed", "cancelled", "received", "read", "keyframes", "features"];
 const LOOKED_UP = [...SPOKEN, "poses", "observations", "densities", "report", "accelerometer", "gyroscope"];
 const VALUES = /\{\d\}/g;

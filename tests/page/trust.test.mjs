@@ -1,7 +1,7 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 
-import { inPlainWords, mistakesIn, Trust, trustOf, whatToDo } from "../../client/recorder/shared/trust.js";
+import { inPlainWords, mistakesIn, Trust, trustOf, whatToDo } from "../../client/page/shared/trust.js";
 
 const FIGURES = "3.1% of the median depth and 1.2° apart, nine in ten keyframes within 5.4%.";
 

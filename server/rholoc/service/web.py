@@ -22,7 +22,7 @@ _SERVICE_WORKER = "service-worker.js"
 def web_folder() -> Path:
     """Where the page's files are: in an installed package beside this module, in a checkout under ``client``."""
     installed = Path(__file__).parent / "web_files"
-    return installed if installed.is_dir() else Path(__file__).parents[3] / "client" / "recorder"
+    return installed if installed.is_dir() else Path(__file__).parents[3] / "client" / "page"
 
 
 class _PageFiles(StaticFiles):
