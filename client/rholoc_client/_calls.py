@@ -261,9 +261,10 @@ def get_job(job_id: str) -> Call[Job]:
     return Call("GET", _job_path(job_id), _job)
 
 
-def list_jobs() -> Call[list[Job]]:
-    """All jobs, the newest first."""
-    return Call("GET", "/v1/jobs", lambda response: [parse_job(one) for one in response.json()["jobs"]])
+def list_jobs(before: str | None = None) -> Call[list[Job]]:
+    """The newest jobs, or those before one of them, the newest first."""
+    params = _without_none({"before": before})
+    return Call("GET", "/v1/jobs", lambda response: [parse_job(one) for one in response.json()["jobs"]], params=params)
 
 
 def cancel_job(job_id: str) -> Call[Job]:

@@ -220,9 +220,9 @@ class Client:
         with opened_recording(path, waypoints) as (name, file):
             return self._run(upload_steps(name, file, fields, self._backoff.retries, progress))
 
-    def jobs(self) -> list[Job]:
-        """All jobs, the newest first."""
-        return self._send(_calls.list_jobs())
+    def jobs(self, before: str | None = None) -> list[Job]:
+        """The newest 500 jobs, the newest first; ``before``: of those that are older than the job with this id."""
+        return self._send(_calls.list_jobs(before))
 
     def job(self, job_id: str) -> Job:
         """One job."""
@@ -449,9 +449,9 @@ class AsyncClient:
         with opened_recording(path, waypoints) as (name, file):
             return await self._run(upload_steps(name, file, fields, self._backoff.retries, progress))
 
-    async def jobs(self) -> list[Job]:
+    async def jobs(self, before: str | None = None) -> list[Job]:
         """As :meth:`Client.jobs`."""
-        return await self._send(_calls.list_jobs())
+        return await self._send(_calls.list_jobs(before))
 
     async def job(self, job_id: str) -> Job:
         """As :meth:`Client.job`."""

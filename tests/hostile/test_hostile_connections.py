@@ -6,19 +6,23 @@ import asyncio
 import errno
 import shutil
 import socket
+import sqlite3
 import threading
 import time
+from contextlib import ExitStack, closing, contextmanager
 
 import httpx
 import pytest
 import sqlalchemy as sa
 import uvicorn
 
-from rholoc.errors import Conflict, UnknownJob
+from rholoc.errors import Busy, Conflict, UnknownJob
 from rholoc.jobs import JobQueue, RecordingStore
 from rholoc.service import Settings, create_app
-from rholoc.service.connections import PatientProtocol
+from rholoc.service.bodies import HeldBodies
+from rholoc.service.connections import PatientProtocol, protocol_of
 from rholoc.service.job_events import JobEvents
+from rholoc_client import Client
 
 HEAD = b"PUT /v1/maps/room HTTP/1.1\r\nHost: localhost\r\nContent-Length: 100000\r\n\r\n"
 
@@ -27,11 +31,12 @@ class Impatient(PatientProtocol):
     head_timeout_s = 0.3
 
 
-@pytest.fixture
-def impatient(tmp_path):
-    settings = Settings(maps_dir=tmp_path / "maps", data_dir=tmp_path / "data", worker=False)
+@contextmanager
+def answering(folder, protocol):
+    """The address of a service that speaks a protocol."""
+    settings = Settings(maps_dir=folder / "maps", data_dir=folder / "data", worker=False)
     listener = socket.create_server(("127.0.0.1", 0))
-    server = uvicorn.Server(uvicorn.Config(create_app(settings), http=Impatient, log_level="error"))
+    server = uvicorn.Server(uvicorn.Config(create_app(settings), http=protocol, log_level="error"))
     thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]}, daemon=True)
     thread.start()
     while not server.started:
@@ -39,6 +44,18 @@ def impatient(tmp_path):
     yield listener.getsockname()
     server.should_exit = True
     thread.join(10)
+
+
+@pytest.fixture
+def impatient(tmp_path):
+    with answering(tmp_path, Impatient) as address:
+        yield address
+
+
+@pytest.fixture
+def crowded(tmp_path):
+    with answering(tmp_path, protocol_of(max_connections=5)) as address:
+        yield address
 
 
 def closed(connection: socket.socket) -> bool:
@@ -70,6 +87,64 @@ def test_one_connection_serves_many_requests(impatient):
         for _ in range(3):
             assert client.get("/healthz").is_success
             time.sleep(0.2)
+
+
+def test_of_too_many_connections_the_one_that_waits_longest_makes_room(crowded):
+    with ExitStack() as stack:
+        idle = [stack.enter_context(socket.create_connection(crowded, timeout=20)) for _ in range(5)]
+        for _ in range(3):
+            assert httpx.get(f"http://{crowded[0]}:{crowded[1]}/healthz", timeout=20).is_success
+        assert closed(idle[0])
+        idle[-1].sendall(b"GET /healthz HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n")
+        assert idle[-1].recv(5000).startswith(b"HTTP/1.1 200")
+
+
+def test_a_connection_beyond_those_that_are_busy_is_told_so(crowded):
+    with ExitStack() as stack:
+        busy = [stack.enter_context(socket.create_connection(crowded, timeout=20)) for _ in range(5)]
+        for connection in busy:  # a request whose body is on its way is not given up for another
+            connection.sendall(HEAD.replace(b"\r\n\r\n", b"\r\nExpect: 100-continue\r\n\r\n"))
+            assert connection.recv(1000).startswith(b"HTTP/1.1 100")
+        answer = httpx.get(f"http://{crowded[0]}:{crowded[1]}/healthz", timeout=20)
+    assert (answer.status_code, answer.json()["code"]) == (503, "busy")
+    assert int(answer.headers["Retry-After"]) >= 1
+
+
+def test_large_bodies_are_held_within_a_bound():
+    held = HeldBodies(max_bytes=100, free_bytes=10)
+    with held.hold() as first, held.hold() as second, held.hold() as third:
+        for _ in range(11):
+            first(10)
+        with pytest.raises(Busy):
+            second(11)
+        third(10)  # as ordinary frames have
+    with held.hold() as again:
+        again(110)
+        with pytest.raises(Busy):
+            again(1)
+
+
+def test_large_frames_are_refused_while_as_many_as_may_be_are_on_their_way(serve, picture_world):
+    running = serve(max_request_bytes=2**21)
+    (running.settings.maps_dir / "room.rho").write_bytes(picture_world.rho())
+    head = b"POST /v1/maps/room/localize HTTP/1.1\r\nHost: localhost\r\nContent-Type: image/png\r\n"
+    url, png = f"{running.url}/v1/maps/room/localize?dof=6", {"Content-Type": "image/png"}
+    large = b"x" * 2**21
+    with ExitStack() as stack:
+        for _ in range(16):  # each has sent a mebibyte more than is free
+            connection = stack.enter_context(socket.create_connection(running.address, timeout=20))
+            connection.sendall(head + b"Content-Length: %d\r\n\r\n" % len(large) + large[:-1])
+        held = running.app.state.rholoc.held_bodies
+        deadline = time.monotonic() + 60
+        while held._left > 100:
+            assert time.monotonic() < deadline
+            time.sleep(0.01)
+        refused = httpx.post(url, content=large, headers=png, timeout=60)
+        assert (refused.status_code, refused.json()["code"]) == (503, "busy")
+        assert httpx.post(url, content=picture_world.png(), headers=png, timeout=60).json()["localized"]
+    while held._left < 8 * 2**21:
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
 
 
 def test_a_body_that_stops_coming_is_given_up(serve):
@@ -124,6 +199,42 @@ def test_a_job_is_looked_up_once_for_all_who_watch_it(tmp_path):
     with pytest.raises(UnknownJob):
         asyncio.run(JobEvents(queue).latest("0" * 32))
     queue.close()
+
+
+def test_jobs_are_listed_a_page_at_a_time(serve):
+    running = serve()
+    state = running.app.state.rholoc
+    recording = state.recordings.create([("walk.mp4", [b"x"])]).id
+    ids = [state.jobs.submit(recording, "room").id for _ in range(5)][::-1]
+    url = f"{running.url}/v1/jobs"
+    assert [job["id"] for job in httpx.get(url).json()["jobs"]] == ids
+    pages, before = [], None
+    while True:
+        page = httpx.get(url, params={"limit": 2} | ({"before": before} if before else {})).json()
+        pages.append([job["id"] for job in page["jobs"]])
+        before = pages[-1][-1]
+        if not page["more"]:
+            break
+    assert pages == [ids[:2], ids[2:4], ids[4:]]
+    with Client(running.url) as client:
+        assert [job.id for job in client.jobs(before=ids[2])] == ids[3:]
+    assert httpx.get(f"{url}?before={'0' * 32}").json()["code"] == UnknownJob.code
+    for limit in (0, 501):
+        assert httpx.get(f"{url}?limit={limit}").json()["code"] == "invalid_request"
+
+
+def test_a_database_that_is_locked_is_no_error_of_the_service(serve, monkeypatch):
+    monkeypatch.setattr("rholoc.jobs.database._BUSY_TIMEOUT_MS", 100)
+    running = serve()
+    files = {"file": ("walk.mp4", b"\0\0\0\x18ftypisom" + b"x" * 100)}
+    with closing(sqlite3.connect(running.settings.data_dir / "jobs.sqlite", isolation_level=None)) as other:
+        other.execute("BEGIN EXCLUSIVE")
+        refused = httpx.post(f"{running.url}/v1/recordings", files=files, data={"map": "room"}, timeout=120)
+        assert (refused.status_code, refused.json()["code"]) == (503, "storage_unavailable")
+        assert httpx.get(f"{running.url}/v1/recordings").json()["recordings"] == []
+        assert httpx.get(f"{running.url}/healthz").is_success
+        other.execute("ROLLBACK")
+    assert httpx.post(f"{running.url}/v1/recordings", files=files, data={"map": "room"}).status_code == 202
 
 
 def test_a_job_that_has_ended_can_be_removed(serve):

@@ -19,9 +19,11 @@ import pytest
 from rholoc.errors import Busy, InvalidCamera, InvalidRecording, InvalidWaypoints, TooLarge
 from rholoc.jobs import JobOptions, JobQueue, Limits, MappingTask, RecordingStore, UploadStore, memory_bytes
 from rholoc.jobs.build_process import build_in_process
-from rholoc.jobs.table import shortened
+from rholoc.jobs.pipeline import MappingPipeline
+from rholoc.jobs.table import JobWork, Lease, shortened
+from rholoc.jobs.worker import Worker
 from rholoc.progress import ProgressListener
-from rholoc.recordings import check_archive, read_recording
+from rholoc.recordings import check_archive, frame_pixels_limited, read_recording
 from rholoc.recordings.archive import unpack
 from rholoc.recordings.tables.csv_table import read_numbers
 from rholoc.recordings.tables.logged_table import read_logged_table
@@ -118,10 +120,25 @@ def test_a_video_of_too_many_pixels_is_refused_before_a_frame_is_decoded(tmp_pat
     writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"MJPG"), 30, (640, 480))
     writer.write(np.zeros((480, 640, 3), np.uint8))
     writer.release()
-    monkeypatch.setattr("rholoc.recordings.frames.video.MAX_FRAME_PIXELS", 640 * 480 - 1)
+    with frame_pixels_limited(640 * 480):
+        assert read_recording(path).frames.size == (640, 480)
     monkeypatch.setattr("rholoc.recordings.frames.video._retrieved_size", lambda _: pytest.fail("decoded"))
-    with pytest.raises(InvalidRecording, match="pixels"):
+    with pytest.raises(InvalidRecording, match="pixels"), frame_pixels_limited(640 * 480 - 1):
         read_recording(path)
+
+
+def test_the_pixels_of_a_video_are_a_setting_of_the_service(tmp_path):
+    path = tmp_path / "walk.avi"
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"MJPG"), 30, (640, 480))
+    writer.write(np.zeros((480, 640, 3), np.uint8))
+    writer.release()
+    limits = Settings(max_video_pixels=1000).job_limits
+    worker = Worker(tmp_path / "data", tmp_path / "maps", limits=limits)
+    worker._recordings = RecordingStore(tmp_path / "data")
+    stored = worker._recordings.create([(path.name, [path.read_bytes()])]).id
+    task = worker._task(Lease("0" * 32, "workflow", 1), JobWork(stored, "room", JobOptions()))
+    with pytest.raises(InvalidRecording, match="at most 1000"):
+        MappingPipeline().build(task, lambda *_: None)
 
 
 def test_pictures_of_absurd_dimensions_are_refused(tmp_path):

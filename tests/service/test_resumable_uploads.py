@@ -57,6 +57,25 @@ def stored(service, url):
     return RecordingStore(service.settings.data_dir).path(url.rsplit("/", 1)[1])
 
 
+def test_unfinished_uploads_have_a_limit(serve):
+    running = serve(max_unfinished_uploads=2)
+    first, _ = begun(running), begun(running)
+    refused(create(running, 100), 503, "busy")
+    assert httpx.delete(first, headers=TUS).status_code == 204
+    second = begun(running)
+    refused(create(running, 100), 503, "busy")
+    assert patch(second, 0, VIDEO).status_code == 204  # whole: it counts no more
+    begun(running)
+
+
+def test_expired_uploads_make_room(serve):
+    running = serve(max_unfinished_uploads=1, upload_expires_s=1000)
+    expired = begun(running).rsplit("/", 1)[1]
+    file = running.settings.data_dir / "recordings" / f".upload-{expired}" / "walk.mp4"
+    os.utime(file, (0, 0))
+    begun(running)
+
+
 def test_the_server_tells_what_it_can(service):
     answer = httpx.options(service.url + "/v1/recordings")
     assert answer.status_code == 204

@@ -50,7 +50,7 @@ def serve(
     from rholoc.jobs import JobQueue
     from rholoc.logs import configure_process_logs
     from rholoc.service import create_app
-    from rholoc.service.connections import PatientProtocol
+    from rholoc.service.connections import protocol_of
     from rholoc.service.guard import keys_needed
     from rholoc.service.keys import KeyStore
 
@@ -61,7 +61,7 @@ def serve(
             create_app(settings),
             log_level="warning",
             log_config=None,
-            http=PatientProtocol,
+            http=protocol_of(settings.max_connections),
             backlog=_BACKLOG,
             timeout_graceful_shutdown=_SHUTDOWN_S,
         )

@@ -22,6 +22,7 @@ from rholoc.errors import Cancelled, RholocError
 from rholoc.jobs.pipeline import MappingTask, Pipeline
 from rholoc.jobs.table import Failure
 from rholoc.progress import ProgressListener, Stage
+from rholoc.recordings import MAX_FRAME_PIXELS
 
 _log = logging.getLogger("rholoc.jobs")
 
@@ -40,10 +41,12 @@ class Limits:
     Attributes:
         time_s: how long it may last.
         memory_bytes: how much memory its processes may hold together; watched on Linux alone.
+        frame_pixels: how many pixels a frame of its video may have.
     """
 
     time_s: float = math.inf
     memory_bytes: float = math.inf
+    frame_pixels: int = MAX_FRAME_PIXELS
 
 
 def memory_bytes() -> float:

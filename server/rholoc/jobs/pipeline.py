@@ -12,7 +12,7 @@ from rholoc.jobs.job import JobKind, JobOptions
 from rholoc.mapping import BuildOptions, UpdateOptions, build_map, update_map
 from rholoc.maps import CameraLibrary, Map, MapLibrary, load_map, save_map, trust_of
 from rholoc.progress import ProgressListener, Stage
-from rholoc.recordings import Recording, read_recording
+from rholoc.recordings import MAX_FRAME_PIXELS, Recording, frame_pixels_limited, read_recording
 
 
 @dataclass(frozen=True)
@@ -25,6 +25,7 @@ class MappingTask:
         maps_dir: the folder of published maps.
         map_name: the name under which the map is published.
         options: how the map is built.
+        max_frame_pixels: the most pixels a frame of the recording's video may have.
     """
 
     recording: Path
@@ -32,6 +33,7 @@ class MappingTask:
     maps_dir: Path
     map_name: str
     options: JobOptions
+    max_frame_pixels: int = MAX_FRAME_PIXELS
 
 
 class Pipeline(Protocol):
@@ -65,7 +67,8 @@ class MappingPipeline:
             return
         progress(Stage.READ, 0.0, "reading the recording")
         camera = CameraLibrary(task.maps_dir).named_in(task.options.camera)
-        recording = read_recording(task.recording, camera=camera, workdir=task.map_file.parent)
+        with frame_pixels_limited(task.max_frame_pixels):
+            recording = read_recording(task.recording, camera=camera, workdir=task.map_file.parent)
         built = _updated(task, recording, progress) if _updates(task) else _built(task, recording, progress)
         partial = task.map_file.with_name(f"{os.getpid()}-{task.map_file.name}")
         save_map(built, partial)

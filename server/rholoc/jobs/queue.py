@@ -76,9 +76,17 @@ class JobQueue:
         """
         return self._jobs.get(job_id)
 
-    def list(self) -> list[Job]:
-        """All jobs, the newest first."""
-        return self._jobs.list()
+    def list(self, most: int | None = None, before: str | None = None) -> list[Job]:
+        """Jobs, the newest first.
+
+        Args:
+            most: how many at most; None: all.
+            before: only those older than the job with this id.
+
+        Raises:
+            UnknownJob: there is no job ``before``.
+        """
+        return self._jobs.list(most, before)
 
     def counts(self) -> dict[JobState, int]:
         """How many jobs are in each state."""

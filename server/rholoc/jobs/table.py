@@ -75,10 +75,14 @@ class JobTable:
             raise UnknownJob(f"There is no job {job_id[:_ID_LENGTH]!r}.", "List the jobs to see their ids.")
         return _job(row)
 
-    def list(self) -> list[Job]:
-        """All jobs, the newest first."""
+    def list(self, most: int | None = None, before: str | None = None) -> list[Job]:
+        """The newest jobs, the newest first; ``before``: those older than the job with this id. Raises UnknownJob."""
+        wanted = sa.select(jobs_table).order_by(jobs_table.c.created.desc(), jobs_table.c.id.desc()).limit(most)
+        if before is not None:
+            job = self.get(before)
+            wanted = wanted.where(sa.tuple_(jobs_table.c.created, jobs_table.c.id) < (job.created, job.id))
         with self._engine.connect() as connection:
-            rows = connection.execute(sa.select(jobs_table).order_by(jobs_table.c.created.desc())).mappings().all()
+            rows = connection.execute(wanted).mappings().all()
         return [_job(row) for row in rows]
 
     def counts(self) -> dict[JobState, int]:

@@ -22,6 +22,8 @@ from rholoc.jobs.recording_store import RecordingStore, is_recording_id, sanitiz
 from rholoc.recordings import MAX_FILES, START_BYTES, ZIP_SUFFIX, check_archive, check_file_name, check_file_start
 
 _PREFIX = ".upload-"
+_MAX_UNFINISHED = 100
+_RETRY_AFTER_S = 60.0
 _LOCK_TIMEOUT_S = 2.0
 _LOCK_POLL_S = 0.02
 _PLAN_FILE = ".upload.json"  # no uploaded file can be called so: their names start with no dot
@@ -64,7 +66,12 @@ class UploadStore:
     """
 
     def __init__(
-        self, recordings: RecordingStore, jobs: JobQueue, expires_after_s: float, max_files: int = MAX_FILES
+        self,
+        recordings: RecordingStore,
+        jobs: JobQueue,
+        expires_after_s: float,
+        max_files: int = MAX_FILES,
+        max_unfinished: int = _MAX_UNFINISHED,
     ) -> None:
         """Open the store.
 
@@ -73,7 +80,9 @@ class UploadStore:
             jobs: where their jobs are queued.
             expires_after_s: how long an upload is kept without a further byte.
             max_files: how many files a ZIP file may hold.
+            max_unfinished: how many uploads there may be at a time.
         """
+        self._max_unfinished = max_unfinished
         self._max_files = max_files
         self._recordings = recordings
         self._jobs = jobs
@@ -85,11 +94,13 @@ class UploadStore:
         Raises:
             InvalidRecording: the name is no recording's, or there is nothing to upload.
             StorageFull: the disk is full, or has no room for so much.
+            Busy: there are as many unfinished uploads as there may be.
         """
         safe = sanitized(file_name).rsplit("/", 1)[-1]
         check_file_name(safe)
         if length < 1:
             raise InvalidRecording(f"{safe} is empty.", "Record again.")
+        self._check_room()
         upload_id = uuid.uuid4().hex
         with telling_full_disk(), self._recordings.new_folder() as folder:
             if shutil.disk_usage(folder).free < length:
@@ -165,6 +176,18 @@ class UploadStore:
         for plan_file in list(self._recordings.root.glob(f"*/{_PLAN_FILE}")):
             with suppress(RholocError):
                 self.get(plan_file.parent.name.removeprefix(_PREFIX))
+
+    def _check_room(self) -> None:
+        """Refuse an upload beyond those that there may be; expired ones do not count."""
+        if self._unfinished() < self._max_unfinished:
+            return
+        self.sweep()
+        if self._unfinished() >= self._max_unfinished:
+            hint = "Finish or give up (DELETE) another upload, or try again later."
+            raise Busy(f"There are {self._max_unfinished} unfinished uploads already.", hint, _RETRY_AFTER_S)
+
+    def _unfinished(self) -> int:
+        return sum(1 for _ in self._recordings.root.glob(f"{_PREFIX}*"))
 
     def _whole(self, upload_id: str) -> Upload:
         """The upload that has become a recording, its job queued if that had not been done."""

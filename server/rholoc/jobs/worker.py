@@ -210,6 +210,7 @@ class Worker:
             maps_dir=self._maps_dir,
             map_name=work.map_name,
             options=work.options,
+            max_frame_pixels=self._limits.frame_pixels,
         )
 
     def _work_dir(self, lease: Lease) -> Path:

@@ -6,6 +6,7 @@ from rholoc.recordings.contents import START_BYTES, ZIP_SUFFIX, check_file_name,
 from rholoc.recordings.description import describe_recording
 from rholoc.recordings.frames.image import decode_image, read_image
 from rholoc.recordings.frames.memory_frames import MemoryFrames
+from rholoc.recordings.frames.video import MAX_FRAME_PIXELS, frame_pixels_limited
 from rholoc.recordings.reader import read_recording
 from rholoc.recordings.recording import GRAVITY, FrameSource, GivenPoses, Imu, Recording, RecordingFormat, Waypoint
 from rholoc.recordings.selection import parse_frame_slice
@@ -21,6 +22,7 @@ from rholoc.reports import Advice, AdviceKind, RecordingWarning, WalkFigures, Wa
 __all__ = [
     "GRAVITY",
     "MAX_FILES",
+    "MAX_FRAME_PIXELS",
     "START_BYTES",
     "ZIP_SUFFIX",
     "Advice",
@@ -45,6 +47,7 @@ __all__ = [
     "check_waypoints_fix_frame",
     "decode_image",
     "describe_recording",
+    "frame_pixels_limited",
     "look_at",
     "look_through",
     "measure_walk",

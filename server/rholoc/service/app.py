@@ -19,6 +19,7 @@ from rholoc.jobs import EmbeddedWorker, JobQueue, RecordingStore, UploadStore
 from rholoc.logs import configure_logs
 from rholoc.maps import CameraLibrary, MapLibrary
 from rholoc.service import web
+from rholoc.service.bodies import HeldBodies
 from rholoc.service.compute import ComputePool
 from rholoc.service.connections import SlowBodies
 from rholoc.service.errors import (
@@ -46,6 +47,8 @@ from rholoc.service.routes import ROUTERS
 from rholoc.service.settings import Settings
 from rholoc.service.state import State
 from rholoc.service.tus import Tus
+
+_BODIES_AT_ONCE = 8  # of the largest that are allowed
 
 _DESCRIPTION = """\
 One walk with a phone makes a **map**; then any camera in that room posts a frame and gets back where it is and where it
@@ -117,10 +120,13 @@ def _start(settings: Settings, metrics: Metrics) -> State:
         localizers=Localizers(library, settings.min_confidence),
         renderings=Renderings(settings.data_dir / "renderings", library),
         compute=compute,
+        held_bodies=HeldBodies(_BODIES_AT_ONCE * settings.max_request_bytes),
         exports=Exports(settings.export_time_limit_s),
         metrics=metrics,
         recordings=recordings,
-        uploads=UploadStore(recordings, jobs, settings.upload_expires_s, settings.max_upload_files),
+        uploads=UploadStore(
+            recordings, jobs, settings.upload_expires_s, settings.max_upload_files, settings.max_unfinished_uploads
+        ),
         jobs=jobs,
         job_events=JobEvents(jobs),
         worker=_worker(settings) if settings.worker else None,

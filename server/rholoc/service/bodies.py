@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from email.message import Message
 from pathlib import Path
@@ -12,12 +13,14 @@ from python_multipart.multipart import MultipartParser, parse_options_header
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 
-from rholoc.errors import TooLarge
+from rholoc.errors import Busy, TooLarge
 from rholoc.service.errors import InvalidRequest
 
 _MAX_FIELD_BYTES = 2**16
 _MAX_FIELDS = 100
 _MAX_PART_HEADER_BYTES = 8192
+_FRAME_BYTES = 2**20
+_RETRY_AFTER_S = 2.0
 
 FileSink = Callable[[str, str, bytes], None]
 
@@ -49,9 +52,49 @@ async def limited_stream(request: Request, max_bytes: int) -> AsyncIterator[byte
             yield chunk
 
 
-async def read_body(request: Request, max_bytes: int) -> bytes:
-    """The whole body. Raises as :func:`limited_stream` does."""
-    return b"".join([chunk async for chunk in limited_stream(request, max_bytes)])
+class HeldBodies:
+    """How much memory the bodies that are being read, or worked on, take together.
+
+    Args:
+        max_bytes: how much they may, beyond what each may in any case.
+        free_bytes: what each may in any case: as much as a camera's frame has.
+    """
+
+    def __init__(self, max_bytes: int, free_bytes: int = _FRAME_BYTES) -> None:
+        self._left = max_bytes
+        self._free_bytes = free_bytes
+
+    @contextmanager
+    def hold(self) -> Iterator[Callable[[int], None]]:
+        """For as long as one body is needed; what it yields is told of each piece's length, in the event loop.
+
+        Raises:
+            Busy: by the call of what is yielded: all that may be held is.
+        """
+        length = taken = 0
+
+        def count(piece: int) -> None:
+            nonlocal length, taken
+            length += piece
+            more = max(0, length - self._free_bytes) - taken
+            if more > self._left:
+                raise Busy("Too many large bodies are on their way.", "Try again after Retry-After.", _RETRY_AFTER_S)
+            self._left -= more
+            taken += more
+
+        try:
+            yield count
+        finally:
+            self._left += taken
+
+
+async def read_body(request: Request, max_bytes: int, count: Callable[[int], None] = lambda _: None) -> bytes:
+    """The whole body; ``count`` is told of the length of each piece. Raises as :func:`limited_stream` and it do."""
+    chunks = []
+    async for chunk in limited_stream(request, max_bytes):
+        count(len(chunk))
+        chunks.append(chunk)
+    return b"".join(chunks)
 
 
 async def save_body(request: Request, path: Path, max_bytes: int) -> None:
@@ -153,10 +196,13 @@ class _Parts:
         self.ended = True
 
 
-async def read_multipart(request: Request, max_bytes: int, max_files: int, write: FileSink) -> dict[str, str]:
+async def read_multipart(
+    request: Request, max_bytes: int, max_files: int, write: FileSink, count: Callable[[int], None] = lambda _: None
+) -> dict[str, str]:
     """Read a multipart body: files go to ``write`` as they come, the text fields are returned.
 
     ``write`` takes a part's name, its filename and its next piece, the first of which is empty. It runs in a thread.
+    ``count`` is told of the length of each piece of the body.
 
     Raises:
         InvalidRequest: the body is malformed, incomplete, or has too many or too long text fields.
@@ -170,6 +216,7 @@ async def read_multipart(request: Request, max_bytes: int, max_files: int, write
     parts = _Parts(boundary, max_files + _MAX_FIELDS)
     fields: dict[str, bytearray] = {}
     async for chunk in limited_stream(request, max_bytes):
+        count(len(chunk))
         events = await run_in_threadpool(parts.feed, chunk)  # many small parts take a while
         files = [event for event in events if event.part.filename is not None]
         if files:

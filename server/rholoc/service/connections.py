@@ -3,31 +3,57 @@
 from __future__ import annotations
 
 import asyncio
+import json
 import time
+import uuid
 from typing import Any
 
 import h11
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
-from rholoc.service.errors import RequestTimeout
+from rholoc.errors import Busy
+from rholoc.service.errors import RequestTimeout, error_body, error_headers, status_of
 
 _HEAD_TIMEOUT_S = 20.0  # for a request's line and headers
 _LEAST_BYTES_PER_S = 500.0  # of a body, on average
+_RETRY_AFTER_S = 5.0
 
 
 class PatientProtocol(H11Protocol):
     """Uvicorn's HTTP/1.1, which closes a connection whose request's head does not arrive in time.
 
     Uvicorn itself closes connections that are silent between requests, but not those that send a byte now and then.
+    Where there are too many connections, a new one takes the place of that which has been waiting for a request
+    longest; where each of them has one, the new one is told that the service is busy.
     """
 
     head_timeout_s = _HEAD_TIMEOUT_S
+    max_connections = 500
     _giving_up: asyncio.TimerHandle | None = None
+    _waiting_since_s = 0.0
 
     def connection_made(self, transport: Any) -> None:
         super().connection_made(transport)
         self._watch_head()
+        self._waiting_since_s = self.loop.time()
+        if len(self.connections) > self.max_connections:
+            self._make_room()
+
+    def on_response_complete(self) -> None:
+        super().on_response_complete()
+        self._waiting_since_s = self.loop.time()
+
+    def _make_room(self) -> None:
+        others = [one for one in self.connections if isinstance(one, PatientProtocol) and one is not self]
+        waiting = [one for one in others if one.cycle is None or one.cycle.response_complete]
+        if waiting:
+            oldest = min(waiting, key=lambda one: one._waiting_since_s)
+            self.connections.discard(oldest)  # at once: many may come before it hears of its end
+            oldest.transport.close()
+        else:
+            self.transport.write(_full_answer())
+            self.transport.close()
 
     def data_received(self, data: bytes) -> None:
         super().data_received(data)
@@ -53,6 +79,20 @@ class PatientProtocol(H11Protocol):
         if self._giving_up is not None:
             self._giving_up.cancel()
             self._giving_up = None
+
+
+def _full_answer() -> bytes:
+    """An answer for a connection whose request was not read."""
+    error = Busy("The service has as many connections as it can hold.", "Try again after Retry-After.", _RETRY_AFTER_S)
+    body = json.dumps(error_body(error, uuid.uuid4().hex)).encode()
+    headers = {"Content-Type": "application/json", "Content-Length": len(body), **error_headers(error)}
+    lines = "".join(f"{name}: {value}\r\n" for name, value in {**headers, "Connection": "close"}.items())
+    return f"HTTP/1.1 {status_of(Busy)} Service Unavailable\r\n{lines}\r\n".encode() + body
+
+
+def protocol_of(max_connections: int) -> type[PatientProtocol]:
+    """The protocol for a server that holds so many connections."""
+    return type("PatientProtocol", (PatientProtocol,), {"max_connections": max_connections})
 
 
 class SlowBodies:

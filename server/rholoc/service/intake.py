@@ -8,6 +8,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from starlette.concurrency import run_in_threadpool
 
 from rholoc.errors import (
+    Busy,
     InvalidInput,
     InvalidMap,
     InvalidName,
@@ -35,6 +36,7 @@ UPLOAD_FAILURES: tuple[type[RholocError], ...] = (
     InvalidMap,
     TooLarge,
     StorageFull,
+    Busy,
 )
 
 

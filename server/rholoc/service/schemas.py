@@ -524,11 +524,12 @@ class JobOut(_Out):
 
 
 class JobList(_Out):
-    """All jobs, the newest first."""
+    """Jobs, the newest first."""
 
-    model_config = ConfigDict(frozen=True, json_schema_extra={"example": {"jobs": [_JOB]}})
+    model_config = ConfigDict(frozen=True, json_schema_extra={"example": {"jobs": [_JOB], "more": False}})
 
     jobs: list[JobOut]
+    more: bool = Field(default=False, description="Whether there are older ones: ask with `before`, the last one's id.")
 
 
 _RECORDING: JsonDict = {"id": _RECORDING_ID, "files": ["walk.mp4"], "size_bytes": 60_000_000, "created": 1767607200.0}

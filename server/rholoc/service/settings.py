@@ -11,6 +11,7 @@ from pydantic_settings import BaseSettings, SettingsConfigDict
 
 from rholoc.jobs import Limits, memory_bytes
 from rholoc.localization import MIN_CONFIDENCE
+from rholoc.recordings import MAX_FRAME_PIXELS
 from rholoc.service.guard import KeyPolicy
 
 _JOB_MEMORY_SHARE = 0.75
@@ -67,6 +68,13 @@ class Settings(BaseSettings):
     export_time_limit_s: float = Field(
         default=300, gt=0, description="How long the export of a map into another format may take."
     )
+    max_connections: int = Field(default=500, ge=1, description="The most connections that are open at a time.")
+    max_unfinished_uploads: int = Field(
+        default=100, ge=1, description="The most resumable uploads that are unfinished at a time."
+    )
+    max_video_pixels: int = Field(
+        default=MAX_FRAME_PIXELS, ge=1, description="The most pixels a frame of a recording may have, by its header."
+    )
     slow_client_timeout_s: float = Field(
         default=30,
         gt=0,
@@ -94,7 +102,7 @@ class Settings(BaseSettings):
     @property
     def job_limits(self) -> Limits:
         """What one mapping job may take."""
-        return Limits(self.job_time_limit_s, self.job_memory_gib * 2**30)
+        return Limits(self.job_time_limit_s, self.job_memory_gib * 2**30, self.max_video_pixels)
 
     @property
     def jobs_database(self) -> str | None:

@@ -9,6 +9,7 @@ from fastapi import Depends, Request
 
 from rholoc.jobs import EmbeddedWorker, JobQueue, RecordingStore, UploadStore
 from rholoc.maps import CameraLibrary, MapLibrary
+from rholoc.service.bodies import HeldBodies
 from rholoc.service.compute import ComputePool
 from rholoc.service.exports import Exports
 from rholoc.service.job_events import JobEvents
@@ -28,6 +29,7 @@ class State:
     localizers: Localizers
     renderings: Renderings
     compute: ComputePool
+    held_bodies: HeldBodies
     exports: Exports
     metrics: Metrics
     recordings: RecordingStore

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -23,7 +24,19 @@ MAX_FRAME_PIXELS = 7680 * 4320
 os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # AV_LOG_QUIET; read when the first video is opened
 cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
 
+_max_frame_pixels: ContextVar[int] = ContextVar("max_frame_pixels", default=MAX_FRAME_PIXELS)
+
 _HINT = "Record again as MP4 (H.264 or HEVC) or WebM, and let the recorder finish the file."
+
+
+@contextmanager
+def frame_pixels_limited(most: int) -> Iterator[None]:
+    """While it lasts, recordings are refused whose frames have more pixels than ``most``, instead of more than 8K."""
+    token = _max_frame_pixels.set(most)
+    try:
+        yield
+    finally:
+        _max_frame_pixels.reset(token)
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,6 +87,8 @@ def read_video(path: Path) -> VideoFrames:
     times: list[float] = []
     size: tuple[int, int] | None = None
     with _opened(path) as capture:
+        width, height = (int(capture.get(side)) for side in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT))
+        check_frame_size(path.name, width, height)
         while capture.grab():
             if size is None:
                 size = _retrieved_size(capture)
@@ -95,12 +110,14 @@ def check_frame_size(name: str, width: int, height: int) -> None:
     """Refuse frames of a size that no camera's video has, by what a file's header says.
 
     Raises:
-        InvalidRecording: a side is shorter than 16 pixels, or there are more pixels than 8K has.
+        InvalidRecording: a side is shorter than 16 pixels, or there are more pixels than 8K has, or than
+            :func:`frame_pixels_limited` allows.
     """
-    if min(width, height) < MIN_FRAME_SIDE or width * height > MAX_FRAME_PIXELS:
+    most = _max_frame_pixels.get()
+    if min(width, height) < MIN_FRAME_SIDE or width * height > most:
         raise InvalidRecording(
             f"The frames of {name} are of {width}×{height} pixels; at least {MIN_FRAME_SIDE} a side and at most "
-            f"{MAX_FRAME_PIXELS} are allowed.",
+            f"{most} are allowed.",
             "Record at 1080p, or scale the video down.",
         )
 
@@ -111,8 +128,6 @@ def _opened(path: Path) -> Iterator[cv2.VideoCapture]:
     try:
         if not capture.isOpened():
             raise InvalidRecording(f"{path.name} is not a video that can be opened.", _HINT)
-        width, height = (int(capture.get(side)) for side in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT))
-        check_frame_size(path.name, width, height)
         yield capture
     finally:
         capture.release()

@@ -20,15 +20,30 @@ from rholoc.service.state import Service, State
 
 router = APIRouter(prefix="/v1/jobs", tags=["jobs"])
 
+_MAX_LISTED = 500
 _QUIET_S = 15.0
 _EVENT = 'id: 9f0a1b2c3d4e5f60\nevent: job\ndata: {"id": "…", "state": "running", "stage": "poses", …}\n\n'
 
 
-@router.get("", dependencies=[NEEDS_READ], summary="All jobs, the newest first")
-async def list_jobs(service: Service) -> JobList:
-    """Every job that the service knows of."""
-    jobs = await run_in_threadpool(service.jobs.list)
-    return JobList(jobs=[job_out(job) for job in sorted(jobs, key=lambda job: job.created, reverse=True)])
+@router.get(
+    "",
+    dependencies=[NEEDS_READ],
+    response_model=JobList,
+    summary="Jobs, the newest first",
+    responses=failures(InvalidRequest, UnknownJob),
+)
+async def list_jobs(
+    service: Service,
+    limit: Annotated[int, Query(ge=1, le=_MAX_LISTED, description="how many at most", examples=[20])] = _MAX_LISTED,
+    before: Annotated[str | None, Query(description="a job's id: only those that are older", examples=[None])] = None,
+) -> Response:
+    """The newest jobs, or those before one that was listed; `more` says whether there are older ones."""
+    return Response(await run_in_threadpool(_listed, service, limit, before), media_type="application/json")
+
+
+def _listed(service: State, limit: int, before: str | None) -> str:
+    jobs = service.jobs.list(limit + 1, before)
+    return JobList(jobs=[job_out(job) for job in jobs[:limit]], more=len(jobs) > limit).model_dump_json()
 
 
 @router.get("/{job}", dependencies=[NEEDS_READ], summary="One job", responses=failures(InvalidRequest, UnknownJob))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Annotated, Any
 
@@ -179,7 +180,14 @@ async def _localize(
     names: list[str], request: Request, service: State, options: OptionParameters, every: bool = False
 ) -> LocalizationOut:
     clock = Stopwatch()
-    frame = await _frame(request, options.options(), service)
+    with service.held_bodies.hold() as count:
+        frame = await _frame(request, options.options(), service, count)
+        return await _localize_frame(frame, names, service, clock, every)
+
+
+async def _localize_frame(
+    frame: Frame, names: list[str], service: State, clock: Stopwatch, every: bool
+) -> LocalizationOut:
     if frame.options.camera.name is not None:
         profile = await run_in_threadpool(service.cameras.get, frame.options.camera.name)
         frame = replace(frame, stored=profile.camera)
@@ -206,35 +214,38 @@ async def _late_answer(name: str, localizers: Localizers, clock: Stopwatch) -> L
         raise DeadlineExceeded("The deadline passed while the map was loaded.", "Try again.") from None
 
 
-async def _frame(request: Request, options: dict[str, Any], service: State) -> Frame:
+async def _frame(request: Request, options: dict[str, Any], service: State, count: Callable[[int], None]) -> Frame:
     settings = service.settings
     kind, max_bytes = media_type(request), settings.max_request_bytes
     if kind.startswith("image/"):  # what it really is, its bytes tell
-        image = await read_body(request, max_bytes)
+        image = await read_body(request, max_bytes, count)
         effort = await run_in_threadpool(effort_of, image)
         return Frame(LocalizeOptions.model_validate(options), image=image, effort=effort)
     if kind == "application/json":
-        body = await read_body(request, max_bytes)
-        JsonLimits.of_features(max_bytes, settings.max_features).check(body)
+        limits = JsonLimits.of_features(max_bytes, settings.max_features)
+        body = await read_body(request, max_bytes, count)
+        limits.check(body)
         effort = effort_of_set(body)
         service.compute.check_room(effort)
         query = await run_in_threadpool(DescriptorQuery.model_validate_json, body)
         return Frame(query, features=query.features, effort=effort)
     if kind == "multipart/form-data":
-        return await _multipart_frame(request, options, settings)
+        return await _multipart_frame(request, options, settings, count)
     raise UnsupportedMediaType(
         f"A body of type '{kind}' cannot be read.",
         "Send image/jpeg, image/png, multipart/form-data or application/json as Content-Type.",
     )
 
 
-async def _multipart_frame(request: Request, options: dict[str, Any], settings: Settings) -> Frame:
+async def _multipart_frame(
+    request: Request, options: dict[str, Any], settings: Settings, count: Callable[[int], None]
+) -> Frame:
     files: dict[str, bytearray] = {}
 
     def keep(field_name: str, _filename: str, chunk: bytes) -> None:
         files.setdefault(field_name, bytearray()).extend(chunk)
 
-    fields = await read_multipart(request, settings.max_request_bytes, len(_PARTS), keep)
+    fields = await read_multipart(request, settings.max_request_bytes, len(_PARTS), keep, count)
     strange = (files.keys() | fields.keys()) - _PARTS
     if strange or "image" not in files:
         raise InvalidRequest(
