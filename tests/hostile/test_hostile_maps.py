@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import json
 import threading
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import httpx
@@ -18,6 +19,7 @@ from rholoc.errors import InvalidMap
 from rholoc.exports import ExportFormat
 from rholoc.maps import MapLibrary, load_map, map_to_bytes
 from rholoc.maps.rho_file import _checksum
+from rholoc.service import routes
 from rholoc.service.exports import ExportRequest, Exports, is_long
 
 PNG = {"Content-Type": "image/png"}
@@ -244,6 +246,30 @@ def test_an_export_that_nobody_waits_for_gives_its_place_back(serve, picture_wor
     assert whole.is_success
     refused = httpx.get(f"{url}&degree=7", timeout=120)
     assert (refused.status_code, refused.json()["code"]) == (422, "invalid_input")
+
+
+def test_a_map_file_has_a_limit_and_maps_are_checked_one_at_a_time(serve, picture_world, monkeypatch):
+    content = picture_world.rho()
+    running = serve(max_map_bytes=len(content))
+    url = f"{running.url}/v1/maps"
+    refused = httpx.put(f"{url}/room", content=content + b"x")
+    assert (refused.status_code, refused.json()["code"]) == (413, "too_large")
+    at_work, most, both = 0, 0, threading.Lock()
+    really = routes.maps._publish
+
+    def publish(*args):
+        nonlocal at_work, most
+        with both:
+            at_work += 1
+            most = max(most, at_work)
+        really(*args)
+        with both:
+            at_work -= 1
+
+    monkeypatch.setattr(routes.maps, "_publish", publish)
+    with ThreadPoolExecutor(4) as pool:
+        answers = list(pool.map(lambda i: httpx.put(f"{url}/room-{i}", content=content, timeout=60), range(4)))
+    assert ([answer.status_code for answer in answers], most) == ([201] * 4, 1)
 
 
 def test_a_description_beyond_all_measure_is_not_parsed(picture_world, tmp_path):

@@ -15,6 +15,7 @@ from rholoc.recordings import MAX_FRAME_PIXELS
 from rholoc.service.guard import KeyPolicy
 
 _JOB_MEMORY_SHARE = 0.75
+_MAP_MEMORY_SHARE = 1 / 16
 
 
 class Settings(BaseSettings):
@@ -65,6 +66,12 @@ class Settings(BaseSettings):
         default=2**16, ge=1, description="The largest JSON body, but for a descriptor set: cameras, options, names."
     )
     max_upload_bytes: int = Field(default=4 * 2**30, ge=1, description="The largest upload of a map or a recording.")
+    max_map_bytes: int = Field(
+        default_factory=lambda: int(_MAP_MEMORY_SHARE * memory_bytes()),
+        ge=1,
+        description="The largest map file that is taken in; default: a sixteenth of the machine's or the container's "
+        "memory, for a map takes six times its file while it is checked.",
+    )
     export_time_limit_s: float = Field(
         default=300, gt=0, description="How long the export of a map into another format may take."
     )

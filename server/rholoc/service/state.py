@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import asyncio
+from dataclasses import dataclass, field
 from typing import Annotated
 
 from fastapi import Depends, Request
@@ -37,6 +38,7 @@ class State:
     jobs: JobQueue
     job_events: JobEvents
     worker: EmbeddedWorker | None
+    publishing: asyncio.Lock = field(default_factory=asyncio.Lock)  # a large map takes memory while it is checked
 
 
 def _state(request: Request) -> State:

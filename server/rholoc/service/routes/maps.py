@@ -111,7 +111,8 @@ async def put_map(map_name: str, request: Request, service: Service, response: R
     new = map_name not in service.library.names()
     try:
         await save_body(request, arrived, service.settings.max_upload_bytes)
-        await run_in_threadpool(_publish, service, map_name, arrived)
+        async with service.publishing:
+            await run_in_threadpool(_publish, service, map_name, arrived)
     finally:
         arrived.unlink(missing_ok=True)
     response.status_code = 201 if new else 200
@@ -465,6 +466,9 @@ def _publish(service: State, name: str, arrived: Path) -> None:
         check(map_)
         service.library.put(name, map_)
     else:
+        if arrived.stat().st_size > service.settings.max_map_bytes:
+            limit = service.settings.max_map_bytes
+            raise TooLarge(f"The map's file is longer than {limit} bytes.", "Split it, or raise RHOLOC_MAX_MAP_BYTES.")
         service.library.put_file(name, arrived, check)
 
 
