@@ -75,7 +75,6 @@ def complaint_about(folder: Path) -> str:
         recording = read_recording(folder)
         next(iter(recording.frames.images([0])))
     except RholocError as error:
-        assert error.message
         return f"{error.message} {error.hint}"
     return ""
 
