@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 
 import cv2
+import httpx
 import numpy as np
 import pytest
 import uvicorn
@@ -30,6 +31,11 @@ if TYPE_CHECKING:
     from fastapi import FastAPI
 
     from rholoc.service import Settings
+
+# The tests wait for events, not for seconds: the service's default deadline and httpx's are for machines at rest.
+_PATIENCE_S = 60.0
+for _part in ("connect", "read", "write", "pool"):
+    setattr(httpx._config.DEFAULT_TIMEOUT_CONFIG, _part, _PATIENCE_S)  # bound in the signatures of httpx's functions
 
 _REAL_DATA = Path(__file__).parents[2] / "shared" / "data"
 
@@ -200,6 +206,7 @@ def serve(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ServeFunction]:
     def start(**settings: Any) -> RunningService:
         folder = tmp_path_factory.mktemp("service")
         defaults = {"maps_dir": folder / "maps", "data_dir": folder / "data", "worker": False, "concurrency": 2}
+        defaults["default_deadline_ms"] = 1000 * _PATIENCE_S
         chosen = Settings(**{**defaults, **settings})
         app = create_app(chosen)
         listener = socket.create_server(("127.0.0.1", 0))

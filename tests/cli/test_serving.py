@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import socket
 import subprocess
 import sys
+import threading
+from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 import httpx
 import pytest
@@ -118,6 +122,39 @@ def test_ctrl_c_ends_serve_and_worker_in_order(tmp_path: Path) -> None:
             process.kill()
         assert process.returncode in (0, 130)
         assert "Traceback" not in rest
+
+
+STUCK = """
+import sys, time
+from rholoc.cli.app import main
+from rholoc.localization import Localizer
+
+Localizer.localize = lambda self, query: (print("at work", flush=True), time.sleep(1000))
+main()
+"""
+
+
+def test_sigterm_ends_a_server_whose_threads_do_not_end(tmp_path: Path, picture_world: Any) -> None:
+    (tmp_path / "maps").mkdir()
+    (tmp_path / "maps" / "room.rho").write_bytes(picture_world.rho())
+    command = [sys.executable, "-c", STUCK, "serve", "--port", "0", "--no-worker"]
+    command += ["--maps", str(tmp_path / "maps"), "--data", str(tmp_path / "data")]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    try:
+        url = next(re.search(r"http://[0-9.:]+", line)[0] for line in process.stderr if "http://" in line)
+        frame = f"{url}/v1/maps/room/localize?deadline_ms=60000"
+        threading.Thread(target=_ask, args=(frame, picture_world.png()), daemon=True).start()
+        assert "at work" in process.stdout.readline()
+        process.terminate()
+        process.communicate(timeout=120)
+    finally:
+        process.kill()
+        process.communicate()
+
+
+def _ask(url: str, png: bytes) -> None:
+    with suppress(httpx.HTTPError):
+        httpx.post(url, content=png, headers={"Content-Type": "image/png"}, timeout=120)
 
 
 def test_an_answer_is_not_held_back_until_it_is_acknowledged() -> None:

@@ -106,7 +106,7 @@ def test_the_answer_comes_at_the_deadline_though_a_thread_is_still_busy(serve, p
     assert httpx.post(url, **png).json()["localized"]
     held = threading.Event()
     really = get_extractor("gray").extract
-    monkeypatch.setattr(type(get_extractor("gray")), "extract", lambda _self, image: held.wait(20) and really(image))
+    monkeypatch.setattr(type(get_extractor("gray")), "extract", lambda _self, image: held.wait(100) and really(image))
     try:
         for _ in range(2):  # the first is in the thread, the second waits for it
             late = httpx.post(f"{url}&deadline_ms=100", **png).json()

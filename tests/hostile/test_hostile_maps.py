@@ -184,13 +184,13 @@ def test_a_download_is_of_one_version_whatever_happens_meanwhile(serve, picture_
     writer.start()
     try:
         for _ in range(60):
-            answer = httpx.get(f"{running.url}/v1/maps/room/download", timeout=10)
+            answer = httpx.get(f"{running.url}/v1/maps/room/download", timeout=60)
             assert answer.status_code in (200, 404, 409), answer.text
             if answer.status_code == 200:
                 sizes.add(answer.content)
     finally:
         stop.set()
-        writer.join(20)
+        writer.join(60)
     assert sizes <= {first, second}
 
 

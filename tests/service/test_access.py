@@ -47,7 +47,7 @@ def secrets(locked):
 
 @pytest.fixture(scope="module")
 def http(locked):
-    with httpx.Client(base_url=locked.url, timeout=20) as client:
+    with httpx.Client(base_url=locked.url, timeout=60) as client:
         yield client
 
 
@@ -148,6 +148,6 @@ def test_a_method_that_is_overridden_needs_the_scope_of_what_it_becomes(http, se
 
 
 def test_the_key_is_judged_before_the_body_arrives(locked):
-    with socket.create_connection(locked.address, timeout=10) as connection:
+    with socket.create_connection(locked.address, timeout=60) as connection:
         connection.sendall(b"PUT /v1/maps/localize HTTP/1.1\r\nHost: localhost\r\nContent-Length: 1000000\r\n\r\n")
         assert connection.recv(64).startswith(b"HTTP/1.1 401")

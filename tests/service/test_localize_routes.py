@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import json
 import threading
+import time
 from concurrent.futures import ThreadPoolExecutor
 
 import cv2
@@ -134,17 +135,17 @@ def test_a_full_queue_answers_busy(serve, picture_world, monkeypatch):
 
     def slow(self, query):
         entered.set()
-        go_on.wait(20)
+        go_on.wait(100)
         return localize(self, query)
 
     monkeypatch.setattr(Localizer, "localize", slow)
     with ThreadPoolExecutor(2) as pool:
         first = pool.submit(send_picture, running, picture_world)
-        assert entered.wait(20)
+        assert entered.wait(100)
         second = pool.submit(send_picture, running, picture_world)
         waiting = running.app.state.rholoc.compute
         while not waiting.full:
-            pass
+            time.sleep(0.01)
         refused = send_picture(running, picture_world)
         unready = httpx.get(running.url + "/readyz")
         go_on.set()

@@ -115,7 +115,7 @@ def test_what_came_before_the_connection_broke_is_kept(service):
     )
     with socket.create_connection(service.address) as connection:
         connection.sendall(head.encode() + VIDEO[:300_000])
-    deadline = time.monotonic() + 5
+    deadline = time.monotonic() + 60
     while offset_at(url) < 300_000:
         assert time.monotonic() < deadline
     assert patch(url, 300_000, VIDEO[300_000:]).status_code == 204

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import socket
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -16,6 +18,7 @@ if TYPE_CHECKING:
 
 _BACKLOG = 2048
 _SHUTDOWN_S = 5  # for requests that are being answered; who watches a job would stay for as long as it takes
+_SWITCH_INTERVAL_S = 0.0005  # Python's own 5 ms, for each of a frame's many steps, double its time beside other work
 _EVERYWHERE = "0.0.0.0"
 
 Maps = Annotated[
@@ -50,6 +53,7 @@ def serve(
     from rholoc.jobs import JobQueue
     from rholoc.logs import configure_process_logs
     from rholoc.service import create_app
+    from rholoc.service.compute import compute_threads
     from rholoc.service.connections import protocol_of
     from rholoc.service.guard import keys_needed
     from rholoc.service.keys import KeyStore
@@ -71,12 +75,17 @@ def serve(
             config.ssl_certfile, where = _https(settings, port)
         server = uvicorn.Server(config)
         configure_process_logs()
+        sys.setswitchinterval(_SWITCH_INTERVAL_S)
         print_notice(f"Serving the maps of {settings.maps_dir} at {where} (the API: /docs).")
         if keys_needed(settings.keys, settings.host) and not KeyStore(settings.data_dir).keys():
             print_notice("It asks for API keys, and there is none yet: rholoc key create NAME --scope admin")
         server.run(sockets=[listener])
     if not server.started:
         raise InvalidInput("The server did not start.", "The lines above say why.")
+    if compute_threads():  # Python would wait for them, and nobody waits for what they compute
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(0)
 
 
 def _https(settings: Settings, port: int) -> tuple[Path, str]:

@@ -23,6 +23,7 @@ _FRAME_BYTES = 2**20
 _RETRY_AFTER_S = 2.0
 
 FileSink = Callable[[str, str, bytes], None]
+PieceListener = Callable[[bytes], None]
 
 
 def media_type(request: Request) -> str:
@@ -65,17 +66,17 @@ class HeldBodies:
         self._free_bytes = free_bytes
 
     @contextmanager
-    def hold(self) -> Iterator[Callable[[int], None]]:
-        """For as long as one body is needed; what it yields is told of each piece's length, in the event loop.
+    def hold(self) -> Iterator[PieceListener]:
+        """For as long as one body is needed; what it yields is shown each piece, in the event loop.
 
         Raises:
             Busy: by the call of what is yielded: all that may be held is.
         """
         length = taken = 0
 
-        def count(piece: int) -> None:
+        def count(piece: bytes) -> None:
             nonlocal length, taken
-            length += piece
+            length += len(piece)
             more = max(0, length - self._free_bytes) - taken
             if more > self._left:
                 raise Busy("Too many large bodies are on their way.", "Try again after Retry-After.", _RETRY_AFTER_S)
@@ -88,11 +89,11 @@ class HeldBodies:
             self._left += taken
 
 
-async def read_body(request: Request, max_bytes: int, count: Callable[[int], None] = lambda _: None) -> bytes:
-    """The whole body; ``count`` is told of the length of each piece. Raises as :func:`limited_stream` and it do."""
+async def read_body(request: Request, max_bytes: int, look: PieceListener = lambda _: None) -> bytes:
+    """The whole body; ``look`` is shown each piece as it comes. Raises as :func:`limited_stream` and it do."""
     chunks = []
     async for chunk in limited_stream(request, max_bytes):
-        count(len(chunk))
+        look(chunk)
         chunks.append(chunk)
     return b"".join(chunks)
 
@@ -197,12 +198,12 @@ class _Parts:
 
 
 async def read_multipart(
-    request: Request, max_bytes: int, max_files: int, write: FileSink, count: Callable[[int], None] = lambda _: None
+    request: Request, max_bytes: int, max_files: int, write: FileSink, look: PieceListener = lambda _: None
 ) -> dict[str, str]:
     """Read a multipart body: files go to ``write`` as they come, the text fields are returned.
 
     ``write`` takes a part's name, its filename and its next piece, the first of which is empty. It runs in a thread.
-    ``count`` is told of the length of each piece of the body.
+    ``look`` is shown each piece of the body.
 
     Raises:
         InvalidRequest: the body is malformed, incomplete, or has too many or too long text fields.
@@ -216,7 +217,7 @@ async def read_multipart(
     parts = _Parts(boundary, max_files + _MAX_FIELDS)
     fields: dict[str, bytearray] = {}
     async for chunk in limited_stream(request, max_bytes):
-        count(len(chunk))
+        look(chunk)
         events = await run_in_threadpool(parts.feed, chunk)  # many small parts take a while
         files = [event for event in events if event.part.filename is not None]
         if files:

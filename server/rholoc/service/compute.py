@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import threading
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -18,6 +19,8 @@ from rholoc.errors import Busy
 _T = TypeVar("_T")
 _SMOOTHING = 0.2  # weight of the newest duration in the running mean
 _FIRST_GUESS_S = 0.2
+_CLOSE_TIMEOUT_S = 5.0
+_THREADS = "rholoc-compute"
 
 
 class Effort(Enum):
@@ -36,8 +39,8 @@ class ComputePool:
 
     def __init__(self, concurrency: int, queue_length: int) -> None:
         self._lanes = {
-            Effort.ORDINARY: _Lane("rholoc-compute", concurrency, queue_length),
-            Effort.LARGE: _Lane("rholoc-large", max(1, concurrency - 1), queue_length),
+            Effort.ORDINARY: _Lane(_THREADS, concurrency, queue_length),
+            Effort.LARGE: _Lane(f"{_THREADS}-large", max(1, concurrency - 1), queue_length),
         }
 
     @property
@@ -63,9 +66,17 @@ class ComputePool:
         return await self._lanes[effort].run(work)
 
     def close(self) -> None:
-        """Let running work end and take no more."""
+        """Take no more, and wait for running work; but not long, for nobody waits for its result any more."""
         for lane in self._lanes.values():
             lane.close()
+        last_s = time.monotonic() + _CLOSE_TIMEOUT_S
+        for thread in compute_threads():
+            thread.join(max(0.0, last_s - time.monotonic()))
+
+
+def compute_threads() -> list[threading.Thread]:
+    """The threads of all pools of this process that have not ended."""
+    return [thread for thread in threading.enumerate() if thread.name.startswith(_THREADS)]
 
 
 class _Lane:
@@ -106,7 +117,7 @@ class _Lane:
         self.taken -= 1
 
     def close(self) -> None:
-        self._executor.shutdown(wait=True, cancel_futures=True)
+        self._executor.shutdown(wait=False, cancel_futures=True)
 
 
 def _from_thread(loop: asyncio.AbstractEventLoop, function: Callable[[], None]) -> None:

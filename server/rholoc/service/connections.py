@@ -17,6 +17,7 @@ from rholoc.service.errors import RequestTimeout, error_body, error_headers, sta
 
 _HEAD_TIMEOUT_S = 20.0  # for a request's line and headers
 _LEAST_BYTES_PER_S = 500.0  # of a body, on average
+_LEFTOVER_BYTES_PER_S = 4e6  # of a body that was refused before it had come: reading it costs the others
 _RETRY_AFTER_S = 5.0
 
 
@@ -58,6 +59,10 @@ class PatientProtocol(H11Protocol):
     def data_received(self, data: bytes) -> None:
         super().data_received(data)
         self._watch_head()
+        answered = self.cycle is not None and self.cycle.response_complete
+        if answered and self.conn.their_state is h11.SEND_BODY:  # refused: what still comes is read for politeness
+            self.transport.pause_reading()
+            self.loop.call_later(len(data) / _LEFTOVER_BYTES_PER_S, self.transport.resume_reading)
 
     def connection_lost(self, exc: Exception | None) -> None:
         super().connection_lost(exc)

@@ -16,7 +16,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from rholoc.errors import TooLarge
 from rholoc.maps.json_values import check_json_value
 from rholoc.service.access import found_route
-from rholoc.service.bodies import read_body
+from rholoc.service.bodies import PieceListener, read_body
 from rholoc.service.errors import InvalidRequest
 
 _MAX_MEMBERS = 1000  # names with values, in all objects of a body together
@@ -52,12 +52,30 @@ class JsonLimits:
         Raises:
             TooLarge: it is longer, or holds more values or members.
         """
-        if len(body) > self.length:
-            raise TooLarge(f"The JSON is longer than {self.length} bytes.", "Send less.")
-        if sum(body.count(mark) for mark in (b",", b"[", b"{")) > self.values:
-            raise TooLarge(f"The JSON holds more than {self.values} values.", "Send less.")
-        if body.count(b":") > _MAX_MEMBERS:
-            raise TooLarge(f"The JSON's objects have more than {_MAX_MEMBERS} members.", "Send less.")
+        self.measured()(body)
+
+    def measured(self, further: PieceListener = lambda _: None) -> PieceListener:
+        """Measures a body piece by piece, so that one beyond the limits need not arrive; ``further`` is shown each too.
+
+        Raises:
+            TooLarge: by the call, as :meth:`check` does.
+        """
+        length = values = members = 0
+
+        def measure(piece: bytes) -> None:
+            nonlocal length, values, members
+            length += len(piece)
+            values += sum(piece.count(mark) for mark in (b",", b"[", b"{"))
+            members += piece.count(b":")
+            if length > self.length:
+                raise TooLarge(f"The JSON is longer than {self.length} bytes.", "Send less.")
+            if values > self.values:
+                raise TooLarge(f"The JSON holds more than {self.values} values.", "Send less.")
+            if members > _MAX_MEMBERS:
+                raise TooLarge(f"The JSON's objects have more than {_MAX_MEMBERS} members.", "Send less.")
+            further(piece)
+
+        return measure
 
 
 def check_json(body: bytes, limits: JsonLimits) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
 
@@ -15,6 +17,7 @@ from rholoc.service.access import found_route
 
 _log = structlog.get_logger("rholoc.service")
 METRICS_TYPE = "text/plain; version=0.0.4; charset=utf-8"
+_KEPT_S = 0.5
 _SECONDS = (0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0, 60.0)
 
 
@@ -23,6 +26,8 @@ class Metrics:
 
     def __init__(self) -> None:
         self._registry = CollectorRegistry()
+        self._making = threading.Lock()
+        self._text, self._made_s = b"", -math.inf
         self._requests = Histogram(
             "rholoc_request_seconds",
             "How long requests took, until the last byte of their answers",
@@ -47,8 +52,11 @@ class Metrics:
         self._registry.register(_Gauge(name, text, label, read))
 
     def text(self) -> bytes:
-        """All metrics, as Prometheus reads them."""
-        return generate_latest(self._registry)
+        """All metrics, as Prometheus reads them; at most half a second old, for making the text takes a while."""
+        with self._making:
+            if time.monotonic() - self._made_s > _KEPT_S:
+                self._text, self._made_s = generate_latest(self._registry), time.monotonic()
+            return self._text
 
 
 class _Gauge(Collector):

@@ -19,6 +19,8 @@ from rholoc.geometry import ByteArray
 IMAGE_SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".webp", ".bmp", ".ppm", ".pgm"})
 DEFAULT_MAX_PIXELS = 50_000_000
 
+IMAGE_START_BYTES = 12
+
 _FORMATS = ("JPEG", "PNG", "WEBP", "BMP", "PPM")
 SENT_FORMATS = ("JPEG", "PNG", "WEBP")  # of which none takes much longer to decode than its pixels take to be written
 MAX_JPEG_SCANS = 100  # cameras write 1 or 3, progressive encoders 6 to 12; an empty one visits every pixel too
@@ -94,6 +96,12 @@ def image_size(path: Path, max_pixels: int = DEFAULT_MAX_PIXELS) -> tuple[int, i
         exif = Image.Image.getexif(image)  # a PNG file's own getexif would decode the pixels
         transposed = exif.get(_ORIENTATION_TAG) in _TRANSPOSED
     return (height, width) if transposed else (width, height)
+
+
+def begins_like_an_image(start: bytes) -> bool:
+    """Whether a file of which this is the start, at least :data:`IMAGE_START_BYTES`, may be JPEG, PNG or WebP."""
+    riff = start.startswith(b"RIFF") and start[8:12] == b"WEBP"
+    return riff or start.startswith((b"\xff\xd8\xff", b"\x89PNG\r\n\x1a\n"))
 
 
 def visited_pixels(data: bytes) -> int:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Annotated, Any
 
@@ -23,8 +22,9 @@ from rholoc.errors import (
     UnknownCamera,
     UnknownMap,
 )
+from rholoc.recordings.frames.image import IMAGE_START_BYTES, begins_like_an_image
 from rholoc.service.access import NEEDS_LOCALIZE
-from rholoc.service.bodies import media_type, read_body, read_multipart
+from rholoc.service.bodies import PieceListener, media_type, read_body, read_multipart
 from rholoc.service.errors import InvalidRequest, UnsupportedMediaType
 from rholoc.service.json_bodies import JsonLimits
 from rholoc.service.localize import Stopwatch, frame_deadline_s, late_answer, localize_frame
@@ -180,8 +180,8 @@ async def _localize(
     names: list[str], request: Request, service: State, options: OptionParameters, every: bool = False
 ) -> LocalizationOut:
     clock = Stopwatch()
-    with service.held_bodies.hold() as count:
-        frame = await _frame(request, options.options(), service, count)
+    with service.held_bodies.hold() as look:
+        frame = await _frame(request, options.options(), service, look)
         return await _localize_frame(frame, names, service, clock, every)
 
 
@@ -214,38 +214,54 @@ async def _late_answer(name: str, localizers: Localizers, clock: Stopwatch) -> L
         raise DeadlineExceeded("The deadline passed while the map was loaded.", "Try again.") from None
 
 
-async def _frame(request: Request, options: dict[str, Any], service: State, count: Callable[[int], None]) -> Frame:
+async def _frame(request: Request, options: dict[str, Any], service: State, look: PieceListener) -> Frame:
     settings = service.settings
     kind, max_bytes = media_type(request), settings.max_request_bytes
     if kind.startswith("image/"):  # what it really is, its bytes tell
-        image = await read_body(request, max_bytes, count)
+        image = await read_body(request, max_bytes, _refusing_others(look))
         effort = await run_in_threadpool(effort_of, image)
         return Frame(LocalizeOptions.model_validate(options), image=image, effort=effort)
     if kind == "application/json":
-        limits = JsonLimits.of_features(max_bytes, settings.max_features)
-        body = await read_body(request, max_bytes, count)
-        limits.check(body)
+        measured = JsonLimits.of_features(max_bytes, settings.max_features).measured(look)
+        body = await read_body(request, max_bytes, measured)
         effort = effort_of_set(body)
         service.compute.check_room(effort)
         query = await run_in_threadpool(DescriptorQuery.model_validate_json, body)
         return Frame(query, features=query.features, effort=effort)
     if kind == "multipart/form-data":
-        return await _multipart_frame(request, options, settings, count)
+        return await _multipart_frame(request, options, settings, look)
     raise UnsupportedMediaType(
         f"A body of type '{kind}' cannot be read.",
         "Send image/jpeg, image/png, multipart/form-data or application/json as Content-Type.",
     )
 
 
-async def _multipart_frame(
-    request: Request, options: dict[str, Any], settings: Settings, count: Callable[[int], None]
-) -> Frame:
+def _refusing_others(look: PieceListener) -> PieceListener:
+    """Refuses a picture by its first bytes, before the others come; shows ``look`` each piece too.
+
+    Raises:
+        InvalidImage: by the call: it is none.
+    """
+    start = b""
+
+    def listen(piece: bytes) -> None:
+        nonlocal start
+        if len(start) < IMAGE_START_BYTES:
+            start += piece[:IMAGE_START_BYTES]
+            if len(start) >= IMAGE_START_BYTES and not begins_like_an_image(start):
+                raise InvalidImage("This is not an image that can be read.", "Send a whole JPEG, PNG or WebP file.")
+        look(piece)
+
+    return listen
+
+
+async def _multipart_frame(request: Request, options: dict[str, Any], settings: Settings, look: PieceListener) -> Frame:
     files: dict[str, bytearray] = {}
 
     def keep(field_name: str, _filename: str, chunk: bytes) -> None:
         files.setdefault(field_name, bytearray()).extend(chunk)
 
-    fields = await read_multipart(request, settings.max_request_bytes, len(_PARTS), keep, count)
+    fields = await read_multipart(request, settings.max_request_bytes, len(_PARTS), keep, look)
     strange = (files.keys() | fields.keys()) - _PARTS
     if strange or "image" not in files:
         raise InvalidRequest(
