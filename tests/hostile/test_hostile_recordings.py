@@ -18,7 +18,7 @@ import pytest
 
 from rholoc.errors import Busy, InvalidCamera, InvalidRecording, InvalidWaypoints, TooLarge
 from rholoc.jobs import JobOptions, JobQueue, Limits, MappingTask, RecordingStore, UploadStore, memory_bytes
-from rholoc.jobs.build_process import build_in_process
+from rholoc.jobs.build_process import build_in_process, run_build
 from rholoc.jobs.pipeline import MappingPipeline
 from rholoc.jobs.table import JobWork, Lease, shortened
 from rholoc.jobs.worker import Worker
@@ -141,6 +141,25 @@ def test_the_pixels_of_a_video_are_a_setting_of_the_service(tmp_path):
         MappingPipeline().build(task, lambda *_: None)
 
 
+@pytest.mark.parametrize("size", [(100_000, 10), (10, 100_000), (40_000, 1000)])
+def test_a_video_of_a_size_beyond_reason_fails_its_job_in_one_line(tmp_path, size):
+    path = tmp_path / "walk.avi"
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"FFV1"), 30, size)
+    writer.write(np.zeros((size[1], size[0], 3), np.uint8))
+    writer.release()
+    task = MappingTask(path, tmp_path / "map.rho", tmp_path, "room", JobOptions())
+    failure = run_build(MappingPipeline(), task, lambda *_: None)
+    assert failure.code == "invalid_recording"
+    assert len(failure.message) < 500
+
+
+def test_a_job_of_a_camera_file_nested_beyond_reason_fails_in_one_line(tmp_path):
+    folder = write_images(tmp_path / "walk")
+    (folder / "camera.json").write_text('{"fx": ' + "[" * 10**5 + "]" * 10**5 + "}")
+    task = MappingTask(folder, tmp_path / "map.rho", tmp_path, "room", JobOptions())
+    assert run_build(MappingPipeline(), task, lambda *_: None).code == "invalid_camera"
+
+
 def test_pictures_of_absurd_dimensions_are_refused(tmp_path):
     with pytest.raises(InvalidRecording, match="8×4000 pixels"):
         read_recording(write_images(tmp_path / "walk", size=(8, 4000)))
@@ -154,8 +173,10 @@ def waypoints(tmp_path: Path, names: list[str]) -> Path:
 
 
 def test_waypoints_are_few_and_have_short_names(tmp_path):
-    with pytest.raises(InvalidWaypoints, match="more than 1000 rows"):
-        read_recording(waypoints(tmp_path / "a", [f"W{i}" for i in range(1001)]))
+    for count in (1001, 5000):
+        with pytest.raises(InvalidWaypoints, match="more than 1000 rows") as caught:
+            read_recording(waypoints(tmp_path / str(count), [f"W{i}" for i in range(count)]))
+        assert len(str(caught.value)) < 500
     with pytest.raises(InvalidWaypoints, match="not a valid waypoint name") as caught:
         read_recording(waypoints(tmp_path / "b", ["W1", "W2", "x" * 100_000]))
     assert len(str(caught.value)) < 500

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+import os
+import sys
 import threading
 import time
 from collections.abc import Callable
@@ -20,6 +22,7 @@ _T = TypeVar("_T")
 _SMOOTHING = 0.2  # weight of the newest duration in the running mean
 _FIRST_GUESS_S = 0.2
 _CLOSE_TIMEOUT_S = 5.0
+_NICENESS = 5  # of large work; more would let it hold the interpreter while it waits for a core
 _THREADS = "rholoc-compute"
 
 
@@ -39,8 +42,8 @@ class ComputePool:
 
     def __init__(self, concurrency: int, queue_length: int) -> None:
         self._lanes = {
-            Effort.ORDINARY: _Lane(_THREADS, concurrency, queue_length),
-            Effort.LARGE: _Lane(f"{_THREADS}-large", max(1, concurrency - 1), queue_length),
+            Effort.ORDINARY: _Lane(_THREADS, concurrency, queue_length, _keep_to_one_core),
+            Effort.LARGE: _Lane(f"{_THREADS}-large", max(1, concurrency - 1), queue_length, _step_back),
         }
 
     @property
@@ -82,8 +85,8 @@ def compute_threads() -> list[threading.Thread]:
 class _Lane:
     """A queue and its threads. Its counters need no lock, for only the event loop's thread uses them."""
 
-    def __init__(self, name: str, concurrency: int, queue_length: int) -> None:
-        self._executor = ThreadPoolExecutor(concurrency, thread_name_prefix=name, initializer=_keep_to_one_core)
+    def __init__(self, name: str, concurrency: int, queue_length: int, prepare: Callable[[], None]) -> None:
+        self._executor = ThreadPoolExecutor(concurrency, thread_name_prefix=name, initializer=prepare)
         self._concurrency = concurrency
         self._capacity = concurrency + queue_length
         self._mean_s = _FIRST_GUESS_S
@@ -129,3 +132,10 @@ def _keep_to_one_core() -> None:
     """Requests run beside each other; were each to spread over all cores too, they would wait for one another."""
     faiss.omp_set_num_threads(1)  # OpenMP keeps this for each thread apart
     cv2.setNumThreads(1)
+
+
+def _step_back() -> None:
+    """As :func:`_keep_to_one_core`; and where cores are few, ordinary work gets them first."""
+    _keep_to_one_core()
+    if sys.platform == "linux":  # where each thread has a priority of its own
+        os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), _NICENESS)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import re
 import uuid
 
@@ -15,6 +16,8 @@ from rholoc.service.errors import Internal, as_rholoc_error, error_body, error_h
 
 REQUEST_ID_HEADER = "X-Request-ID"
 _REQUEST_ID = re.compile(r"[A-Za-z0-9._-]{1,64}")
+_REFUSED = 400  # statuses from here on
+_REFUSAL_TAKES_S = 0.02  # at least: who sends nonsense as fast as it is refused would keep the others waiting
 _log = structlog.get_logger("rholoc.service")
 
 
@@ -39,6 +42,8 @@ class RequestBoundary:
         async def send_with_id(message: Message) -> None:
             nonlocal started
             if message["type"] == "http.response.start":
+                if message["status"] >= _REFUSED:
+                    await asyncio.sleep(_REFUSAL_TAKES_S)
                 started = True
                 MutableHeaders(scope=message)[REQUEST_ID_HEADER] = request_id
             await send(message)
