@@ -7,7 +7,6 @@ option does not allow is one JSON object on the standard error, with exit status
 from __future__ import annotations
 
 import json
-import os
 import sys
 from pathlib import Path
 
@@ -16,12 +15,10 @@ from rholoc.exports.formats import ExportFormat, export_map
 from rholoc.maps import load_map
 
 REFUSED = 3  # exit status
-_NICENESS = 10  # requests of localization come first
 
 
 def main() -> int:
     """Write the export that is asked for; the exit status."""
-    os.nice(_NICENESS)
     wanted = json.loads(sys.stdin.buffer.readline())
     try:
         map_ = load_map(Path(wanted["source"]), wanted["title"])
