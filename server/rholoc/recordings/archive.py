@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import os
 import shutil
 import stat
@@ -12,6 +11,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path, PurePosixPath
 
+from rholoc.disk import is_full
 from rholoc.errors import InvalidRecording, StorageFull, TooLarge
 from rholoc.recordings.contents import START_BYTES, check_file_start
 from rholoc.recordings.frames.video import VIDEO_SUFFIXES
@@ -71,7 +71,7 @@ def _opened(archive: Path, max_files: int) -> Iterator[zipfile.ZipFile]:
             f"{archive.name} is not a whole ZIP file: {error}.", "Pack it or send it again."
         ) from error
     except OSError as error:
-        if error.errno in (errno.ENOSPC, errno.EDQUOT):
+        if is_full(error):
             raise StorageFull(f"No room left to unpack {archive.name}.", "Free some space and try again.") from error
         raise InvalidRecording(f"{archive.name} cannot be unpacked: {error.strerror}.") from error
 
