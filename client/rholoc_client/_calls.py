@@ -234,8 +234,8 @@ def begin_upload(name: str, length: int, fields: Mapping[str, str | None]) -> Ca
 
     Should it be announced twice, the service forgets the one that stays empty.
     """
-    told = {"filename": name, **_without_none(fields)}
-    metadata = ",".join(f"{key} {_base64(value.encode())}" for key, value in told.items())
+    metadata_fields = {"filename": name, **_without_none(fields)}
+    metadata = ",".join(f"{key} {_base64(value.encode())}" for key, value in metadata_fields.items())
     headers = {**_TUS, "Upload-Length": str(length), "Upload-Metadata": metadata}
     return Call("POST", "/v1/recordings", lambda response: _last_part(response.headers["Location"]), headers=headers)
 

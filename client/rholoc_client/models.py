@@ -92,8 +92,8 @@ class Pose:
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """The likeliest cause for which there is no pose: its name for programs, and a sentence each on what it looks like
-    and what to try."""
+    """The most likely cause for which there is no pose: its name for programs, a sentence on how it looks, and one on
+    what to try."""
 
     cause: str
     message: str
@@ -106,7 +106,7 @@ class Localization:
 
     Attributes:
         localized: whether there is a pose to rely on.
-        reason: why there is none, else None.
+        reason: why it was not localized, else None.
         pose: the pose, or None.
         covariance: 6×6, of the position in metres and a small rotation about the map's axes in degrees, or None. The
             map's own uncertainty is part of it.
@@ -117,7 +117,7 @@ class Localization:
         timings_ms: milliseconds by stage, as the service measured them.
         map_trusted: whether the frame poses that the map was built on passed every check; None where it does not say.
         expected_error_m: how far the map itself is expected to be off here, root mean square; None where unknown.
-        diagnosis: the likeliest cause where there is no pose, else None.
+        diagnosis: the most likely cause where there is no pose, else None.
         near_prior: whether the pose lies where the prior has it; None without a prior.
         camera: the camera as estimated, where its intrinsics were unknown.
         focal_sigma_px: one sigma of its focal length.

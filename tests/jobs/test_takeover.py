@@ -50,7 +50,7 @@ def test_a_stopped_worker_gives_its_job_back_at_once(site: Site) -> None:
     job = site.submit()
     site.wait_at("poses")
     first.terminate()
-    assert first.wait(10) == 0
+    assert first.wait(60) == 0
     assert site.queue.get(job.id).state is JobState.QUEUED
     site.control.let_go("poses")
     site.start_worker()

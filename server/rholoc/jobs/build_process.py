@@ -120,7 +120,7 @@ def run_build(pipeline: Pipeline, task: MappingTask, limits: Limits, listener: P
 
 
 def describe(error: RholocError) -> Failure:
-    """The failure that an error of ours makes."""
+    """The failure that reports a RholocError."""
     return Failure(error.code, error.message, error.hint)
 
 

@@ -18,7 +18,7 @@ from types import FrameType
 from dbos import DBOS, DBOSConfig
 from sqlalchemy.exc import SQLAlchemyError
 
-from rholoc.disk import is_full, storage_full, telling_full_disk
+from rholoc.disk import is_full, reporting_full_disk, storage_full
 from rholoc.errors import Cancelled, RholocError
 from rholoc.jobs.build_process import BuildLimits, build_in_process, describe, unexpected
 from rholoc.jobs.database import open_database
@@ -192,7 +192,7 @@ class Worker:
     def _publish(self, lease: Lease, work: JobWork) -> tuple[str, ...] | Failure:
         """Publish the map; returns why it is not to be trusted, or why it could not be published."""
         if not self._jobs.begin_publishing(lease):
-            raise Cancelled("The job is not ours any more.")
+            raise Cancelled("This worker no longer has the job.")
         try:
             return self._pipeline.publish(self._task(lease, work))
         except RholocError as error:
@@ -204,7 +204,7 @@ class Worker:
 
     def _task(self, lease: Lease, work: JobWork) -> MappingTask:
         folder = self._work_dir(lease)
-        with telling_full_disk():
+        with reporting_full_disk():
             folder.mkdir(parents=True, exist_ok=True)
         return MappingTask(
             recording=self._recordings.path(work.recording),

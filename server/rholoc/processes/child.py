@@ -35,7 +35,7 @@ class ChildDied(Exception):
 
 
 class ChildFailed(Exception):
-    """The function raised an error that is none of ours; this one has its text."""
+    """The function raised an error other than RholocError; this one has its text."""
 
 
 @dataclass(frozen=True)
@@ -174,7 +174,7 @@ def _kill(process: SpawnProcess) -> None:
         return
     left = descendants(process.pid)
     with contextlib.suppress(ProcessLookupError, PermissionError):
-        # A group of its own holds also those whose parents have ended; where it has none, there is none of this number.
+        # A group of its own holds also those whose parents have ended; without one, no group has this number.
         os.killpg(process.pid, signal.SIGKILL)
     process.kill()
     kill(left)

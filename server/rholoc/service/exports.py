@@ -92,7 +92,7 @@ class Exports:
             DeadlineExceeded: it takes longer than the limit.
         """
         if self._open > _MAX_WAITING:
-            raise Busy("Very many maps are being exported.", "Try again after Retry-After.", _RETRY_AFTER_S)
+            raise Busy("Too many maps are being exported.", "Try again after Retry-After.", _RETRY_AFTER_S)
         self._open += 1
         export = _Export(self._time_limit_s)
         try:

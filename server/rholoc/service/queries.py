@@ -111,7 +111,7 @@ def prior_of(given: PriorIn | None) -> Prior | None:
         return None
     position = _finite("prior.position", given.position)
     if (given.heading is None) == (given.quaternion_xyzw is None):
-        raise InvalidInput("A prior needs a heading or a quaternion, one of them.", "Send prior.heading.")
+        raise InvalidInput("A prior needs either a heading or a quaternion.", "Send prior.heading.")
     if given.heading is not None:
         pose = Pose.from_heading(position, _direction("prior.heading", given.heading))
     else:
@@ -132,7 +132,7 @@ def gravity_of(given: list[float] | None) -> FloatArray | None:
 def _finite(name: str, values: list[float]) -> FloatArray:
     array = np.asarray(values, dtype=np.float64)
     if not np.isfinite(array).all() or np.abs(array).max() > 1e9:
-        raise InvalidInput(f"{name} is not made of ordinary finite numbers.", "Send numbers.")
+        raise InvalidInput(f"{name} must consist of finite numbers.", "Send numbers.")
     return array
 
 
@@ -189,9 +189,9 @@ def _descriptors(given: list[str] | str, n: int, extractor: Extractor) -> ByteAr
         try:
             blob = bytes.fromhex("".join(given))
         except ValueError as error:
-            raise InvalidDescriptors("A descriptor is not made of hex digits.", hint) from error
+            raise InvalidDescriptors("A descriptor has characters other than hex digits.", hint) from error
         if len(blob) != n * length:
-            raise InvalidDescriptors("A descriptor is not made of hex digits.", hint)
+            raise InvalidDescriptors("A descriptor has characters other than hex digits.", hint)
     return np.frombuffer(blob, dtype=np.uint8).reshape(n, length)
 
 

@@ -80,7 +80,7 @@ class Renderings:
         """The work that makes a rendering: what is being made already is not made twice."""
         if path not in self._making:
             if len(self._making) >= _MAX_WAITING:
-                raise Busy("Very many pictures are being drawn.", "Try again after Retry-After.", _RETRY_AFTER_S)
+                raise Busy("Too many pictures are being drawn.", "Try again after Retry-After.", _RETRY_AFTER_S)
             self._making[path] = asyncio.create_task(self._make(name, kind, path))
             self._making[path].add_done_callback(lambda _: self._making.pop(path))
         return self._making[path]

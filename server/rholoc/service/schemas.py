@@ -232,7 +232,7 @@ class MatchesOut(_Out):
 
 
 class DiagnosisOut(_Out):
-    """The likeliest cause for which there is no pose, and what to try."""
+    """The most likely cause for which there is no pose, and what to try."""
 
     cause: Cause
     message: str = Field(description="one sentence: what it looks like")
@@ -312,7 +312,7 @@ class LocalizationOut(_Out):
         description="how far the map itself is expected to be off here, root mean square, m; null where it is not known"
     )
     agreeing: MatchesOut | None = Field(description="the matches behind `inliers`, where `with_matches` asks for them")
-    diagnosis: DiagnosisOut | None = Field(description="the likeliest cause where there is no pose, else null")
+    diagnosis: DiagnosisOut | None = Field(description="the most likely cause where there is no pose, else null")
     near_prior: bool | None = Field(description="whether the pose lies where the prior has it; null without a prior")
     camera: EstimatedCameraOut | None = Field(description="where `intrinsics` is 'unknown': the camera as estimated")
     timings_ms: dict[str, float] = Field(

@@ -211,7 +211,7 @@ async def _late_answer(name: str, localizers: Localizers, clock: Stopwatch) -> L
         async with asyncio.timeout(_LOADING_GRACE_S):
             return late_answer(name, await run_in_threadpool(localizers.get, name), clock)
     except TimeoutError:
-        raise DeadlineExceeded("The deadline passed while the map was loaded.", "Try again.") from None
+        raise DeadlineExceeded("The deadline passed while the map was being loaded.", "Try again.") from None
 
 
 async def _frame(request: Request, options: dict[str, Any], service: State, look: PieceListener) -> Frame:
