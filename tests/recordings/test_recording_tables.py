@@ -1,4 +1,4 @@
-"""imu.csv, frames.csv, camera.json, poses.txt: what is written is read back, and what is broken is reported."""
+"""imu.csv, frames.csv, camera.json, poses.txt: what is written is read back, and what is broken is told."""
 
 from __future__ import annotations
 

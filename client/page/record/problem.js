@@ -1,4 +1,4 @@
-// What keeps a recording from being made or sent, in words for people.
+// What keeps a recording from being made or sent, as a person is told it.
 
 import { t } from "../shared/text.js";
 
