@@ -18,13 +18,16 @@ WORKDIR /src
 RUN python3 -m venv /opt/rholoc
 # Dependencies first: they change less often than the source.
 COPY pyproject.toml server/constraints.txt /src/server/
-RUN python3 -c "import tomllib; print(*tomllib.load(open('server/pyproject.toml', 'rb'))['project']['dependencies'], sep='\n')" \
+COPY client/pyproject.toml /src/client/
+RUN python3 -c "import tomllib; \
+needed = [name for of in ('server', 'client') for name in tomllib.load(open(of + '/pyproject.toml', 'rb'))['project']['dependencies']]; \
+print(*(name for name in needed if not name.startswith('rholoc-client')), sep='\n')" \
         > /tmp/requirements.txt \
     && /opt/rholoc/bin/pip install -r /tmp/requirements.txt
 COPY pyproject.toml README.md LICENSE ./
 COPY server server
 COPY client client
-RUN /opt/rholoc/bin/pip install --no-deps . \
+RUN /opt/rholoc/bin/pip install --no-deps ./client . \
     && /opt/rholoc/bin/python -m compileall -q /opt/rholoc/lib \
     && /opt/rholoc/bin/pip uninstall -y pip setuptools
 

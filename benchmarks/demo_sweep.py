@@ -46,7 +46,7 @@ from rholoc.trajectory import PoseMethod, Trajectory, estimate_trajectory
 SECONDS = 30.0
 EVERY = 3  # frames of the second walk
 JPEG_QUALITY = 95
-SURE = 0.9  # confidence from which an answer speaks of itself as right
+CONFIDENT = 0.9  # from this confidence on an answer claims to be right
 RIGHT_M, RIGHT_DEG = 0.10, 5.0  # what confidence speaks of
 CHI2_95_OF_3 = 7.815
 WORST_IS_LOW = {"within_5cm_5deg", "sure_right", "covered", "views_covered", "sure", "localized"}
@@ -157,7 +157,7 @@ def run(cache: Path, seed: int, draw: int, noise_px: float, maps: Path | None) -
     estimated = np.array([np.full((4, 4), np.nan) if a.pose is None else a.pose.T_map_camera for a in answers])
     errors = trajectory_errors(estimated, truth)
     figures = evaluate(errors)
-    sure = np.array([answer.confidence >= SURE for answer in answers])
+    sure = np.array([answer.confidence >= CONFIDENT for answer in answers])
     return Figures(
         seed=seed,
         draw=draw,

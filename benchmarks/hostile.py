@@ -297,11 +297,11 @@ def beside(
         process.start()
     attacked = frames(options.seconds)
     stop.set()
-    told = [said.get() for _ in chosen]
+    reported = [said.get() for _ in chosen]
     for process in chosen:
         process.join(TIMEOUT_S)
-    answers = sum((one for one in told if isinstance(one, Counter)), Counter[str]())
-    health = next(one for one in told if isinstance(one, Watched))
+    answers = sum((one for one in reported if isinstance(one, Counter)), Counter[str]())
+    health = next(one for one in reported if isinstance(one, Watched))
     ratio = statistics.median(attacked.took_s) / statistics.median(alone.took_s)
     return Outcome(
         name,

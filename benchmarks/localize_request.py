@@ -3,7 +3,7 @@
     python benchmarks/localize_request.py MAP.rho FRAMES --camera fx,fy,cx,cy --frames 200:400 [--priors]
 
 Starts the service, pinned to one core, on 127.0.0.1, posts the frames as they are one after another, and prints the
-median and the 90th percentile of each stage; with ``--priors`` again, told priors off by a little, by more, and wholly.
+median and the 90th percentile of each stage; with ``--priors`` again, with priors off by a little, by more, and wholly.
 Ends by itself.
 """
 
@@ -69,7 +69,7 @@ def start(folder: Path, port: int) -> subprocess.Popen[bytes]:
 
 
 class PriorKind(StrEnum):
-    """What each request is told of its pose."""
+    """The prior that each request carries."""
 
     NONE = "no prior"
     NEAR = "prior 10 cm and 4° off"
@@ -111,15 +111,15 @@ def post_frames(
     kind: PriorKind = PriorKind.NONE,
     known: Sequence[dict[str, Any] | None] = (),
 ) -> Answers:
-    """One request a frame, told a prior off the known poses; ``round trip`` is what the caller sees."""
+    """One request a frame, with a prior near the known pose; ``round trip`` is what the caller sees."""
     answers, rng = Answers(), np.random.default_rng(0)
     with httpx.Client(base_url=f"http://127.0.0.1:{port}", timeout=30) as client:
         for number, file in enumerate(files):
             content = file.read_bytes()
-            told = fields | prior_fields(kind, known[number] if known else None, rng)
+            parameters = fields | prior_fields(kind, known[number] if known else None, rng)
             begun = time.perf_counter()
             answer = client.post(
-                "/v1/maps/bench/localize", params=told, content=content, headers={"Content-Type": "image/jpeg"}
+                "/v1/maps/bench/localize", params=parameters, content=content, headers={"Content-Type": "image/jpeg"}
             )
             elapsed_ms = 1e3 * (time.perf_counter() - begun)
             answer.raise_for_status()

@@ -93,7 +93,7 @@ def measured(playwright: Playwright, url: str, folder: Path) -> dict[str, float]
 
 
 def first_visit(browser: Browser, url: str, path: str) -> dict[str, float]:
-    """Bytes over the network, and milliseconds until the page can be used, of a phone that never was here."""
+    """Bytes over the network, and milliseconds until the page can be used, of a phone on its first visit."""
     context = browser.new_context(viewport=PHONE, has_touch=True)
     page = context.new_page()
     wire = context.new_cdp_session(page)
@@ -123,7 +123,7 @@ def try_rate(browser: Browser, url: str) -> float:
 
 
 def shown_rate(page: Page) -> float:
-    """The rate that the page itself tells."""
+    """The rate that the page itself shows."""
     text = page.locator(".answer").text_content() or ""
     return float(text.split(" frames a second")[0].rsplit(" ", 1)[-1])
 

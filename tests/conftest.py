@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import socket
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -36,6 +37,8 @@ if TYPE_CHECKING:
 _PATIENCE_S = 60.0
 for _part in ("connect", "read", "write", "pool"):
     setattr(httpx._config.DEFAULT_TIMEOUT_CONFIG, _part, _PATIENCE_S)  # bound in the signatures of httpx's functions
+
+sys.path.insert(0, str(Path(__file__).parent))  # of what tests of several packages share
 
 _REAL_DATA = Path(__file__).parents[2] / "shared" / "data"
 

@@ -50,19 +50,7 @@ from rholoc_client.errors import (
     UnsupportedVersion,
     WaitTimedOut,
 )
-from rholoc_client.models import (
-    Camera,
-    CameraProfile,
-    Features,
-    Frame,
-    FramePose,
-    Job,
-    Localization,
-    MapSummary,
-    Place,
-    Pose,
-    Prior,
-)
+from rholoc_client.models import Camera, CameraProfile, Features, Job, Localization, MapSummary, Pose, Prior
 
 __all__ = [
     "AsyncClient",
@@ -78,8 +66,6 @@ __all__ = [
     "DeadlineExceeded",
     "Features",
     "Forbidden",
-    "Frame",
-    "FramePose",
     "Internal",
     "InvalidAnswer",
     "InvalidCamera",
@@ -99,7 +85,6 @@ __all__ = [
     "MappingFailed",
     "MethodNotAllowed",
     "NotFound",
-    "Place",
     "Pose",
     "Prior",
     "RequestTimeout",

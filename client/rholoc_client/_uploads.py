@@ -31,7 +31,7 @@ def upload_steps(
     Args:
         name: the file's name.
         file: what is uploaded.
-        fields: what is to become of it.
+        fields: how the service is to use it.
         retries: how often in a row a piece may fail.
         progress: hears of every piece that arrived.
 

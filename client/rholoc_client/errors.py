@@ -13,7 +13,7 @@
         │   ├── InvalidImage        not an image, truncated, too large
         │   ├── InvalidCamera       intrinsics missing or absurd
         │   ├── InvalidDescriptors  a descriptor set of wrong length, shape or number
-        │   ├── InvalidName         a map name that is not one
+        │   ├── InvalidName         not a valid map name
         │   ├── InvalidRecording    a recording that cannot be read
         │   ├── InvalidWaypoints    waypoints missing, malformed, too few or collinear
         │   ├── InvalidTrajectory   a pose table that cannot be read
@@ -119,7 +119,7 @@ class InvalidDescriptors(InvalidInput):
 
 
 class InvalidName(InvalidInput):
-    """A map name that is not one."""
+    """A map name is not valid."""
 
     code = "invalid_name"
 
@@ -191,7 +191,7 @@ class UnknownRoute(NotFound):
 
 
 class Unauthorized(ServiceError):
-    """The service asks for an API key, and none was sent, or one that is not known, was revoked or has expired."""
+    """The service requires an API key, and none was sent, or one that is unknown, was revoked or has expired."""
 
     code = "unauthorized"
 
@@ -239,13 +239,13 @@ class TooLarge(ServiceError):
 
 
 class StorageFull(ServiceError):
-    """The service's disk is full; nothing that was stored is changed."""
+    """The service's disk is full; nothing stored was changed."""
 
     code = "storage_full"
 
 
 class StorageUnavailable(ServiceError):
-    """The service's storage or database cannot be used at present; nothing that was stored is changed."""
+    """The service's storage or database cannot be used at present; nothing stored was changed."""
 
     code = "storage_unavailable"
 
@@ -281,7 +281,7 @@ class ChecksumMismatch(ServiceError):
 
 
 class Internal(ServiceError):
-    """The service met an error of its own."""
+    """The service failed."""
 
     code = "internal"
 

@@ -6,8 +6,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from rholoc_client._images import ImageLike
-
 Vector3 = tuple[float, float, float]
 
 
@@ -70,25 +68,6 @@ class Features:
 
 
 @dataclass(frozen=True)
-class Frame:
-    """One of several frames that are localized together.
-
-    Attributes:
-        picture: a JPEG or PNG as bytes or as a path, an array (H, W, 3) BGR or (H, W) grey of uint8, or its features.
-        position: of its camera in the frames' common frame (a rig's, or odometry's), metres.
-        quaternion_xyzw: of its camera's rotation, R_common_camera.
-        camera: its intrinsics, or a stored camera's name; None: as for all frames.
-        gravity: the direction of gravity (down) in the camera frame, or None.
-    """
-
-    picture: ImageLike | Features
-    position: Vector3
-    quaternion_xyzw: tuple[float, float, float, float]
-    camera: Camera | str | None = None
-    gravity: Vector3 | None = None
-
-
-@dataclass(frozen=True)
 class Pose:
     """Where a camera is and where it looks, in the map frame (right-handed, z up).
 
@@ -113,20 +92,12 @@ class Pose:
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """The likeliest cause for which there is no pose: its name for programs, and a sentence each on what it looks like
-    and what to try."""
+    """The most likely cause for which there is no pose: its name for programs, a sentence on how it looks, and one on
+    what to try."""
 
     cause: str
     message: str
     hint: str
-
-
-@dataclass(frozen=True)
-class FramePose:
-    """One of several frames that were localized together: its pose, or None, and how many of its matches agree."""
-
-    pose: Pose | None
-    inliers: int
 
 
 @dataclass(frozen=True)
@@ -135,7 +106,7 @@ class Localization:
 
     Attributes:
         localized: whether there is a pose to rely on.
-        reason: why there is none, else None.
+        reason: why it was not localized, else None.
         pose: the pose, or None.
         covariance: 6×6, of the position in metres and a small rotation about the map's axes in degrees, or None. The
             map's own uncertainty is part of it.
@@ -146,12 +117,10 @@ class Localization:
         timings_ms: milliseconds by stage, as the service measured them.
         map_trusted: whether the frame poses that the map was built on passed every check; None where it does not say.
         expected_error_m: how far the map itself is expected to be off here, root mean square; None where unknown.
-        diagnosis: the likeliest cause where there is no pose, else None.
+        diagnosis: the most likely cause where there is no pose, else None.
         near_prior: whether the pose lies where the prior has it; None without a prior.
         camera: the camera as estimated, where its intrinsics were unknown.
         focal_sigma_px: one sigma of its focal length.
-        frames: each frame's pose and how many of its matches agree, where several were localized together; ``pose`` is
-            the first one's.
     """
 
     localized: bool
@@ -172,26 +141,6 @@ class Localization:
     near_prior: bool | None = None
     camera: Camera | None = None
     focal_sigma_px: float | None = None
-    frames: tuple[FramePose, ...] = ()
-
-
-@dataclass(frozen=True)
-class Place:
-    """A view of a map that a picture may show much the same as.
-
-    Attributes:
-        map, map_id, map_version: the map.
-        view: the view's number in it.
-        pose: where the view was taken: near the picture's place, not the picture's pose.
-        score: how strongly the picture speaks for it; for ranking.
-    """
-
-    map: str
-    map_id: str
-    map_version: int
-    view: int
-    pose: Pose
-    score: float
 
 
 @dataclass(frozen=True)
@@ -304,17 +253,7 @@ def parse_localization(answer: Mapping[str, Any]) -> Localization:
         near_prior=answer.get("near_prior"),
         camera=Camera(**camera) if camera else None,
         focal_sigma_px=focal_sigma_px,
-        frames=tuple(
-            FramePose(None if one["pose"] is None else parse_pose(one["pose"]), one["inliers"])
-            for one in answer.get("frames") or ()
-        ),
     )
-
-
-def parse_place(answer: Mapping[str, Any]) -> Place:
-    """The JSON of a place → :class:`Place`."""
-    plain = {name: answer[name] for name in Place.__dataclass_fields__ if name != "pose"}
-    return Place(**plain, pose=parse_pose(answer["pose"]))
 
 
 def parse_map(answer: Mapping[str, Any]) -> MapSummary:

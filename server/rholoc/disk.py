@@ -20,11 +20,11 @@ def is_full(error: OSError) -> bool:
 
 def storage_full() -> StorageFull:
     """The error for a full disk."""
-    return StorageFull("The disk is full; nothing that was stored is changed.", "Free some space and try again.")
+    return StorageFull("The disk is full; nothing stored was changed.", "Free some space and try again.")
 
 
 @contextmanager
-def telling_full_disk() -> Iterator[None]:
+def reporting_full_disk() -> Iterator[None]:
     """Turn the operating system's "no space left" into :class:`rholoc.errors.StorageFull`."""
     try:
         yield

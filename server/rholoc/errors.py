@@ -7,7 +7,7 @@
     │   ├── InvalidImage        not an image, truncated, too large
     │   ├── InvalidCamera       intrinsics missing or absurd
     │   ├── InvalidDescriptors  a descriptor set of wrong length, shape or number
-    │   ├── InvalidName         a map name that is not one
+    │   ├── InvalidName         not a valid map name
     │   ├── InvalidRecording    a video, image folder or table that cannot be read
     │   ├── InvalidWaypoints    waypoints missing, malformed, too few or collinear
     │   └── InvalidTrajectory   a trajectory or pose table that cannot be read

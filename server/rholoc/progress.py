@@ -1,4 +1,4 @@
-"""How long work tells where it is: the stages of mapping and the listener that hears of them."""
+"""Progress of long work: the stages of mapping, and the listener to which they are reported."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ class Stage(StrEnum):
 
 
 class ProgressListener(Protocol):
-    """Hears of progress. May raise :class:`rholoc.errors.Cancelled` to stop the work."""
+    """Receives progress. May raise :class:`rholoc.errors.Cancelled` to stop the work."""
 
     def __call__(self, stage: Stage, fraction: float, message: str = "") -> None:
         """Note that ``stage`` is ``fraction`` (0..1) done; ``message`` is one line for people."""
 
 
 def silent(stage: Stage, fraction: float, message: str = "") -> None:
-    """Hear of progress and do nothing."""
+    """Ignore progress."""

@@ -69,7 +69,7 @@ def test_the_page_asks_once_for_a_key_that_is_good(desk_browser, serve, picture_
     keys = KeyStore(locked.settings.data_dir)
     expired, good = keys.create("old", Scope.READ, lifetime_s=0), keys.create("new", Scope.READ)
     with opened(desk_browser, locked.url, failures=-1) as page:
-        for secret, told in ((expired, "asks for an API key"), (good, "expired")):
+        for secret, told in ((expired, "requires an API key"), (good, "expired")):
             dialog = page.get_by_role("dialog", name="API key")
             expect(dialog).to_contain_text(told)
             dialog.get_by_label("Key").fill(secret)

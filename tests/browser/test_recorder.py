@@ -1,4 +1,4 @@
-"""The recorder as a person uses it, on a fake phone: recordings arrive whole, and whatever goes wrong is told."""
+"""The recorder as a person uses it, on a fake phone: recordings arrive whole, and whatever goes wrong is reported."""
 
 from __future__ import annotations
 
@@ -452,7 +452,7 @@ def test_a_name_that_a_map_has_is_asked_about_before_it_is_sent(serve, phone, pi
     expect(page.get_by_role("heading", name="Your recording")).to_be_visible()
     page.get_by_label("The map learns it").check()
     page.get_by_role("button", name="Send").click()
-    expect(page.get_by_role("alert")).to_contain_text("does not remember what it was learned from")
+    expect(page.get_by_role("alert")).to_contain_text("does not keep what it was built from")
     page.get_by_role("button", name="Change it").click()
     page.get_by_label("The map is replaced").check()
     page.get_by_role("button", name="Send").click()

@@ -75,7 +75,7 @@ def test_bad_input_is_told_in_one_line(run, words, said):
 
 
 def test_a_calibrated_camera_can_be_named(run, tmp_path):
-    """A board before an upright camera: half-size pictures of the camera are told from it."""
+    """A board before an upright camera: half-size pictures of the camera are recognised from it."""
     camera = Camera(640, 480, 500.0, 500.0, 319.5, 239.5)
     folder = tmp_path / "pictures"
     folder.mkdir()

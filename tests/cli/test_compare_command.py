@@ -88,7 +88,7 @@ def test_one_thing_is_compared_at_a_time(compare: Run, arguments: tuple[str, ...
         (("bare", "--truth"), "truth.csv"),
         (("posed", "--map-frames", "0:5"), "--query-frames"),
         (("posed", "--map-frames", "0:5", "--query-frames", "90:99"), "90:99"),
-        (("posed", "posed", "--map-frames", "0:5", "--query-frames", "5:9"), "one recording"),
+        (("posed", "posed", "--map-frames", "0:5", "--query-frames", "5:9"), "single recording"),
         (("posed", "--features", "surf"), "surf"),
         (("posed",), "camera"),
     ],

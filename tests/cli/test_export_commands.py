@@ -146,12 +146,12 @@ def test_a_bad_table_is_refused_in_one_line(
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (("--to", "ply", "--degree", "2"), "A degree is not for ply"),
+        (("--to", "ply", "--degree", "2"), "A degree does not apply to ply"),
         (("--to", "csv", "--degree", "4"), "degree 4"),
         (("--to", "vtp", "--features", "1"), "Features cannot be chosen for vtp"),
-        (("--to", "surfaces", "--features", "1,x"), "not a choice of features"),
-        (("--to", "surfaces", "--features", "1,-2"), "not a choice of features"),
-        (("--to", "surfaces", "--features", "5:5"), "No feature is chosen"),
+        (("--to", "surfaces", "--features", "1,x"), "not a valid selection of features"),
+        (("--to", "surfaces", "--features", "1,-2"), "not a valid selection of features"),
+        (("--to", "surfaces", "--features", "5:5"), "No feature was chosen"),
         (("--to", "surfaces", "--features", "99999"), "no feature 99999"),
         (("--to", "surfaces", "--features", "0:999999999"), "are too many"),
         (("--to", "rho"), "is the map itself"),

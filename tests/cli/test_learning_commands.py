@@ -45,7 +45,7 @@ def test_refusals_are_one_line_and_leave_the_map(rholoc: Run, maps: Path) -> Non
         cv2.imwrite(str(walk / f"{number:04d}.png"), noise)
     content = (maps / "west.rho").read_bytes()
     for arguments, said in (
-        (("forget", maps / "west.rho", "attic"), "It learned from: first (first-id)"),
+        (("forget", maps / "west.rho", "attic"), "It contains: first (first-id)"),
         (("update", maps / "west.rho", walk), "0 of 5 frames were found"),
         (("update", maps / "west.rho", maps / "nowhere.mp4"), "nowhere.mp4"),
         (("merge", maps / "west.rho", maps / "west.rho", "-o", maps / "new.rho"), "nothing to merge"),

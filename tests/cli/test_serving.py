@@ -67,7 +67,7 @@ def test_a_server_that_cannot_start_is_told_with_its_log(tmp_path: Path) -> None
 def fails_in_one_line(maps: Path, data: Path, port: str = "0") -> str:
     """The line in which ``rholoc serve`` says why it does not start."""
     command = [sys.executable, "-m", "rholoc", "serve", "--port", port, "--no-worker", "--maps", maps, "--data", data]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=200, check=False)
     assert done.returncode == 1
     assert done.stderr.count("\n") == 1
     return done.stderr
@@ -100,7 +100,7 @@ def test_after_its_first_line_a_server_writes_json(tmp_path: Path) -> None:
         assert "Serving the maps" in process.stderr.readline()
         begun = json.loads(process.stderr.readline())  # the worker beside it
         process.send_signal(signal.SIGTERM)
-        _, rest = process.communicate(timeout=60)
+        _, rest = process.communicate(timeout=200)
     finally:
         process.kill()
     assert (begun["logger"], begun["level"]) == ("rholoc.jobs", "info")
@@ -117,7 +117,7 @@ def test_ctrl_c_ends_serve_and_worker_in_order(tmp_path: Path) -> None:
         try:
             assert str(tmp_path) in process.stderr.readline()  # it says what it works on once it is up
             process.send_signal(signal.SIGINT)
-            _, rest = process.communicate(timeout=60)
+            _, rest = process.communicate(timeout=200)
         finally:
             process.kill()
         assert process.returncode in (0, 130)

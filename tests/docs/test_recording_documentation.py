@@ -1,4 +1,4 @@
-"""What a recording may be told is documented, and so is every format."""
+"""What may be said of a recording is documented, and so is every format."""
 
 from __future__ import annotations
 

@@ -17,12 +17,13 @@ import numpy as np
 import pytest
 
 from rholoc.errors import Busy, InvalidCamera, InvalidRecording, InvalidWaypoints, TooLarge
-from rholoc.jobs import JobOptions, JobQueue, Limits, MappingTask, RecordingStore, UploadStore, memory_bytes
+from rholoc.jobs import JobOptions, JobQueue, MappingTask, RecordingStore, UploadStore
 from rholoc.jobs.build_process import build_in_process, run_build
 from rholoc.jobs.pipeline import MappingPipeline
 from rholoc.jobs.table import JobWork, Lease, shortened
 from rholoc.jobs.worker import Worker
-from rholoc.progress import ProgressListener
+from rholoc.processes import Limits, machine_memory_bytes
+from rholoc.progress import ProgressListener, silent
 from rholoc.recordings import check_archive, frame_pixels_limited, read_recording
 from rholoc.recordings.archive import unpack
 from rholoc.recordings.tables.csv_table import read_numbers
@@ -148,7 +149,7 @@ def test_a_video_of_a_size_beyond_reason_fails_its_job_in_one_line(tmp_path, siz
     writer.write(np.zeros((size[1], size[0], 3), np.uint8))
     writer.release()
     task = MappingTask(path, tmp_path / "map.rho", tmp_path, "room", JobOptions())
-    failure = run_build(MappingPipeline(), task, lambda *_: None)
+    failure = run_build(MappingPipeline(), task, Limits(), silent)
     assert failure.code == "invalid_recording"
     assert len(failure.message) < 500
 
@@ -157,7 +158,7 @@ def test_a_job_of_a_camera_file_nested_beyond_reason_fails_in_one_line(tmp_path)
     folder = write_images(tmp_path / "walk")
     (folder / "camera.json").write_text('{"fx": ' + "[" * 10**5 + "]" * 10**5 + "}")
     task = MappingTask(folder, tmp_path / "map.rho", tmp_path, "room", JobOptions())
-    assert run_build(MappingPipeline(), task, lambda *_: None).code == "invalid_camera"
+    assert run_build(MappingPipeline(), task, Limits(), silent).code == "invalid_camera"
 
 
 def test_pictures_of_absurd_dimensions_are_refused(tmp_path):
@@ -287,16 +288,16 @@ class GreedyPipeline:
 def test_a_build_that_asks_for_too_much_memory_fails_for_that_reason(tmp_path):
     task = MappingTask(tmp_path / "walk.mp4", tmp_path / "map.rho", tmp_path, "room", JobOptions())
     limits = Limits(memory_bytes=2**31)
-    failure = build_in_process(GreedyPipeline(), task, lambda _: None, lambda: True, 0.1, 0.1, limits)
+    failure = build_in_process(GreedyPipeline(), task, silent, lambda: None, 0.1, 0.1, limits)
     assert (failure.code, "RHOLOC_JOB_MEMORY_GIB" in failure.hint) == ("mapping_failed", True)
 
 
 def test_jobs_are_limited_by_default():
     limits = Settings().job_limits
     assert 3600 <= limits.time_s <= 24 * 3600
-    assert limits.memory_bytes == pytest.approx(0.75 * memory_bytes())
+    assert limits.memory_bytes == pytest.approx(0.75 * machine_memory_bytes())
     machine_kib = int(Path("/proc/meminfo").read_text().split()[1])
-    assert memory_bytes() <= 1024 * machine_kib * 1.01
+    assert machine_memory_bytes() <= 1024 * machine_kib * 1.01
 
 
 def test_what_a_job_says_is_short_and_well_formed():

@@ -5,17 +5,16 @@ from __future__ import annotations
 import signal
 import subprocess
 import sys
-import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 from fake_pipeline import Control
 
 from rholoc.jobs import Job, JobQueue, JobState, RecordingStore
+from waiting import TIMEOUT_S, until
 
 _HERE = Path(__file__).parent
 _KILL_TIMEOUT_S = 60.0
-_TIMEOUT_S = 120.0  # only a stuck test takes so long, or a busy machine
 
 
 class Site:
@@ -60,7 +59,7 @@ class Site:
         for number, points in enumerate(plans):
             content = "kill at" + "".join(f" {point}," for point in points)
             jobs.append(self.submit(content.encode(), f"room-{number}"))
-        until(lambda: self._have_ended(jobs), _TIMEOUT_S + _KILL_TIMEOUT_S * sum(map(len, plans)))
+        until(lambda: self._have_ended(jobs), TIMEOUT_S + _KILL_TIMEOUT_S * sum(map(len, plans)))
         return [self.queue.get(job.id) for job in jobs]
 
     def _have_ended(self, jobs: list[Job]) -> bool:
@@ -75,22 +74,5 @@ class Site:
         for worker in self._workers:
             worker.send_signal(signal.SIGTERM)
         for worker in self._workers:
-            worker.wait(_TIMEOUT_S)
+            worker.wait(TIMEOUT_S)
         self.queue.close()
-
-
-def until(condition: Callable[[], bool], timeout_s: float = _TIMEOUT_S) -> None:
-    """Wait for a condition."""
-    deadline = time.monotonic() + timeout_s
-    while not condition():
-        assert time.monotonic() < deadline, "it did not happen in time"
-        time.sleep(0.03)
-
-
-def alive(pid: int) -> bool:
-    """Whether the process runs; one that nobody waited for is dead all the same."""
-    try:
-        status = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8")
-    except FileNotFoundError:
-        return False
-    return status.rsplit(")", 1)[1].split()[0] != "Z"

@@ -8,9 +8,8 @@ import subprocess
 import sys
 from pathlib import Path
 
-from job_site import alive, until
-
 from rholoc.jobs import EmbeddedWorker, JobQueue, JobState, RecordingStore
+from waiting import alive, until
 
 _SERVER = """
 import sys, time

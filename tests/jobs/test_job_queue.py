@@ -12,7 +12,7 @@ import sqlalchemy as sa
 
 from rholoc.errors import Conflict, InvalidName, StorageFull, UnknownJob, UnknownRecording
 from rholoc.jobs import JobOptions, JobQueue, JobState
-from rholoc.jobs.database import jobs_table, open_database, telling_full_database
+from rholoc.jobs.database import jobs_table, open_database, reporting_full_database
 from rholoc.jobs.table import JobTable, overall
 from rholoc.maps import DensityKind
 from rholoc.progress import Stage
@@ -108,7 +108,7 @@ def test_a_full_database_is_told(tmp_path: Path) -> None:
     with engine.begin() as connection:
         connection.execute(sa.text("CREATE TABLE t (x)"))
         connection.execute(sa.text("PRAGMA max_page_count = 3"))
-        with pytest.raises(StorageFull), telling_full_database():
+        with pytest.raises(StorageFull), reporting_full_database():
             connection.execute(sa.text("INSERT INTO t VALUES (zeroblob(100000))"))
 
 

@@ -121,7 +121,7 @@ class _FullDisk:
 
 
 @pytest.mark.parametrize("until_flush", [False, True])
-def test_a_full_disk_is_told_and_leaves_nothing(
+def test_a_full_disk_is_reported_and_leaves_nothing(
     store: RecordingStore, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, until_flush: bool
 ) -> None:
     kept = store.create([("kept.mp4", [b"kept"])])

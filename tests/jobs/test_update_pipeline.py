@@ -46,7 +46,7 @@ def test_an_update_of_a_map_that_changed_meanwhile_is_refused(task: MappingTask)
     MappingPipeline().build(task, silent)
     changed = next_version(next_version(library.get("room")))
     library.put("room", changed)
-    with pytest.raises(Conflict, match="changed meanwhile"):
+    with pytest.raises(Conflict, match="changed in the meantime"):
         MappingPipeline().publish(task)
     assert library.get("room").info.version == changed.info.version
 

@@ -13,14 +13,15 @@ from typing import TYPE_CHECKING
 import pytest
 import sqlalchemy as sa
 from fake_pipeline import BUILD_STAGES, TIMING, FakePipeline
-from job_site import until
 
 from rholoc.errors import Conflict
-from rholoc.jobs import JobOptions, JobState, Limits, MappingTask
+from rholoc.jobs import JobOptions, JobState, MappingTask
 from rholoc.jobs.build_process import build_in_process, run_build
 from rholoc.jobs.database import open_database
 from rholoc.maps import MapLibrary
+from rholoc.processes import Limits
 from rholoc.progress import Stage, silent
+from waiting import until
 
 if TYPE_CHECKING:
     from job_site import Site
@@ -185,7 +186,7 @@ def test_a_build_beyond_its_limits_is_ended(site: Site, tmp_path: Path, limits: 
     recording.write_bytes(b"a walk")
     task = MappingTask(recording, tmp_path / "map.rho", tmp_path, "room", JobOptions())
     failure = build_in_process(
-        FakePipeline(site.control), task, lambda _: None, lambda: True, poll_s=0.1, cancel_grace_s=0.1, limits=limits
+        FakePipeline(site.control), task, silent, lambda: None, poll_s=0.1, cancel_grace_s=0.1, limits=limits
     )
     assert failure is not None
     assert failure.code == "mapping_failed"
@@ -194,12 +195,12 @@ def test_a_build_beyond_its_limits_is_ended(site: Site, tmp_path: Path, limits: 
     assert multiprocessing.active_children() == []
 
 
-def test_a_full_disk_is_told(busy_site: Site, tmp_path: Path) -> None:
+def test_a_full_disk_is_reported(busy_site: Site, tmp_path: Path) -> None:
     recording = tmp_path / "walk.mp4"
     recording.write_bytes(b"disk full at poses")
     task = MappingTask(recording, tmp_path / "map.rho", tmp_path, "room", JobOptions())
-    failure = run_build(FakePipeline(busy_site.control), task, silent)
-    assert (failure.code, failure.message) == ("storage_full", "The disk is full; nothing that was stored is changed.")
+    failure = run_build(FakePipeline(busy_site.control), task, Limits(), silent)
+    assert (failure.code, failure.message) == ("storage_full", "The disk is full; nothing stored was changed.")
     assert not task.map_file.exists()
 
 
@@ -219,4 +220,4 @@ run_worker(Path(sys.argv[1]) / "data", Path(sys.argv[1]) / "maps", stop=Stop())
 
 
 def test_a_signal_that_comes_as_the_worker_begins_to_wait_stops_it(tmp_path: Path) -> None:
-    subprocess.run([sys.executable, "-c", _SIGNALLED_ON_THE_WAY, str(tmp_path)], check=True, timeout=60)
+    subprocess.run([sys.executable, "-c", _SIGNALLED_ON_THE_WAY, str(tmp_path)], check=True, timeout=200)

@@ -45,7 +45,7 @@ def test_cameras_are_not_maps(cameras: CameraLibrary, tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", ["", "..", "a/b", "../maps/x", "-x", ".x", "x" * 65, "a\n", "é"])
 def test_what_is_no_name_is_refused(cameras: CameraLibrary, name: str) -> None:
     for act in (cameras.get, cameras.delete, lambda name: cameras.put(name, CameraProfile(_CAMERA))):
-        with pytest.raises(InvalidName, match="is not a camera name"):
+        with pytest.raises(InvalidName, match="is not a valid camera name"):
             act(name)
 
 
@@ -83,5 +83,5 @@ def test_a_calibration_that_is_not_json_is_refused(cameras: CameraLibrary, value
 def test_a_camera_that_cannot_be_stored_replaces_nothing(cameras: CameraLibrary) -> None:
     cameras.folder.parent.mkdir(parents=True)
     cameras.folder.write_text("a file stands where the folder would")
-    with pytest.raises(InvalidInput, match="cannot be made"):
+    with pytest.raises(InvalidInput, match="cannot be created"):
         cameras.put("axis", CameraProfile(_CAMERA))

@@ -1,4 +1,4 @@
-"""Coverage: what a camera would see from where, told from geometry alone."""
+"""Coverage: what a camera would see from where, by geometry alone."""
 
 from __future__ import annotations
 

@@ -273,7 +273,7 @@ def test_foreign_bytes_are_refused(tmp_path: Path, content: bytes) -> None:
 
 def test_another_programs_safetensors_file_is_refused(tmp_path: Path) -> None:
     save_file({"weight": np.zeros(3, np.float32)}, tmp_path / "model.rho")
-    with pytest.raises(InvalidMap, match="not a map of rholoc"):
+    with pytest.raises(InvalidMap, match="not a rholoc map"):
         load_map(tmp_path / "model.rho")
 
 

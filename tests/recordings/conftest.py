@@ -16,7 +16,7 @@ SIZE = (64, 48)
 
 
 def picture(shade: int, size: tuple[int, int] = SIZE) -> np.ndarray:
-    """A picture (H, W, 3) whose mean tells which it is."""
+    """A picture (H, W, 3) whose mean identifies it."""
     return np.full((size[1], size[0], 3), shade, np.uint8)
 
 

@@ -1,4 +1,4 @@
-"""imu.csv, frames.csv, camera.json, poses.txt: what is written is read back, and what is broken is told."""
+"""imu.csv, frames.csv, camera.json, poses.txt: what is written is read back, and what is broken is reported."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The service with its own worker: a recording that is none fails with what was wrong; the worker goes on."""
+"""The service with its own worker: an invalid recording fails with what was wrong; the worker goes on."""
 
 from __future__ import annotations
 

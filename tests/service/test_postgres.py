@@ -1,4 +1,4 @@
-"""The database of jobs: Postgres by URL, or told in one line why not."""
+"""The database of jobs: Postgres by URL, or one line that says why not."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def test_a_database_that_is_not_there_is_told_in_one_line(tmp_path):
 
 @pytest.mark.parametrize("url", ["jobs:secret", "mysql://jobs:secret@localhost/jobs", "://"])
 def test_what_is_no_address_of_a_database_is_refused(tmp_path, url):
-    with pytest.raises(InvalidInput, match="not the address of a Postgres database") as caught:
+    with pytest.raises(InvalidInput, match="not the URL of a Postgres database") as caught:
         JobQueue(tmp_path, url)
     assert "secret" not in str(caught.value)
 
@@ -85,7 +85,7 @@ def test_what_is_no_address_of_a_database_is_refused(tmp_path, url):
 def test_the_commands_refuse_a_database_in_one_line(tmp_path, command):
     environment = {**os.environ, "RHOLOC_DATABASE_URL": "postgresql://jobs:secret@127.0.0.1:1/jobs"}
     arguments = [sys.executable, "-m", "rholoc", *command, "--data", str(tmp_path), "--maps", str(tmp_path)]
-    ended = subprocess.run(arguments, env=environment, capture_output=True, text=True, timeout=60, check=False)
+    ended = subprocess.run(arguments, env=environment, capture_output=True, text=True, timeout=200, check=False)
     assert ended.returncode == 1
     (line,) = [line for line in ended.stderr.splitlines() if not line.startswith("Working on")]
     assert "127.0.0.1, database jobs cannot be reached" in line

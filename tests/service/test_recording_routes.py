@@ -85,7 +85,7 @@ def test_a_job_is_watched_until_it_ends(service):
         assert last["data"]["state"] == "cancelled"
         assert list(lines) == []
     with httpx.stream("GET", url + "/events", headers={"Last-Event-ID": first["id"]}) as answer:
-        assert event(answer.iter_lines()) == last, "what was missed is told"
+        assert event(answer.iter_lines()) == last, "what was missed is reported"
     assert httpx.get(url + "/events", headers={"Last-Event-ID": last["id"]}).status_code == 204
     assert httpx.get(f"{service.url}/v1/jobs/{'0' * 32}/events").json()["code"] == "unknown_job"
 

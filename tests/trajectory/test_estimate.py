@@ -36,7 +36,7 @@ def test_given_poses_are_taken_as_they_are() -> None:
 
 
 def test_given_poses_that_are_absent_are_refused_with_a_hint() -> None:
-    with pytest.raises(InvalidRecording, match=r"without poses.*poses\.txt"):
+    with pytest.raises(InvalidRecording, match=r"has no poses.*poses\.txt"):
         estimate_trajectory(_recording(_wall()), PoseMethod.GIVEN)
 
 
@@ -59,7 +59,7 @@ def test_collinear_waypoints_are_refused_before_any_work() -> None:
 
 
 def test_the_imus_way_needs_an_imu() -> None:
-    with pytest.raises(InvalidRecording, match="without an IMU"):
+    with pytest.raises(InvalidRecording, match="has no IMU"):
         estimate_trajectory(_recording(_wall()), PoseMethod.INERTIAL)
 
 

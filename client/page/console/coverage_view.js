@@ -5,7 +5,7 @@ import { fill, h } from "../shared/dom.js";
 import { t } from "../shared/text.js";
 
 // The least number of landmarks in view, as a share of what suffices, and its colour: from plenty to none. Blue against
-// orange is told apart by everyone.
+// orange can be distinguished by everyone.
 const LEVELS = [
   [4, "#08519c"],
   [2, "#3182bd"],

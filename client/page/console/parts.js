@@ -112,7 +112,7 @@ export function tell(text, kind = "good") {
   setTimeout(() => toast.remove(), 6000);
 }
 
-/** A button that works on something: it waits, and an error is told. */
+/** A button that works on something: it waits, and shows an error. */
 export function action(text, work, kind = "") {
   const button = h("button", { type: "button", class: kind }, text);
   button.addEventListener("click", async () => {

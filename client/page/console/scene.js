@@ -21,7 +21,7 @@ const MAX_FLOOR = 10_000; // square metres that are drawn
 const MAX_RAYS = 150; // the most lines from the camera to landmarks
 
 const AXIS = 0.5; // m, of the axes at the origin
-const PICK_PX = 14; // how near a click must be to what it is meant for
+const PICK_PX = 14; // how near a click must be to its target
 const CLICK_PX = 5; // how far a pointer may move in a click
 /** @type {[string, number[], number[]][]} */
 const AXES = [
@@ -105,7 +105,7 @@ export class SceneView {
     this.gl?.getExtension("WEBGL_lose_context")?.loseContext();
   }
 
-  /** Show a map; `waypoints` as the service gives them, `unit` is what lengths are told in. */
+  /** Show a map; `waypoints` as the service gives them, `unit` is the unit of lengths. */
   showMap(scene, waypoints, metric) {
     if (!this.gl) return;
     const { gl } = this;

@@ -29,7 +29,7 @@ const AUTOMATIC = "";
 const MAP_CAMERA = " map"; // no camera has a name with a space
 const UNKNOWN = " unknown";
 const FIELD_OF_VIEW = " fov";
-const SURE = 0.99; // above it confidence is said to be more than this: nothing is certain
+const HIGHEST_SHOWN_CONFIDENCE = 0.99; // above it the page says “over 99 %”: nothing is certain
 
 export async function showTry(main, name, signal) {
   const { maps } = await get("v1/maps", { signal });
@@ -235,8 +235,8 @@ function confidenceOf(found, known) {
   if (known === Known.TYPED) return h("span", { class: "muted" }, t`confidence unknown`);
   const { confidence } = found;
   const text =
-    confidence > SURE
-      ? t`confidence over ${Math.round(100 * SURE)} %`
+    confidence > HIGHEST_SHOWN_CONFIDENCE
+      ? t`confidence over ${Math.round(100 * HIGHEST_SHOWN_CONFIDENCE)} %`
       : t`confidence ${Math.round(100 * confidence)} %`;
   return h(
     "label",

@@ -1,4 +1,4 @@
-// What keeps a recording from being made or sent, as a person is told it.
+// What keeps a recording from being made or sent, in words for people.
 
 import { t } from "../shared/text.js";
 

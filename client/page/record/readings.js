@@ -3,7 +3,7 @@
 import { flaws } from "./coaching.js";
 
 const MOST_OF = 0.5; // of a second's measurements that must have a flaw, for the second to have it
-const GAP_S = 1; // between spans of one flaw, that are told as one
+const GAP_S = 1; // between spans of one flaw, that are reported as one
 
 /** Measurements, each at its time in seconds after the start: `{time, light, texture, sharpness, turnDegS}`. */
 export class Readings {

@@ -17,7 +17,7 @@ export const Ending = Object.freeze({
   BROKEN: "broken", // the page was closed or reloaded
 });
 
-/** What is told of an ending that nobody asked for. */
+/** The message about an ending that nobody asked for. */
 export const ENDINGS = {
   [Ending.HIDDEN]: t`Recording ended when you left this page: a phone shuts the camera off then. What came before is kept.`,
   [Ending.TURNED]: t`Recording ended when the phone was turned: a recording has one shape. What came before is kept.`,

@@ -109,7 +109,7 @@ async function send(address, options) {
   }
 }
 
-/** The error that a response tells of, in the one shape of all errors. */
+/** The error that a response reports, in the one shape of all errors. */
 export async function errorOf(response) {
   try {
     return new ApiError(await response.json(), response.status);

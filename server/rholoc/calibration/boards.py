@@ -65,10 +65,10 @@ class Board:
         if match is None or not all(int(side) in _SIDES for side in match.groups()):
             raise InvalidInput(
                 f"'{size}' is not the size of a board.",
-                "Give COLUMNSxROWS, as 9x6: inner corners of a checkerboard, squares of a ChArUco board.",
+                "Give COLUMNSxROWS, such as 9x6: inner corners of a checkerboard, squares of a ChArUco board.",
             )
         if not 0.1 <= square_mm <= 10_000:
-            raise InvalidInput(f"A square of {square_mm:g} mm is not possible.", "Measure a square's side in mm.")
+            raise InvalidInput(f"A square of {square_mm:g} mm is not a valid size.", "Measure a square's side in mm.")
         columns, rows = (int(side) - (kind is BoardKind.CHARUCO) for side in match.groups())
         return cls(kind, columns, rows, square_mm / 1000)
 
@@ -107,7 +107,7 @@ class Sighting:
 
 
 class BoardFinder:
-    """Finds a board in pictures. Of a ChArUco board the first picture that shows it tells the kind of markers."""
+    """Finds a board in pictures. Of a ChArUco board the first picture that shows it determines the kind of markers."""
 
     def __init__(self, board: Board) -> None:
         self.board = board

@@ -128,7 +128,7 @@ def calibrate(frames: FrameSource, board: Board, advance: Callable[[], None] = l
     try:
         calibration = _without_outliers(found, board, frames.size)
     except InvalidCamera as error:
-        raise InvalidRecording("The views leave the focal length open: they are too similar.", _MOVE) from error
+        raise InvalidRecording("The views do not determine the focal length: they are too similar.", _MOVE) from error
     _check(calibration)
     return calibration
 
@@ -137,15 +137,17 @@ def _check(calibration: Calibration) -> None:
     limit_px = _MAX_RMS_PX * max(calibration.camera.width, calibration.camera.height) / 1000
     if calibration.rms_px > limit_px:
         raise InvalidRecording(
-            f"The corners are missed by {calibration.rms_px:.1f} px; {limit_px:.1f} px is the most.",
+            f"The corners are off by {calibration.rms_px:.1f} px; {limit_px:.1f} px is the limit.",
             "Is the board flat, and of that size? Were focus and zoom unchanged?",
         )
     tilt_deg = calibration.tilt_deg
     if tilt_deg < _LEAST_TILT_DEG:  # the solver may then stop anywhere, and be sure of it
-        raise InvalidRecording(f"The views are too similar: the board is tilted by {tilt_deg:.1f}° only.", _MOVE)
+        raise InvalidRecording(f"The views are too similar: the board is tilted by only {tilt_deg:.1f}°.", _MOVE)
     sigma = calibration.sigmas["fx"] / calibration.camera.fx
     if sigma > _MAX_FOCAL_SIGMA:
-        raise InvalidRecording(f"The views leave the focal length open by ±{sigma:.1%}: they are too similar.", _MOVE)
+        raise InvalidRecording(
+            f"The views determine the focal length only to ±{sigma:.1%}: they are too similar.", _MOVE
+        )
 
 
 def _without_outliers(found: BoardViews, board: Board, size: tuple[int, int]) -> Calibration:

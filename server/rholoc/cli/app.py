@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import os
 import sys
 from typing import Annotated
@@ -12,6 +11,7 @@ import typer
 from rholoc import __version__
 from rholoc.cli import cameras, compare, demo, evaluate, jobs, keys, localize, maps, recordings, serve, simulate
 from rholoc.cli.console import print_error
+from rholoc.disk import is_full
 from rholoc.errors import RholocError
 
 EXIT_ERROR = 1
@@ -81,6 +81,6 @@ def main() -> None:
 def _os_error(error: OSError) -> tuple[str, str]:
     what = (error.strerror or str(error)).rstrip(".")
     message = f"{what}: {error.filename}." if error.filename else f"{what}."
-    if error.errno in (errno.ENOSPC, errno.EDQUOT):
+    if is_full(error):
         return message, "Free some space and run it again."
     return message, "Check the path and its permissions."

@@ -131,7 +131,9 @@ def _parse(text: str, size: str | None) -> Camera:
 
     width, _, height = (size or "").partition("x")
     if not (width.isdecimal() and height.isdecimal()):
-        raise InvalidInput("The size of the camera's images is missing.", "Give --size WIDTHxHEIGHT, as 1920x1080.")
+        raise InvalidInput(
+            "The size of the camera's images is missing.", "Give --size WIDTHxHEIGHT, such as 1920x1080."
+        )
     return Camera.parse(text, int(width), int(height))
 
 
@@ -143,7 +145,7 @@ def _read(path: Path) -> Camera:
         return load_map(path).info.camera
     camera = read_camera_json(path).camera
     if camera is None:
-        raise InvalidCamera(f"{path.name} has no intrinsics.", "Needed are width, height, fx, fy, cx and cy.")
+        raise InvalidCamera(f"{path.name} has no intrinsics.", "It needs width, height, fx, fy, cx and cy.")
     return camera
 
 

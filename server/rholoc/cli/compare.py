@@ -107,7 +107,7 @@ def _split(
             "Give both --map-frames and --query-frames, or neither.", "Neither holds out every fifth block."
         )
     if len(recordings) > 1 and (map_frames or (query_frames and queries is None)):
-        raise InvalidInput("--map-frames and --query-frames speak of one recording.", "Give just one.")
+        raise InvalidInput("--map-frames and --query-frames apply to a single recording.", "Give just one.")
     if queries is not None or query_frames:
         source = recordings[0] if queries is None else queries
         chosen: Sequence[str | None] = query_frames or [None]

@@ -97,7 +97,7 @@ def job_progress() -> Iterator[Callable[[Job], None]]:
 
 @contextmanager
 def fraction_progress(what: str) -> Iterator[Callable[[float], None]]:
-    """A bar for work that tells its fraction 0..1; nothing where standard error is no terminal."""
+    """A bar for work that reports its fraction 0..1; nothing where standard error is no terminal."""
     with _progress("{task.description}") as progress:
         task = progress.add_task(what, total=1.0, message="")
         yield lambda fraction: progress.update(task, completed=fraction)

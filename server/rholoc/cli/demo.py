@@ -25,9 +25,10 @@ from rholoc.cli.console import (
 from rholoc.cli.evaluate import evaluation_rows
 from rholoc.cli.localize import trajectory_table
 from rholoc.cli.maps import trust_line
-from rholoc.cli.server_process import RunningServer, in_background, interruptible, running_server
+from rholoc.cli.server_process import RunningServer, in_background, running_server
 from rholoc.cli.simulate import Seed
 from rholoc.errors import RholocError
+from rholoc.processes import interruptible
 
 if TYPE_CHECKING:
     from rholoc.evaluation import Evaluation

@@ -1,4 +1,4 @@
-"""``rholoc job``: what a server's mapping jobs came to."""
+"""``rholoc job``: the mapping jobs of a server."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from rholoc.cli.serve import Data, service_settings
 if TYPE_CHECKING:
     from rholoc.jobs import Job
 
-app = typer.Typer(help="See what a server's mapping jobs came to.", no_args_is_help=True)
+app = typer.Typer(help="Show the mapping jobs of a server.", no_args_is_help=True)
 
 
 @app.callback()

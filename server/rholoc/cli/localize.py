@@ -58,7 +58,7 @@ def localize(
 
     degrees_of_freedom = options.dof(dof)
     if not out.parent.is_dir():
-        raise InvalidInput(f"There is no folder {out.parent} to write the trajectory to.", "Make it first.")
+        raise InvalidInput(f"There is no folder {out.parent} to write the trajectory to.", "Create it first.")
     map_ = load_map(map_file)
     known = Intrinsics.UNKNOWN if camera == Intrinsics.UNKNOWN else Intrinsics.GIVEN
     given = None if known is Intrinsics.UNKNOWN else options.named_camera(camera)
@@ -83,7 +83,7 @@ def localize(
         "trajectory": str(out),
         "metric": map_.info.metric,
     }
-    if causes := likeliest_causes(answers):
+    if causes := most_likely_causes(answers):
         figures["not_localized"] = causes
     if as_json:
         print_json(figures)
@@ -132,7 +132,7 @@ def _localize_frames(
             yield from pool.map(answer, batch)
 
 
-def likeliest_causes(answers: Sequence[Localization]) -> list[dict[str, str | int]]:
+def most_likely_causes(answers: Sequence[Localization]) -> list[dict[str, str | int]]:
     """Why frames were not localized: each cause with its count, and what to try, the most frequent first."""
     found = [answer.diagnosis for answer in answers if answer.diagnosis is not None]
     counts = Counter(diagnosis.cause for diagnosis in found)

@@ -53,7 +53,7 @@ def build(
         raise typer.BadParameter("--frames, --camera and --waypoints speak of one recording; give just one.")
     target = out or Path(f"{recordings[0].resolve().stem}.rho")
     if not target.parent.is_dir():
-        raise InvalidInput(f"There is no folder {target.parent} to write the map to.", "Make it first.")
+        raise InvalidInput(f"There is no folder {target.parent} to write the map to.", "Create it first.")
     from rholoc.mapping import DEFAULT_FEATURES, BuildOptions, build_map
     from rholoc.maps import DensityKind, save_map
     from rholoc.recordings import read_recording

@@ -41,7 +41,10 @@ def serve(
     data: Data = None,
     no_worker: Annotated[bool, typer.Option("--no-worker", help="Leave mapping jobs to rholoc worker.")] = False,
     tls: Annotated[
-        bool, typer.Option("--tls", help="HTTPS, which phones' cameras need; listens on all addresses unless told.")
+        bool,
+        typer.Option(
+            "--tls", help="HTTPS, which phones' cameras need; listens on all addresses unless --host says otherwise."
+        ),
     ] = False,
 ) -> None:
     """Serve maps over HTTP, and work on mapping jobs beside."""
@@ -58,7 +61,7 @@ def serve(
     from rholoc.service.guard import keys_needed
     from rholoc.service.keys import KeyStore
 
-    settings.maps_dir.mkdir(parents=True, exist_ok=True)  # told here, in one line, if they cannot be used
+    settings.maps_dir.mkdir(parents=True, exist_ok=True)  # reported here, in one line, if they cannot be used
     JobQueue(settings.data_dir, settings.jobs_database).close()
     with listening_socket(settings.host, settings.port) as listener:
         config = uvicorn.Config(
@@ -144,7 +147,7 @@ def listening_socket(host: str, port: int) -> socket.socket:
     except OSError as error:
         raise Conflict(
             f"Cannot listen on {host}:{port}: {(error.strerror or str(error)).lower()}.",
-            "Choose another with --port, or end what listens there.",
+            "Choose another with --port, or stop what is listening there.",
         ) from error
     # Each connection inherits it. Without, an answer's last packet waits 40 ms for the other end's acknowledgement.
     listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)

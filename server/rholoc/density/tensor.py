@@ -305,7 +305,7 @@ class LocalTensorDensities:
         ρ_f = max(0, 1 − (max_{u,v} q_f − q_f) / t)
 
     where q_f is the polynomial and t the fall that the tolerance allows. Both are equation (3)'s values and the
-    gradients are equation (4)'s, of first and mixed order. The landmark's position only tells how wide the tolerance is
+    gradients are equation (4)'s, of first and mixed order. The landmark's position only sets how wide the tolerance is
     in metres, and spares the features whose bump is far away.
 
     Attributes:

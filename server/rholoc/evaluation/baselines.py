@@ -60,7 +60,7 @@ class RansacOptions:
 def solve(
     solver: Solver, pixels: FloatArray, points: FloatArray, camera: Camera, options: RansacOptions | None = None
 ) -> FloatArray | None:
-    """T_map_camera (4, 4) from pixels (M, 2) and points (M, 3) of the map frame, the likeliest match first, or None."""
+    """T_map_camera (4, 4) from pixels (M, 2) and points (M, 3) of the map, the most likely match first, or None."""
     if len(pixels) < _MIN_MATCHES:
         return None
     straight = camera.undistort(pixels) * (camera.fx, camera.fy) + (camera.cx, camera.cy)

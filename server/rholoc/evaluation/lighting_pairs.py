@@ -1,7 +1,7 @@
 """Real pairs of pictures of one scene by two lights, as Middlebury Stereo 2014 has them.
 
 A folder a scene, with any of ``right_default.png`` and ``right_changed.png``, registered pixel for pixel, and
-``left_default.png``, which ``right_changed.png`` is the rectified stereo partner of; ``calib.txt`` tells by ``ndisp``
+``left_default.png``, which ``right_changed.png`` is the rectified stereo partner of; ``calib.txt`` states as ``ndisp``
 how many pixels of disparity there are at most.
 """
 
@@ -75,7 +75,7 @@ def compare_lighting_pairs(
     scenes = sorted(path.parent for path in folder.glob(f"*/{_CHANGED}"))
     if not scenes:
         raise InvalidInput(
-            f"{folder} has no lighting pairs.", f"It needs a folder a scene, each with {_CHANGED} and {_DEFAULT}."
+            f"{folder} has no lighting pairs.", f"It needs one folder per scene, each with {_CHANGED} and {_DEFAULT}."
         )
     names = list(extractors or extractor_names())
     found = []
@@ -121,5 +121,5 @@ def _max_disparity_px(path: Path) -> float:
     except (OSError, UnicodeDecodeError):
         found = None
     if found is None:
-        raise InvalidInput(f"{path} does not tell the greatest disparity.", "Give it a line like ndisp=64.")
+        raise InvalidInput(f"{path} does not state the maximum disparity.", "Add a line such as ndisp=64.")
     return float(found[1])

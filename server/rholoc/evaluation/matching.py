@@ -74,7 +74,7 @@ def pair_poses(estimated: FramePoses, truth: FramePoses, frames: slice | None = 
         pairs = _pair_by_frame(estimated, truth, frames)
     elif frames is not None:
         raise InvalidTrajectory(
-            "A range of frames was asked for, but one of the files has no frame numbers.",
+            "A range of frames was requested, but one of the files has no frame numbers.",
             "Leave the range out, or add a frame column.",
         )
     elif estimated.times is not None and truth.times is not None:

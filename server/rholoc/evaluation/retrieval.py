@@ -11,18 +11,15 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import faiss
 import numpy as np
 
 from rholoc.evaluation.baselines import RansacOptions, Solver, solve
 from rholoc.features import FeatureSet
 from rholoc.features.matching import DescriptorIndex
-from rholoc.geometry import ByteArray, Camera, FloatArray, IntArray
+from rholoc.features.vlad import Vlad
+from rholoc.geometry import Camera, FloatArray, IntArray
 from rholoc.localization.map_index import MapIndex
 
-_WORDS = 64
-_TRAINING_DESCRIPTORS = 40_000
-_SEED = 7
 _OBSERVED_PX = 3.0
 _RATIO = 0.85
 OPTIONS = RansacOptions(threshold_px=12.0)
@@ -50,19 +47,19 @@ class VladPipeline:
         self._landmarks = index.landmarks
         self._retrieved = retrieved
         self._views = [_view(index, k, features) for k, features in enumerate(view_features)]
-        self._words = _vocabulary([features.descriptors for features in view_features])
-        self._vlads = np.array([vlad(features.descriptors, self._words) for features in view_features])
+        self._vlad = Vlad([features.descriptors for features in view_features])
+        self._vectors = np.array([self._vlad.vector(features.descriptors) for features in view_features])
 
     @property
     def bytes(self) -> int:
         """What has to be stored: descriptors with their landmarks, landmarks, VLAD vectors as float32, words."""
         views = sum(view.features.descriptors.nbytes + 4 * len(view.landmarks) for view in self._views)
-        return views + 4 * (self._landmarks.size + self._vlads.size + self._words.size)
+        return views + 4 * (self._landmarks.size + self._vectors.size + self._vlad.words.size)
 
     def localize(self, features: FeatureSet, camera: Camera) -> tuple[FloatArray | None, dict[str, float]]:
         """T_map_camera (4, 4) or None, and the milliseconds of ``retrieve``, ``match`` and ``solve``."""
         laps = [time.perf_counter()]
-        likeness = self._vlads @ vlad(features.descriptors, self._words)
+        likeness = self._vectors @ self._vlad.vector(features.descriptors)
         views = np.argsort(-likeness, kind="stable")[: self._retrieved]
         laps.append(time.perf_counter())
         detections, landmarks = self._match(features, views)
@@ -78,30 +75,6 @@ class VladPipeline:
         different, counts = np.unique(pairs, axis=0, return_counts=True)
         different = different[np.argsort(-counts, kind="stable")]
         return different[:, 0], different[:, 1]
-
-
-def vlad(descriptors: ByteArray, words: FloatArray) -> FloatArray:
-    """The VLAD vector (W · D,) of descriptors (N, D) on words (W, D), unit length (Jégou et al., CVPR 2010).
-
-    Normalised within each word, then as a whole (Arandjelović and Zisserman, CVPR 2013).
-    """
-    d = descriptors.astype(np.float32)
-    squared = (words**2).sum(axis=1) - 2 * d @ words.T
-    nearest = squared.argmin(axis=1)
-    total = np.zeros_like(words)
-    np.add.at(total, nearest, d - words[nearest])
-    total /= np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-9)
-    flat = total.ravel()
-    return np.asarray(flat / max(float(np.linalg.norm(flat)), 1e-9))
-
-
-def _vocabulary(descriptors: Sequence[ByteArray]) -> FloatArray:
-    everything = np.concatenate(descriptors).astype(np.float32)
-    rng = np.random.default_rng(_SEED)
-    sample = everything[rng.permutation(len(everything))[:_TRAINING_DESCRIPTORS]]
-    kmeans = faiss.Kmeans(sample.shape[1], min(_WORDS, len(sample)), niter=15, seed=_SEED, verbose=False)
-    kmeans.train(sample)
-    return np.asarray(kmeans.centroids)
 
 
 def _view(index: MapIndex, k: int, features: FeatureSet) -> _View:

@@ -84,7 +84,7 @@ def export_map(
         InvalidMap: the map contradicts itself.
     """
     if degree is not None and to is not ExportFormat.CSV:
-        raise InvalidInput(f"A degree is not for {to}.", "Only csv has one.")
+        raise InvalidInput(f"A degree does not apply to {to}.", "Only csv takes one.")
     if features is not None and to is not ExportFormat.SURFACES:
         raise InvalidInput(f"Features cannot be chosen for {to}.", "Choose them for surfaces.")
     match to:
@@ -118,7 +118,9 @@ def parse_features(text: str) -> list[int]:
     for part in text.split(","):
         match = _FEATURES.fullmatch(part.strip())
         if match is None:
-            raise InvalidInput(f"'{text[:60]}' is not a choice of features.", "Give numbers and ranges: 3,17,40:60.")
+            raise InvalidInput(
+                f"'{text[:60]}' is not a valid selection of features.", "Give numbers and ranges: 3,17,40:60."
+            )
         first = int(match[1])
         stop = first + 1 if match[2] is None else int(match[2])
         chosen += range(first, min(stop, first + MAX_SURFACES + 1))  # more are too many, however many

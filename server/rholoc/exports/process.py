@@ -32,8 +32,8 @@ def main() -> int:
             sys.stdout.buffer.write(piece)
         sys.stdout.buffer.flush()
     except RholocError as error:
-        told = {"code": error.code, "message": error.message, "hint": error.hint}
-        sys.stderr.write(json.dumps(told) + "\n")
+        refusal = {"code": error.code, "message": error.message, "hint": error.hint}
+        sys.stderr.write(json.dumps(refusal) + "\n")
         return REFUSED
     return 0
 

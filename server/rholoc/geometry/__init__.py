@@ -1,4 +1,4 @@
-"""Cameras, poses, rays. Depends on nothing of ours."""
+"""Cameras, poses, rays. Depends on no other package of rholoc."""
 
 from rholoc.geometry.alignment import (
     Similarity,

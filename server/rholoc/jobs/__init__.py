@@ -1,6 +1,6 @@
 """Durable mapping jobs: recordings on disk, the queue, and the workers that turn one into the other's maps."""
 
-from rholoc.jobs.build_process import Limits, memory_bytes
+from rholoc.jobs.build_process import BuildLimits
 from rholoc.jobs.embedded import EmbeddedWorker
 from rholoc.jobs.job import Job, JobKind, JobOptions, JobState
 from rholoc.jobs.pipeline import MappingPipeline, MappingTask, Pipeline
@@ -10,13 +10,13 @@ from rholoc.jobs.upload_store import Upload, UploadStore
 from rholoc.jobs.worker import Timing, Worker, run_worker
 
 __all__ = [
+    "BuildLimits",
     "EmbeddedWorker",
     "Job",
     "JobKind",
     "JobOptions",
     "JobQueue",
     "JobState",
-    "Limits",
     "MappingPipeline",
     "MappingTask",
     "PendingRecording",
@@ -27,6 +27,5 @@ __all__ = [
     "Upload",
     "UploadStore",
     "Worker",
-    "memory_bytes",
     "run_worker",
 ]

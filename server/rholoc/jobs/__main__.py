@@ -7,9 +7,10 @@ import sys
 import threading
 from pathlib import Path
 
-from rholoc.jobs.build_process import Limits
+from rholoc.jobs.build_process import BuildLimits
 from rholoc.jobs.worker import run_worker
 from rholoc.logs import configure_process_logs
+from rholoc.processes import call_when_input_ends
 
 
 def main() -> None:
@@ -17,14 +18,8 @@ def main() -> None:
     configure_process_logs()
     data_dir, maps_dir, database_url, *limits = json.loads(sys.stdin.buffer.readline())
     stop = threading.Event()
-    threading.Thread(target=_wait_for_end, args=(stop,), daemon=True).start()
-    run_worker(Path(data_dir), Path(maps_dir), database_url, limits=Limits(*limits), stop=stop)
-
-
-def _wait_for_end(stop: threading.Event) -> None:
-    while sys.stdin.buffer.read(1):
-        pass
-    stop.set()
+    call_when_input_ends(stop.set)
+    run_worker(Path(data_dir), Path(maps_dir), database_url, limits=BuildLimits(*limits), stop=stop)
 
 
 if __name__ == "__main__":

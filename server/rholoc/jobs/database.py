@@ -12,7 +12,7 @@ from dbos import DBOS
 from sqlalchemy.exc import DatabaseError, OperationalError
 from sqlalchemy.schema import CreateColumn, CreateTable
 
-from rholoc.disk import storage_full, telling_full_disk
+from rholoc.disk import reporting_full_disk, storage_full
 from rholoc.errors import Conflict, InvalidInput
 
 _BUSY_TIMEOUT_MS = 10_000
@@ -39,7 +39,7 @@ jobs_table = sa.Table(
     sa.Column("started", sa.Float),
     sa.Column("ended", sa.Float),
     sa.Column("attempts", sa.Integer, nullable=False),
-    # The DBOS workflow of the latest submission or retry; with ``attempts`` it tells who holds the job.
+    # The DBOS workflow of the latest submission or retry; with ``attempts`` it says who holds the job.
     sa.Column("workflow_id", sa.Text, nullable=False),
 )
 
@@ -52,7 +52,7 @@ workers_table = sa.Table(
 
 
 def open_database(data_dir: Path, database_url: str | None = None) -> sa.Engine:
-    """The engine of the database, with the tables of ours and of DBOS in it.
+    """The engine of the database, with rholoc's tables and DBOS's in it.
 
     Args:
         data_dir: where the SQLite file is kept.
@@ -60,10 +60,10 @@ def open_database(data_dir: Path, database_url: str | None = None) -> sa.Engine:
 
     Raises:
         StorageFull: the disk is full.
-        InvalidInput: the URL is none, or there is no such database to connect to.
+        InvalidInput: the URL is not valid, or its database cannot be reached.
         Conflict: the file is there, and no SQLite database.
     """
-    with telling_full_disk():
+    with reporting_full_disk():
         Path(data_dir).mkdir(parents=True, exist_ok=True)
     if database_url is None:
         url = sa.make_url(f"sqlite:///{Path(data_dir).resolve() / 'jobs.sqlite'}")
@@ -74,7 +74,7 @@ def open_database(data_dir: Path, database_url: str | None = None) -> sa.Engine:
         sa.event.listen(engine, "connect", _prepare_sqlite)
     else:
         _check_connection(engine)
-    with telling_full_database(), _telling_no_database(url):
+    with reporting_full_database(), _reporting_no_database(url):
         DBOS.migrate(url.render_as_string(hide_password=False))
         with engine.begin() as connection:
             for table in _metadata.sorted_tables:
@@ -84,14 +84,15 @@ def open_database(data_dir: Path, database_url: str | None = None) -> sa.Engine:
 
 
 @contextmanager
-def _telling_no_database(url: sa.URL) -> Iterator[None]:
+def _reporting_no_database(url: sa.URL) -> Iterator[None]:
     try:
         yield
     except DatabaseError as error:
         if "not a database" not in str(error):
             raise
         raise Conflict(
-            f"{url.database} is damaged, or no database of jobs.", "Move it away; a new one is made in its place."
+            f"{url.database} is damaged, or not a database of jobs.",
+            "Move it away; a new one will be created in its place.",
         ) from error
 
 
@@ -111,7 +112,7 @@ def _postgres_url(text: str) -> sa.URL:
         url = None
     if url is None or url.get_backend_name() not in ("postgresql", "postgres"):
         raise InvalidInput(  # without the text: it may hold a password
-            "RHOLOC_DATABASE_URL is not the address of a Postgres database.",
+            "RHOLOC_DATABASE_URL is not the URL of a Postgres database.",
             "Give postgresql://user:password@host:port/name, or nothing for an SQLite file.",
         )
     return url.set(drivername="postgresql+psycopg")
@@ -129,7 +130,7 @@ def _check_connection(engine: sa.Engine) -> None:
 
 
 @contextmanager
-def telling_full_database() -> Iterator[None]:
+def reporting_full_database() -> Iterator[None]:
     """Turn the database's "disk is full" into :class:`rholoc.errors.StorageFull`."""
     try:
         yield

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 import logging
-import subprocess
-import sys
 import threading
 from dataclasses import astuple
 from pathlib import Path
 
-from rholoc.jobs.build_process import Limits
+from rholoc.jobs.build_process import BuildLimits
+from rholoc.processes import Program
 
 _log = logging.getLogger("rholoc.jobs")
 
@@ -23,28 +21,28 @@ class EmbeddedWorker:
     """Runs ``python -m rholoc.jobs`` as a child, starts it again should it die, and stops it with its parent."""
 
     def __init__(
-        self, data_dir: Path, maps_dir: Path, database_url: str | None = None, limits: Limits | None = None
+        self, data_dir: Path, maps_dir: Path, database_url: str | None = None, limits: BuildLimits | None = None
     ) -> None:
-        configuration = [str(data_dir), str(maps_dir), database_url, *astuple(limits or Limits())]
+        configuration = [str(data_dir), str(maps_dir), database_url, *astuple(limits or BuildLimits())]
         # Through the standard input, not the command line: the URL may hold a password.
         self._configuration = json.dumps(configuration).encode() + b"\n"
         self._stopping = threading.Event()
-        self._process: subprocess.Popen[bytes] | None = None
+        self._program: Program | None = None
         self._keeper: threading.Thread | None = None
 
     @property
     def running(self) -> bool:
         """Whether the child lives."""
-        return self._process is not None and self._process.poll() is None
+        return self._program is not None and self._program.running
 
     @property
     def pid(self) -> int | None:
         """The child's process id, None before the start."""
-        return None if self._process is None else self._process.pid
+        return None if self._program is None else self._program.pid
 
     def start(self) -> None:
         """Start the child."""
-        self._process = self._spawn()
+        self._program = self._spawn()
         self._keeper = threading.Thread(target=self._keep_running, name="rholoc-worker-keeper", daemon=True)
         self._keeper.start()
 
@@ -53,26 +51,14 @@ class EmbeddedWorker:
         self._stopping.set()
         if self._keeper is not None:
             self._keeper.join()
-        if self._process is None:
-            return
-        if self._process.stdin is not None:
-            self._process.stdin.close()
-        try:
-            self._process.wait(_STOP_TIMEOUT_S)
-        except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
+        if self._program is not None:
+            self._program.stop(_STOP_TIMEOUT_S)
 
-    def _spawn(self) -> subprocess.Popen[bytes]:
-        process = subprocess.Popen([sys.executable, "-m", "rholoc.jobs"], stdin=subprocess.PIPE, start_new_session=True)
-        assert process.stdin is not None
-        with contextlib.suppress(BrokenPipeError):  # it died already: it is started again soon
-            process.stdin.write(self._configuration)
-            process.stdin.flush()
-        return process
+    def _spawn(self) -> Program:
+        return Program("rholoc.jobs", first_input=self._configuration)
 
     def _keep_running(self) -> None:
         while not self._stopping.wait(_RESTART_AFTER_S):
             if not self.running:
                 _log.warning("the worker ended unexpectedly; starting another")
-                self._process = self._spawn()
+                self._program = self._spawn()

@@ -12,7 +12,7 @@ from dbos import DBOSClient, EnqueueOptions
 from sqlalchemy.exc import IntegrityError
 
 from rholoc.errors import Conflict, UnknownRecording
-from rholoc.jobs.database import open_database, telling_full_database
+from rholoc.jobs.database import open_database, reporting_full_database
 from rholoc.jobs.job import Job, JobOptions, JobState
 from rholoc.jobs.recording_store import RecordingStore
 from rholoc.jobs.table import JobTable, JobWork, WorkerTable
@@ -63,7 +63,7 @@ class JobQueue:
         job_id = job_id or uuid.uuid4().hex
         workflow = _workflow_id(job_id)
         work = JobWork(recording_id, map_name, options or JobOptions())
-        with telling_full_database(), suppress(IntegrityError), self._engine.begin() as connection:
+        with reporting_full_database(), suppress(IntegrityError), self._engine.begin() as connection:
             self._jobs.insert(connection, job_id, work, workflow)
             self._enqueue(connection, job_id, workflow)
         return self._jobs.get(job_id)
@@ -72,7 +72,7 @@ class JobQueue:
         """The job.
 
         Raises:
-            UnknownJob: there is none with this id.
+            UnknownJob: no job has this id.
         """
         return self._jobs.get(job_id)
 
@@ -96,11 +96,11 @@ class JobQueue:
         """End a queued or running job. A worker that has it stops within two seconds.
 
         Raises:
-            UnknownJob: there is none with this id.
+            UnknownJob: no job has this id.
             Conflict: it has ended.
         """
         self._jobs.get(job_id)
-        with telling_full_database():
+        with reporting_full_database():
             # DBOS need not know: whoever takes up or holds the job sees that it is not wanted, and ends its workflow.
             self._jobs.cancel(job_id)
         return self._jobs.get(job_id)
@@ -109,11 +109,11 @@ class JobQueue:
         """Remove a job that has ended; returns it as it was. Its recording and its map stay.
 
         Raises:
-            UnknownJob: there is none with this id.
+            UnknownJob: no job has this id.
             Conflict: it has not ended.
         """
         job = self._jobs.get(job_id)
-        with telling_full_database():
+        with reporting_full_database():
             self._jobs.delete(job_id)
         return job
 
@@ -121,13 +121,13 @@ class JobQueue:
         """Queue a failed or cancelled job again, from its start.
 
         Raises:
-            UnknownJob: there is none with this id.
+            UnknownJob: no job has this id.
             Conflict: it neither failed nor was cancelled.
             UnknownRecording: its recording was deleted.
         """
         self._recordings.get(self._jobs.get(job_id).recording)
         workflow = _workflow_id(job_id)
-        with telling_full_database(), self._engine.begin() as connection:
+        with reporting_full_database(), self._engine.begin() as connection:
             self._jobs.requeue(connection, job_id, workflow)
             self._enqueue(connection, job_id, workflow)
         return self._jobs.get(job_id)
@@ -136,12 +136,12 @@ class JobQueue:
         """Delete a stored recording that no job needs.
 
         Raises:
-            UnknownRecording: there is none with this id.
+            UnknownRecording: no recording has this id.
             Conflict: a job waits for it, or works on it.
         """
         self._recordings.get(recording_id)
         if self._jobs.needs(recording_id):
-            raise Conflict("A job needs the recording.", "Cancel the job, or wait until it has ended.")
+            raise Conflict("A job is using the recording.", "Cancel the job, or wait until it has ended.")
         self._recordings.delete(recording_id)
 
     def delete_mapped_recordings(self, retention_s: float) -> None:

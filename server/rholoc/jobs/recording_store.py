@@ -14,7 +14,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path, PurePosixPath
 from typing import BinaryIO
 
-from rholoc.disk import sync_folder, telling_full_disk
+from rholoc.disk import reporting_full_disk, sync_folder
 from rholoc.errors import Conflict, InvalidRecording, TooLarge, UnknownRecording
 
 _ENTRY_FILE = ".entry.json"  # no uploaded file can be called so: their names start with no dot
@@ -59,7 +59,7 @@ class PendingRecording:
         self._open: tuple[str, BinaryIO] | None = None
         self._size_bytes = 0
         self._ended = False
-        with telling_full_disk():
+        with reporting_full_disk():
             self._folder.mkdir(parents=True)
 
     def __enter__(self) -> PendingRecording:
@@ -94,7 +94,7 @@ class PendingRecording:
         safe = sanitized(name)
         if self._given_names.setdefault(safe, name) != name:
             raise InvalidRecording(f"Two files would both be called {safe}.", "Give every file its own plain name.")
-        with telling_full_disk():
+        with reporting_full_disk():
             self._file(safe).write(chunk)
         self._sizes[safe] = self._sizes.get(safe, 0) + len(chunk)
         self._size_bytes += len(chunk)
@@ -106,7 +106,7 @@ class PendingRecording:
             StorageFull: the disk is full.
         """
         if self._open is not None:
-            with telling_full_disk():
+            with reporting_full_disk():
                 self._open[1].flush()
         return self._folder / sanitized(name)
 
@@ -122,11 +122,11 @@ class PendingRecording:
         if not self._sizes:
             self.abort()
             raise InvalidRecording(
-                "The upload holds no file.", "Send a video, a zip, or the files of a recording, as file parts."
+                "The upload contains no file.", "Send a video, a zip, or the files of a recording, as file parts."
             )
         entry = RecordingEntry(self.id, tuple(sorted(self._sizes)), self.size_bytes, time.time())
         try:
-            with telling_full_disk():
+            with reporting_full_disk():
                 self._close_file()
                 _publish(self._folder, self._root, entry)
         except BaseException:
@@ -172,7 +172,7 @@ class RecordingStore:
 
     def __init__(self, data_dir: Path) -> None:
         self.root = Path(data_dir) / "recordings"
-        with telling_full_disk():
+        with reporting_full_disk():
             self.root.mkdir(parents=True, exist_ok=True)
         self._drop_abandoned()
 
@@ -212,7 +212,7 @@ class RecordingStore:
         Raises:
             StorageFull: the disk is full; the folder stays where it is.
         """
-        with telling_full_disk(), (folder / file_name).open("rb") as file:
+        with reporting_full_disk(), (folder / file_name).open("rb") as file:
             os.fsync(file.fileno())
             entry = RecordingEntry(recording_id, (file_name,), os.fstat(file.fileno()).st_size, time.time())
             _publish(folder, self.root, entry)
@@ -222,7 +222,7 @@ class RecordingStore:
         """The recording's entry.
 
         Raises:
-            UnknownRecording: there is none with this id.
+            UnknownRecording: no recording has this id.
         """
         try:
             text = (self._folder(recording_id) / _ENTRY_FILE).read_text(encoding="utf-8")
@@ -240,7 +240,7 @@ class RecordingStore:
         """What :func:`rholoc.recordings.read_recording` takes: the only file (a video or a zip), or the folder.
 
         Raises:
-            UnknownRecording: there is none with this id.
+            UnknownRecording: no recording has this id.
         """
         entry = self.get(recording_id)
         folder = self._folder(recording_id)
@@ -250,7 +250,7 @@ class RecordingStore:
         """Remove the recording.
 
         Raises:
-            UnknownRecording: there is none with this id.
+            UnknownRecording: no recording has this id.
         """
         folder = self._folder(recording_id)
         doomed = self.root / f"{_PENDING_PREFIX}{uuid.uuid4().hex}"
@@ -306,7 +306,7 @@ def sanitized(name: str) -> str:
     kept = [part for part in parts if part.strip("_")]
     if not kept or len(kept) > _MAX_DEPTH:
         raise InvalidRecording(
-            f"{name[:_MAX_NAME_LENGTH]!r} cannot be a file's name.", "Use letters, digits, '.', '_' and '-'."
+            f"{name[:_MAX_NAME_LENGTH]!r} is not a valid file name.", "Use letters, digits, '.', '_' and '-'."
         )
     return str(PurePosixPath(*kept))
 

@@ -233,9 +233,9 @@ class JobTable:
         Returns:
             Whether the lease was still good; else nothing is noted.
         """
-        told = [shortened(warning) for warning in warnings[:MAX_WARNINGS]]
-        lines = [*(f"warning: {warning}" for warning in told), "published"]
-        values = {"stage": Stage.PUBLISHED, "progress": 1.0, "warnings": told}
+        kept = [shortened(warning) for warning in warnings[:MAX_WARNINGS]]
+        lines = [*(f"warning: {warning}" for warning in kept), "published"]
+        values = {"stage": Stage.PUBLISHED, "progress": 1.0, "warnings": kept}
         return self._end(lease, JobState.PUBLISHED, "published", lines, **values)
 
     def fail(self, lease: Lease, failure: Failure) -> bool:

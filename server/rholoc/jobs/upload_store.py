@@ -14,7 +14,7 @@ from dataclasses import asdict, dataclass
 from io import RawIOBase
 from pathlib import Path
 
-from rholoc.disk import storage_full, telling_full_disk
+from rholoc.disk import reporting_full_disk, storage_full
 from rholoc.errors import Busy, Conflict, InvalidRecording, RholocError, TooLarge, UnknownJob
 from rholoc.jobs.job import Job, JobOptions
 from rholoc.jobs.queue import JobQueue
@@ -102,7 +102,7 @@ class UploadStore:
             raise InvalidRecording(f"{safe} is empty.", "Record again.")
         self._check_room()
         upload_id = uuid.uuid4().hex
-        with telling_full_disk(), self._recordings.new_folder() as folder:
+        with reporting_full_disk(), self._recordings.new_folder() as folder:
             if shutil.disk_usage(folder).free < length:
                 raise storage_full()
             (folder / safe).touch()
@@ -115,7 +115,7 @@ class UploadStore:
         """Where the upload stands. One that is whole but has no job yet, because the server died, gets it now.
 
         Raises:
-            UnknownRecording: there is none with this id, or it expired.
+            UnknownRecording: no upload has this id, or it expired.
             InvalidRecording, TooLarge: it is whole, and its content is no recording's. It is removed.
             StorageFull: the disk is full.
         """
@@ -146,12 +146,14 @@ class UploadStore:
         """
         standing = self.get(upload_id)
         if offset + len(data) > standing.length:
-            raise TooLarge(f"More than the declared {standing.length} bytes.", "Begin an upload of the whole size.")
+            raise TooLarge(
+                f"More than the declared {standing.length} bytes.", "Start an upload that declares the whole size."
+            )
         try:
             with self._locked(upload_id) as plan:
                 path = self._folder(upload_id) / plan.file_name
                 _check_offset(path.stat().st_size, offset)
-                with telling_full_disk(), path.open("ab", buffering=0) as file:
+                with reporting_full_disk(), path.open("ab", buffering=0) as file:
                     _write(file, data)
                 if offset < START_BYTES <= offset + len(data):
                     self._check_start(upload_id, path)
@@ -163,7 +165,7 @@ class UploadStore:
         """Forget an unfinished upload.
 
         Raises:
-            UnknownRecording: there is none with this id.
+            UnknownRecording: no recording has this id.
         """
         try:
             with self._locked(upload_id):
@@ -183,7 +185,7 @@ class UploadStore:
             return
         self.sweep()
         if self._unfinished() >= self._max_unfinished:
-            hint = "Finish or give up (DELETE) another upload, or try again later."
+            hint = "Finish or abandon (DELETE) another upload, or try again later."
             raise Busy(f"There are {self._max_unfinished} unfinished uploads already.", hint, _RETRY_AFTER_S)
 
     def _unfinished(self) -> int:
@@ -255,7 +257,7 @@ def _lock(descriptor: int) -> None:
             return fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             if time.monotonic() > last_s:
-                raise Busy("Another request is at work on this upload.", "Try again.") from None
+                raise Busy("Another request is working on this upload.", "Try again.") from None
             time.sleep(_LOCK_POLL_S)
 
 
@@ -267,7 +269,8 @@ def _read_plan(path: Path) -> _Plan:
 def _check_offset(stands_at: int, offset: int) -> None:
     if stands_at != offset:
         raise Conflict(
-            f"The upload stands at byte {stands_at}, not at {offset}.", "Ask with HEAD, and go on from there."
+            f"The upload is at byte {stands_at}, not at {offset}.",
+            "Ask for the offset with HEAD, and continue from there.",
         )
 
 

@@ -11,20 +11,22 @@ import threading
 import uuid
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from types import FrameType
 
 from dbos import DBOS, DBOSConfig
 from sqlalchemy.exc import SQLAlchemyError
 
-from rholoc.disk import is_full, storage_full, telling_full_disk
+from rholoc.disk import is_full, reporting_full_disk, storage_full
 from rholoc.errors import Cancelled, RholocError
-from rholoc.jobs.build_process import Limits, Progress, build_in_process, describe, unexpected
+from rholoc.jobs.build_process import BuildLimits, build_in_process, describe, unexpected
 from rholoc.jobs.database import open_database
 from rholoc.jobs.pipeline import MappingPipeline, MappingTask, Pipeline
 from rholoc.jobs.queue import APPLICATION, APPLICATION_VERSION, QUEUE_NAME, WORKFLOW_NAME, open_client
 from rholoc.jobs.recording_store import RecordingStore
 from rholoc.jobs.table import DEAD_AFTER_S, Failure, JobTable, JobWork, Lease, WorkerTable
+from rholoc.progress import Stage
 
 _log = logging.getLogger("rholoc.jobs")
 
@@ -64,14 +66,14 @@ class Worker:
         *,
         pipeline: Pipeline | None = None,
         timing: Timing | None = None,
-        limits: Limits | None = None,
+        limits: BuildLimits | None = None,
     ) -> None:
         self.id = f"{socket.gethostname()[:40]}-{os.getpid()}-{uuid.uuid4().hex[:8]}"
         self._data_dir = Path(data_dir).resolve()
         self._maps_dir = Path(maps_dir).resolve()
         self._pipeline = pipeline or MappingPipeline()
         self._timing = timing or Timing()
-        self._limits = limits or Limits()
+        self._limits = limits or BuildLimits()
         self._database_url = database_url
         self._stopping = threading.Event()
         self._idle = threading.Condition()
@@ -176,8 +178,8 @@ class Worker:
             return build_in_process(
                 self._pipeline,
                 task,
-                note=lambda progress: self._note(lease, progress),
-                wanted=lambda: self._holds(lease),
+                note=partial(self._note, lease),
+                check=lambda: self._check_held(lease),
                 poll_s=self._timing.poll_s,
                 cancel_grace_s=self._timing.cancel_grace_s,
                 limits=self._limits,
@@ -190,7 +192,7 @@ class Worker:
     def _publish(self, lease: Lease, work: JobWork) -> tuple[str, ...] | Failure:
         """Publish the map; returns why it is not to be trusted, or why it could not be published."""
         if not self._jobs.begin_publishing(lease):
-            raise Cancelled("The job is not ours any more.")
+            raise Cancelled("This worker no longer has the job.")
         try:
             return self._pipeline.publish(self._task(lease, work))
         except RholocError as error:
@@ -202,7 +204,7 @@ class Worker:
 
     def _task(self, lease: Lease, work: JobWork) -> MappingTask:
         folder = self._work_dir(lease)
-        with telling_full_disk():
+        with reporting_full_disk():
             folder.mkdir(parents=True, exist_ok=True)
         return MappingTask(
             recording=self._recordings.path(work.recording),
@@ -224,18 +226,21 @@ class Worker:
             if folder.name not in wanted:
                 shutil.rmtree(folder, ignore_errors=True)
 
-    def _note(self, lease: Lease, progress: Progress) -> None:
+    def _note(self, lease: Lease, stage: Stage, fraction: float, message: str = "") -> None:
         try:
-            self._jobs.note(lease, progress.stage, progress.fraction, progress.message)
+            self._jobs.note(lease, stage, fraction, message)
         except SQLAlchemyError:
             _log.exception("progress of job %s could not be noted", lease.job)
 
-    def _holds(self, lease: Lease) -> bool:
+    def _check_held(self, lease: Lease) -> None:
+        """Raises Cancelled when the job is not this worker's any more."""
         try:
-            return self._jobs.holds(lease)
+            held = self._jobs.holds(lease)
         except SQLAlchemyError:
             _log.exception("job %s could not be looked up", lease.job)
-            return True
+            return
+        if not held:
+            raise Cancelled("The job was cancelled, or another worker has it.")
 
     def _keep_beating(self) -> None:
         while not self._stopping.wait(self._timing.heartbeat_s):
@@ -288,7 +293,7 @@ def run_worker(
     *,
     pipeline: Pipeline | None = None,
     timing: Timing | None = None,
-    limits: Limits | None = None,
+    limits: BuildLimits | None = None,
     stop: threading.Event | None = None,
 ) -> None:
     """Work until SIGINT, SIGTERM or ``stop``. To be called in the main thread of a process that does nothing else.

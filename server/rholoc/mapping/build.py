@@ -126,7 +126,7 @@ def _check_common_frame(walks: Sequence[_Walk]) -> None:
         raise InvalidInput("There is no recording to build a map from.", "Name at least one.")
     if len(walks) > 1 and any(walk.trajectory.scale is Scale.ARBITRARY for walk in walks):
         raise MappingFailed(
-            "Several recordings share no frame: at least one has neither poses nor waypoints.",
+            "The recordings do not share a frame: at least one has neither poses nor waypoints.",
             "Give each recording waypoints measured in the same frame, or build from one.",
         )
 

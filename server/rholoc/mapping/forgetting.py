@@ -22,7 +22,7 @@ def forget_recording(map_: Map, recording: str, progress: ProgressListener = sil
     check_observations(map_, "The map")
     row = _source_row(map_.info, recording)
     if len(map_.info.sources) == 1:
-        raise Conflict(f"{recording} is all that the map was learned from.", "Delete the map instead.")
+        raise Conflict(f"{recording} is the only recording in the map.", "Delete the map instead.")
     after = without_source(ray_form(map_), row)
     return as_learned(map_, after, LearningReport(map_.info.version + 1, forgotten=map_.info.sources[row].id), progress)
 
@@ -32,9 +32,7 @@ def _source_row(info: MapInfo, recording: str) -> int:
     rows = rows or [row for row, source in enumerate(info.sources) if source.name == recording]
     sources = ", ".join(f"{source.name} ({source.id})" for source in info.sources)
     if not rows:
-        raise InvalidInput(f"The map never learned from {recording}.", f"It learned from: {sources}.")
+        raise InvalidInput(f"The map does not contain {recording}.", f"It contains: {sources}.")
     if len(rows) > 1:
-        raise InvalidInput(
-            f"The map learned from {len(rows)} recordings named {recording}.", f"Give the id: {sources}."
-        )
+        raise InvalidInput(f"The map contains {len(rows)} recordings named {recording}.", f"Give the id: {sources}.")
     return rows[0]

@@ -93,7 +93,7 @@ def update_map(
     check_observations(map_, "The map")
     id_ = recording_id(recording)
     if any(source.id == id_ for source in map_.info.sources):
-        raise Conflict(f"The map has learned {recording.name} already.", "Forget it first, to learn it anew.")
+        raise Conflict(f"The map has already learned {recording.name}.", "Forget it first to learn it again.")
     known = ray_form(map_)
     localizer = Localizer(known, min_confidence=LEARNING_CONFIDENCE)
     method = options.poses or (PoseMethod.GIVEN if recording.poses is not None else None)

@@ -40,7 +40,7 @@ class ObservedRays:
 
 
 def recording_id(recording: Recording) -> str:
-    """What tells recordings apart whatever they are called: 16 hex digits, of their times and first frame."""
+    """What distinguishes recordings whatever they are called: 16 hex digits, of their times and first frame."""
     digest = hashlib.blake2b(recording.frames.times.tobytes(), digest_size=8)
     with contextlib.suppress(InvalidRecording):  # a damaged frame is no matter as long as nobody needs it
         digest.update(next(iter(recording.frames.images([0]))).tobytes())

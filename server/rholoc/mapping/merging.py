@@ -27,7 +27,7 @@ from rholoc.progress import ProgressListener, Stage, silent
 _MAX_LOCALIZED = 60
 _RADIUS_PX = 5.0
 _MIN_VOTES = 2
-_MIN_SHARE = 0.5  # of the times that two features could be told to be one
+_MIN_SHARE = 0.5  # of the times that two features could have been recognised as one
 
 
 def merge_maps(a: Map, b: Map, progress: ProgressListener = silent) -> Map:
@@ -45,7 +45,7 @@ def merge_maps(a: Map, b: Map, progress: ProgressListener = silent) -> Map:
     _check_alike(a, b)
     shared = {source.id for source in a.info.sources}
     if all(source.id in shared for source in b.info.sources):
-        raise Conflict("The first map has learned all that the second has.", "There is nothing to merge.")
+        raise Conflict("The first map already contains all that the second does.", "There is nothing to merge.")
     b = _without_shared(ray_form(b), shared)
     localizer = Localizer(ray_form(a), min_confidence=LEARNING_CONFIDENCE)
     frames, own = _frames(b), b.T_map_camera

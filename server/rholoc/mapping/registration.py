@@ -145,7 +145,7 @@ def align_to_found(T_own_camera: FloatArray, found: Found, scale_is_known: bool,
         raise MappingFailed(
             f"{what} and the map disagree: {100 * residual_m:.0f} cm and {np.degrees(residual_rad):.1f}° in the median."
             + scales,
-            "One of the two is bent or of wrong scale: record and build it again.",
+            "One of the two is bent or has the wrong scale: record and build it again.",
         )
     return Alignment(similarity, agreeing, residual_m, residual_rad)
 

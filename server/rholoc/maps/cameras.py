@@ -82,7 +82,9 @@ class CameraLibrary:
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            raise InvalidInput(f"{self.folder} cannot be made: {error.strerror}.", "Check the map folder.") from error
+            raise InvalidInput(
+                f"{self.folder} cannot be created: {error.strerror}.", "Check the map folder."
+            ) from error
         replace_file(path, f"{text}\n".encode())
 
     def delete(self, name: str) -> None:

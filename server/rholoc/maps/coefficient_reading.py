@@ -120,7 +120,7 @@ def _header(name: str, columns: list[str]) -> _Header:
         complaint = " and ".join(complaints) or "has a column twice"
         raise InvalidMap(f"{name} {complaint}; of degree {degree} it has {len(wanted)} columns.", _HINT)
     if columns != wanted:
-        raise InvalidMap(f"The columns of {name} are not in their order.", _HINT)
+        raise InvalidMap(f"The columns of {name} are out of order.", _HINT)
     return _Header(form, degree, columns)
 
 
@@ -249,7 +249,7 @@ def _info(name: str, kind: DensityKind, shared: list[str]) -> MapInfo:
     except InvalidInput as error:
         raise InvalidMap(f"{name}: {error.message}", error.hint) from error
     except ValueError as error:
-        raise InvalidMap(f"{name} has '{camera[:40]}' for a camera, which is not valid.", _HINT) from error
+        raise InvalidMap(f"{name} has '{camera[:40]}' as a camera, which is not valid.", _HINT) from error
     if {metric, upright} - {"0", "1"}:
         raise InvalidMap(f"{name} has something other than 0 or 1 in metric or upright.", _HINT)
     return MapInfo(
@@ -273,7 +273,7 @@ def _views(name: str, seen_from: list[str]) -> tuple[FloatArray, FloatArray, Int
         for view in filter(None, text.split(";")):
             number, _, _ = view.partition(" ")
             if not number.isdecimal():
-                raise InvalidMap(f"{name} has '{view[:30]}' for a view, which is not valid.", _HINT)
+                raise InvalidMap(f"{name} has '{view[:30]}' as a view, which is not valid.", _HINT)
             known.setdefault(view, int(number))
             saw.setdefault(int(number), []).append(feature)
     if len(known) != len(saw):
@@ -282,7 +282,7 @@ def _views(name: str, seen_from: list[str]) -> tuple[FloatArray, FloatArray, Int
     for view, _ in sorted(known.items(), key=lambda item: item[1]):
         numbers = np.array([_float_or_nan(number) for number in view.split(" ")[1:]])
         if len(numbers) != VIEW_NUMBERS or not np.isfinite(numbers).all():
-            raise InvalidMap(f"{name} has '{view[:30]}' for a view, which is not valid.", _HINT)
+            raise InvalidMap(f"{name} has '{view[:30]}' as a view, which is not valid.", _HINT)
         values.append(numbers)
     table = np.array(values).reshape(-1, VIEW_NUMBERS)
     lists = [saw[number] for number in sorted(saw)]

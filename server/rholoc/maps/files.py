@@ -33,7 +33,7 @@ def replace_file(path: Path, data: bytes | memoryview | Iterable[bytes], called:
     except OSError as error:
         if is_full(error):
             raise StorageFull(
-                f"No room left to write {called or path.name}; what was there is unchanged.",
+                f"No space left to write {called or path.name}; what was there is unchanged.",
                 "Free some space and try again.",
             ) from error
         raise InvalidInput(f"{called or path} cannot be written: {error.strerror}.", "Check the folder.") from error

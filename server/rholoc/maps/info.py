@@ -108,7 +108,7 @@ def info_from_json(text: str) -> MapInfo:
             if not 0 < len(value) <= _MAX_WORD or not value.isprintable():
                 raise ValueError(f"{name} is not a word of at most {_MAX_WORD} characters")
     except (ValueError, InvalidInput, RecursionError) as error:
-        raise InvalidMap(f"The map's description is broken: {str(error)[:_MAX_SHOWN]}.") from error
+        raise InvalidMap(f"The map's description is not valid: {str(error)[:_MAX_SHOWN]}.") from error
     return info
 
 

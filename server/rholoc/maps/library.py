@@ -37,7 +37,7 @@ def check_name(name: str, what: str) -> str:
     if not is_name(name):
         shown = name if len(name) <= 64 else name[:61] + "…"
         raise InvalidName(
-            f"{shown!r} is not a {what} name.",
+            f"{shown!r} is not a valid {what} name.",
             "Use 1 to 64 letters, digits, '.', '_' and '-', the first a letter, a digit or '_'.",
         )
     return name
@@ -203,7 +203,9 @@ class MapLibrary:
             if present == next_version.info:
                 return
             if (present.id, present.version) != (next_version.info.id, next_version.info.version - 1):
-                raise Conflict(f"The map {name} was changed meanwhile.", "Try again: the change starts from it then.")
+                raise Conflict(
+                    f"The map {name} was changed in the meantime.", "Try again: the change will start from the new one."
+                )
             self.put(name, next_version)
 
     def previous(self, name: str) -> MapInfo | None:
@@ -278,7 +280,7 @@ class MapLibrary:
             if not old.is_file():
                 raise self._unknown(name)
             if new.exists():
-                raise Conflict(f"There is a map {new_name} already.", "Choose another name, or delete that map first.")
+                raise Conflict(f"There is already a map {new_name}.", "Choose another name, or delete that map first.")
             old.rename(new)
             self._previous_path(new_name).unlink(missing_ok=True)
             if self._previous_path(name).is_file():
@@ -289,7 +291,9 @@ class MapLibrary:
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            raise InvalidInput(f"{self.folder} cannot be made: {error.strerror}.", "Check the map folder.") from error
+            raise InvalidInput(
+                f"{self.folder} cannot be created: {error.strerror}.", "Check the map folder."
+            ) from error
 
     def _unknown(self, name: str) -> UnknownMap:
         names = self.names()

@@ -59,7 +59,7 @@ def check_observations(map_: Map, what: str) -> Observations:
     """
     if map_.observations is None:
         raise InvalidInput(
-            f"{what} does not remember what it was learned from.",
+            f"{what} does not keep what it was built from.",
             "Build it again from its recordings, with this version.",
         )
     if not observations_fit(map_, map_.observations):

@@ -140,11 +140,11 @@ def load_info(path: Path) -> MapInfo:
 
 def _check_format(called: str, metadata: Mapping[str, str]) -> None:
     if metadata.get("format") != FORMAT:
-        raise InvalidMap(f"{called} is not a map of rholoc.", "Give a .rho file.")
+        raise InvalidMap(f"{called} is not a rholoc map.", "Give a .rho file.")
     version = metadata.get("format_version", "")
     if version != str(FORMAT_VERSION):
         raise InvalidMap(
-            f"{called} is of format version {version}; this rholoc reads {FORMAT_VERSION}.", "Update rholoc."
+            f"{called} has format version {version}; this rholoc reads {FORMAT_VERSION}.", "Update rholoc."
         )
 
 
@@ -267,7 +267,7 @@ def _packed_pixels(map_: Map, observations: Observations) -> IntArray:
 def _unpacked_observations(map_: Map, arrays: Arrays) -> Observations:
     packed, view_sources = arrays["extras/observation_pixels"], arrays["extras/view_sources"]
     if len(packed) != len(map_.observation_views) or len(view_sources) != len(map_.view_times):
-        raise InvalidMap("The map contradicts itself: its observations differ in number.", _HINT)
+        raise InvalidMap("The map contradicts itself: its arrays of observations differ in length.", _HINT)
     pixels = np.zeros(packed.shape)
     sources = view_sources[map_.observation_views]
     for source, camera in enumerate(source_cameras(map_)):

@@ -55,7 +55,7 @@ def map_surfaces_vtp(map_: Map, features: Sequence[int]) -> bytes:
 def _checked(map_: Map, features: Sequence[int]) -> IntArray:
     chosen = np.unique(np.asarray(features, dtype=np.int64))
     if len(chosen) == 0:
-        raise InvalidInput("No feature is chosen.", "Name some by their numbers.")
+        raise InvalidInput("No feature was chosen.", "Give the numbers of some.")
     if len(chosen) > MAX_SURFACES:
         raise InvalidInput(f"{len(chosen)} surfaces are too many.", f"Choose {MAX_SURFACES} features at most.")
     unknown = chosen[(chosen < 0) | (chosen >= len(map_))]

@@ -7,7 +7,6 @@ with a line, ``{}`` once the rendering is in the file ``target``, else ``{"error
 from __future__ import annotations
 
 import json
-import os
 import sys
 from collections.abc import Callable
 from enum import StrEnum
@@ -20,8 +19,6 @@ from rholoc.maps.files import replace_file
 from rholoc.maps.map import Map
 from rholoc.maps.rho_file import load_map
 from rholoc.reports import report_to_json
-
-_NICENESS = 10
 
 
 class Rendering(StrEnum):
@@ -78,5 +75,4 @@ _RENDERERS: dict[Rendering, Callable[[Map, str], bytes]] = {
 
 
 if __name__ == "__main__":
-    os.nice(_NICENESS)
     serve(sys.stdin, sys.stdout)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import os
 import shutil
 import stat
@@ -12,6 +11,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path, PurePosixPath
 
+from rholoc.disk import is_full
 from rholoc.errors import InvalidRecording, StorageFull, TooLarge
 from rholoc.recordings.contents import START_BYTES, check_file_start
 from rholoc.recordings.frames.video import VIDEO_SUFFIXES
@@ -68,11 +68,11 @@ def _opened(archive: Path, max_files: int) -> Iterator[zipfile.ZipFile]:
             yield packed
     except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError, UnicodeError) as error:
         raise InvalidRecording(
-            f"{archive.name} is not a whole ZIP file: {error}.", "Pack it or send it again."
+            f"{archive.name} is not a complete ZIP file: {error}.", "Pack it or send it again."
         ) from error
     except OSError as error:
-        if error.errno in (errno.ENOSPC, errno.EDQUOT):
-            raise StorageFull(f"No room left to unpack {archive.name}.", "Free some space and try again.") from error
+        if is_full(error):
+            raise StorageFull(f"No space left to unpack {archive.name}.", "Free some space and try again.") from error
         raise InvalidRecording(f"{archive.name} cannot be unpacked: {error.strerror}.") from error
 
 
@@ -124,7 +124,8 @@ def _check(entries: list[zipfile.ZipInfo], archive: Path, max_bytes: int) -> Non
             )
         if entry.file_size > _RATIO_FREE_BYTES and entry.file_size > MAX_RATIO * entry.compress_size:
             raise TooLarge(
-                f"{archive.name}: '{entry.filename}' is packed suspiciously tightly.", "Pack it uncompressed."
+                f"{archive.name}: '{entry.filename}' has a suspiciously high compression ratio.",
+                "Pack it uncompressed.",
             )
     total = sum(entry.file_size for entry in entries)
     if total > max_bytes or len(entries) > MAX_FILES:

@@ -23,7 +23,7 @@ def check_file_name(name: str) -> None:
     """
     if PurePath(name).suffix.lower() not in VIDEO_SUFFIXES | {ZIP_SUFFIX}:
         kinds = ", ".join(sorted(VIDEO_SUFFIXES))
-        raise InvalidRecording(f"{name} is no recording.", f"Send a video ({kinds}) or a ZIP file.")
+        raise InvalidRecording(f"{name} is not a recording.", f"Send a video ({kinds}) or a ZIP file.")
 
 
 def check_file_start(name: str, start: bytes) -> None:

@@ -1,4 +1,4 @@
-"""All that can be told of a recording without making a map of it, as JSON."""
+"""What is known of a recording before a map is made of it, as JSON."""
 
 from __future__ import annotations
 

@@ -39,7 +39,7 @@ _ONE_G_TOLERANCE = 0.15  # of the median length, in g
 _LARGEST = 1e5  # of a reading in any unit
 _FASTEST_TURN = 12.0  # rad/s that a walking hand does not exceed in one row of twenty
 _TURN_WINDOW_S = 0.4
-_TOLD_TURN = 0.05  # rad that gravity must turn between two windows to tell anything …
+_NOTICEABLE_TURN = 0.05  # rad that gravity must turn between two windows to tell anything …
 _MIN_TURNS = 5  # … this often
 _DISTINCTLY = 3.0  # times better, for degrees to be believed; a wrong sign alone makes 2
 
@@ -145,7 +145,7 @@ def checked_span(times: FloatArray, what: str) -> FloatArray:
     span_s = float(np.ptp(times)) if len(times) else 0.0
     if span_s > MAX_SPAN_S:
         raise InvalidRecording(
-            f"The times of the {what} span {span_s:.6g} s; {MAX_SPAN_S:g} s are allowed.",
+            f"The times of the {what} span {span_s:.6g} s; {MAX_SPAN_S:g} s is the limit.",
             "One of them is wrong, or several recordings are in one table: record again, or repair it.",
         )
     return times
@@ -222,12 +222,14 @@ def is_in_degrees(turned: Samples, felt: Samples | None) -> bool:
     if felt is None:
         return False
     down, turns = _gravity_turns(felt, turned)
-    told = np.linalg.norm(down[1:] - down[:-1], axis=1) > _TOLD_TURN
-    if told.sum() < _MIN_TURNS:
+    turning = np.linalg.norm(down[1:] - down[:-1], axis=1) > _NOTICEABLE_TURN
+    if turning.sum() < _MIN_TURNS:
         return False
     as_radians, as_degrees = (
-        float(np.median(np.linalg.norm(Rotation.from_rotvec(-turn).apply(down[:-1][told]) - down[1:][told], axis=1)))
-        for turn in (turns[told], np.radians(turns[told]))
+        float(
+            np.median(np.linalg.norm(Rotation.from_rotvec(-turn).apply(down[:-1][turning]) - down[1:][turning], axis=1))
+        )
+        for turn in (turns[turning], np.radians(turns[turning]))
     )
     return as_radians > _DISTINCTLY * as_degrees
 
@@ -263,7 +265,7 @@ def interpolated(samples: Samples, times: FloatArray) -> FloatArray:
 def _check_range(samples: Samples, sensor: str) -> None:
     largest = float(np.abs(samples.values).max(initial=0.0))
     if largest > _LARGEST:
-        raise InvalidRecording(f"The {sensor} reads {largest:.3g}, which no phone's does in any unit.")
+        raise InvalidRecording(f"The {sensor} reads {largest:.3g}, which is out of range in any unit.")
 
 
 def _is_one(length_g: float) -> bool:
@@ -276,7 +278,7 @@ def _on_clock(what: str, sensors: list[Samples], says: str, warnings: list[Recor
     unit = time_unit(times)
     if unit is None and len(times) >= _MIN_TO_MEASURE:
         raise InvalidRecording(
-            f"The times of the {what} make no sense in s, ms, µs or ns.",
+            f"The times of the {what} are implausible in s, ms, µs and ns.",
             "They must advance by the time between two samples.",
         )
     unit = unit or says
@@ -331,9 +333,9 @@ def _merged(felt: Samples, turned: Samples) -> tuple[FloatArray, FloatArray, Flo
     inside = (turned.times >= felt.times[0]) & (turned.times <= felt.times[-1])
     if inside.sum() < 2:
         raise InvalidRecording(
-            "Accelerometer and gyroscope have no common time: "
+            "Accelerometer and gyroscope do not overlap in time: "
             f"{felt.times[0]:.3f}–{felt.times[-1]:.3f} s and {turned.times[0]:.3f}–{turned.times[-1]:.3f} s.",
-            "Both must be on one clock.",
+            "Both must use the same clock.",
         )
     times = turned.times[inside]
     return times, interpolated(felt, times), turned.values[inside]

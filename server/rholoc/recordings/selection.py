@@ -52,7 +52,7 @@ def parse_frame_slice(text: str) -> slice:
         values = []
     if not 2 <= len(values) <= 3 or any(value is not None and value < 0 for value in values) or values[2:] == [0]:
         raise InvalidRecording(
-            f"'{text}' is not a choice of frames.", "Give start:stop or start:stop:step, like 400:1000."
+            f"'{text}' is not a valid selection of frames.", "Give start:stop or start:stop:step, like 400:1000."
         )
     return slice(*values)
 

@@ -128,7 +128,7 @@ def route_access(routes: Sequence[BaseRoute]) -> list[RouteAccess]:
 
 
 def find_route(routes: Sequence[RouteAccess], request_scope: RequestScope) -> FoundRoute:
-    """The first route that takes a request's path and method; noted, so that :func:`found_route` tells it."""
+    """The first route that takes a request's path and method; noted, so that :func:`found_route` returns it."""
     methods: frozenset[str] = frozenset()
     for route in routes:
         match, _ = route.context.matches(request_scope)

@@ -153,6 +153,6 @@ def _known(error: Exception) -> RholocError | None:
             return UnknownRoute("There is nothing at this path.", "See /docs for the routes.")
         if error.status_code == 405:
             allowed = (error.headers or {}).get("Allow", "").split(", ")
-            return MethodNotAllowed("This route does not take this method.", "See /docs for the routes.", allowed)
+            return MethodNotAllowed("This route does not support this method.", "See /docs for the routes.", allowed)
         return InvalidRequest(str(error.detail), "See /docs for what this route takes.")
     return as_rholoc_error(error)

@@ -1,4 +1,4 @@
-"""Request bodies: read with a limit, streamed, multipart told apart into its parts."""
+"""Request bodies: read with a limit, streamed, multipart split into its parts."""
 
 from __future__ import annotations
 

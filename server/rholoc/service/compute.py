@@ -99,7 +99,7 @@ class _Lane:
     def check_room(self) -> None:
         if self.full:
             wait_s = self._mean_s * self.taken / self._concurrency
-            raise Busy("The service has as much to do as it can hold.", "Try again after Retry-After.", wait_s)
+            raise Busy("The service is overloaded.", "Try again after Retry-After.", wait_s)
 
     async def run(self, work: Callable[[], _T]) -> _T:
         self.check_room()

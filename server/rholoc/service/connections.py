@@ -26,7 +26,7 @@ class PatientProtocol(H11Protocol):
 
     Uvicorn itself closes connections that are silent between requests, but not those that send a byte now and then.
     Where there are too many connections, a new one takes the place of that which has been waiting for a request
-    longest; where each of them has one, the new one is told that the service is busy.
+    longest; where each of them has one, the new one is answered with `busy`.
     """
 
     head_timeout_s = _HEAD_TIMEOUT_S
@@ -88,7 +88,7 @@ class PatientProtocol(H11Protocol):
 
 def _full_answer() -> bytes:
     """An answer for a connection whose request was not read."""
-    error = Busy("The service has as many connections as it can hold.", "Try again after Retry-After.", _RETRY_AFTER_S)
+    error = Busy("The service has reached its limit of connections.", "Try again after Retry-After.", _RETRY_AFTER_S)
     body = json.dumps(error_body(error, uuid.uuid4().hex)).encode()
     headers = {"Content-Type": "application/json", "Content-Length": len(body), **error_headers(error)}
     lines = "".join(f"{name}: {value}\r\n" for name, value in {**headers, "Connection": "close"}.items())
@@ -137,7 +137,9 @@ class SlowBodies:
             received += len(message.get("body", b""))
             whole = not message.get("more_body", False)
             if not whole and waited_s > self._silence_s + received / _LEAST_BYTES_PER_S:
-                raise RequestTimeout("The request's body comes too slowly.", "Send it again over a better connection.")
+                raise RequestTimeout(
+                    "The request's body arrives too slowly.", "Send it again over a better connection."
+                )
             return message
 
         await self._app(scope, receive_in_time, send)

@@ -13,6 +13,7 @@ from pydantic import ValidationError
 from sqlalchemy.exc import DatabaseError, InterfaceError, OperationalError
 
 from rholoc import errors
+from rholoc.disk import is_full
 from rholoc.errors import Busy, RholocError, StorageFull, StorageUnavailable
 
 
@@ -121,7 +122,6 @@ TUS_VERSION = "1.0.0"  # the protocol of resumable uploads
 _NOT_WRITABLE = (errno.EROFS, errno.EACCES, errno.EPERM, errno.EIO)
 _DATABASE_ERRORS = (OperationalError, InterfaceError, DatabaseError)  # themselves: others are mistakes of ours
 _MAX_TEXT = 1000  # of a message: it may quote what was sent
-_DISK_FULL = (errno.ENOSPC, errno.EDQUOT)
 
 
 def status_of(kind: type[RholocError]) -> int:
@@ -143,7 +143,7 @@ def as_rholoc_error(error: Exception) -> RholocError | None:
     """The error to report to the user, or None where the fault is the service's own."""
     if isinstance(error, RholocError):
         return error
-    if isinstance(error, OSError) and error.errno in _DISK_FULL:
+    if isinstance(error, OSError) and is_full(error):
         return StorageFull("The server's disk is full.", "Nothing was changed. Free space on the server and try again.")
     if isinstance(error, OSError) and error.errno in _NOT_WRITABLE:
         return StorageUnavailable("The server's storage cannot be written.", "Tell whoever runs the server.")

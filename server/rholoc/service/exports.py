@@ -5,9 +5,7 @@ from __future__ import annotations
 import asyncio
 import json
 import math
-import sys
 from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,6 +17,7 @@ from starlette.types import Receive, Scope, Send
 from rholoc.errors import Busy, DeadlineExceeded, InvalidInput, InvalidMap
 from rholoc.exports import ExportFormat
 from rholoc.exports.process import REFUSED
+from rholoc.processes import AsyncProgram
 
 SHORT_NUMBERS = 4_000_000  # a few seconds' work: less than a process needs to start on a busy machine
 _NUMBERS_PER_SURFACE = 40_000
@@ -26,8 +25,6 @@ _VARIABLES, _DEGREE = 8, 2  # of the tensor form of equation (3), as it is writt
 _AT_ONCE = 1
 _MAX_WAITING = 8
 _PIECE_BYTES = 2**16
-# It steps back before it imports anything, which is most of the work of an export that is soon given up.
-_PROGRAM = "import os, runpy; os.nice(10); runpy.run_module('rholoc.exports.process', run_name='__main__')"
 _RETRY_AFTER_S = 10.0
 _LOOK_EVERY_S = 0.5
 
@@ -50,11 +47,11 @@ class ExportRequest:
     degree: int | None = None
     features: Sequence[int] | None = None
 
-    def to_json(self) -> bytes:
+    def as_dict(self) -> dict[str, object]:
         """As the process reads it."""
         features = None if self.features is None else list(self.features)
         members = {"source": str(self.source.resolve()), "title": self.title, "format": self.format}
-        return json.dumps({**members, "degree": self.degree, "features": features}).encode() + b"\n"
+        return {**members, "degree": self.degree, "features": features}
 
 
 def is_long(landmarks: int, format: ExportFormat, degree: int | None, features: Sequence[int] | None) -> bool:
@@ -95,7 +92,7 @@ class Exports:
             DeadlineExceeded: it takes longer than the limit.
         """
         if self._open > _MAX_WAITING:
-            raise Busy("Very many maps are being exported.", "Try again after Retry-After.", _RETRY_AFTER_S)
+            raise Busy("Too many maps are being exported.", "Try again after Retry-After.", _RETRY_AFTER_S)
         self._open += 1
         export = _Export(self._time_limit_s)
         try:
@@ -135,58 +132,45 @@ class _Export:
         self._last_s = 0.0
         self._time_limit_s = time_limit_s
         self._first = b""
-        self._process: asyncio.subprocess.Process | None = None
+        self._program: AsyncProgram | None = None
 
     async def begin(self, wanted: ExportRequest) -> None:
         """Start the process and wait for its first bytes."""
-        pipe = asyncio.subprocess.PIPE
-        command = (sys.executable, "-c", _PROGRAM)
         self._last_s = asyncio.get_running_loop().time() + self._time_limit_s
-        self._process = process = await asyncio.create_subprocess_exec(*command, stdin=pipe, stdout=pipe, stderr=pipe)
-        assert process.stdin is not None
-        with suppress(ConnectionError):
-            process.stdin.write(wanted.to_json())
-            await process.stdin.drain()
-        self._first = await self._read()
+        self._program = program = await AsyncProgram.start("rholoc.exports.process", collect_errors=True)
+        await program.ask(wanted.as_dict())
+        self._first = await self._read(program)
         if not self._first:
-            assert process.stderr is not None
-            complaint = await process.stderr.read()
-            if await process.wait() == REFUSED:
-                told = json.loads(complaint.splitlines()[-1])
-                kind = InvalidMap if told["code"] == InvalidMap.code else InvalidInput
-                raise kind(told["message"], told["hint"])
-            if process.returncode:
+            status, errors = await program.end()
+            if status == REFUSED:
+                refusal = json.loads(errors.splitlines()[-1])
+                kind = InvalidMap if refusal["code"] == InvalidMap.code else InvalidInput
+                raise kind(refusal["message"], refusal["hint"])
+            if status:
                 raise Busy("The process that exports was killed.", "Try again after Retry-After.", _RETRY_AFTER_S)
 
     async def pieces(self) -> AsyncIterator[bytes]:
         """What comes out, from the beginning."""
+        assert self._program is not None
         piece = self._first
         while piece:
             yield piece
-            piece = await self._read()
-        assert self._process is not None
-        if await self._process.wait():
+            piece = await self._read(self._program)
+        status, _ = await self._program.end()
+        if status:
             raise ConnectionError("the process that exports was killed")  # breaks off the answer, so that it shows
 
-    async def _read(self) -> bytes:
-        assert self._process is not None
-        assert self._process.stdout is not None
+    async def _read(self, program: AsyncProgram) -> bytes:
         try:
-            async with asyncio.timeout_at(self._last_s):
-                return await self._process.stdout.read(_PIECE_BYTES)
+            return await program.read(_PIECE_BYTES, self._last_s - asyncio.get_running_loop().time())
         except TimeoutError:
             hint = "Ask for fewer densities, or raise RHOLOC_EXPORT_TIME_LIMIT_S."
             raise DeadlineExceeded(f"The export takes longer than {self._time_limit_s:g} s.", hint) from None
 
     async def close(self) -> None:
         """End the process, if it has not ended by itself."""
-        if self._process is None:
-            return
-        if self._process.returncode is None:
-            with suppress(ProcessLookupError):
-                self._process.kill()
-        with suppress(ConnectionError):
-            await self._process.communicate()  # which closes what leads to it
+        if self._program is not None:
+            await self._program.kill()
 
 
 class _ExportAnswer(StreamingResponse):

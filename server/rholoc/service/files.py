@@ -13,7 +13,7 @@ class OpenedFile(FileResponse):
     """A file as it was when it was opened: its length, its content and its tag are of one version.
 
     Raises:
-        FileNotFoundError: there is none.
+        FileNotFoundError: the file does not exist.
     """
 
     def __init__(self, path: Path, headers: dict[str, str], media_type: str) -> None:

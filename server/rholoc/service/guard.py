@@ -43,7 +43,7 @@ class KeyPolicy(StrEnum):
 
 
 class SecurityHeaders:
-    """ASGI middleware: what every answer tells a browser."""
+    """ASGI middleware: the headers that every answer gives a browser."""
 
     def __init__(self, app: ASGIApp) -> None:
         self._app = app
@@ -88,7 +88,7 @@ class Guard:
         Raises:
             CrossSite: another site sent it.
             Unauthorized, Forbidden: it needs a key, or one that allows more, or nobody may use the route.
-            UnknownRoute, MethodNotAllowed: no route takes it; who may not read anything is not told so.
+            UnknownRoute, MethodNotAllowed: no route takes it; which only those who may read something learn.
             InvalidRequest: the query has a name that the route does not know.
         """
         if scope["type"] == "http":
@@ -102,7 +102,7 @@ class Guard:
                 grant(scope, self._check_key(headers.get("authorization", ""), access.scope))
             if found.route is None and found.methods:
                 hint = "The answer's header Allow names those that it takes."
-                raise MethodNotAllowed("This route does not take this method.", hint, found.methods)
+                raise MethodNotAllowed("This route does not support this method.", hint, found.methods)
             if found.route is None:
                 raise UnknownRoute("There is nothing at this path.", "See /docs for the routes.")
             check_query(scope, found.route)
@@ -114,10 +114,10 @@ class Guard:
             return KeyScope.ADMIN
         kind, _, secret = authorization.partition(" ")
         if kind.lower() != "bearer" or not secret.strip():
-            raise Unauthorized("This server asks for an API key.", _KEY_HINT)
+            raise Unauthorized("This server requires an API key.", _KEY_HINT)
         key = self._keys.find(secret.strip())
         if key is None:
-            raise Unauthorized("This API key is not known, or was revoked.", _KEY_HINT)
+            raise Unauthorized("This API key is unknown, or was revoked.", _KEY_HINT)
         if key.expired:
             raise Unauthorized("This API key has expired.", _KEY_HINT)
         if not key.scope.allows(needed):
@@ -156,7 +156,7 @@ def check_same_site(method: str, headers: Headers, local_only: bool) -> None:
     """
     host, origin, site = headers.get("host", ""), headers.get("origin"), headers.get("sec-fetch-site")
     if local_only and not _is_loopback(_host_name(host)):
-        raise CrossSite(f"This server does not answer to the name {host[:64]}.", "Ask it as localhost.")
+        raise CrossSite(f"This server does not answer to the name {host[:64]}.", "Use localhost.")
     if site is not None:
         followed = method in _READING and headers.get("sec-fetch-mode") == "navigate"
         foreign = site not in ("same-origin", "none") and not followed

@@ -26,7 +26,7 @@ class JobEvent:
 
     @classmethod
     def of(cls, job: Job) -> JobEvent:
-        """The event that tells of a job."""
+        """The event that reports a job."""
         data = job_out(job).model_dump_json()
         return cls(hashlib.blake2s(data.encode(), digest_size=8).hexdigest(), data, job.state.ended)
 
@@ -42,7 +42,7 @@ class JobEvents:
         """How the job was at most half a second ago; one that had ended is looked up anew, for it may be tried again.
 
         Raises:
-            UnknownJob: there is none with this id.
+            UnknownJob: no job has this id.
         """
         now = time.monotonic()
         look = self._looks.get(job_id)

@@ -77,9 +77,9 @@ class KeyStore:
             StorageFull: the disk is full.
         """
         if not 0 < len(name) <= _MAX_NAME_LENGTH or not name.isprintable():
-            raise InvalidName(f"{name[:_MAX_NAME_LENGTH]!r} is not a name for a key.", "Use 1 to 64 characters.")
+            raise InvalidName(f"{name[:_MAX_NAME_LENGTH]!r} is not a valid key name.", "Use 1 to 64 characters.")
         if any(key.name == name for key in self.keys()):
-            raise Conflict(f"There is a key called {name}.", "Revoke it first, or choose another name.")
+            raise Conflict(f"There is already a key called {name}.", "Revoke it first, or choose another name.")
         secret = _PREFIX + secrets.token_urlsafe(_BYTES)
         now = time.time()
         key = ApiKey(name, scope, now, None if lifetime_s is None else now + lifetime_s)
@@ -95,7 +95,7 @@ class KeyStore:
         """Forget the key of that name.
 
         Raises:
-            NotFound: there is none.
+            NotFound: there is no key of this name.
         """
         found = [path for path in self._files() if _read(path).name == name]
         if not found:

@@ -57,7 +57,7 @@ class RequestBoundary:
             if known is None:
                 _log.exception("internal_error", request_id=request_id, path=scope["path"])
                 known = Internal(
-                    "The service met an error of its own.",
+                    "The service failed.",
                     f"Its log has the details under the request id {request_id}.",
                 )
             if not started:

@@ -109,15 +109,15 @@ def prior_of(given: PriorIn | None) -> Prior | None:
     """
     if given is None:
         return None
-    position = finite("prior.position", given.position)
+    position = _finite("prior.position", given.position)
     if (given.heading is None) == (given.quaternion_xyzw is None):
-        raise InvalidInput("A prior needs a heading or a quaternion, one of them.", "Send prior.heading.")
+        raise InvalidInput("A prior needs either a heading or a quaternion.", "Send prior.heading.")
     if given.heading is not None:
-        pose = Pose.from_heading(position, direction("prior.heading", given.heading))
+        pose = Pose.from_heading(position, _direction("prior.heading", given.heading))
     else:
-        pose = Pose.from_quaternion(position, direction("prior.quaternion_xyzw", given.quaternion_xyzw or []))
-    radius_rad = math.radians(float(finite("prior.radius_deg", [given.radius_deg])[0]))
-    return Prior(pose, float(finite("prior.radius_m", [given.radius_m])[0]), radius_rad)
+        pose = Pose.from_quaternion(position, _direction("prior.quaternion_xyzw", given.quaternion_xyzw or []))
+    radius_rad = math.radians(float(_finite("prior.radius_deg", [given.radius_deg])[0]))
+    return Prior(pose, float(_finite("prior.radius_m", [given.radius_m])[0]), radius_rad)
 
 
 def gravity_of(given: list[float] | None) -> FloatArray | None:
@@ -126,28 +126,18 @@ def gravity_of(given: list[float] | None) -> FloatArray | None:
     Raises:
         InvalidInput: it has no direction.
     """
-    return None if given is None else direction("gravity", given)
+    return None if given is None else _direction("gravity", given)
 
 
-def finite(name: str, values: list[float]) -> FloatArray:
-    """Values as an array.
-
-    Raises:
-        InvalidInput: one of them is not finite.
-    """
+def _finite(name: str, values: list[float]) -> FloatArray:
     array = np.asarray(values, dtype=np.float64)
     if not np.isfinite(array).all() or np.abs(array).max() > 1e9:
-        raise InvalidInput(f"{name} is not made of ordinary finite numbers.", "Send numbers.")
+        raise InvalidInput(f"{name} must consist of finite numbers.", "Send numbers.")
     return array
 
 
-def direction(name: str, values: list[float]) -> FloatArray:
-    """Values as a vector of unit length.
-
-    Raises:
-        InvalidInput: they have no direction.
-    """
-    array = finite(name, values)
+def _direction(name: str, values: list[float]) -> FloatArray:
+    array = _finite(name, values)
     length = float(np.linalg.norm(array))
     if length < 1e-9:
         raise InvalidInput(f"{name} has no direction: its length is 0.", "Send a unit vector.")
@@ -199,9 +189,9 @@ def _descriptors(given: list[str] | str, n: int, extractor: Extractor) -> ByteAr
         try:
             blob = bytes.fromhex("".join(given))
         except ValueError as error:
-            raise InvalidDescriptors("A descriptor is not made of hex digits.", hint) from error
+            raise InvalidDescriptors("A descriptor has characters other than hex digits.", hint) from error
         if len(blob) != n * length:
-            raise InvalidDescriptors("A descriptor is not made of hex digits.", hint)
+            raise InvalidDescriptors("A descriptor has characters other than hex digits.", hint)
     return np.frombuffer(blob, dtype=np.uint8).reshape(n, length)
 
 

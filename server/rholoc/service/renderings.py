@@ -9,7 +9,6 @@ from __future__ import annotations
 import asyncio
 import hashlib
 import json
-import sys
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,6 +19,7 @@ from rholoc import __version__
 from rholoc.errors import Busy, InvalidMap, RholocError
 from rholoc.maps import MapLibrary, MapStat
 from rholoc.pictures.rendering import Rendering
+from rholoc.processes import AsyncProgram
 
 _IDLE_S = 120.0  # after which the process is let go, and its memory with it
 _MAX_WAITING = 200
@@ -48,7 +48,7 @@ class Renderings:
     def __init__(self, folder: Path, library: MapLibrary) -> None:
         self._folder = folder
         self._library = library
-        self._process: asyncio.subprocess.Process | None = None
+        self._program: AsyncProgram | None = None
         self._turn = asyncio.Lock()
         self._making: dict[Path, asyncio.Task[None]] = {}
         self._idle: asyncio.TimerHandle | None = None
@@ -80,7 +80,7 @@ class Renderings:
         """The work that makes a rendering: what is being made already is not made twice."""
         if path not in self._making:
             if len(self._making) >= _MAX_WAITING:
-                raise Busy("Very many pictures are being drawn.", "Try again after Retry-After.", _RETRY_AFTER_S)
+                raise Busy("Too many pictures are being drawn.", "Try again after Retry-After.", _RETRY_AFTER_S)
             self._making[path] = asyncio.create_task(self._make(name, kind, path))
             self._making[path].add_done_callback(lambda _: self._making.pop(path))
         return self._making[path]
@@ -102,17 +102,12 @@ class Renderings:
         """The process's answer; None where it ended without one."""
         if self._idle is not None:
             self._idle.cancel()
-        if self._process is None or self._process.returncode is not None:
-            pipe = asyncio.subprocess.PIPE
-            command = (sys.executable, "-m", "rholoc.pictures.rendering")
-            self._process = await asyncio.create_subprocess_exec(*command, stdin=pipe, stdout=pipe)
-        assert self._process.stdin is not None
-        assert self._process.stdout is not None
+        if self._program is None or not self._program.running:
+            self._program = await AsyncProgram.start("rholoc.pictures.rendering")
+        await self._program.ask(request)
         line = b""
-        with suppress(ConnectionError, TimeoutError):
-            self._process.stdin.write(json.dumps(request).encode() + b"\n")
-            await self._process.stdin.drain()
-            line = await asyncio.wait_for(self._process.stdout.readline(), _LONGEST_S)
+        with suppress(TimeoutError):
+            line = await self._program.read_line(_LONGEST_S)
         if not line:
             await self.close()
             return None
@@ -135,11 +130,9 @@ class Renderings:
         """End the process; what is being made is given up."""
         if self._idle is not None:
             self._idle.cancel()
-        process, self._process = self._process, None
-        if process is not None:
-            with suppress(ProcessLookupError):
-                process.kill()
-            await process.wait()
+        program, self._program = self._program, None
+        if program is not None:
+            await program.kill()
 
 
 def _read(path: Path) -> bytes | None:

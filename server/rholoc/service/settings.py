@@ -9,8 +9,9 @@ from pathlib import Path
 from pydantic import Field, SecretStr
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
-from rholoc.jobs import Limits, memory_bytes
+from rholoc.jobs import BuildLimits
 from rholoc.localization import MIN_CONFIDENCE
+from rholoc.processes import machine_memory_bytes
 from rholoc.recordings import MAX_FRAME_PIXELS
 from rholoc.service.guard import KeyPolicy
 
@@ -67,7 +68,7 @@ class Settings(BaseSettings):
     )
     max_upload_bytes: int = Field(default=4 * 2**30, ge=1, description="The largest upload of a map or a recording.")
     max_map_bytes: int = Field(
-        default_factory=lambda: int(_MAP_MEMORY_SHARE * memory_bytes()),
+        default_factory=lambda: int(_MAP_MEMORY_SHARE * machine_memory_bytes()),
         ge=1,
         description="The largest map file that is taken in; default: a sixteenth of the machine's or the container's "
         "memory, for a map takes six times its file while it is checked.",
@@ -97,7 +98,7 @@ class Settings(BaseSettings):
     )
     job_time_limit_s: float = Field(default=6 * 3600, gt=0, description="How long one mapping job may take.")
     job_memory_gib: float = Field(
-        default_factory=lambda: _JOB_MEMORY_SHARE * memory_bytes() / 2**30,
+        default_factory=lambda: _JOB_MEMORY_SHARE * machine_memory_bytes() / 2**30,
         gt=0,
         description="How much memory the processes of one mapping job may hold, on Linux; default: three quarters of "
         "the machine's or the container's.",
@@ -107,9 +108,9 @@ class Settings(BaseSettings):
     )
 
     @property
-    def job_limits(self) -> Limits:
+    def job_limits(self) -> BuildLimits:
         """What one mapping job may take."""
-        return Limits(self.job_time_limit_s, self.job_memory_gib * 2**30, self.max_video_pixels)
+        return BuildLimits(self.job_time_limit_s, self.job_memory_gib * 2**30, self.max_video_pixels)
 
     @property
     def jobs_database(self) -> str | None:

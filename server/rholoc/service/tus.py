@@ -48,14 +48,14 @@ class Tus:
             await send(message)
 
         if headers[RESUMABLE] != TUS_VERSION and scope["method"] != "OPTIONS":
-            raise UnsupportedVersion(f"Tus {headers[RESUMABLE]} is not spoken here.", f"Speak tus {TUS_VERSION}.")
+            raise UnsupportedVersion(f"Tus {headers[RESUMABLE]} is not supported.", f"Use tus {TUS_VERSION}.")
         if scope["method"] == "POST" and headers.get(_OVERRIDE) in ("PATCH", "DELETE"):
             scope["method"] = headers[_OVERRIDE]
         await self._app(scope, receive, send_as_tus)
 
 
 def abilities(max_bytes: int) -> dict[str, str]:
-    """The headers that tell what this server can do."""
+    """The headers that say what this server can do."""
     return {
         RESUMABLE: TUS_VERSION,
         "Tus-Version": TUS_VERSION,
@@ -66,19 +66,19 @@ def abilities(max_bytes: int) -> dict[str, str]:
 
 
 def standing(upload: Upload) -> dict[str, str]:
-    """The headers that tell where an upload stands, and its job once there is one."""
-    told = {"Upload-Offset": str(upload.offset), "Upload-Length": str(upload.length), "Cache-Control": "no-store"}
+    """The headers that say where an upload is, and its job once there is one."""
+    headers = {"Upload-Offset": str(upload.offset), "Upload-Length": str(upload.length), "Cache-Control": "no-store"}
     if upload.expires is not None:
-        told["Upload-Expires"] = formatdate(upload.expires, usegmt=True)
+        headers["Upload-Expires"] = formatdate(upload.expires, usegmt=True)
     if upload.job is not None:
-        told[JOB_HEADER] = upload.job.id
-    return told
+        headers[JOB_HEADER] = upload.job.id
+    return headers
 
 
 def number(name: str, text: str | None) -> int:
     """A header that is a number of bytes. Raises InvalidRequest."""
     if text is None or not text.isascii() or not text.isdigit() or len(text) > 18:
-        raise InvalidRequest(f"{name} is missing or not a number of bytes.", "Send it as tus 1.0 says.")
+        raise InvalidRequest(f"{name} is missing or not a number of bytes.", "Send it as tus 1.0 requires.")
     return int(text)
 
 
@@ -115,4 +115,4 @@ def check_checksum(text: str, data: bytes) -> None:
     except binascii.Error as error:
         raise InvalidRequest("Upload-Checksum is not base64.", "Send the algorithm, a space, and base64.") from error
     if not hmac.compare_digest(hashlib.new(algorithm, data, usedforsecurity=False).digest(), expected):
-        raise ChecksumMismatch("These are not the bytes that were sent.", "Send them again.")
+        raise ChecksumMismatch("The bytes received do not match the checksum.", "Send them again.")

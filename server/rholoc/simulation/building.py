@@ -1,7 +1,7 @@
 """A building of two storeys to walk through: white corridors with look-alike doors, fourteen furnished rooms, stairs.
 
 Half of what is in it comes again: every door, desk, chair and lamp is the same make, and each kind of room is on both
-floors. What tells the rooms apart is what a person would go by: the numbers at the doors, what lies on the desks and
+floors. What distinguishes the rooms is what a person would go by: the numbers at the doors, what lies on the desks and
 hangs on the walls.
 """
 

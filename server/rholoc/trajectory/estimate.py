@@ -64,7 +64,7 @@ def estimate_trajectory(recording: Recording, method: PoseMethod, progress: Prog
 def _given(recording: Recording) -> Trajectory:
     hint = "Put poses.txt beside the frames (frame or time, tx ty tz qx qy qz qw), or choose poses 'visual'."
     if recording.poses is None:
-        raise InvalidRecording("The recording came without poses.", hint)
+        raise InvalidRecording("The recording has no poses.", hint)
     rows = np.flatnonzero(recording.poses.known)
     if len(rows) < _FEWEST_GIVEN:
         raise InvalidRecording(f"{len(rows)} frames of the recording have a pose; too few for a map.", hint)
@@ -89,7 +89,7 @@ def _is_upright(R_map_camera: FloatArray) -> tuple[bool, str]:
 def _inertial(recording: Recording, progress: ProgressListener) -> Trajectory:
     camera = _known_camera(recording)
     if recording.imu is None:
-        raise InvalidRecording("The recording came without an IMU table.", "Choose poses 'visual'.")
+        raise InvalidRecording("The recording has no IMU table.", "Choose poses 'visual'.")
     if not recording.waypoints:
         raise InvalidWaypoints("The IMU needs waypoints to correct it.", "Measure three or more, at rest at each.")
     rows, choices = _keyframes(recording, recording.imu, track_corners(recording.frames, progress))

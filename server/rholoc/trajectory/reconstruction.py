@@ -478,7 +478,7 @@ def _start_from_pictures(
     both[piece < 0] = -1
     kinds, sizes = np.unique(both[both >= 0], return_counts=True)
     if len(kinds) == 0:
-        raise MappingFailed("No two pictures show enough of the same.", _ADVICE)
+        raise MappingFailed("No two pictures overlap enough.", _ADVICE)
     members = np.flatnonzero(both == kinds[sizes.argmax()])
     positions = _positions_of(members, R, observations, camera.undistort(observations.pixels))
     return State(pose_matrix(R[members], positions), np.zeros((0, 3)), camera), members

@@ -6,7 +6,7 @@ import { t } from "../../shared/text.js";
 const SVG = "http://www.w3.org/2000/svg";
 const SEEN = "rholoc-recorder-guide-seen";
 
-// Lines of each picture in a field of 120 × 72: [class, path]. "strong" is what is meant, "faint" what stands around it.
+// Lines of each picture in a field of 120 × 72: [class, path]. "strong" is the subject, "faint" its surroundings.
 const PICTURES = [
   [
     t`Measure three points or more, not on one line, and where they are: with a tape, from a corner of the room.`,

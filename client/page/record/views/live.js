@@ -166,11 +166,11 @@ class Live {
   showWaypoint() {
     const next = this.#marks[nextRow(this.#marks)] ?? { name: freeName(this.#marks), position: [null] };
     const measured = next.position.every(Number.isFinite);
-    const told = measured ? next.position.map((value) => value.toFixed(2)).join(", ") : t`coordinates may follow later`;
+    const shown = measured ? next.position.map((value) => value.toFixed(2)).join(", ") : t`coordinates may follow later`;
     fill(
       this.waypoint,
       h("strong", {}, next.name),
-      h("span", { class: "small" }, this.#take ? told : t`Mark points while recording`),
+      h("span", { class: "small" }, this.#take ? shown : t`Mark points while recording`),
     );
     this.waypoint.disabled = this.#take === null;
     this.points.textContent = t`Points (${complete(this.#marks).length})`;

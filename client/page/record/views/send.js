@@ -55,7 +55,7 @@ async function run(page, store, recording, signal) {
   page.ended(await followJob(recording.job, (job) => page.jobChanged(job), signal, lost));
 }
 
-/** Whether there is a map of that name, and nobody has said what is to become of it: the server was away then. */
+/** Whether there is a map of that name, and nobody has said whether to keep it: the server was away then. */
 async function wantsChoice({ location, map, asked }) {
   if (location || asked) return false;
   return Boolean((await mapNames())?.includes(map));

@@ -59,7 +59,7 @@ def get_extractor(name: str) -> Extractor:
     """The extractor called ``name``.
 
     Raises:
-        InvalidInput: there is none.
+        InvalidInput: there are no features of this name.
     """
     if name not in _registry():
         raise InvalidInput(f"There are no features called '{name}'.", f"Choose one of {', '.join(extractor_names())}.")

@@ -90,7 +90,7 @@ def image_frames(paths: Sequence[Path], numbers: IntArray, times: FloatArray) ->
         raise InvalidRecording("The recording lists no images.")
     missing = next((path for path in paths if not path.is_file()), None)
     if missing is not None:
-        raise InvalidRecording(f"The image {missing.name} is listed, but not there.", "Pack the images with the lists.")
+        raise InvalidRecording(f"The image {missing.name} is listed but missing.", "Pack the images with the lists.")
     return ImageFolderFrames(tuple(paths), numbers, times, _common_size(paths))
 
 

@@ -73,7 +73,7 @@ def read_folder(folder: Path) -> Recording:
     found = [reader for reader in READERS if reader.recognises(folder)]
     if len(found) > 1:
         formats = " and ".join(reader.format.value for reader in found)
-        raise InvalidRecording(f"The folder {folder.name} holds files of {formats}.", "Leave those of one.")
+        raise InvalidRecording(f"The folder {folder.name} contains files of {formats}.", "Keep those of one.")
     return _with_additions(found[0].read(folder), folder) if found else own.read(folder)
 
 

@@ -46,11 +46,11 @@ def timed_video(video: Path, times: FloatArray, table: str) -> TimedFrames:
     count = min(len(times), len(frames.times))
     warnings: list[RecordingWarning] = []
     if len(times) != len(frames.times):
-        told = f"{table} has {len(times)} frames, but {video.name} has {len(frames.times)}"
+        difference = f"{table} has {len(times)} frames, but {video.name} has {len(frames.times)}"
         if max(len(times), len(frames.times)) - count > MAX_FRAME_COUNT_DIFFERENCE:
             hint = f"Both must have the same number, give or take {MAX_FRAME_COUNT_DIFFERENCE} at the end."
-            raise InvalidRecording(f"{told}.", hint)
-        warnings.append(RecordingWarning(WarningKind.FRAME_COUNT, f"{told}; the rest is left out."))
+            raise InvalidRecording(f"{difference}.", hint)
+        warnings.append(RecordingWarning(WarningKind.FRAME_COUNT, f"{difference}; the rest is left out."))
     rows, found = advancing_rows(times[:count], "frames")
     return TimedFrames(_chosen(replace(frames, times=times[:count]), rows), rows, (*warnings, *found))
 
@@ -99,7 +99,9 @@ def find_video(folder: Path, name: str = "video") -> Path | None:
     videos = [path for path in videos if path.stem.lower() == name] or videos
     if len(videos) > 1:
         listed = ", ".join(path.name for path in videos)
-        raise InvalidRecording(f"The folder {folder.name} holds several videos: {listed}.", f"Name the one {name}.mp4.")
+        raise InvalidRecording(
+            f"The folder {folder.name} contains several videos: {listed}.", f"Name the right one {name}.mp4."
+        )
     return next(iter(videos), None)
 
 
@@ -111,7 +113,7 @@ def require_video(folder: Path, name: str) -> Path:
     """
     video = find_video(folder, name)
     if video is None:
-        raise InvalidRecording(f"The folder {folder.name} holds no video.", "Pack the video with the tables.")
+        raise InvalidRecording(f"The folder {folder.name} contains no video.", "Pack the video with the tables.")
     return video
 
 

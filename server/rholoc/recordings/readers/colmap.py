@@ -103,7 +103,7 @@ def _read_images(path: Path) -> list[_Image]:
             qw, qx, qy, qz, tx, ty, tz = (float(part) for part in parts[1:8])
             images.append(_Image(parts[9].strip(), parts[8], [tx, ty, tz, qx, qy, qz, qw]))
         except (ValueError, IndexError) as error:
-            raise InvalidRecording(f"{path.name}: '{line[:60]}' is not an image's line.") from error
+            raise InvalidRecording(f"{path.name}: '{line[:60]}' is not a valid image line.") from error
     if not images:
         raise InvalidRecording(f"{path.name} lists no images.")
     return images

@@ -101,7 +101,7 @@ def _camera(sensor: dict[str, Any], size: tuple[int, int]) -> tuple[Camera | Non
 
 
 def _body(sensor: dict[str, Any]) -> FloatArray | None:
-    """T_body_sensor (4, 4), or None where it is not told."""
+    """T_body_sensor (4, 4), or None where the file does not give it."""
     try:
         T = np.array(sensor["T_BS"]["data"], dtype=np.float64).reshape(4, 4)
     except (KeyError, TypeError, ValueError):

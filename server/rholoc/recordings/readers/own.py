@@ -93,7 +93,7 @@ def _read_frames(folder: Path, description: CameraFile) -> tuple[FrameSource, tu
     raise InvalidRecording(
         f"The folder {folder.name} is empty."
         if empty
-        else f"The folder {folder.name} holds neither a video nor images.",
+        else f"The folder {folder.name} contains neither a video nor images.",
         "It needs video.mp4, or images whose names end in a number, here or in frames/.",
     )
 

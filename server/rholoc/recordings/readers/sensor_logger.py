@@ -9,7 +9,7 @@
     Gravity.csv                m/s²
     Metadata.csv               platform, standardisation
 
-On iOS the sign is Apple's unless the app was told to standardise.
+On iOS the sign is Apple's unless the app was set to standardise.
 """
 
 from __future__ import annotations
@@ -68,14 +68,14 @@ def _frames(camera: Path) -> TimedFrames:
         return TimedFrames(replace(frames, times=times), np.arange(len(times)), ())
     images = sorted(path for path in camera.iterdir() if path.suffix.lower() in IMAGE_SUFFIXES)
     if not images:
-        raise InvalidRecording("The folder Camera holds neither a video nor images.", hint)
+        raise InvalidRecording("The folder Camera contains neither a video nor images.", hint)
     return timed_images(images, np.array([_milliseconds(path) / 1000 for path in images]))
 
 
 def _milliseconds(path: Path) -> int:
     number = number_in_name(path)
     if number is None:
-        raise InvalidRecording(f"The name of {path.name} is not a time.", "Leave files as the app names them.")
+        raise InvalidRecording(f"The name of {path.name} is not a time.", "Keep the file names that the app gives.")
     return number
 
 

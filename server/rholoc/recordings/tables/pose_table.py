@@ -78,7 +78,7 @@ def poses_from_rows(rows: FloatArray, source: str) -> FloatArray:
         )
     far = np.flatnonzero(np.abs(rows[:, :3]).max(axis=1) > _FARTHEST)
     if len(far):
-        raise InvalidTrajectory(f"{source}: pose {far[0] + 1} is beyond all bounds.", _COLUMNS_HINT)
+        raise InvalidTrajectory(f"{source}: pose {far[0] + 1} is implausibly far away.", _COLUMNS_HINT)
     return pose_matrix(Rotation.from_quat(rows[:, 3:]).as_matrix(), rows[:, :3])
 
 

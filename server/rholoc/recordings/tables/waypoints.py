@@ -32,7 +32,7 @@ def read_waypoints_csv(path: Path, frames: FrameSource) -> tuple[Waypoint, ...]:
 
     A further column ``sigma`` says how well each was measured, in metres; 0.02 where it is absent or empty.
 
-    They may be collinear; :func:`check_waypoints_fix_frame` tells whether they fix a frame.
+    They may be collinear; :func:`check_waypoints_fix_frame` checks whether they fix a frame.
 
     Raises:
         InvalidWaypoints: other columns, fewer than three, more than 1000, an empty, repeated or overlong name, a value
@@ -137,7 +137,7 @@ def _time_of_frame(name: str, number: float, frames: FrameSource) -> float:
     rows = np.flatnonzero(frames.numbers == number)
     if len(rows) == 0:
         raise InvalidWaypoints(
-            f"Waypoint {name} is at frame {number:g}, which the recording does not have.",
+            f"Waypoint {name} is at frame {number:g}, which does not exist in the recording.",
             f"Its frames are {frames.numbers[0]} to {frames.numbers[-1]}.",
         )
     return float(frames.times[rows[0]])

@@ -74,10 +74,10 @@ async def watch_job(
     ] = None,
 ) -> Response:
     """Server-sent events `job`, each with the job as `GET` gives it, at once and whenever it has changed; they end with
-    the job. After a broken connection the event that was missed tells all that happened meanwhile."""
+    the job. After a broken connection the event that was missed reports all that happened in the meantime."""
     event = await service.job_events.latest(job)
     if event.last and event.id == last_event_id:
-        return Response(status_code=204)  # which tells a browser to connect no more
+        return Response(status_code=204)  # which makes a browser stop reconnecting
     headers = {"Cache-Control": "no-store", "X-Accel-Buffering": "no"}
     return StreamingResponse(_events(job, service, last_event_id), headers=headers, media_type="text/event-stream")
 

@@ -381,7 +381,7 @@ def _check_learns(library: MapLibrary, name: str) -> None:
 def _publish_merged(library: MapLibrary, parts: Mapping[str, Map], into: str, merged: Map) -> None:
     """Publish a merged map, unless it would replace one of its parts that has changed meanwhile."""
     if into in parts and library.get(into) is not parts[into]:
-        raise Conflict(f"The map {into} was changed meanwhile.", "Merge again.")
+        raise Conflict(f"The map {into} was changed in the meantime.", "Merge again.")
     library.put(into, merged)
 
 
@@ -451,7 +451,7 @@ def _opened(library: MapLibrary, name: str, headers: dict[str, str]) -> OpenedFi
         return OpenedFile(library.path(name), headers, ExportFormat.RHO.media_type)
     except FileNotFoundError:
         library.stat(name)  # which says that there is no such map; else it came back meanwhile
-        raise Conflict(f"The map {name} was replaced meanwhile.", "Try again.") from None
+        raise Conflict(f"The map {name} was replaced in the meantime.", "Try again.") from None
 
 
 def _publish(service: State, name: str, arrived: Path) -> None:

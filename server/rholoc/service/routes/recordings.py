@@ -100,7 +100,9 @@ async def upload_recording(request: Request, service: Service) -> Response:
     if RESUMABLE in request.headers:
         return await begin_upload(request, service)
     if media_type(request) != "multipart/form-data":
-        raise UnsupportedMediaType("A recording comes as multipart/form-data.", "curl -F file=@walk.mp4 -F map=hall")
+        raise UnsupportedMediaType(
+            "A recording must be sent as multipart/form-data.", "curl -F file=@walk.mp4 -F map=hall"
+        )
     pending = await run_in_threadpool(service.recordings.begin, service.settings.max_upload_bytes)
     try:
         fields, options = await _receive(request, pending, service)
@@ -149,7 +151,7 @@ def _check_files(starts: Mapping[str, bytes], pending: PendingRecording, max_fil
             check_file_start(name, start)
     zips = [name for name in starts if name.lower().endswith(ZIP_SUFFIX)]
     if zips and len(starts) > 1:
-        raise InvalidRecording("A ZIP file came with other files.", "Put waypoints.csv into the ZIP file.")
+        raise InvalidRecording("A ZIP file was sent with other files.", "Put waypoints.csv into the ZIP file.")
     if len(starts) == 1:
         check_file_name(*starts)
     if zips:

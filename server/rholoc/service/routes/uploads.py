@@ -92,10 +92,12 @@ async def continue_upload(
         str | None, Header(description="algorithm and base64; the body is kept if right")
     ] = None,
 ) -> Response:
-    """The next bytes. What came before the connection broke is kept, and `HEAD` tells how much that is; of a body with
+    """The next bytes. What came before the connection broke is kept, and `HEAD` says how much that is; of a body with
     `Upload-Checksum` all is kept, or nothing. The last byte makes it a recording, and starts its job."""
     if media_type(request) != tus.PATCH_TYPE:
-        raise UnsupportedMediaType("The bytes of an upload come as " + tus.PATCH_TYPE + ".", "Use a tus client.")
+        raise UnsupportedMediaType(
+            "The bytes of an upload must be sent as " + tus.PATCH_TYPE + ".", "Use a tus client."
+        )
     offset = tus.number("Upload-Offset", upload_offset)
     append = service.uploads.append
     upload = await run_in_threadpool(append, recording, offset, b"")  # refuses what it must before the bytes come

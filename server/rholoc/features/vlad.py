@@ -1,0 +1,57 @@
+"""VLAD: a picture's local descriptors as one vector, by which pictures of the same place are found.
+
+Jégou et al., *Aggregating local descriptors into a compact image representation*, CVPR 2010; residuals of unit length:
+Delhumeau et al., 2013; normalised within each word: Arandjelović and Zisserman, CVPR 2013.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import faiss
+import numpy as np
+
+from rholoc.geometry import ByteArray, FloatArray
+
+_MOST_WORDS = 64
+_FEWEST_TRAINING_DESCRIPTORS = 40  # of a word
+_TRAINING_DESCRIPTORS = 20_000
+_ITERATIONS = 12
+_SEED = 1
+_TINY = 1e-9
+
+
+class Vlad:
+    """A vocabulary of words, and pictures as vectors on it.
+
+    Args:
+        descriptors: (N, D) of each of the pictures that the words are learned from; one of them has descriptors.
+    """
+
+    def __init__(self, descriptors: Sequence[ByteArray]) -> None:
+        pooled = np.concatenate(descriptors).astype(np.float32)
+        rng = np.random.default_rng(_SEED)
+        training = pooled[rng.permutation(len(pooled))[:_TRAINING_DESCRIPTORS]]
+        words = min(_MOST_WORDS, max(1, len(training) // _FEWEST_TRAINING_DESCRIPTORS))
+        kmeans = faiss.Kmeans(training.shape[1], words, niter=_ITERATIONS, seed=_SEED)
+        kmeans.train(training)
+        self.words: FloatArray = np.asarray(kmeans.centroids)
+        self._index = kmeans.index
+
+    def vector(self, descriptors: ByteArray) -> FloatArray:
+        """(W · D,) of a picture's descriptors (N, D), of unit length; zeros where there are none.
+
+        The scalar product of two pictures' vectors says how alike they are.
+        """
+        total = np.zeros_like(self.words)
+        if len(descriptors):
+            values = descriptors.astype(np.float32)
+            _, found = self._index.search(values, 1)
+            word = found[:, 0]
+            np.add.at(total, word, _normalised(values - self.words[word]))
+        flat = _normalised(total).ravel()
+        return np.asarray(flat / max(float(np.linalg.norm(flat)), _TINY))
+
+
+def _normalised(rows: FloatArray) -> FloatArray:
+    return np.asarray(rows / np.maximum(np.linalg.norm(rows, axis=1, keepdims=True), _TINY))

@@ -1,0 +1,55 @@
+"""SIGINT and SIGTERM while a command has processes to end."""
+
+from __future__ import annotations
+
+import signal
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from types import FrameType
+
+_INTERRUPTS = (signal.SIGINT, signal.SIGTERM)
+
+
+@contextmanager
+def interruptible() -> Iterator[None]:
+    """While it lasts, the first SIGINT or SIGTERM ends this process by way of every ``finally``; later ones wait.
+
+    Python leaves SIGTERM to the system, and SIGINT too where whoever started it had that ignored. Within another one it
+    changes nothing.
+    """
+    if _interrupt in (signal.getsignal(number) for number in _INTERRUPTS):
+        yield
+        return
+    before = {number: signal.signal(number, _interrupt) for number in _INTERRUPTS}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _interrupt(_signal: int, _frame: FrameType | None) -> None:
+    for number in _INTERRUPTS:
+        signal.signal(number, signal.SIG_IGN)
+    raise KeyboardInterrupt
+
+
+@contextmanager
+def interrupts_deferred() -> Iterator[None]:
+    """SIGINT and SIGTERM act when the block is left: one that came while a process starts would lose track of it.
+
+    Only the main thread is ever interrupted; in others it changes nothing.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    arrived: list[int] = []
+    before = {number: signal.signal(number, lambda number, _: arrived.append(number)) for number in _INTERRUPTS}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+        if arrived:
+            signal.raise_signal(arrived[0])
