@@ -42,8 +42,9 @@ _LEVEL_SIGMA_RAD = np.radians(0.5)  # of the waypoints' z axis
 _GAUGE_SIGMA = 1e-4
 _TIE_SIGMA_RAD, _TIE_SIGMA_M = 2e-4, 5e-4
 _FIXED = 1e-9
-_RELATIVE_TOLERANCE = 1e-4
+_RELATIVE_TOLERANCE = 5e-4
 _FIRST_DAMPING = 1e-4
+_SETTLING_STEPS = 6
 
 
 @dataclass(frozen=True)
@@ -196,7 +197,7 @@ def adjust(
         iterations: at most so many.
         told: hears the fraction of them that is done.
     """
-    points, used = _usable_points(problem.observations, state)
+    points, used = _usable_points(problem.observations, state, problem.pixel_sigma_px)
     state = replace(state, points=points)
     graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
     for k, T in enumerate(state.T_map_camera):
@@ -248,14 +249,42 @@ def residuals_px(observations: Observations, state: State, points: FloatArray | 
     return off
 
 
-def _usable_points(observations: Observations, state: State) -> tuple[FloatArray, BoolArray]:
+def _usable_points(observations: Observations, state: State, sigma_px: float) -> tuple[FloatArray, BoolArray]:
     """Points (M, 3), and which sightings (N,) of them are to be used."""
     points, parallax_deg = triangulate(observations, state)
     off = residuals_px(observations, state, points)
     near = off < max(20.0, 4 * float(np.median(off)))
     often = np.bincount(observations.tracks[near], minlength=observations.points) >= _FEWEST_SIGHTINGS
     good = (parallax_deg > _MIN_PARALLAX_DEG) & often
-    return points, near & good[observations.tracks]
+    used = near & good[observations.tracks]
+    return _settled(points, observations, used, state, sigma_px), used
+
+
+def _settled(
+    points: FloatArray, observations: Observations, used: BoolArray, state: State, sigma_px: float
+) -> FloatArray:
+    """The points (M, 3) where their sightings fit best while all else is held (Gauss–Newton, Cauchy's weights).
+
+    The nearest point to the rays is not yet that; the joint problem would spend its first iterations on the way there.
+    """
+    tracks, T = observations.tracks[used], state.T_map_camera[observations.keyframes[used]]
+    measured = state.camera.undistort(observations.pixels[used])
+    scale = _CAUCHY_PIXELS * sigma_px / state.camera.focal
+    points = points.copy()
+    for _ in range(_SETTLING_STEPS):
+        seen = np.einsum("nji,nj->ni", T[:, :3, :3], points[tracks] - T[:, :3, 3])
+        depth = np.maximum(seen[:, 2], 1e-6)
+        plane = seen[:, :2] / depth[:, None]
+        off = measured - plane
+        weight = np.where(seen[:, 2] > 1e-6, 1 / (1 + np.sum(off**2, axis=1) / scale**2), 0.0)
+        slope = (T[:, :3, :2] - T[:, :3, 2:3] * plane[:, None, :]) / depth[:, None, None]  # (n, 3, 2)
+        weighted = weight[:, None, None] * slope
+        information, target = np.zeros((len(points), 3, 3)), np.zeros((len(points), 3))
+        np.add.at(information, tracks, weighted @ np.swapaxes(slope, 1, 2))
+        np.add.at(target, tracks, np.einsum("nij,nj->ni", weighted, off))
+        damping = 1e-3 * np.trace(information, axis1=1, axis2=2) + 1e-12
+        points += np.linalg.solve(information + damping[:, None, None] * np.eye(3), target[..., None])[..., 0]
+    return points
 
 
 def _add_sightings(
