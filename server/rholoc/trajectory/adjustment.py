@@ -45,6 +45,7 @@ _FIXED = 1e-9
 _RELATIVE_TOLERANCE = 2e-4
 _FIRST_DAMPING = 1e-4
 _SETTLING_STEPS = 6
+_HOLD = 1e-2
 
 
 @dataclass(frozen=True)
@@ -528,7 +529,7 @@ def _held_points(observations: Observations, state: State, used: BoolArray) -> g
     held = gtsam.GaussianFactorGraph()
     noise = gtsam.noiseModel.Unit.Create(3)
     for track in np.unique(tracks).tolist():
-        held.push_back(gtsam.JacobianFactor(L(track), np.eye(3) / max(away_m[track], 1e-9), np.zeros(3), noise))
+        held.push_back(gtsam.JacobianFactor(L(track), _HOLD * np.eye(3) / max(away_m[track], 1e-9), np.zeros(3), noise))
     return held
 
 

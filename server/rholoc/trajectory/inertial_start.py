@@ -28,6 +28,7 @@ _USUAL_SPEED_M_S = 0.3  # of a walker with a phone, until the way between two ke
 _LONGEST_WAY_M = 1.0
 _LEAST_WAY_M = 0.02  # … and the shortest, for a direction's uncertainty to be a distance's
 _ROUNDS = 12
+_STARTING_ROUNDS = 3  # in which ways are only to have no part across their directions: the shorter, the easier …
 _CAUCHY = 2.0
 _BACKWARD = 3.0  # sigmas, added where a way leads backward
 _UNCOVERED = 1e-3  # the weight of the equations of motion over a gap of the IMU's table
@@ -77,36 +78,44 @@ def inertial_start(
     unit = np.array([one.direction for one in directions])
     sigma = np.array([one.sigma_rad for one in directions])
     count = len(times)
-    A = _stacked(motion, _direction_rows(count, first, second, unit))
     n = len(motion.sigmas)
-    measured = np.concatenate([motion.measured, np.zeros(3 * len(unit))])
     way = np.minimum(_USUAL_SPEED_M_S * np.abs(t[second] - t[first]), _LONGEST_WAY_M)
+    toward, way_wanted = unit, np.zeros_like(unit)
     robust = np.ones(n // 3 + len(unit))
-    prior, toward = np.full(A.shape[1], 1e-9), np.zeros(A.shape[1])
+    unknowns = _UNKNOWNS_APART + 6 * count
+    prior, expected = np.full(unknowns, 1e-9), np.zeros(unknowns)
     prior[3:6] = _BIAS_SIGMA**-2
     places = _UNKNOWNS_APART + 3 * count
     prior[places : places + 3] = 1e6  # the first keyframe is the origin
-    x = toward
-    for _ in range(_ROUNDS):
+    x = expected
+    for round_ in range(_ROUNDS):
+        A = _stacked(motion, _direction_rows(count, first, second, toward))
+        measured = np.concatenate([motion.measured, way_wanted.ravel()])
         sigmas = np.concatenate([motion.sigmas, np.repeat(sigma * np.maximum(way, _LEAST_WAY_M), 3)])
         weights = np.sqrt(np.repeat(robust, 3)) / sigmas
         weighted = diags_array(weights) @ A
         information = (weighted.T @ weighted).tocsc()
         information.setdiag(information.diagonal() + prior)
-        x = spsolve(information, weighted.T @ (weights * measured) + prior * toward)
-        off = np.linalg.norm(((A @ x - measured) / sigmas).reshape(-1, 3), axis=1)
-        felt, seen = off[: n // 3], off[n // 3 :]
+        x = spsolve(information, weighted.T @ (weights * measured) + prior * expected)
+        off = (A @ x - measured) / sigmas
+        felt = np.linalg.norm(off[:n].reshape(-1, 3), axis=1)
         between = x[places:].reshape(-1, 3)[second] - x[places:].reshape(-1, 3)[first]
         way = np.linalg.norm(between, axis=1)
-        seen = seen + _BACKWARD * (np.sum(between * unit, axis=1) < 0)
+        along = np.sum(between * unit, axis=1)
+        across = np.linalg.norm(between - along[:, None] * unit, axis=1)
+        seen = across / (sigma * np.maximum(way, _LEAST_WAY_M)) + _BACKWARD * (along < 0)
         robust = np.concatenate(
             [
                 1 / (1 + (felt / (_CAUCHY * max(float(np.median(felt)), 1.0))) ** 2),
                 1 / (1 + (seen / _CAUCHY) ** 2) ** 2,
             ]
         )
-        toward[:3] = x[:3] * GRAVITY / max(float(np.linalg.norm(x[:3])), 1e-9)
+        expected[:3] = x[:3] * GRAVITY / max(float(np.linalg.norm(x[:3])), 1e-9)
         prior[:3] = _GRAVITY_SIGMA**-2
+        if round_ + 1 >= _STARTING_ROUNDS:
+            ahead = (along > 0) & (way > _LEAST_WAY_M)
+            toward = np.where(ahead[:, None], between / np.maximum(way, 1e-9)[:, None], unit)
+            way_wanted = way[:, None] * (unit - np.sum(unit * toward, axis=1)[:, None] * toward)
     return InertialStart(
         -x[:3] / np.linalg.norm(x[:3]),
         x[places:].reshape(-1, 3),
