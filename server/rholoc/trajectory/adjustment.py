@@ -8,6 +8,7 @@ measurement with its own noise; sightings and waypoints under Cauchy's loss.
 
 from __future__ import annotations
 
+import functools
 import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
@@ -45,7 +46,7 @@ _FIXED = 1e-9
 _RELATIVE_TOLERANCE = 2e-4
 _FIRST_DAMPING = 1e-4
 _SETTLING_STEPS = 6
-_HOLD = 1e-2
+_HOLDS = (1e-2, 0.3, 10.0)  # how firmly points are held where a step fails with less
 
 
 @dataclass(frozen=True)
@@ -213,7 +214,7 @@ def adjust(
     if not problem.fixes:
         _fix_gauge(graph, values, state, metric=state.inertial is not None)
     ordering = _ordering(values, problem.observations, used)
-    held = _held_points(problem.observations, state, used)
+    held = functools.cache(lambda firmness: _held_points(problem.observations, state, used, firmness))
     values, cost = _solve(graph, values, ordering, held, iterations, told)
     return Adjusted(_state_of(values, problem, state, used), used, cost, graph, values, ordering)
 
@@ -481,7 +482,7 @@ def _solve(
     graph: gtsam.NonlinearFactorGraph,
     values: gtsam.Values,
     ordering: gtsam.Ordering,
-    held: gtsam.GaussianFactorGraph,
+    held: Callable[[float], gtsam.GaussianFactorGraph],
     iterations: int,
     told: Callable[[float], None],
 ) -> tuple[gtsam.Values, float]:
@@ -499,19 +500,22 @@ def _stepped(
     graph: gtsam.NonlinearFactorGraph,
     values: gtsam.Values,
     ordering: gtsam.Ordering,
-    held: gtsam.GaussianFactorGraph,
+    held: Callable[[float], gtsam.GaussianFactorGraph],
     cost: float,
 ) -> tuple[gtsam.Values, float]:
     """A step of Gauss and Newton; where it leads up, one of Levenberg and Marquardt, which takes thrice the time."""
-    try:
-        linear = graph.linearize(values)
-        linear.push_back(held)
-        there = values.retract(linear.optimize(ordering))
+    linear = graph.linearize(values)
+    for firmness in _HOLDS:
+        system = gtsam.GaussianFactorGraph()
+        system.push_back(linear)
+        system.push_back(held(firmness))
+        try:
+            there = values.retract(system.optimize(ordering))
+        except RuntimeError:  # gtsam's word for a singular system
+            continue
         lower = graph.error(there)
-    except RuntimeError:  # gtsam's word for a singular system
-        lower = np.inf
-    if lower < cost:
-        return there, lower
+        if lower < cost:
+            return there, lower
     parameters = gtsam.LevenbergMarquardtParams()
     parameters.setlambdaInitial(_FIRST_DAMPING)
     parameters.setOrdering(ordering)
@@ -520,16 +524,22 @@ def _stepped(
     return optimizer.values(), optimizer.error()
 
 
-def _held_points(observations: Observations, state: State, used: BoolArray) -> gtsam.GaussianFactorGraph:
-    """No point steps much further than it is away: one that few see well would jump behind the cameras."""
+def _held_points(
+    observations: Observations, state: State, used: BoolArray, firmness: float
+) -> gtsam.GaussianFactorGraph:
+    """No point steps far beyond its distance: one that few see well would jump behind the cameras.
+
+    Not firmer than needed, for points that are held hold the walk's size.
+    """
     tracks, count = observations.tracks[used], observations.points
-    away_m = np.zeros(count)
-    off = np.linalg.norm(state.points[tracks] - state.positions[observations.keyframes[used]], axis=1)
-    np.maximum.at(away_m, tracks, off)
+    away = np.zeros(count)
+    np.maximum.at(
+        away, tracks, np.linalg.norm(state.points[tracks] - state.positions[observations.keyframes[used]], axis=1)
+    )
     held = gtsam.GaussianFactorGraph()
-    noise = gtsam.noiseModel.Unit.Create(3)
+    noise, nowhere = gtsam.noiseModel.Unit.Create(3), np.zeros(3)
     for track in np.unique(tracks).tolist():
-        held.push_back(gtsam.JacobianFactor(L(track), _HOLD * np.eye(3) / max(away_m[track], 1e-9), np.zeros(3), noise))
+        held.push_back(gtsam.JacobianFactor(L(track), firmness / max(away[track], 1e-9) * np.eye(3), nowhere, noise))
     return held
 
 

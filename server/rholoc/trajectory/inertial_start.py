@@ -32,9 +32,6 @@ _STARTING_ROUNDS = 3  # in which ways are only to have no part across their dire
 _CAUCHY = 2.0
 _BACKWARD = 3.0  # sigmas, added where a way leads backward
 _UNCOVERED = 1e-3  # the weight of the equations of motion over a gap of the IMU's table
-_DRIFT = 0.05  # of the way walked between, by which the walk without loops may be off at a place seen again
-_DRIFT_M = 0.15
-_LOOP_SIGMAS = 3.0
 _UNKNOWNS_APART = 6  # gravity and bias, before the velocities and positions
 
 
@@ -123,25 +120,6 @@ def inertial_start(
         x[3:6],
         float(np.median(felt)),
     )
-
-
-def loops_in_reach(start: InertialStart, loops: Sequence[PairDirection]) -> BoolArray:
-    """Which pairs (N,) that seem to show one place may do so, by the walk without them.
-
-    Places that look alike are told apart by how the camera came from one to the other: the way between must have the
-    direction that the pictures say, as far as the walk is known by then.
-    """
-    path = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(start.positions, axis=0), axis=1))])
-    kept = np.zeros(len(loops), dtype=np.bool_)
-    for i, loop in enumerate(loops):
-        way = start.positions[loop.second] - start.positions[loop.first]
-        length = float(np.linalg.norm(way))
-        across = float(np.linalg.norm(way - (way @ loop.direction) * loop.direction))
-        backward = way @ loop.direction < 0
-        drift = _DRIFT_M + _DRIFT * float(path[loop.second] - path[loop.first])
-        allowed = drift + _LOOP_SIGMAS * loop.sigma_rad * length
-        kept[i] = (length if backward else across) <= allowed
-    return kept
 
 
 @dataclass(frozen=True, eq=False)

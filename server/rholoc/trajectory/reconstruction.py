@@ -36,7 +36,8 @@ from rholoc.trajectory.directions import PairDirection, direction_between
 from rholoc.trajectory.flow import Flow
 from rholoc.trajectory.global_positions import global_positions
 from rholoc.trajectory.gyroscope import GyroCalibration, camera_rotations
-from rholoc.trajectory.inertial_start import InertialStart, inertial_start, loops_in_reach
+from rholoc.trajectory.inertial_start import InertialStart, inertial_start
+from rholoc.trajectory.loop_closure import loops_in_reach
 from rholoc.trajectory.map_frame import (
     MapFrame,
     frame_of_first_camera,
@@ -57,7 +58,7 @@ _CORNERS_APART = (1, 2, 4, 8)  # keyframes, between which corners show the direc
 _FEWEST_CORNERS = 15
 _DIRECTION_TOLERANCE_PX = 2.0
 _FOLLOWED = 60  # corners that neighbouring keyframes share, in the median, where pictures are close enough to follow
-_ROUNDS = 3  # of adjusting and judging sightings anew
+_ROUNDS = 2  # of adjusting and judging sightings anew
 _ITERATIONS = 12
 _LAST_ITERATIONS = 8
 _FEWEST_PX, _OUTLIER = 2.5, 5.0  # a sighting this far off is left out, or so many times the median
@@ -65,7 +66,8 @@ _LEAST_PIXEL_SIGMA_PX = 0.35
 _MEDIAN_TO_SIGMA = 1 / 1.177  # of a coordinate, from the median length of a two-vector of normal errors
 _SEEN = 12  # sightings that place a keyframe by itself
 _CARRIED_SIGMA_M = 0.05  # up to which the IMU alone places a keyframe
-_COVARIANCES = 60  # keyframes, spread over the walk, whose covariance is computed; between them it is interpolated
+_COVARIANCES = 60  # keyframes, spread over the walk, whose covariance is computed; between them it is interpolated …
+_JUDGING = 12  # … and while loops are judged
 _ACCELEROMETER_SCALE = 0.01  # from which it is corrected
 _NOISE_PRIOR = 2.0  # coordinates that were off as much as assumed
 _NOISE_FACTORS = (0.4, 2.0)
@@ -223,7 +225,7 @@ def _reconstruct(
     if imu is not None and gyro is not None and felt is not None:
         start = _start_with_imu(sights, camera, evidence, imu, gyro, felt)
         if start is not None:
-            return _solve_with_imu(sights, imu, gyro, start, waypoints, told)
+            return _solve_with_imu(sights, imu, gyro, evidence, start, waypoints, told)
         reason = "The pictures do not show enough of the walk for the accelerometer to measure it."
     found = _solve_from_pictures(sights, camera, evidence, waypoints, reason, told)
     told.step(0.95, 0.99, "checked by a second reconstruction")
@@ -299,34 +301,20 @@ def _is_followed(sights: Sights) -> bool:
 
 def _start_with_imu(
     sights: Sights, camera: Camera, evidence: _Evidence, imu: Imu, gyro: GyroCalibration, felt: Rotation
-) -> tuple[State, InertialStart, _Evidence] | None:
-    """A metric, upright start from rotations, directions and the IMU; the evidence without loops that contradict it."""
+) -> tuple[State, InertialStart] | None:
+    """A metric, upright start from rotations, directions between neighbours, and the IMU."""
     count, times = len(sights.rows), sights.times
-    steady = replace(evidence, loops=[])
-    R, _ = average_rotations(count, steady.rotations, times, felt)
+    R, _ = average_rotations(count, replace(evidence, loops=[]).rotations, times, felt)
     along = _directions(sights, camera, R, evidence.sequential)
     start = inertial_start(times, R, along, imu, gyro)
     if start is None:
         return None
-    seen_again = [(pair, _direction_of(sights, camera, R, pair)) for pair in evidence.loops]
-    judged = [(pair, direction) for pair, direction in seen_again if direction is not None]
-    kept = loops_in_reach(start, [direction for _, direction in judged])
-    loops = [one for one, keep in zip(judged, kept, strict=True) if keep]
-    if loops:
-        evidence = replace(evidence, loops=[pair for pair, _ in loops])
-        R, _ = average_rotations(count, evidence.rotations, times, felt)
-        along = _directions(sights, camera, R, [*evidence.sequential, *evidence.loops])
-        start = inertial_start(times, R, along, imu, gyro)
-        if start is None:
-            return None
-    else:
-        evidence = steady
     upright = rotation_to_upright(start.up)
     T_imu_camera = pose_matrix(gyro.R_camera_imu.T, np.zeros(3))
     biases = np.tile(np.concatenate([start.accelerometer_bias, gyro.bias]), (count, 1))
     inertial = InertialState(start.velocities @ upright.T, biases, T_imu_camera, 0.0, np.array([0.0, 0.0, -GRAVITY]))
     T = pose_matrix(upright @ R, start.positions @ upright.T)
-    return State(T, np.zeros((0, 3)), camera, inertial), start, evidence
+    return State(T, np.zeros((0, 3)), camera, inertial), start
 
 
 def _directions(sights: Sights, camera: Camera, R: FloatArray, pairs: Sequence[VerifiedPair]) -> list[PairDirection]:
@@ -367,15 +355,16 @@ def _solve_with_imu(
     sights: Sights,
     imu: Imu,
     gyro: GyroCalibration,
-    start: tuple[State, InertialStart, _Evidence],
+    evidence: _Evidence,
+    start: tuple[State, InertialStart],
     waypoints: Sequence[tuple[Waypoint, ...]],
     told: _Progress,
 ) -> Reconstruction:
-    state, began, evidence = start
-    problem = Problem(
-        sights.times, evidence.observations(sights), imu, gyro, camera_sigmas=_camera_sigmas(sights.camera)
-    )
-    problem, adjusted = _adjusted_in_rounds(problem, state, told)
+    state, began = start
+    steady = replace(evidence, loops=[])
+    problem = Problem(sights.times, steady.observations(sights), imu, gyro, camera_sigmas=_camera_sigmas(sights.camera))
+    problem, adjusted = _adjusted_in_rounds(problem, state, told, (0.45, 0.6))
+    evidence, problem, adjusted = _closed_loops(sights, evidence, problem, adjusted, told)
     assert adjusted.state.inertial is not None
     read = float(np.linalg.norm(adjusted.state.inertial.gravity)) / GRAVITY
     if abs(read - 1) > _ACCELEROMETER_SCALE:
@@ -412,6 +401,23 @@ def _solve_with_imu(
     return _finished(sights, evidence, problem, adjusted, frame, waypoints, figures, "", left_out, mistaken)
 
 
+def _closed_loops(
+    sights: Sights, evidence: _Evidence, problem: Problem, adjusted: Adjusted, told: _Progress
+) -> tuple[_Evidence, Problem, Adjusted]:
+    """Adjust with the loops that the walk without them allows; judged again once they have told how it drifted."""
+    pixels = [features.pixels.astype(np.float64) for features in sights.features]
+    kept: list[VerifiedPair] = []
+    for span in ((0.6, 0.68), (0.68, 0.75)):
+        sigmas_m = np.sqrt(np.trace(_spread_covariances(adjusted, len(pixels), _JUDGING)[:, :3, :3], axis1=1, axis2=2))
+        in_reach = loops_in_reach(evidence.loops, evidence.sequential, pixels, adjusted.state, sigmas_m)
+        before, kept = kept, [pair for pair, keep in zip(evidence.loops, in_reach, strict=True) if keep]
+        if kept == before:
+            break
+        problem = replace(problem, observations=replace(evidence, loops=kept).observations(sights))
+        problem, adjusted = _adjusted_in_rounds(problem, adjusted.state, told, span)
+    return replace(evidence, loops=kept), problem, adjusted
+
+
 def _camera_sigmas(given: Camera | None) -> CameraSigmas | None:
     """How far the walk may correct the intrinsics: not at all where the adjustment's model could not hold them."""
     if given is None:
@@ -446,7 +452,7 @@ def _solve_from_pictures(
     numbered = Observations(number[whole.keyframes], whole.tracks, whole.pixels)
     observations = numbered.take(numbered.keyframes >= 0)
     problem = Problem(some.times, observations, camera_sigmas=_camera_sigmas(sights.camera))
-    problem, adjusted = _adjusted_in_rounds(problem, state, told)
+    problem, adjusted = _adjusted_in_rounds(problem, state, told, (0.45, 0.75))
     left_out: dict[str, LeftOut] = {}
     mistaken: tuple[str, ...] = ()
     depth = _median_depth(problem.observations, adjusted)
@@ -484,20 +490,18 @@ def _start_from_pictures(
     return State(pose_matrix(R[members], positions), np.zeros((0, 3)), camera), members
 
 
-def _adjusted_in_rounds(problem: Problem, state: State, told: _Progress) -> tuple[Problem, Adjusted]:
+def _adjusted_in_rounds(
+    problem: Problem, state: State, told: _Progress, span: tuple[float, float]
+) -> tuple[Problem, Adjusted]:
     """Adjust, and judge all sightings anew by what comes out; the problem with those that are right."""
     everything = problem.observations
-    adjusted = adjust(problem, state, _ITERATIONS, told.step(0.45, 0.55, "all measurements adjusted together"))
-    for round_ in range(1, _ROUNDS):
+    edges = np.linspace(*span, _ROUNDS + 1).tolist()
+    step = told.step(edges[0], edges[1], "all measurements adjusted together")
+    adjusted = adjust(problem, state, _ITERATIONS, step)
+    for start, end in itertools.pairwise(edges[1:]):
         off = residuals_px(everything, adjusted.state, triangulate(everything, adjusted.state)[0])
         problem = _cleaned(problem, everything, off)
-        share = 0.55 + 0.1 * round_
-        adjusted = adjust(
-            problem,
-            adjusted.state,
-            _ITERATIONS,
-            told.step(share - 0.1, share, f"adjusted anew, {round_ + 1} of {_ROUNDS}"),
-        )
+        adjusted = adjust(problem, adjusted.state, _ITERATIONS, told.step(start, end, "adjusted anew"))
     return problem, adjusted
 
 
@@ -596,7 +600,7 @@ def _finished(
     mistaken: tuple[str, ...],
 ) -> Reconstruction:
     """Covariances, what counts as placed, and the map's frame where waypoints have not given it."""
-    covariances = _spread_covariances(adjusted, len(sights.rows))
+    covariances = _spread_covariances(adjusted, len(sights.rows), _COVARIANCES)
     state, scale = adjusted.state, 1.0
     if not waypoints:
         state, scale = _moved(state, frame.similarity), frame.similarity.scale
@@ -631,9 +635,9 @@ def _finished(
     )
 
 
-def _spread_covariances(adjusted: Adjusted, count: int) -> FloatArray:
-    """(K, 6, 6): of some keyframes, and interpolated between them; a mixture of covariances is one."""
-    some = np.unique(np.linspace(0, count - 1, min(_COVARIANCES, count)).round().astype(np.int64))
+def _spread_covariances(adjusted: Adjusted, count: int, computed: int) -> FloatArray:
+    """(K, 6, 6): of so many keyframes, and interpolated between them; a mixture of covariances is one."""
+    some = np.unique(np.linspace(0, count - 1, min(computed, count)).round().astype(np.int64))
     found = adjusted.covariances(some.tolist())
     after = np.clip(np.searchsorted(some, np.arange(count)), 1, len(some) - 1)
     share = ((np.arange(count) - some[after - 1]) / (some[after] - some[after - 1]))[:, None, None]
