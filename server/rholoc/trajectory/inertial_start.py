@@ -28,7 +28,6 @@ _USUAL_SPEED_M_S = 0.3  # of a walker with a phone, until the way between two ke
 _LONGEST_WAY_M = 1.0
 _LEAST_WAY_M = 0.02  # … and the shortest, for a direction's uncertainty to be a distance's
 _ROUNDS = 12
-_STARTING_ROUNDS = 3  # in which ways are only to have no part across their directions: the shorter, the easier …
 _CAUCHY = 2.0
 _BACKWARD = 3.0  # sigmas, added where a way leads backward
 _UNCOVERED = 1e-3  # the weight of the equations of motion over a gap of the IMU's table
@@ -85,7 +84,7 @@ def inertial_start(
     places = _UNKNOWNS_APART + 3 * count
     prior[places : places + 3] = 1e6  # the first keyframe is the origin
     x = expected
-    for round_ in range(_ROUNDS):
+    for _ in range(_ROUNDS):
         A = _stacked(motion, _direction_rows(count, first, second, toward))
         measured = np.concatenate([motion.measured, way_wanted.ravel()])
         sigmas = np.concatenate([motion.sigmas, np.repeat(sigma * np.maximum(way, _LEAST_WAY_M), 3)])
@@ -109,10 +108,11 @@ def inertial_start(
         )
         expected[:3] = x[:3] * GRAVITY / max(float(np.linalg.norm(x[:3])), 1e-9)
         prior[:3] = _GRAVITY_SIGMA**-2
-        if round_ + 1 >= _STARTING_ROUNDS:
-            ahead = (along > 0) & (way > _LEAST_WAY_M)
-            toward = np.where(ahead[:, None], between / np.maximum(way, 1e-9)[:, None], unit)
-            way_wanted = way[:, None] * (unit - np.sum(unit * toward, axis=1)[:, None] * toward)
+        # Ways without a part across their directions were the first aim; but so is no way at all. From here on a way
+        # is to turn to its direction, and its length is the IMU's alone.
+        ahead = (along > 0) & (way > _LEAST_WAY_M)
+        toward = np.where(ahead[:, None], between / np.maximum(way, 1e-9)[:, None], unit)
+        way_wanted = way[:, None] * (unit - np.sum(unit * toward, axis=1)[:, None] * toward)
     return InertialStart(
         -x[:3] / np.linalg.norm(x[:3]),
         x[places:].reshape(-1, 3),
