@@ -28,7 +28,7 @@ const BARS_M = [0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50, 100];
  */
 export function coverageView(coverage, map, signal, look) {
   if (!coverage.cells.length)
-    return h("p", { class: "muted" }, t`The map has no views, so nobody knows where it works.`);
+    return h("p", { class: "muted" }, t`The map has no views, so it is unknown where it works.`);
   const canvas = h("canvas", { class: "coverage", tabindex: 0, role: "img", "aria-label": summary(coverage) });
   const said = h(
     "p",

@@ -103,7 +103,7 @@ function fillAbout(place, map, report) {
   fill(
     place,
     !metric &&
-      h("p", { class: "notice warn" }, t`Nothing measured fixed this map's unit of length: positions are not metres.`),
+      h("p", { class: "notice warn" }, t`No measurement fixed this map's unit of length: positions are not metres.`),
     errorsCard(map, report, metric),
     advice.length > 0 &&
       h(
@@ -182,7 +182,7 @@ function previous({ name, previous: before }) {
     h("span", { class: "small" }, t`Replaced the map of ${when(before.created)}, version ${before.version}`),
     action(t`Restore it`, async () => {
       const done = await ask(
-        t`Restore the map before?`,
+        t`Restore the previous map?`,
         h(
           "p",
           {},

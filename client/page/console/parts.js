@@ -96,7 +96,7 @@ export function lostNotice() {
         element,
         h("strong", {}, error.summary ?? error.message),
         " ",
-        t`This page goes on by itself when it is back.`,
+        t`This page continues by itself when it is back.`,
       );
       element.hidden = false;
     },

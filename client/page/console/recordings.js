@@ -74,7 +74,7 @@ function uploadForm(signal) {
             bar.value = blob.size ? sent / blob.size : 1;
             standing.textContent = t`${bytes(sent)} of ${bytes(blob.size)}`;
           }
-          if (waiting) standing.textContent = t`${waiting.message} It goes on by itself.`;
+          if (waiting) standing.textContent = t`${waiting.message} It continues by itself.`;
         };
         button.disabled = true;
         try {

@@ -21,7 +21,7 @@ export function readTrajectory(text) {
     const figure = (name) => (values[names.indexOf(name)] ?? "").trim();
     const row = Object.fromEntries(NEEDED.map((name) => [name, figure(name) === "" ? NaN : Number(figure(name))]));
     if (!Object.values(row).every(Number.isFinite))
-      throw new Error(t`Line ${i + 2} is not made of numbers: ${line.slice(0, MAX_SHOWN)}`);
+      throw new Error(t`Line ${i + 2} contains something other than numbers: ${line.slice(0, MAX_SHOWN)}`);
     const quaternion = TURNED.map((name) => parseFloat(figure(name)));
     return { ...row, roll: parseFloat(figure("roll")) || 0, quaternion };
   });

@@ -18,7 +18,7 @@ const WHY = {
   no_features: t`The picture is too blank, dark or blurred.`,
   no_matches: t`Too little in the picture looks like anything in the map.`,
   no_agreement: t`No place explains what the picture shows.`,
-  low_confidence: t`A place was found, but it is too unsure to rely on.`,
+  low_confidence: t`A place was found, but it is too uncertain to rely on.`,
   deadline: t`The server took too long.`,
 };
 const LONG_SIDE = 640; // px, of frames from this device's camera
@@ -254,7 +254,7 @@ function doubts(found, known, map) {
     known === Known.TYPED &&
       t`The field of view was typed, not measured: a few degrees off put the pose decimetres off. Calibrate the camera to know.`,
     known === Known.ESTIMATED &&
-      t`The camera is not known; its focal length was estimated from this picture alone. A stored camera is surer.`,
+      t`The camera is not known; its focal length was estimated from this picture alone. A stored camera is more reliable.`,
     known === Known.ASSUMED &&
       t`The picture has another shape than the camera's. It is taken to be the same camera, turned or cropped; if it is not, the pose is wrong.`,
   ].filter(Boolean);
@@ -312,7 +312,7 @@ function options(trial) {
   degrees.hidden = true;
   fill(
     trial.intrinsics,
-    h("option", { value: AUTOMATIC }, t`not said: the map's where the shape is the same, else estimated`),
+    h("option", { value: AUTOMATIC }, t`not specified: the map's if the shape matches, otherwise estimated`),
     h("option", { value: MAP_CAMERA }, t`the camera that made the map`),
     h("option", { value: UNKNOWN }, t`unknown: estimate its focal length`),
     trial.cameras.map(({ name }) => h("option", { value: name }, name)),

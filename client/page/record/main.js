@@ -41,7 +41,7 @@ async function start() {
   const store = await Store.open().catch((error) => {
     throw new Problem(
       "no-database",
-      t`This browser keeps nothing for this page.`,
+      t`This browser stores nothing for this page.`,
       t`Leave private browsing and try again. (${error.message})`,
     );
   });

@@ -25,7 +25,7 @@ export function missing() {
   if (!window.indexedDB)
     return new Problem(
       "no-database",
-      t`This browser keeps nothing for this page.`,
+      t`This browser stores nothing for this page.`,
       t`Leave private browsing and try again.`,
     );
   return null;

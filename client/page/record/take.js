@@ -21,7 +21,7 @@ export const Ending = Object.freeze({
 export const ENDINGS = {
   [Ending.HIDDEN]: t`Recording ended when you left this page: a phone shuts the camera off then. What came before is kept.`,
   [Ending.TURNED]: t`Recording ended when the phone was turned: a recording has one shape. What came before is kept.`,
-  [Ending.FULL]: t`Recording ended because this phone has no room left. What came before is kept.`,
+  [Ending.FULL]: t`Recording ended because this phone has no space left. What came before is kept.`,
   [Ending.BROKEN]: t`Recording broke off. What came before is kept.`,
   [Ending.CAMERA]: t`Recording ended because the camera went away. What came before is kept.`,
 };

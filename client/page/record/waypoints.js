@@ -69,7 +69,7 @@ export function problem(waypoints) {
   if (usable.length < FEWEST)
     return t`${usable.length} of at least ${FEWEST} waypoints are marked and measured. Without more the map gets a frame of its own.`;
   if (onOneLine(usable.map(({ position }) => position)))
-    return t`The waypoints lie on one line, which leaves the rotation about it open. Measure one more off that line, or clear their coordinates.`;
+    return t`The waypoints lie on one line, so the rotation about it is not determined. Measure one more off that line, or clear their coordinates.`;
   return null;
 }
 

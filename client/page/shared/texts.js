@@ -29,7 +29,7 @@ export const GERMAN = {
   "The server does not answer.": "Der Server antwortet nicht.",
   "Check the connection and try again.": "Die Verbindung prüfen und es noch einmal versuchen.",
   "The server answered with {0}.": "Der Server antwortete mit {0}.",
-  "This page goes on by itself when it is back.": "Diese Seite macht von selbst weiter, sobald er wieder da ist.",
+  "This page continues by itself when it is back.": "Diese Seite macht von selbst weiter, sobald er wieder da ist.",
   "Try again": "Noch einmal",
   Cancel: "Abbrechen",
   Back: "Zurück",
@@ -105,7 +105,7 @@ export const GERMAN = {
   "Landmarks and walk of the map {0}": "Landmarken und Gang der Karte {0}",
   "Where it works": "Wo sie funktioniert",
   "The room": "Der Raum",
-  "Nothing measured fixed this map's unit of length: positions are not metres.":
+  "No measurement fixed this map's unit of length: positions are not metres.":
     "Keine Messung bestimmt die Längeneinheit dieser Karte: Positionen sind keine Meter.",
   "On the next walk": "Beim nächsten Gang",
   Details: "Einzelheiten",
@@ -135,7 +135,7 @@ export const GERMAN = {
   "No measured point checks it.": "Kein gemessener Punkt prüft sie.",
   "Replaced the map of {0}, version {1}": "Ersetzte die Karte vom {0}, Version {1}",
   "Restore it": "Wiederherstellen",
-  "Restore the map before?": "Vorige Karte wiederherstellen?",
+  "Restore the previous map?": "Vorige Karte wiederherstellen?",
   "It comes back under this name. The present one is kept in its place, and can be restored in turn.":
     "Sie kommt unter diesem Namen zurück. Die jetzige bleibt an ihrer Stelle erhalten und lässt sich ebenso wiederherstellen.",
   Restore: "Wiederherstellen",
@@ -172,7 +172,7 @@ export const GERMAN = {
   "What the map learned from {0} is taken out of it.": "Was die Karte aus {0} gelernt hat, wird entfernt.",
 
   // Where it works
-  "The map has no views, so nobody knows where it works.":
+  "The map has no views, so it is unknown where it works.":
     "Die Karte hat keine Ansichten; niemand weiß, wo sie funktioniert.",
   "Point at a place, or use the arrow keys; a click shows it in the room.":
     "Auf einen Ort zeigen, oder Pfeiltasten; ein Klick zeigt ihn im Raum.",
@@ -234,7 +234,7 @@ export const GERMAN = {
   "Stored recordings": "Gespeicherte Aufnahmen",
   "A video, or a recording as a ZIP file.": "Ein Video, oder eine Aufnahme als ZIP-Datei.",
   "{0} of {1}": "{0} von {1}",
-  "{0} It goes on by itself.": "{0} Es geht von selbst weiter.",
+  "{0} It continues by itself.": "{0} Es geht von selbst weiter.",
   "Upload a walk": "Gang hochladen",
   "No recordings yet": "Noch keine Aufnahmen",
   "They are kept after their map is made, so that a job can be tried again and other maps can learn them.":
@@ -295,14 +295,14 @@ export const GERMAN = {
   "The picture is too blank, dark or blurred.": "Das Bild ist zu leer, zu dunkel oder zu unscharf.",
   "Too little in the picture looks like anything in the map.": "Zu wenig im Bild sieht aus wie etwas in der Karte.",
   "No place explains what the picture shows.": "Kein Ort erklärt, was das Bild zeigt.",
-  "A place was found, but it is too unsure to rely on.":
+  "A place was found, but it is too uncertain to rely on.":
     "Ein Ort wurde gefunden, ist aber zu unsicher, um sich darauf zu verlassen.",
   "The server took too long.": "Der Server brauchte zu lange.",
   "The map itself is not trusted: the pose may be wrong by more than is said here.":
     "Die Karte selbst ist nicht vertrauenswürdig: Die Pose kann weiter daneben liegen, als hier steht.",
   "The field of view was typed, not measured: a few degrees off put the pose decimetres off. Calibrate the camera to know.":
     "Das Blickfeld ist eingegeben, nicht gemessen: Wenige Grad daneben verschieben die Pose um Dezimeter. Eine kalibrierte Kamera gibt Gewissheit.",
-  "The camera is not known; its focal length was estimated from this picture alone. A stored camera is surer.":
+  "The camera is not known; its focal length was estimated from this picture alone. A stored camera is more reliable.":
     "Die Kamera ist nicht bekannt; ihre Brennweite wurde allein aus diesem Bild geschätzt. Eine gespeicherte Kamera ist sicherer.",
   "The picture has another shape than the camera's. It is taken to be the same camera, turned or cropped; if it is not, the pose is wrong.":
     "Das Bild hat eine andere Form als die der Kamera. Angenommen wird dieselbe Kamera, gedreht oder beschnitten; stimmt das nicht, ist die Pose falsch.",
@@ -315,7 +315,7 @@ export const GERMAN = {
   "Horizontal field of view, °": "Waagrechtes Blickfeld, °",
   "of the picture, from its left to its right edge": "des Bildes, von seinem linken zu seinem rechten Rand",
   "Which camera took it?": "Welche Kamera hat es aufgenommen?",
-  "not said: the map's where the shape is the same, else estimated":
+  "not specified: the map's if the shape matches, otherwise estimated":
     "keine Angabe: die der Karte bei gleicher Form, sonst geschätzt",
   "the camera that made the map": "die Kamera, mit der die Karte gemacht ist",
   "unknown: estimate its focal length": "unbekannt: ihre Brennweite schätzen",
@@ -340,7 +340,7 @@ export const GERMAN = {
   Pause: "Pause",
   Play: "Abspielen",
   "This is not a trajectory: it has no column {0}.": "Das ist keine Trajektorie: Die Spalte {0} fehlt.",
-  "Line {0} is not made of numbers: {1}": "Zeile {0} besteht nicht aus Zahlen: {1}",
+  "Line {0} contains something other than numbers: {1}": "Zeile {0} besteht nicht aus Zahlen: {1}",
   "The trajectory has no rows.": "Die Trajektorie hat keine Zeilen.",
 
   // The recorder: before the walk
@@ -354,7 +354,7 @@ export const GERMAN = {
     "Drei oder mehr Punkte, die nicht auf einer Geraden liegen, ausmessen: mit dem Maßband, von einer Ecke des Raums aus.",
   "At each point stand still for two seconds, the phone upright, and mark it.":
     "An jedem Punkt zwei Sekunden still stehen, das Telefon aufrecht, und ihn markieren.",
-  "Walk slowly and rather sideways; do not turn on the spot. Keep things in view: furniture, posters, shelves, no bare walls.":
+  "Walk slowly, and sideways where you can; do not turn on the spot. Keep things in view: furniture, posters, shelves, no bare walls.":
     "Langsam und eher seitwärts gehen, nicht auf der Stelle drehen. Dinge im Bild behalten: Möbel, Plakate, Regale, keine kahlen Wände.",
   "Come back to where you began, and look at it again as you did then: the loop shows the map its own errors.":
     "Zum Anfang zurückkommen und ihn wieder so ansehen wie zu Beginn: Die Schleife zeigt der Karte ihre eigenen Fehler.",
@@ -382,7 +382,7 @@ export const GERMAN = {
   "Another program has the camera.": "Ein anderes Programm verwendet die Kamera.",
   "Close it and try again.": "Es schließen und noch einmal versuchen.",
   "The camera does not start.": "Die Kamera startet nicht.",
-  "This browser keeps nothing for this page.": "Dieser Browser speichert nichts für diese Seite.",
+  "This browser stores nothing for this page.": "Dieser Browser speichert nichts für diese Seite.",
   "Leave private browsing and try again.": "Den privaten Modus verlassen und noch einmal versuchen.",
   "Leave private browsing and try again. ({0})": "Den privaten Modus verlassen und noch einmal versuchen. ({0})",
   "Browsers give the camera to pages over HTTPS only.": "Browser geben die Kamera nur Seiten über HTTPS.",
@@ -424,7 +424,7 @@ export const GERMAN = {
     "Die Aufnahme endete mit dem Verlassen der Seite: Ein Telefon schaltet die Kamera dann ab. Was vorher kam, ist erhalten.",
   "Recording ended when the phone was turned: a recording has one shape. What came before is kept.":
     "Die Aufnahme endete, als das Telefon gedreht wurde: Eine Aufnahme hat eine Form. Was vorher kam, ist erhalten.",
-  "Recording ended because this phone has no room left. What came before is kept.":
+  "Recording ended because this phone has no space left. What came before is kept.":
     "Die Aufnahme endete, weil dieses Telefon keinen Platz mehr hat. Was vorher kam, ist erhalten.",
   "Recording broke off. What came before is kept.": "Die Aufnahme brach ab. Was vorher kam, ist erhalten.",
   "Recording ended because the camera went away. What came before is kept.":
@@ -445,13 +445,13 @@ export const GERMAN = {
     "Kein Wegpunkt ist markiert und gemessen. Die Karte bekommt ein eigenes Koordinatensystem.",
   "{0} of at least {1} waypoints are marked and measured. Without more the map gets a frame of its own.":
     "{0} von mindestens {1} Wegpunkten sind markiert und gemessen. Ohne mehr bekommt die Karte ein eigenes Koordinatensystem.",
-  "The waypoints lie on one line, which leaves the rotation about it open. Measure one more off that line, or clear their coordinates.":
+  "The waypoints lie on one line, so the rotation about it is not determined. Measure one more off that line, or clear their coordinates.":
     "Die Wegpunkte liegen auf einer Geraden; die Drehung um sie bleibt offen. Einen weiteren abseits davon messen, oder ihre Koordinaten löschen.",
 
   // The recorder: before sending
   "Your recording": "Ihre Aufnahme",
   "The recording": "Die Aufnahme",
-  "{0} s is too short for a map: walk for {1} s at the least, half a minute or more for a room.":
+  "{0} s is too short for a map: walk for at least {1} s, half a minute or more for a room.":
     "{0} s sind zu kurz für eine Karte: wenigstens {1} s gehen, für einen Raum eine halbe Minute oder mehr.",
   "Seconds that will fail": "Sekunden, die misslingen werden",
   "They are {0} of the walk: better walk again.": "Das sind {0} des Gangs: besser noch einmal gehen.",
@@ -469,7 +469,7 @@ export const GERMAN = {
   Sensors: "Sensoren",
   none: "keine",
   "Darkest light": "Dunkelstes Licht",
-  "Unknown: found out while mapping": "Unbekannt: wird beim Kartieren ermittelt",
+  "Unknown: estimated while mapping": "Unbekannt: wird beim Kartieren ermittelt",
   Send: "Senden",
   "Record again": "Noch einmal aufnehmen",
   "Save as a file": "Als Datei speichern",
@@ -479,14 +479,15 @@ export const GERMAN = {
   Sending: "Wird gesendet",
   Progress: "Fortschritt",
   "Getting ready …": "Wird vorbereitet …",
-  "You may close this page: sending goes on when you open it again.":
+  "You may close this page: sending continues when you open it again.":
     "Sie können diese Seite schließen: Das Senden geht weiter, wenn Sie sie wieder öffnen.",
   "For the map {0}": "Für die Karte {0}",
   "{0} of {1}, {2}": "{0} von {1}, {2}",
   "The server cannot be reached.": "Der Server ist nicht erreichbar.",
-  "Nothing is lost: sending goes on by itself when it can.": "Nichts ist verloren: Das Senden geht von selbst weiter.",
-  "The page goes on by itself when it can.": "Die Seite macht von selbst weiter, sobald sie kann.",
-  "Not begun yet.": "Noch nicht begonnen.",
+  "Nothing is lost: sending continues by itself when it can.":
+    "Nichts ist verloren: Das Senden geht von selbst weiter.",
+  "The page continues by itself when it can.": "Die Seite macht von selbst weiter, sobald sie kann.",
+  "Not started yet.": "Noch nicht begonnen.",
   "The server makes the map": "Der Server macht die Karte",
   "Sent. It is no longer needed on this phone.": "Gesendet. Auf diesem Telefon wird sie nicht mehr gebraucht.",
   "Waiting for a worker": "Wartet auf einen Arbeiter",

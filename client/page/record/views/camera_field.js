@@ -12,7 +12,7 @@ export function cameraField(chosen, changed) {
     field.hidden = known.length === 0;
     fill(
       select,
-      h("option", { value: "" }, t`Unknown: found out while mapping`),
+      h("option", { value: "" }, t`Unknown: estimated while mapping`),
       known.map((name) => h("option", { value: name, selected: name === chosen }, name)),
     );
   });

@@ -27,7 +27,7 @@ const PICTURES = [
     ],
   ],
   [
-    t`Walk slowly and rather sideways; do not turn on the spot. Keep things in view: furniture, posters, shelves, no bare walls.`,
+    t`Walk slowly, and sideways where you can; do not turn on the spot. Keep things in view: furniture, posters, shelves, no bare walls.`,
     [
       ["faint", "M12 14h20v16h-20zM40 10h14v20h-14zM62 14h22v16h-22zM92 10h16v20h-16z"],
       ["strong", "M18 56H96M86 48l10 8l-10 8"],

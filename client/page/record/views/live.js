@@ -166,7 +166,9 @@ class Live {
   showWaypoint() {
     const next = this.#marks[nextRow(this.#marks)] ?? { name: freeName(this.#marks), position: [null] };
     const measured = next.position.every(Number.isFinite);
-    const shown = measured ? next.position.map((value) => value.toFixed(2)).join(", ") : t`coordinates may follow later`;
+    const shown = measured
+      ? next.position.map((value) => value.toFixed(2)).join(", ")
+      : t`coordinates may follow later`;
     fill(
       this.waypoint,
       h("strong", {}, next.name),

@@ -85,7 +85,7 @@ export async function reviewView({ content, store, id }) {
         h(
           "p",
           { class: "notice bad", role: "alert" },
-          t`${recording.duration.toFixed(0)} s is too short for a map: walk for ${SHORTEST_S} s at the least, half a minute or more for a room.`,
+          t`${recording.duration.toFixed(0)} s is too short for a map: walk for at least ${SHORTEST_S} s, half a minute or more for a room.`,
         ),
       doubts,
       video,

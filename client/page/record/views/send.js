@@ -51,7 +51,7 @@ async function run(page, store, recording, signal) {
     recording = await send(page, store, recording, signal);
   }
   page.sent();
-  const lost = (error) => page.waiting(error, t`The page goes on by itself when it can.`);
+  const lost = (error) => page.waiting(error, t`The page continues by itself when it can.`);
   page.ended(await followJob(recording.job, (job) => page.jobChanged(job), signal, lost));
 }
 
@@ -90,7 +90,7 @@ class SendPage {
       Object.entries(STAGES).map(([stage, words]) => h("li", { "data-stage": stage }, words)),
     );
     this.actions = h("div", { class: "row" });
-    this.closing = h("p", { class: "muted" }, t`You may close this page: sending goes on when you open it again.`);
+    this.closing = h("p", { class: "muted" }, t`You may close this page: sending continues when you open it again.`);
     this.element = h(
       "div",
       { class: "stack narrow" },
@@ -111,8 +111,8 @@ class SendPage {
     this.text.textContent = t`${size(sent)} of ${size(whole)}, ${percent(sent / whole)}`;
   }
 
-  waiting(error, comfort = t`Nothing is lost: sending goes on by itself when it can.`) {
-    if (!this.bar.value && !this.closing.hidden) this.text.textContent = t`Not begun yet.`;
+  waiting(error, comfort = t`Nothing is lost: sending continues by itself when it can.`) {
+    if (!this.bar.value && !this.closing.hidden) this.text.textContent = t`Not started yet.`;
     this.notice.hidden = false;
     this.notice.className = "notice warn";
     const why = h("span", { class: "muted" }, error.summary);
