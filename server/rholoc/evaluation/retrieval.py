@@ -47,8 +47,9 @@ class VladPipeline:
         self._landmarks = index.landmarks
         self._retrieved = retrieved
         self._views = [_view(index, k, features) for k, features in enumerate(view_features)]
-        self._vlad = Vlad([features.descriptors for features in view_features])
-        self._vectors = np.array([self._vlad.vector(features.descriptors) for features in view_features])
+        descriptors = [features.descriptors for features in view_features]
+        self._vlad = Vlad(descriptors)
+        self._vectors = self._vlad.vectors(descriptors)
 
     @property
     def bytes(self) -> int:

@@ -43,15 +43,19 @@ class Vlad:
 
         The scalar product of two pictures' vectors says how alike they are.
         """
-        total = np.zeros_like(self.words)
-        if len(descriptors):
-            values = descriptors.astype(np.float32)
-            _, found = self._index.search(values, 1)
+        return np.asarray(self.vectors([descriptors])[0])
+
+    def vectors(self, descriptors: Sequence[ByteArray]) -> FloatArray:
+        """(P, W · D): :meth:`vector` of each of P pictures."""
+        total = np.zeros((len(descriptors), *self.words.shape), np.float32)
+        pooled = np.concatenate(descriptors).astype(np.float32)
+        if len(pooled):
+            picture = np.repeat(np.arange(len(descriptors)), [len(some) for some in descriptors])
+            _, found = self._index.search(pooled, 1)
             word = found[:, 0]
-            np.add.at(total, word, _normalised(values - self.words[word]))
-        flat = _normalised(total).ravel()
-        return np.asarray(flat / max(float(np.linalg.norm(flat)), _TINY))
+            np.add.at(total, (picture, word), _normalised(pooled - self.words[word]))
+        return _normalised(_normalised(total).reshape(len(descriptors), -1))
 
 
 def _normalised(rows: FloatArray) -> FloatArray:
-    return np.asarray(rows / np.maximum(np.linalg.norm(rows, axis=1, keepdims=True), _TINY))
+    return np.asarray(rows / np.maximum(np.linalg.norm(rows, axis=-1, keepdims=True), _TINY))

@@ -25,8 +25,8 @@ def loop_candidates(features: Sequence[FeatureSet], apart: int, each: int) -> li
     """
     if not any(len(found) for found in features):
         return []
-    vlad = Vlad([found.descriptors for found in features])
-    vectors = np.array([vlad.vector(found.descriptors) for found in features])
+    descriptors = [found.descriptors for found in features]
+    vectors = Vlad(descriptors).vectors(descriptors)
     pairs: set[Pair] = set()
     for i, vector in enumerate(vectors):
         row = vectors @ vector
