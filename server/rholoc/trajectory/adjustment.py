@@ -8,6 +8,7 @@ measurement with its own noise; sightings and waypoints under Cauchy's loss.
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import itertools
 from collections.abc import Callable, Sequence
@@ -18,6 +19,7 @@ import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import B, C, D, E, G, L, S, V, X
 
+from rholoc.errors import MappingFailed
 from rholoc.geometry import BoolArray, Camera, FloatArray, cross, pose_matrix
 from rholoc.recordings import GRAVITY, Imu
 from rholoc.trajectory.gyroscope import GyroCalibration, longest_interval_s
@@ -170,9 +172,14 @@ class Adjusted:
     _graph: gtsam.NonlinearFactorGraph = field(repr=False)
     _values: gtsam.Values = field(repr=False)
     _ordering: gtsam.Ordering = field(repr=False)
+    _held: Callable[[float], gtsam.GaussianFactorGraph] = field(repr=False)
 
     def covariances(self, keyframes: Sequence[int]) -> FloatArray:
-        """(N, 6, 6) of some keyframes' poses: x, y, z (m), then the rotation about the map's axes (rad)."""
+        """(N, 6, 6) of some keyframes' poses: x, y, z (m), then the rotation about the map's axes (rad).
+
+        Raises:
+            MappingFailed: the measurements leave them open.
+        """
         tree = self._eliminated()
         found = np.empty((len(keyframes), 6, 6))
         for i, k in enumerate(keyframes):
@@ -187,7 +194,15 @@ class Adjusted:
         return np.asarray(np.sqrt(np.diag(self._eliminated().marginalCovariance(D(0)))))
 
     def _eliminated(self) -> gtsam.GaussianBayesTree:
-        return self._graph.linearize(self._values).eliminateMultifrontal(self._ordering)
+        """The linear system at the solution; with points held as firmly as it needs, where some are hardly known."""
+        linear = self._graph.linearize(self._values)
+        for firmness in _HOLDS:
+            system = gtsam.GaussianFactorGraph()
+            system.push_back(linear)
+            system.push_back(self._held(firmness))
+            with contextlib.suppress(RuntimeError):  # gtsam's word for a singular system
+                return system.eliminateMultifrontal(self._ordering)
+        raise MappingFailed("What was measured leaves the shape of the walk open.", "Walk further, and in loops.")
 
 
 def adjust(
@@ -216,7 +231,7 @@ def adjust(
     ordering = _ordering(values, problem.observations, used)
     held = functools.cache(lambda firmness: _held_points(problem.observations, state, used, firmness))
     values, cost = _solve(graph, values, ordering, held, iterations, told)
-    return Adjusted(_state_of(values, problem, state, used), used, cost, graph, values, ordering)
+    return Adjusted(_state_of(values, problem, state, used), used, cost, graph, values, ordering, held)
 
 
 def triangulate(observations: Observations, state: State) -> tuple[FloatArray, FloatArray]:
