@@ -2,11 +2,17 @@
 
     python benchmarks/features_table.py --walk FOLDER --camera fx,fy,cx,cy \\
         --split far=700:1000/100:400:6 --split easy=400:1000/200:400:6 --split hard=400:1000/100:200:4 \\
-        --pairs LIGHTING_PAIRS --coloured COLOURED_LIGHTS --features gray,lab,lab3,sift,sift64
+        --split blur~9=400:1000/200:400:8 --halves WALK --building 30 --cache FOLDER \\
+        --pairs LIGHTING_PAIRS --coloured COLOURED_LIGHTS --features gray,lab,lab3,sift,sift48
 
 A split NAME=MAP/ASKED builds a map of some frames of a posed walk and asks it by others: the share within 5 cm and 5°,
 answers more than 10 cm off among those given, bytes of the map, CPU milliseconds from JPEG to pose on one core
-(median), and of those to extract. ``NAME~N`` blurs what is asked along the rows, over N px. Right stereo matches by
+(median), and of those to extract. ``NAME~N`` blurs what is asked along the rows, over N px.
+
+``--halves``: of a walk without truth, each half makes a map and is asked by the other's frames; right is what is within
+10 cm and 5° of where the walk as a whole has the frame. Parts of a half that the other never saw cannot be found.
+``--building SECONDS``: a simulated building with doors and furniture that look alike, mapped with true poses, asked by
+another walk through it (10 cm and 5°). Right stereo matches by
 changed light are listed for each scene of ``--pairs``. For ``--coloured``, pictures by coloured light are matched with
 each one by white light from the other place: the median of matches that agree with the pair's epipolar geometry.
 """
@@ -15,8 +21,9 @@ from __future__ import annotations
 
 import argparse
 import json
+import tempfile
 import time
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -30,12 +37,16 @@ from rholoc.features.matching import LIMITS, mutual_matches
 from rholoc.geometry import Pose, pose_distances
 from rholoc.localization import Localizer, Query
 from rholoc.mapping import BuildOptions, build_map
-from rholoc.maps import map_to_bytes
-from rholoc.recordings import decode_image, read_image, read_recording
-from rholoc.trajectory import PoseMethod
+from rholoc.maps import Map, map_to_bytes, read_trajectory_csv
+from rholoc.recordings import GivenPoses, Recording, decode_image, read_image, read_recording
+from rholoc.recordings.selection import SelectedFrames
+from rholoc.simulation import Site, simulate_recording
+from rholoc.trajectory import PoseMethod, estimate_trajectory
 
 NEAR_M, NEAR_RAD = 0.05, np.deg2rad(5.0)
-WRONG_M = 0.10
+RIGHT_M = 0.10
+HALVES_ASKED = 60  # frames of each half, about
+BUILDING_FPS, BUILDING_ASKED_FPS = 15.0, 1.0
 EPIPOLAR_PX = 2.0
 JPEG_QUALITY = 92
 
@@ -71,18 +82,27 @@ class SplitFigures:
 
 
 def measure_split(args: argparse.Namespace, split: Split, features: str) -> SplitFigures:
-    """Build the map and ask it."""
+    """Build the map of a split and ask it."""
     mapped = read_recording(args.walk, camera=args.camera, frames=split.mapped)
-    map_ = build_map([mapped], BuildOptions(features=features, poses=PoseMethod.GIVEN, report=False))
-    localizer = Localizer(map_)
     asked = read_recording(args.walk, camera=args.camera, frames=split.asked)
+    return ask(map_of(mapped, features), asked, NEAR_M, split.blur_px)
+
+
+def map_of(recording: Recording, features: str) -> Map:
+    """The map of a recording whose poses are given."""
+    return build_map([recording], BuildOptions(features=features, poses=PoseMethod.GIVEN, report=False))
+
+
+def ask(map_: Map, asked: Recording, near_m: float, blur_px: int = 1) -> SplitFigures:
+    """Ask a map by a recording whose poses are given."""
+    localizer = Localizer(map_)
     assert asked.poses is not None
     assert asked.camera is not None
     rows = np.flatnonzero(asked.poses.known)
     errors: list[tuple[float, float] | None] = []
     whole_ms, extract_ms = [], []
     for row, image in zip(rows, asked.frames.images(rows.tolist()), strict=True):
-        blurred = cv2.blur(image, (split.blur_px, 1)) if split.blur_px > 1 else image
+        blurred = cv2.blur(image, (blur_px, 1)) if blur_px > 1 else image
         jpeg = cv2.imencode(".jpg", blurred, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1].tobytes()
         start = time.thread_time()
         decoded = decode_image(jpeg)
@@ -96,13 +116,61 @@ def measure_split(args: argparse.Namespace, split: Split, features: str) -> Spli
     given = [error for error in errors if error is not None]
     return SplitFigures(
         len(errors),
-        sum(apart < NEAR_M and turned < NEAR_RAD for apart, turned in given) / len(errors),
+        sum(apart < near_m and turned < NEAR_RAD for apart, turned in given) / len(errors),
         len(given) / len(errors),
-        sum(apart > WRONG_M for apart, _ in given) / max(len(given), 1),
+        sum(apart > RIGHT_M for apart, _ in given) / max(len(given), 1),
         len(map_to_bytes(map_)),
         float(np.median(whole_ms)),
         float(np.median(extract_ms)),
     )
+
+
+def halves(path: Path) -> tuple[Recording, Recording]:
+    """Both halves of a walk, its keyframes with the poses that the whole walk gives them."""
+    recording = read_recording(path)
+    found = estimate_trajectory(replace(recording, poses=None), PoseMethod.VISUAL_INERTIAL)
+    first = found.times < np.median(found.times)
+    return tuple(
+        replace(
+            recording,
+            camera=found.camera,
+            frames=SelectedFrames(recording.frames, found.rows[half]),
+            poses=GivenPoses(np.ones(int(half.sum()), dtype=bool), found.T_map_camera[half]),
+            frame_intrinsics=None,
+        )
+        for half in (first, ~first)
+    )  # type: ignore[return-value]
+
+
+def measure_halves(parts: tuple[Recording, Recording], features: str) -> dict[str, SplitFigures]:
+    """Each half's map, asked by the other."""
+    return {
+        name: ask(map_of(mapped, features), thinned(asked, HALVES_ASKED), RIGHT_M)
+        for name, mapped, asked in (("first asks second", parts[1], parts[0]), ("second asks first", *parts))
+    }
+
+
+def thinned(recording: Recording, count: int) -> Recording:
+    """About ``count`` frames of a posed recording."""
+    assert recording.poses is not None
+    rows = np.arange(len(recording.frames.times))[:: max(1, len(recording.frames.times) // count)]
+    poses = GivenPoses(recording.poses.known[rows], recording.poses.T_map_camera[rows])
+    return replace(recording, frames=SelectedFrames(recording.frames, rows), poses=poses)
+
+
+def building(cache: Path, seconds: float) -> tuple[Recording, Recording]:
+    """Two walks through a simulated building with their true poses."""
+    walks = []
+    for walk, fps in ((1, BUILDING_FPS), (2, BUILDING_ASKED_FPS)):
+        folder = cache / f"building-0-walk{walk}-{seconds:.0f}s-{fps:g}fps-0ms"
+        if not (folder / "made").exists():
+            simulate_recording(folder, walk=walk, seconds=seconds, seed=0, fps=fps, site=Site.BUILDING)
+            (folder / "made").touch()
+        recording, truth = read_recording(folder), read_trajectory_csv(folder / "truth.csv")
+        nearest = np.abs(truth.times[:, None] - recording.frames.times).argmin(axis=0)
+        poses = GivenPoses(np.ones(len(nearest), dtype=bool), truth.T_map_camera[nearest])
+        walks.append(replace(recording, poses=poses))
+    return walks[0], walks[1]
 
 
 def right_across_lights(folder: Path, features: str) -> dict[str, int]:
@@ -144,17 +212,32 @@ def main() -> None:
     parser.add_argument("--walk", type=Path)
     parser.add_argument("--camera")
     parser.add_argument("--split", type=Split.parse, action="append", default=[])
+    parser.add_argument("--halves", type=Path, help="a walk without truth")
+    parser.add_argument("--building", type=float, metavar="SECONDS", help="of each walk through it")
+    parser.add_argument("--cache", type=Path, help="where the simulated walks are kept")
     parser.add_argument("--pairs", type=Path)
     parser.add_argument("--coloured", type=Path)
     parser.add_argument("--features", default=",".join(extractor_names()))
     parser.add_argument("--json", action="store_true")
     args = parser.parse_args()
     cv2.setNumThreads(1)
+    with tempfile.TemporaryDirectory() as folder:
+        measure(args, args.cache or Path(folder))
+
+
+def measure(args: argparse.Namespace, cache: Path) -> None:
+    """All columns of all extractors."""
+    parts = halves(args.halves) if args.halves else None
+    walks = building(cache, args.building) if args.building else None
     table: dict[str, dict[str, Any]] = {}
     for features in args.features.split(","):
         row: dict[str, Any] = table.setdefault(features, {})
         for split in args.split:
             row[split.name] = asdict(measure_split(args, split, features))
+        if parts is not None:
+            row |= {name: asdict(figures) for name, figures in measure_halves(parts, features).items()}
+        if walks is not None:
+            row["building"] = asdict(ask(map_of(walks[0], features), walks[1], RIGHT_M))
         if args.pairs:
             row["lighting pairs"] = right_across_lights(args.pairs, features)
         if args.coloured:

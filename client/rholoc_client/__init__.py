@@ -50,7 +50,19 @@ from rholoc_client.errors import (
     UnsupportedVersion,
     WaitTimedOut,
 )
-from rholoc_client.models import Camera, CameraProfile, Features, Job, Localization, MapSummary, Pose, Prior
+from rholoc_client.models import (
+    Camera,
+    CameraProfile,
+    Features,
+    Frame,
+    FramePose,
+    Job,
+    Localization,
+    MapSummary,
+    Place,
+    Pose,
+    Prior,
+)
 
 __all__ = [
     "AsyncClient",
@@ -66,6 +78,8 @@ __all__ = [
     "DeadlineExceeded",
     "Features",
     "Forbidden",
+    "Frame",
+    "FramePose",
     "Internal",
     "InvalidAnswer",
     "InvalidCamera",
@@ -85,6 +99,7 @@ __all__ = [
     "MappingFailed",
     "MethodNotAllowed",
     "NotFound",
+    "Place",
     "Pose",
     "Prior",
     "RequestTimeout",

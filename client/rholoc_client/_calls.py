@@ -18,13 +18,16 @@ from rholoc_client.models import (
     Camera,
     CameraProfile,
     Features,
+    Frame,
     Job,
     Localization,
     MapSummary,
+    Place,
     Prior,
     parse_job,
     parse_localization,
     parse_map,
+    parse_place,
     parse_profile,
 )
 
@@ -97,6 +100,66 @@ def localize_image(maps: Maps, image: ImageLike, options: Mapping[str, Any]) -> 
 def localize_features(maps: Maps, features: Features, options: Mapping[str, Any]) -> Call[Localization]:
     """Localize a descriptor set."""
     size = {"width": features.width, "height": features.height}
+    body = {**options, "camera": {**size, **options.get("camera", {})}, "features": _features(features)}
+    return Call(
+        "POST",
+        _localize_path(maps),
+        _localization,
+        params=_several(maps),
+        headers={"Content-Type": "application/json"},
+        content=json.dumps(body).encode(),
+    )
+
+
+def find_places(maps: Maps, image: ImageLike, limit: int) -> Call[list[Place]]:
+    """The likeliest views for a picture."""
+    content, media_type = encoded(image)
+    names = maps if isinstance(maps, str) else _several(maps)["maps"]
+    return Call(
+        "POST",
+        "/v1/places",
+        lambda response: [parse_place(one) for one in response.json()["places"]],
+        params={"maps": names, "limit": limit},
+        headers={"Content-Type": media_type},
+        content=content,
+    )
+
+
+def localize_frames(
+    maps: Maps,
+    frames: Sequence[Frame],
+    camera: Camera | str | None,
+    dof: int | str | None,
+    sigma_m: float | None,
+    sigma_deg: float | None,
+    deadline_ms: float | None,
+) -> Call[Localization]:
+    """Localize several frames together."""
+    files: dict[str, Any] = {}
+    sent = []
+    for number, frame in enumerate(frames):
+        own: dict[str, Any] = {"camera": _chosen(frame.camera), "gravity": frame.gravity}
+        if isinstance(frame.picture, Features):
+            size = {"width": frame.picture.width, "height": frame.picture.height}
+            own["camera"] = {**size, **(own["camera"] or _chosen(camera) or {})}
+            own["features"] = _features(frame.picture)
+        else:
+            content, media_type = encoded(frame.picture)
+            files[f"image{number}"] = (f"image{number}", content, media_type)
+        placed = {"position": frame.position, "quaternion_xyzw": frame.quaternion_xyzw}
+        sent.append({**_without_none(own), **placed})
+    options = {"camera": _chosen(camera), "dof": dof, "deadline_ms": deadline_ms}
+    uncertainty = {"sigma_m": sigma_m, "sigma_deg": sigma_deg}
+    body = json.dumps({**_without_none({**options, **uncertainty}), "frames": sent}).encode()
+    path, params = _localize_path(maps), _several(maps)
+    if not files:
+        headers = {"Content-Type": "application/json"}
+        return Call("POST", path, _localization, params=params, headers=headers, content=body)
+    files["request"] = ("request.json", body, "application/json")
+    return Call("POST", path, _localization, params=params, files=files)
+
+
+def _features(features: Features) -> dict[str, Any]:
     sent: dict[str, Any] = {
         "pixels": [[float(u), float(v)] for u, v in features.pixels],
         "descriptors": _base64(b"".join(bytes(one) for one in features.descriptors)),
@@ -107,15 +170,7 @@ def localize_features(maps: Maps, features: Features, options: Mapping[str, Any]
         sent["sizes_px"] = [float(one) for one in features.sizes_px]
     if features.angles_deg is not None:
         sent["angles_deg"] = [float(one) for one in features.angles_deg]
-    body = {**options, "camera": {**size, **options.get("camera", {})}, "features": sent}
-    return Call(
-        "POST",
-        _localize_path(maps),
-        _localization,
-        params=_several(maps),
-        headers={"Content-Type": "application/json"},
-        content=json.dumps(body).encode(),
-    )
+    return sent
 
 
 def localize_options(
@@ -128,7 +183,7 @@ def localize_options(
 ) -> dict[str, Any]:
     """The options of a localization as the service takes them; what is None is left out."""
     given = {
-        "camera": {"name": camera} if isinstance(camera, str) else _camera(camera),
+        "camera": _chosen(camera),
         "prior": None if prior is None else asdict(prior),
         "dof": dof,
         "gravity": gravity,
@@ -342,6 +397,10 @@ def _job_path(job_id: str) -> str:
 def _segment(text: str) -> str:
     """A path segment; dots alone would be taken for a way up, so they are escaped too."""
     return quote(text, safe="") if text.strip(".") else "%2E" * len(text)
+
+
+def _chosen(camera: Camera | str | None) -> dict[str, Any] | None:
+    return {"name": camera} if isinstance(camera, str) else _camera(camera)
 
 
 def _camera(camera: Camera | None) -> dict[str, Any] | None:

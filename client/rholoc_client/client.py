@@ -17,7 +17,18 @@ from rholoc_client._images import ImageLike
 from rholoc_client._retry import Attempts, Backoff
 from rholoc_client._uploads import UploadProgress, opened_recording, upload_steps
 from rholoc_client.errors import JobFailed, RholocClientError, WaitTimedOut
-from rholoc_client.models import Camera, CameraProfile, Features, Job, Localization, MapSummary, Prior, Vector3
+from rholoc_client.models import (
+    Camera,
+    CameraProfile,
+    Features,
+    Frame,
+    Job,
+    Localization,
+    MapSummary,
+    Place,
+    Prior,
+    Vector3,
+)
 
 T = TypeVar("T")
 JobProgress = Callable[[Job], None]
@@ -91,6 +102,40 @@ class Client:
         """
         options = localize_options(camera, prior, dof, gravity, deadline_ms, intrinsics)
         return self._send(_calls.localize_image(maps, image, options))
+
+    def localize_together(
+        self,
+        maps: Maps,
+        frames: Sequence[Frame],
+        *,
+        camera: Camera | str | None = None,
+        dof: int | str | None = None,
+        sigma_m: float | None = None,
+        sigma_deg: float | None = None,
+        deadline_ms: float | None = None,
+    ) -> Localization:
+        """Where several frames were taken, whose poses relative to each other are known: one answer for all.
+
+        Args:
+            maps: a map's name; several names or None for all, of which the surest answers.
+            frames: 2 to 10 of them: of a rig, or of one camera with its own odometry.
+            camera: the intrinsics of the frames that have none of their own, or a stored camera's name.
+            dof: as for one frame.
+            sigma_m: one sigma of a frame's position as its predecessor sees it; None: 5 mm, a rig's.
+            sigma_deg: one sigma of its rotation in degrees; None: 0.2.
+            deadline_ms: how long the service may take.
+        """
+        return self._send(_calls.localize_frames(maps, frames, camera, dof, sigma_m, sigma_deg, deadline_ms))
+
+    def places(self, maps: Maps, image: ImageLike, *, limit: int = 10) -> list[Place]:
+        """Which views a picture is most like, the likeliest first; without a pose, and quicker than with one.
+
+        Args:
+            maps: a map's name; several names, or None for all.
+            image: as for :meth:`localize`.
+            limit: how many views at most.
+        """
+        return self._send(_calls.find_places(maps, image, limit))
 
     def localize_descriptors(
         self,
@@ -336,6 +381,24 @@ class AsyncClient:
         """As :meth:`Client.localize`."""
         options = localize_options(camera, prior, dof, gravity, deadline_ms, intrinsics)
         return await self._send(_calls.localize_image(maps, image, options))
+
+    async def localize_together(
+        self,
+        maps: Maps,
+        frames: Sequence[Frame],
+        *,
+        camera: Camera | str | None = None,
+        dof: int | str | None = None,
+        sigma_m: float | None = None,
+        sigma_deg: float | None = None,
+        deadline_ms: float | None = None,
+    ) -> Localization:
+        """As :meth:`Client.localize_together`."""
+        return await self._send(_calls.localize_frames(maps, frames, camera, dof, sigma_m, sigma_deg, deadline_ms))
+
+    async def places(self, maps: Maps, image: ImageLike, *, limit: int = 10) -> list[Place]:
+        """As :meth:`Client.places`."""
+        return await self._send(_calls.find_places(maps, image, limit))
 
     async def localize_descriptors(
         self,

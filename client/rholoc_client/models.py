@@ -6,6 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from rholoc_client._images import ImageLike
+
 Vector3 = tuple[float, float, float]
 
 
@@ -68,6 +70,25 @@ class Features:
 
 
 @dataclass(frozen=True)
+class Frame:
+    """One of several frames that are localized together.
+
+    Attributes:
+        picture: a JPEG or PNG as bytes or as a path, an array (H, W, 3) BGR or (H, W) grey of uint8, or its features.
+        position: of its camera in the frames' common frame (a rig's, or odometry's), metres.
+        quaternion_xyzw: of its camera's rotation, R_common_camera.
+        camera: its intrinsics, or a stored camera's name; None: as for all frames.
+        gravity: the direction of gravity (down) in the camera frame, or None.
+    """
+
+    picture: ImageLike | Features
+    position: Vector3
+    quaternion_xyzw: tuple[float, float, float, float]
+    camera: Camera | str | None = None
+    gravity: Vector3 | None = None
+
+
+@dataclass(frozen=True)
 class Pose:
     """Where a camera is and where it looks, in the map frame (right-handed, z up).
 
@@ -101,6 +122,14 @@ class Diagnosis:
 
 
 @dataclass(frozen=True)
+class FramePose:
+    """One of several frames that were localized together: its pose, or None, and how many of its matches agree."""
+
+    pose: Pose | None
+    inliers: int
+
+
+@dataclass(frozen=True)
 class Localization:
     """The answer for one frame.
 
@@ -121,6 +150,8 @@ class Localization:
         near_prior: whether the pose lies where the prior has it; None without a prior.
         camera: the camera as estimated, where its intrinsics were unknown.
         focal_sigma_px: one sigma of its focal length.
+        frames: each frame's pose and how many of its matches agree, where several were localized together; ``pose`` is
+            the first one's.
     """
 
     localized: bool
@@ -141,6 +172,26 @@ class Localization:
     near_prior: bool | None = None
     camera: Camera | None = None
     focal_sigma_px: float | None = None
+    frames: tuple[FramePose, ...] = ()
+
+
+@dataclass(frozen=True)
+class Place:
+    """A view of a map that a picture may show much the same as.
+
+    Attributes:
+        map, map_id, map_version: the map.
+        view: the view's number in it.
+        pose: where the view was taken: near the picture's place, not the picture's pose.
+        score: how strongly the picture speaks for it; for ranking.
+    """
+
+    map: str
+    map_id: str
+    map_version: int
+    view: int
+    pose: Pose
+    score: float
 
 
 @dataclass(frozen=True)
@@ -253,7 +304,17 @@ def parse_localization(answer: Mapping[str, Any]) -> Localization:
         near_prior=answer.get("near_prior"),
         camera=Camera(**camera) if camera else None,
         focal_sigma_px=focal_sigma_px,
+        frames=tuple(
+            FramePose(None if one["pose"] is None else parse_pose(one["pose"]), one["inliers"])
+            for one in answer.get("frames") or ()
+        ),
     )
+
+
+def parse_place(answer: Mapping[str, Any]) -> Place:
+    """The JSON of a place → :class:`Place`."""
+    plain = {name: answer[name] for name in Place.__dataclass_fields__ if name != "pose"}
+    return Place(**plain, pose=parse_pose(answer["pose"]))
 
 
 def parse_map(answer: Mapping[str, Any]) -> MapSummary:

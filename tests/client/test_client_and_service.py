@@ -15,7 +15,7 @@ import rholoc_client
 from rholoc.features import get_extractor
 from rholoc.jobs import RecordingStore
 from rholoc.reports import MapReport, report_from_json
-from rholoc_client import AsyncClient, Camera, Client, ConnectionFailed, Features, JobFailed, Prior, WaitTimedOut
+from rholoc_client import AsyncClient, Camera, Client, ConnectionFailed, Features, Frame, JobFailed, Prior, WaitTimedOut
 
 ONE_SHORT_DESCRIPTOR = Features(640, 480, [(1, 2)], [b"x"])
 
@@ -88,6 +88,34 @@ def test_pictures_and_descriptor_sets_give_the_same_pose(client, picture_world, 
     ]
     for answer in answers[1:]:
         np.testing.assert_allclose(answer.pose.T_map_camera, answers[0].pose.T_map_camera, atol=1e-9)
+
+
+def test_several_frames(client, picture_world):
+    still = {"position": (0, 0, 0), "quaternion_xyzw": (0, 0, 0, 1)}
+    camera = Camera(520.0, 520.0, 319.5, 239.5)
+    pictures = [Frame(picture_world.png(), **still), Frame(picture_world.image, **still, camera=camera)]
+    features = [Frame(feature_lists(picture_world), **still)] * 2
+    for frames in (pictures, features, [pictures[0], features[0]]):
+        answer = client.localize_together("room", frames, camera=camera, sigma_m=0.01, sigma_deg=0.5)
+        assert answer.localized
+        assert [frame.pose is not None for frame in answer.frames] == [True, True]
+        assert answer.frames[0].pose == answer.pose
+        np.testing.assert_allclose(answer.pose.position, picture_world.pose.position, atol=0.02)
+    assert client.localize("room", picture_world.png()).frames == ()
+    with pytest.raises(rholoc_client.InvalidInput, match="1 frames"):
+        client.localize_together("room", pictures[:1])
+
+
+def test_places(client, picture_world):
+    found = client.places(None, picture_world.png(), limit=100)
+    assert {place.map for place in found} == {"room", "loose"}
+    assert [place.score for place in found] == sorted((place.score for place in found), reverse=True)
+    assert len(client.places("room", picture_world.image, limit=1)) == 1
+    np.testing.assert_allclose(
+        client.places(["room"], picture_world.png())[0].pose.position, picture_world.pose.position, atol=0.5
+    )
+    with pytest.raises(rholoc_client.UnknownMap):
+        client.places("attic", picture_world.png())
 
 
 def test_several_maps(client, picture_world):

@@ -12,7 +12,19 @@ import rholoc_client
 from rholoc.service.errors import error_classes, status_of
 from rholoc_client import errors
 
-MODELS = ("Camera", "CameraProfile", "Features", "Job", "Localization", "MapSummary", "Pose", "Prior")
+MODELS = (
+    "Camera",
+    "CameraProfile",
+    "Features",
+    "Frame",
+    "FramePose",
+    "Job",
+    "Localization",
+    "MapSummary",
+    "Place",
+    "Pose",
+    "Prior",
+)
 
 
 def client_errors() -> list[type[Exception]]:

@@ -54,6 +54,10 @@ class Presence:
         np.minimum.at(nearest, features, distance)
         return cls(mean, np.cos(np.minimum(spread + _EXTRA_ANGLE_RAD, np.pi)), nearest, farthest)
 
+    def take(self, rows: IntArray | slice) -> Presence:
+        """Of the features at ``rows`` only."""
+        return Presence(self.direction[rows], self.cosine_limit[rows], self.nearest[rows], self.farthest[rows])
+
     def allows(self, landmarks: FloatArray, position: FloatArray) -> BoolArray:
         """Which features (F,), at ``landmarks`` (F, 3), may be seen from ``position`` (3,)."""
         away = position - landmarks

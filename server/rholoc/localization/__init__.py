@@ -3,18 +3,33 @@
 from rholoc.localization.confidence import MIN_CONFIDENCE
 from rholoc.localization.diagnosis import TOO_LITTLE_TIME, Cause, Diagnosis
 from rholoc.localization.localizer import Localizer
+from rholoc.localization.place_recognition import LikelyView, likeliest_views
+from rholoc.localization.several_frames import (
+    FEWEST_FRAMES,
+    MOST_FRAMES,
+    JointLocalization,
+    SeveralFrames,
+    localize_together,
+)
 from rholoc.localization.types import Dof, Intrinsics, Localization, Prior, Query, Reason
 
 __all__ = [
+    "FEWEST_FRAMES",
     "MIN_CONFIDENCE",
+    "MOST_FRAMES",
     "TOO_LITTLE_TIME",
     "Cause",
     "Diagnosis",
     "Dof",
     "Intrinsics",
+    "JointLocalization",
+    "LikelyView",
     "Localization",
     "Localizer",
     "Prior",
     "Query",
     "Reason",
+    "SeveralFrames",
+    "likeliest_views",
+    "localize_together",
 ]

@@ -71,13 +71,13 @@ def ascend(
     for tolerance_px in tolerances_px:
         local = densities.near(evidence, T, tolerance_px)
         for _ in range(iterations):
-            step = _bounded(*_normal_equations(local, evidence.epsilon, T, tolerance_px, dof, power))
+            step = _bounded(*normal_equations(local, evidence.epsilon, T, tolerance_px, dof, power))
             if step is None:
                 break
             T = moved(T, step)
             if np.abs(step).max() < (_SETTLED if tolerance_px == tolerances_px[-1] else _NEARLY_SETTLED):
                 break
-    return _optimum_at(densities, evidence, T, tolerances_px[-1])
+    return optimum_at(densities, evidence, T, tolerances_px[-1])
 
 
 def ascend_with_focal(
@@ -101,13 +101,13 @@ def ascend_with_focal(
             scale = float(np.clip(scale * np.exp(np.clip(step[6], -0.1, 0.1)), *_FOCAL_RANGE))
             if np.abs(step).max() < _NEARLY_SETTLED:
                 break
-    optimum = _optimum_at(RayDensities(), evidence.refocused(scale), T, tolerances_px[-1])
+    optimum = optimum_at(RayDensities(), evidence.refocused(scale), T, tolerances_px[-1])
     sigma = float(np.sqrt(np.linalg.inv(curvature + 1e-9 * np.eye(7))[6, 6]))
     return optimum, scale, sigma
 
 
 def _focal_equations(evidence: Evidence, T: FloatArray, tolerance_px: float, dof: Dof) -> tuple[FloatArray, FloatArray]:
-    """As :func:`_normal_equations`, with the focal length's logarithm for a seventh parameter: (7,) and (7, 7)."""
+    """As :func:`normal_equations`, with the focal length's logarithm for a seventh parameter: (7,) and (7, 7)."""
     slopes = RayDensities().near(evidence, T, tolerance_px).at(T, tolerance_px)
     some = evidence.take(slopes.inside)
     offsets = RayOffsets.of(some, T)
@@ -135,10 +135,10 @@ def sharpen(
     """The last steps from an optimum, by the matches (K,) ``among`` alone, of which the nearest decide."""
     some = evidence.take(among)
     T = ascend(densities, some, optimum.T_map_camera, (tolerance_px,), dof, iterations=5, power=_SHARP).T_map_camera
-    return _optimum_at(densities, evidence, T, tolerance_px)
+    return optimum_at(densities, evidence, T, tolerance_px)
 
 
-def _optimum_at(densities: Densities, evidence: Evidence, T_map_camera: FloatArray, tolerance_px: float) -> Optimum:
+def optimum_at(densities: Densities, evidence: Evidence, T_map_camera: FloatArray, tolerance_px: float) -> Optimum:
     local = densities.near(evidence, T_map_camera, tolerance_px)
     density = np.zeros(len(evidence))
     density[local.matches] = local.at(T_map_camera, tolerance_px).density
@@ -146,7 +146,13 @@ def _optimum_at(densities: Densities, evidence: Evidence, T_map_camera: FloatArr
 
 
 def covariance_at(evidence: Evidence, optimum: Optimum, tolerance_px: float, focal_free: bool = False) -> FloatArray:
-    """The covariance (6, 6) of an optimum, from its curvature over the matches that agree with it.
+    """The covariance (6, 6) of an optimum: the inverse of :func:`information_at`."""
+    information = information_at(evidence, optimum, tolerance_px, focal_free)
+    return np.asarray(np.linalg.inv(information + 1e-6 * np.eye(len(information)))[:6, :6])
+
+
+def information_at(evidence: Evidence, optimum: Optimum, tolerance_px: float, focal_free: bool = False) -> FloatArray:
+    """What an optimum is known to, (6, 6), or (7, 7) with the focal length's logarithm: its curvature over the matches.
 
     Position in metres and rotation in radians (a small rotation in the map frame from the left). The noise of a
     detection is read off the matches' own residuals; the landmark's covariance adds to it. ``_SYSTEMATIC`` is what no
@@ -162,10 +168,8 @@ def covariance_at(evidence: Evidence, optimum: Optimum, tolerance_px: float, foc
     J = offsets.jacobian
     if focal_free:
         J = np.concatenate([J, _by_focal(agreeing, optimum.T_map_camera)[:, :, None]], axis=2)
-    weighted = J / variance[:, None, None]
-    information = np.einsum("mrp,mrq->pq", weighted, J)
-    covariance = _SYSTEMATIC**2 * np.linalg.inv(information + 1e-6 * np.eye(len(information)))
-    return np.asarray(covariance[:6, :6])
+    weighted = J / (variance * _SYSTEMATIC**2)[:, None, None]
+    return np.asarray(np.einsum("mrp,mrq->pq", weighted, J))
 
 
 def upright(T_map_camera: FloatArray) -> FloatArray:
@@ -178,7 +182,7 @@ def gradient(
 ) -> FloatArray:
     """∂ Σ log(ε + ρ^power) / ∂(position, rotation) (6,), the tolerances held: equation (4) through (2)."""
     local = densities.near(evidence, T_map_camera, tolerance_px)
-    return _normal_equations(local, evidence.epsilon, T_map_camera, tolerance_px, Dof.FREE, power)[0]
+    return normal_equations(local, evidence.epsilon, T_map_camera, tolerance_px, Dof.FREE, power)[0]
 
 
 def _weights(epsilon: FloatArray, density: FloatArray, power: int) -> FloatArray:
@@ -198,7 +202,7 @@ def _bounded(gradient_: FloatArray, hessian: FloatArray) -> FloatArray | None:
     return np.asarray(step / length) if math.isfinite(length) else None
 
 
-def _normal_equations(
+def normal_equations(
     local: LocalDensities, epsilon: FloatArray, T: FloatArray, tolerance_px: float, dof: Dof, power: int
 ) -> tuple[FloatArray, FloatArray]:
     """The gradient (6,) of Σ log(ε + ρ^power) and the roll's prior, and the curvature (6, 6) to divide it by."""

@@ -1,12 +1,14 @@
 """Confidence: the probability that a pose is within 10 cm and 5°.
 
-A logistic in what verification found: how much likelier the matches are than by chance (the density's own value at
-the optimum), how many matches chance alone would have found there, and how well the curvature fixes the position.
+A logistic in what verification found: what the picture says for the pose and against it, cell by cell
+(:mod:`rholoc.localization.support`), how many matches chance alone would have found there, and how well the curvature
+fixes the position. What rivals the pose has is counted apart (:mod:`rholoc.localization.rivals`).
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -16,26 +18,29 @@ from rholoc.localization.verification import Verified
 
 # Intercept and weights, fitted by benchmarks/calibrate_confidence.py.
 _LOGISTIC = {
-    Metric.HAMMING: np.array([-10.31, 4.01, -3.08, -1.67]),
-    Metric.EUCLIDEAN: np.array([-10.9, 3.14, -2.07, -0.37]),
+    Metric.HAMMING: np.array([-5.7, 2.2, -11.5, -0.85, -0.2]),
+    Metric.EUCLIDEAN: np.array([-12.5, 3.15, -7.5, -1.55, -0.1]),
 }
 _REFERENCE_SIGMA_M = 0.05
 
-MIN_CONFIDENCE = 0.7
-"""Poses of lower confidence are not given out: what refuses 99 % of other rooms' frames and hardly a good answer."""
+MIN_CONFIDENCE = 0.6
+"""Poses of lower confidence are not given out: of frames of other rooms, hardly one in a thousand comes so far."""
 
 
-def confidence_inputs(verified: Verified) -> FloatArray:
-    """The three numbers (3,) that the logistic weighs.
+def confidence_inputs(verified: Sequence[Verified], covariance: FloatArray) -> FloatArray:
+    """The four numbers (4,) that the logistic weighs, of frames verified together and the covariance (6, 6) asked for.
 
-    log₂ of the optimum's value (nats), log₂ of the matches that chance would find, and log₂ of the position's
-    greatest sigma over 5 cm where it is more.
+    log₂ of what speaks for the pose (nats), what speaks against it as a share of both, log₂ of the matches that chance
+    would find, and log₂ of the position's greatest sigma over 5 cm where it is more.
     """
-    sigma_m = math.sqrt(max(float(np.linalg.eigvalsh(verified.covariance[:3, :3])[-1]), 1e-12))
+    seen = sum(one.support.seen for one in verified)
+    missing = sum(one.support.missing for one in verified)
+    sigma_m = math.sqrt(max(float(np.linalg.eigvalsh(covariance[:3, :3])[-1]), 1e-12))
     return np.array(
         [
-            math.log2(1 + verified.optimum.value),
-            math.log2(1 + verified.by_chance),
+            math.log2(1 + seen),
+            missing / max(seen + missing, 1e-9),
+            math.log2(1 + sum(one.by_chance for one in verified)),
             max(math.log2(sigma_m / _REFERENCE_SIGMA_M), 0.0),
         ]
     )
@@ -43,6 +48,11 @@ def confidence_inputs(verified: Verified) -> FloatArray:
 
 def confidence_of(verified: Verified, metric: Metric) -> float:
     """0..1, the probability that the pose is within 10 cm and 5°, for descriptors of one metric."""
+    return joint_confidence((verified,), verified.covariance, metric)
+
+
+def joint_confidence(verified: Sequence[Verified], covariance: FloatArray, metric: Metric) -> float:
+    """As :func:`confidence_of`, of frames verified together; ``covariance`` (6, 6) is of the one asked for."""
     intercept, *weights = _LOGISTIC[metric]
-    score = intercept + float(np.dot(weights, confidence_inputs(verified)))
+    score = intercept + float(np.dot(weights, confidence_inputs(verified, covariance)))
     return 1 / (1 + math.exp(-float(np.clip(score, -50, 50))))

@@ -18,8 +18,9 @@ from rholoc.localization.diagnosis import TOO_LITTLE_TIME, Cause, Diagnosis, dia
 from rholoc.localization.focal import FocalEstimate, check_focal, focal_seed, verify_with_focal
 from rholoc.localization.map_index import MapIndex
 from rholoc.localization.map_uncertainty import with_map_error
-from rholoc.localization.matches import Matches
+from rholoc.localization.matches import Matches, NearestLandmarks
 from rholoc.localization.ransac import lo_ransac
+from rholoc.localization.rivals import are_rivals, rival_seeds, sureness
 from rholoc.localization.seeds import Place, minimal_samples, place_of_prior, vote_for_places
 from rholoc.localization.types import Dof, Intrinsics, Localization, Prior, Query, Reason
 from rholoc.localization.verification import Verified, evidence_of, verify
@@ -55,7 +56,7 @@ class SearchOptions:
     samples: int = 150
     seeds: int = 2
     seed_tolerances_px: tuple[float, ...] = (24.0, 12.0, 6.0)
-    conclusive: float = 0.95
+    conclusive: float = 0.9
 
 
 @dataclass
@@ -111,6 +112,8 @@ class _Search:
         reason: why there is none, should there be none.
         place: the place that most matches speak for.
         everywhere: the matches with the whole map.
+        nearest: what in the whole map each feature is most like.
+        found: all candidates.
     """
 
     query: Query
@@ -121,11 +124,14 @@ class _Search:
     reason: Reason = Reason.NO_AGREEMENT
     place: Place | None = None
     everywhere: Matches | None = None
+    nearest: NearestLandmarks | None = None
+    found: list[_Found] = field(default_factory=list)
 
     def add(self, found: _Found | None) -> None:
         """Take in a candidate."""
         if found is None:
             return
+        self.found.append(found)
         if found.near_prior:
             self.best = _likelier(self.best, found)
         else:
@@ -137,10 +143,25 @@ class _Search:
 
     def outcome(self, conclusive: float) -> _Found | None:
         """The candidate to answer with: one that contradicts the prior only where it is sure and the other is not."""
-        surely_elsewhere = self.elsewhere is not None and self.elsewhere.confidence >= conclusive
-        if self.best is not None and (self.best.confidence >= MIN_CONFIDENCE or not surely_elsewhere):
-            return self.best
-        return self.elsewhere if surely_elsewhere else self.best
+        best, elsewhere = self._contested(self.best), self._contested(self.elsewhere)
+        surely_elsewhere = elsewhere is not None and elsewhere.confidence >= conclusive
+        if best is not None and (best.confidence >= MIN_CONFIDENCE or not surely_elsewhere):
+            return best
+        return elsewhere if surely_elsewhere else best
+
+    def _contested(self, found: _Found | None) -> _Found | None:
+        """A candidate, as sure as it is better than its best rival; what the prior speaks for has only such rivals."""
+        if found is None:
+            return None
+        rivals = (
+            other.verified.support
+            for other in self.found
+            if (other.near_prior or not found.near_prior) and are_rivals(found.verified, other.verified)
+        )
+        rival = max(rivals, key=lambda support: support.net, default=None)
+        if rival is None:
+            return found
+        return replace(found, confidence=found.confidence * sureness(found.verified.support, rival))
 
 
 class Localizer:
@@ -170,8 +191,8 @@ class Localizer:
             InvalidDescriptors: the features are not of the map's kind.
         """
         watch = _Stopwatch(query.deadline_s)
-        self._check(query)
-        search = self._search(self._adapted(query), watch)
+        self.check(query)
+        search = self._search(self.adapted(query), watch)
         answer = self._answer(search)
         if answer.localized:
             return answer
@@ -179,7 +200,18 @@ class Localizer:
         watch.lap("diagnose")
         return replace(answer, diagnosis=diagnosis)
 
-    def _check(self, query: Query) -> None:
+    def candidate(self, query: Query) -> tuple[Verified, float] | None:
+        """The pose that would be answered with, however doubtful, and its confidence."""
+        search = self._search(self.adapted(query), _Stopwatch(query.deadline_s))
+        found = search.outcome(self.options.conclusive)
+        return None if found is None else (found.verified, found.confidence)
+
+    def check(self, query: Query) -> None:
+        """Refuse features that are not of the map's kind.
+
+        Raises:
+            InvalidDescriptors: they are not.
+        """
         wanted = self.extractor
         given = query.features.descriptors.shape[1]
         if given != wanted.descriptor_bytes:
@@ -188,8 +220,8 @@ class Localizer:
                 f"Extract '{wanted.name}' features for this map.",
             )
 
-    def _adapted(self, query: Query) -> Query:
-        """The query without what means nothing in this map."""
+    def adapted(self, query: Query) -> Query:
+        """A query without what means nothing in this map."""
         if not self.map.info.upright:
             query = replace(query, gravity=None)
         if query.dof is Dof.AUTO and not self.index.seen_upright:
@@ -197,29 +229,50 @@ class Localizer:
         return query
 
     def _search(self, query: Query, watch: _Stopwatch) -> _Search:
-        """Look near the prior, then in one place after the other."""
+        """Look for candidates, then for their rivals."""
         search = _Search(query, watch)
         if len(query.features) < _MIN_FEATURES:
             search.reason = Reason.NO_FEATURES
             return search
         rays = query.camera.rays(query.features.pixels)
+        self._look_around(search, rays)
+        self._look_for_rivals(search, rays)
+        return search
+
+    def _look_around(self, search: _Search, rays: FloatArray) -> None:
+        """Look near the prior, then in one place after the other, until a candidate is sure."""
+        query, watch = search.query, search.watch
         if query.prior is not None and query.intrinsics is Intrinsics.GIVEN:
             tracked = self._track(query, query.prior, rays)
             search.matches = 0 if tracked is None else len(tracked.wide)
             search.add(self._checked(tracked, query, None if tracked is None else tracked.wide))
             watch.lap("verify")
         if search.is_over(self.options.conclusive):
-            return search
+            return
         for place in self._places(search):
             if watch.late:
                 search.reason = Reason.DEADLINE
-                break
+                return
             search.place = search.place or place
             for found in self._look(place, search, rays):
                 search.add(found)
                 if search.is_over(self.options.conclusive):
-                    return search
-        return search
+                    return
+
+    def _look_for_rivals(self, search: _Search, rays: FloatArray) -> None:
+        """Look for other poses that the picture may show as well as the best; a prior has settled that before."""
+        query, watch, best = search.query, search.watch, search.best or search.elsewhere
+        if search.nearest is None or best is None or best.confidence < MIN_CONFIDENCE or watch.late:
+            return
+        if query.intrinsics is Intrinsics.UNKNOWN:
+            query = replace(query, camera=best.camera)
+            rays = best.camera.rays(query.features.pixels)
+        for seed in rival_seeds(self.index, search.nearest, query, rays, best.verified):
+            watch.lap("seed")
+            verified = verify(self.index, query, rays, seed) if _plausible(seed, query) else None
+            search.add(self._checked(verified, query, None if verified is None else verified.wide))
+            watch.lap("verify")
+        watch.lap("seed")
 
     def _look(self, place: Place, search: _Search, rays: FloatArray) -> Iterator[_Found | None]:
         """Poses that one place leads to, the cheapest to find first."""
@@ -246,7 +299,7 @@ class Localizer:
         """The pose next to a prior; None, at little cost, where no more is found there than by chance."""
         T_map_camera = prior.pose.T_map_camera
         near, by_chance = self.index.match_near(query.features, query.camera, T_map_camera, _TRACKING_RADII_PX[0])
-        if len(near) < _TRACKED_OVER_CHANCE * by_chance + _MIN_FEATURES:
+        if len(near) < _TRACKED_OVER_CHANCE * by_chance.sum() + _MIN_FEATURES:
             return None
         return verify(self.index, query, rays, T_map_camera, _TRACKING_RADII_PX)
 
@@ -257,7 +310,8 @@ class Localizer:
             near = place_of_prior(self.index, query.prior, options.views_each)
             if near is not None:
                 yield near
-        everywhere = self.index.match_everywhere(query.features)
+        search.nearest = self.index.nearest_everywhere(query.features)
+        everywhere = search.nearest.matches()
         search.everywhere, search.matches = everywhere, len(everywhere)
         search.watch.lap("match")
         if len(everywhere) < _MIN_FEATURES:
@@ -395,7 +449,8 @@ def _likelier(a: _Found | None, b: _Found) -> _Found:
     """The one that more speaks for."""
     if a is None:
         return b
-    return a if (a.confidence, a.verified.optimum.value) >= (b.confidence, b.verified.optimum.value) else b
+    likeliness = [(one.confidence >= MIN_CONFIDENCE, one.verified.support.net) for one in (a, b)]
+    return a if likeliness[0] >= likeliness[1] else b
 
 
 def _contradicted(found: _Found, query: Query) -> Diagnosis:

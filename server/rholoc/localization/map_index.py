@@ -13,12 +13,13 @@ from rholoc.features import FeatureSet, Metric, get_extractor
 from rholoc.features.matching import LIMITS, DescriptorIndex, descriptor_distances
 from rholoc.geometry import BoolArray, Camera, FloatArray, IntArray
 from rholoc.localization.map_error import map_covariance_at
-from rholoc.localization.matches import Matches, guided_chances, match_chances
+from rholoc.localization.matches import Matches, NearestLandmarks, guided_chances, is_least
 from rholoc.maps import Map, Trust, trust_of
 
 _CANDIDATES = 4
 _CHANCE_SAMPLES = 20_000
 _MOST_VIEWS = 0.8
+_ALL = slice(None)
 _UPRIGHT_LEAN_RAD = np.deg2rad(4.0)  # a hand that holds a phone upright keeps within it
 
 
@@ -83,9 +84,9 @@ class MapIndex:
         )
         return float((distances <= LIMITS[self.metric].loose).mean()) if strangers.any() else 0.0
 
-    def present(self, position: FloatArray) -> BoolArray:
-        """π_f: which features may be seen from ``position`` (3,)."""
-        return self.presence.allows(self.landmarks, position)
+    def present(self, position: FloatArray, landmarks: IntArray | slice = _ALL) -> BoolArray:
+        """π_f: which features, or which of some ``landmarks`` (M,), may be seen from ``position`` (3,)."""
+        return self.presence.take(landmarks).allows(self.landmarks[landmarks], position)
 
     def seen_alike(self, landmarks: IntArray, views: int) -> BoolArray:
         """Which features (F,) were seen by those ``views`` that saw most of some landmarks (M,): as from there."""
@@ -98,23 +99,27 @@ class MapIndex:
         """(K,) how many of some landmarks (M,) each view saw."""
         return np.asarray(self.visibility @ np.bincount(landmarks, minlength=len(self.map)).astype(np.float32))
 
+    def nearest_everywhere(self, features: FeatureSet) -> NearestLandmarks:
+        """What in the whole map a query's features are most like, each landmark standing by its first descriptor."""
+        return self._nearest(self._everywhere, self._medoids, features)
+
     def match_everywhere(self, features: FeatureSet) -> Matches:
-        """Matches of a query's features with the whole map, each feature standing by its first descriptor."""
-        return self._matches(self._everywhere, self._medoids, features, mutual=False)
+        """Matches of a query's features with the whole map."""
+        return self.nearest_everywhere(features).matches()
 
     def match_within(self, features: FeatureSet, landmarks: IntArray) -> Matches:
         """Matches with some of the map's features only, each the other's nearest."""
         rows = self.descriptor_rows(landmarks)
         channels = self.map.channels[self.map.descriptor_features[rows]]
         index = DescriptorIndex(self.map.descriptors[rows], channels, self.metric)
-        return self._matches(index, rows, features, mutual=True)
+        return self._nearest(index, rows, features).matches(mutual=True)
 
     def match_near(
         self, features: FeatureSet, camera: Camera, T_map_camera: FloatArray, radius_px: float
-    ) -> tuple[Matches, float]:
+    ) -> tuple[Matches, FloatArray]:
         """Matches with the landmarks that a camera at ``T_map_camera`` (4, 4) would see close by.
 
-        Each is the other's best match within ``radius_px``. Also returns how many detections would find
+        Each is the other's best match within ``radius_px``. Also returns how probably each detection (N,) would find
         something alike there by chance alone: what the matches are to be held against.
         """
         present = np.flatnonzero(self.present(T_map_camera[:3, 3]))
@@ -122,18 +127,18 @@ class MapIndex:
         inside = camera.contains(pixels)
         present, pixels = present[inside], pixels[inside]
         if len(present) == 0 or len(features) == 0:
-            return Matches.none(), 0.0
+            return Matches.none(), np.zeros(len(features))
         near = cKDTree(features.pixels).sparse_distance_matrix(cKDTree(pixels), radius_px, output_type="ndarray")
         detections, landmarks = near["i"].astype(np.int64), present[near["j"]]
         distances = self.distances_to(features, detections, landmarks)
         mutual = (
             (distances <= LIMITS[self.metric].loose)
-            & _is_least(distances, detections, len(features))
-            & _is_least(distances, landmarks, len(self.map))
+            & is_least(distances, detections, len(features))
+            & is_least(distances, landmarks, len(self.map))
         )
         chances = guided_chances(distances[mutual], self.metric)
         pairs_of = np.bincount(detections, minlength=len(features))
-        by_chance = float((1 - (1 - self.chance_of_likeness) ** pairs_of).sum())
+        by_chance = 1 - (1 - self.chance_of_likeness) ** pairs_of
         return Matches(detections[mutual], landmarks[mutual], chances), by_chance
 
     def descriptor_rows(self, landmarks: IntArray) -> IntArray:
@@ -155,23 +160,7 @@ class MapIndex:
         best[comparable] = np.minimum.reduceat(distances, np.cumsum(counts) - counts)
         return best
 
-    def _matches(self, index: DescriptorIndex, rows: IntArray, features: FeatureSet, mutual: bool) -> Matches:
+    def _nearest(self, index: DescriptorIndex, rows: IntArray, features: FeatureSet) -> NearestLandmarks:
         distances, found = index.nearest(features, _CANDIDATES)
         owners = np.where(found >= 0, self.map.descriptor_features[rows[np.maximum(found, 0)]], -1)
-        nearest = owners[:, 0]
-        other = (owners != nearest[:, None]) & (owners >= 0)
-        rival = np.where(other, distances, np.inf).min(axis=1)
-        good = (nearest >= 0) & (distances[:, 0] <= LIMITS[self.metric].loose)
-        if mutual:
-            good &= _is_least(distances[:, 0], nearest, len(self.map))
-        detections = np.flatnonzero(good)
-        rival = np.where(np.isfinite(rival), rival, distances[:, -1])
-        chances = match_chances(distances[detections, 0], rival[detections], self.metric)
-        return Matches(detections, nearest[detections].astype(np.int64), chances)
-
-
-def _is_least(distances: FloatArray, groups: IntArray, count: int) -> BoolArray:
-    """Which entries (N,) have the least distance of their group; groups are 0..count-1, or -1."""
-    least = np.full(count + 1, np.inf, dtype=distances.dtype)
-    np.minimum.at(least, groups, distances)
-    return np.asarray(distances <= least[groups])
+        return NearestLandmarks(owners.astype(np.int64), distances, self.metric)

@@ -8,7 +8,7 @@ import numpy as np
 
 from rholoc.features import Metric
 from rholoc.features.matching import LIMITS
-from rholoc.geometry import FloatArray, IntArray
+from rholoc.geometry import BoolArray, FloatArray, IntArray
 
 _MIN_CHANCE = 0.02
 _MAX_CHANCE = 0.95
@@ -58,6 +58,40 @@ class Matches:
         return cls(detections[new], landmarks[new], chances[new])
 
 
+@dataclass(frozen=True, eq=False)
+class NearestLandmarks:
+    """The landmarks that each of N features is most like, the most alike first.
+
+    Attributes:
+        landmarks: (N, K) rows of the map's features, -1 where there are fewer.
+        distances: (N, K) between descriptors.
+        metric: theirs.
+    """
+
+    landmarks: IntArray
+    distances: FloatArray
+    metric: Metric
+
+    def matches(self, mutual: bool = False) -> Matches:
+        """Each feature with its nearest landmark; if ``mutual``, only where no other feature is nearer to that."""
+        nearest, distances = self.landmarks[:, 0], self.distances[:, 0]
+        other = (self.landmarks != nearest[:, None]) & (self.landmarks >= 0)
+        rival = np.where(other, self.distances, np.inf).min(axis=1)
+        good = (nearest >= 0) & (distances <= LIMITS[self.metric].loose)
+        if mutual and len(nearest):
+            good &= is_least(distances, nearest, int(nearest.max()) + 1)
+        detections = np.flatnonzero(good)
+        rival = np.where(np.isfinite(rival), rival, self.distances[:, -1])
+        chances = match_chances(distances[detections], rival[detections], self.metric)
+        return Matches(detections, nearest[detections], chances)
+
+    def pairs(self) -> Matches:
+        """Each feature with every landmark that it is like, each pair's chance by its own likeness alone."""
+        detections, ranks = np.nonzero((self.landmarks >= 0) & (self.distances <= LIMITS[self.metric].loose))
+        chances = guided_chances(self.distances[detections, ranks], self.metric)
+        return Matches(detections, self.landmarks[detections, ranks], chances)
+
+
 def match_chances(distances: FloatArray, rivals: FloatArray, metric: Metric) -> FloatArray:
     """How likely matches are true, from their distance (M,) and that of the nearest rival landmark (M,).
 
@@ -73,3 +107,10 @@ def guided_chances(distances: FloatArray, metric: Metric) -> FloatArray:
     """How likely matches (M,) are true that were looked for only where the landmark should appear."""
     limits = LIMITS[metric]
     return np.asarray(np.clip(1 / (1 + np.exp((distances - limits.strict) / limits.spread)), 0.1, _MAX_CHANCE))
+
+
+def is_least(distances: FloatArray, groups: IntArray, count: int) -> BoolArray:
+    """Which entries (N,) have the least distance of their group; groups are 0..count-1, or -1."""
+    least = np.full(count + 1, np.inf, dtype=distances.dtype)
+    np.minimum.at(least, groups, distances)
+    return np.asarray(distances <= least[groups])

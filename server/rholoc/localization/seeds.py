@@ -40,9 +40,7 @@ def vote_for_places(index: MapIndex, matches: Matches, most: int, views_each: in
     Each match votes with its chance for the views that its landmark was seen in (presence); a place is a view with
     those that share most features with it.
     """
-    belief = np.bincount(matches.landmarks, weights=matches.chances, minlength=len(index.map))
-    votes: FloatArray = np.asarray(index.visibility @ np.minimum(belief, 1.0), dtype=np.float64)
-    votes = votes / np.sqrt(np.maximum(np.diff(index.map.view_offsets), 50))
+    votes = view_votes(index, matches)
     if prior is not None:
         near = np.linalg.norm(index.view_positions - prior.pose.position, axis=1) < prior.radius_m + 1.0
         votes = np.where(near, votes, votes * 0.1)
@@ -58,6 +56,13 @@ def vote_for_places(index: MapIndex, matches: Matches, most: int, views_each: in
         open_[companions[: max(views_each // 2, 1)]] = False
         open_[view] = False
     return places
+
+
+def view_votes(index: MapIndex, matches: Matches) -> FloatArray:
+    """How strongly matches speak for each view (K,): the sum of their chances, held against how much the view saw."""
+    belief = np.bincount(matches.landmarks, weights=matches.chances, minlength=len(index.map))
+    votes = np.asarray(index.visibility @ np.minimum(belief, 1.0), dtype=np.float64)
+    return np.asarray(votes / np.sqrt(np.maximum(np.diff(index.map.view_offsets), 50)))
 
 
 def place_of_prior(index: MapIndex, prior: Prior, views_each: int) -> Place | None:

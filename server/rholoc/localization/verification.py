@@ -12,6 +12,7 @@ from rholoc.geometry import Camera, FloatArray
 from rholoc.localization.ascent import Optimum, ascend, covariance_at, sharpen
 from rholoc.localization.map_index import MapIndex
 from rholoc.localization.matches import Matches
+from rholoc.localization.support import Support, support_of
 from rholoc.localization.types import Dof, Query
 
 SEARCH_RADII_PX = (14.0, 5.0)
@@ -31,6 +32,7 @@ class Verified:
         pixels: (M, 2) the pixels of the matched detections.
         by_chance: how many detections chance alone would match.
         wide: the matches of the first, widest search.
+        support: what the picture says for the pose and against it.
         focal_free: whether the focal length is an estimate, too: the covariance then knows it.
     """
 
@@ -40,6 +42,7 @@ class Verified:
     pixels: FloatArray
     by_chance: float
     wide: Matches
+    support: Support
     focal_free: bool = False
 
     @cached_property
@@ -90,7 +93,7 @@ def verify(
     focal_free: bool = False,
 ) -> Verified | None:
     """Match again around a pose (4, 4) and ascend, within each radius in turn; None where too little is found."""
-    T, found, wide = T_map_camera, None, None
+    T, wide = T_map_camera, None
     for radius in radii_px:
         matches, by_chance = index.match_near(query.features, query.camera, T, radius)
         if len(matches) < _MIN_MATCHES:
@@ -100,10 +103,9 @@ def verify(
         tolerances_px = (*(px for px in (radius, radius / 2) if px > FINAL_TOLERANCE_PX), FINAL_TOLERANCE_PX)
         optimum = ascend(index.map.densities, evidence, T, tolerances_px, query.dof)
         optimum = settle(index, matches, evidence, optimum, query.dof)
-        T, found = (
-            optimum.T_map_camera,
-            Verified(
-                optimum, matches, evidence, query.features.pixels[matches.detections], by_chance, wide, focal_free
-            ),
-        )
-    return found
+        T = optimum.T_map_camera
+    assert wide is not None
+    pixels = query.features.pixels
+    support = support_of(index, pixels, query.camera, matches, evidence, optimum, by_chance)
+    chance = float(by_chance.sum())
+    return Verified(optimum, matches, evidence, pixels[matches.detections], chance, wide, support, focal_free)

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
+from typing import TypeVar
 
 import cv2
 import numpy as np
@@ -15,15 +16,25 @@ import structlog
 from rholoc.errors import DeadlineExceeded, InvalidCamera, InvalidDescriptors
 from rholoc.features import Extractor, FeatureSet
 from rholoc.geometry import ByteArray, FloatArray, Pose
-from rholoc.localization import TOO_LITTLE_TIME, Localization, Localizer, Query, Reason
+from rholoc.localization import TOO_LITTLE_TIME, Localization, Localizer, Query, Reason, likeliest_views
 from rholoc.recordings.frames.image import SENT_FORMATS, decode_image
 from rholoc.service.localizers import Localizers
 from rholoc.service.queries import Frame, camera_for, feature_set, gravity_of, prior_of
-from rholoc.service.schemas import DiagnosisOut, EstimatedCameraOut, LocalizationOut, MatchesOut, PoseOut
+from rholoc.service.schemas import (
+    DiagnosisOut,
+    EstimatedCameraOut,
+    LocalizationOut,
+    MatchesOut,
+    PlaceOut,
+    PlacesOut,
+    PoseOut,
+)
 from rholoc.service.settings import Settings
 from rholoc.trajectory import Scale
 
 _log = structlog.get_logger("rholoc.service")
+T = TypeVar("T")
+
 _DEGREES = np.array([1, 1, 1, *[180 / np.pi] * 3])
 
 
@@ -54,14 +65,14 @@ class Stopwatch:
         return time.perf_counter() - self.start_s
 
 
-def frame_deadline_s(frame: Frame, settings: Settings) -> float:
+def frame_deadline_s(asked_ms: float | None, settings: Settings) -> float:
     """How long after its request came in a frame is answered, whether it has a pose by then or not."""
-    return (frame.options.deadline_ms or settings.default_deadline_ms) / 1000
+    return (asked_ms or settings.default_deadline_ms) / 1000
 
 
 def late_answer(name: str, localizer: Localizer, clock: Stopwatch) -> LocalizationOut:
     """The answer of a map that was not asked in time."""
-    return _answer(name, localizer, _too_late(), clock, with_matches=False)
+    return answer_of(name, localizer, too_late(), clock, with_matches=False)
 
 
 def localize_frame(
@@ -82,17 +93,96 @@ def localize_frame(
             from several maps only where none could be asked.
     """
     clock.stages_ms["queue"] = 1000 * clock.elapsed_s
-    deadline_s = frame_deadline_s(frame, settings)
-    features = _Features(frame, settings, clock, deadline_s)
-    best: tuple[str, Localizer, Localization] | None = None
+    deadline_s = frame_deadline_s(frame.options.deadline_ms, settings)
+    features = FrameFeatures(frame, settings, clock, deadline_s)
+    name, localizer, found = best_map(
+        names,
+        localizers,
+        lambda localizer: _localize(frame, localizer, features, deadline_s, clock),
+        lambda found: (found.localized, found.confidence),
+        passing_over,
+    )
+    return answer_of(name, localizer, found, clock, frame.options.with_matches)
+
+
+def likeliest_places(
+    frame: Frame,
+    names: Sequence[str],
+    localizers: Localizers,
+    settings: Settings,
+    clock: Stopwatch,
+    most: int,
+    passing_over: bool,
+) -> PlacesOut:
+    """The views of the named maps that a picture is most like, at most ``most`` of all of them.
+
+    Raises:
+        As :func:`localize_frame`.
+    """
+    features = FrameFeatures(frame, settings, clock, frame_deadline_s(frame.options.deadline_ms, settings))
+    places: list[PlaceOut] = []
+
+    def ask(name: str, localizer: Localizer) -> None:
+        info = localizer.map.info
+        places.extend(
+            PlaceOut(
+                map=name,
+                map_id=info.id,
+                map_version=info.version,
+                view=found.view,
+                pose=pose_out(found.pose),
+                score=found.score,
+            )
+            for found in likeliest_views(localizer.index, features.by(localizer.extractor), most)
+        )
+
+    each_map(names, localizers, ask, passing_over)
+    return PlacesOut(places=sorted(places, key=lambda place: -place.score)[:most])
+
+
+def best_map(
+    names: Sequence[str],
+    localizers: Localizers,
+    localize: Callable[[Localizer], T],
+    sureness: Callable[[T], tuple[bool, float]],
+    passing_over: bool,
+) -> tuple[str, Localizer, T]:
+    """The map whose answer is the surest: its name, its localizer and the answer.
+
+    Raises:
+        InvalidCamera, InvalidDescriptors: the frame fits none of the maps.
+        RholocError: a map cannot be asked; if ``passing_over``, only where none can.
+    """
+    best: tuple[str, Localizer, T] | None = None
+
+    def ask(name: str, localizer: Localizer) -> None:
+        nonlocal best
+        found = localize(localizer)
+        if best is None or sureness(found) > sureness(best[2]):
+            best = (name, localizer, found)
+
+    each_map(names, localizers, ask, passing_over)
+    assert best is not None
+    return best
+
+
+def each_map(
+    names: Sequence[str], localizers: Localizers, ask: Callable[[str, Localizer], None], passing_over: bool
+) -> None:
+    """Ask maps, one after the other, and pass over those that a frame does not fit.
+
+    Raises:
+        InvalidCamera, InvalidDescriptors: the frame fits none of the maps.
+        RholocError: a map cannot be asked; if ``passing_over``, only where none can.
+    """
+    asked = 0
     refused: Exception | None = None
     for name in names:
         try:
-            localizer = localizers.get(name)
-            found = _localize(frame, localizer, features, deadline_s, clock)
+            ask(name, localizers.get(name))
+            asked += 1
         except (InvalidCamera, InvalidDescriptors) as error:
             refused = refused or error
-            continue
         except DeadlineExceeded:
             raise
         except Exception as error:
@@ -100,16 +190,11 @@ def localize_frame(
                 raise
             _log.warning("map_passed_over", map=name, error=repr(error)[:200])
             refused = refused or error
-            continue
-        if best is None or (found.localized, found.confidence) > (best[2].localized, best[2].confidence):
-            best = (name, localizer, found)
-    if best is None:
-        assert refused is not None
+    if not asked and refused is not None:
         raise refused
-    return _answer(*best, clock, frame.options.with_matches)
 
 
-class _Features:
+class FrameFeatures:
     """The frame's features by extractor; the image is decoded once, each extractor runs once."""
 
     def __init__(self, frame: Frame, settings: Settings, clock: Stopwatch, deadline_s: float) -> None:
@@ -164,16 +249,16 @@ def extract_bounded(extractor: Extractor, image: ByteArray, max_pixels: int) -> 
 
 
 def _localize(
-    frame: Frame, localizer: Localizer, features: _Features, deadline_s: float, clock: Stopwatch
+    frame: Frame, localizer: Localizer, features: FrameFeatures, deadline_s: float, clock: Stopwatch
 ) -> Localization:
     camera = camera_for(frame, features.size, localizer.map.info.camera)
     prior, gravity = prior_of(frame.options.prior), gravity_of(frame.options.gravity)
     if clock.elapsed_s >= deadline_s:
-        return _too_late()
+        return too_late()
     found = features.by(localizer.extractor)
     left_s = deadline_s - clock.elapsed_s
     if left_s <= 0:
-        return _too_late()
+        return too_late()
     options = frame.options
     answer = localizer.localize(
         Query(found, camera, options.dof, prior, gravity, left_s, options.intrinsics, features.image)
@@ -183,16 +268,18 @@ def _localize(
     return answer
 
 
-def _too_late() -> Localization:
+def too_late() -> Localization:
+    """The answer where the deadline passed before the map was asked."""
     nothing = np.zeros(0, np.int64)
     return Localization(
         False, Reason.DEADLINE, None, None, 0.0, 0, 0, np.zeros((0, 2)), nothing, diagnosis=TOO_LITTLE_TIME
     )
 
 
-def _answer(
+def answer_of(
     name: str, localizer: Localizer, found: Localization, clock: Stopwatch, with_matches: bool
 ) -> LocalizationOut:
+    """A map's answer as it goes out."""
     info = localizer.map.info
     total_ms = 1000 * clock.elapsed_s
     stages = dict.fromkeys(("queue", "decode", "extract", "match", "seed", "ascend", "verify", "diagnose"), 0.0)
@@ -201,7 +288,7 @@ def _answer(
     return LocalizationOut(
         localized=found.localized,
         reason=found.reason,
-        pose=None if given_out.pose is None else _pose(given_out.pose),
+        pose=None if given_out.pose is None else pose_out(given_out.pose),
         covariance=None if given_out.covariance is None else _covariance(given_out.covariance),
         confidence=found.confidence,
         matches=found.matches,
@@ -240,7 +327,8 @@ def _agreeing(localizer: Localizer, found: Localization) -> MatchesOut:
     return MatchesOut(pixels=found.inlier_pixels.round(1).tolist(), landmarks=landmarks.round(4).tolist())
 
 
-def _pose(pose: Pose) -> PoseOut:
+def pose_out(pose: Pose) -> PoseOut:
+    """A pose as it goes out."""
     return PoseOut(
         position=pose.position.tolist(),
         heading=pose.heading.tolist(),

@@ -13,10 +13,10 @@ from pydantic.json_schema import models_json_schema
 from rholoc.errors import RholocError
 from rholoc.service.access import OPEN
 from rholoc.service.errors import status_of
-from rholoc.service.schemas import DescriptorQuery, ErrorAnswer, LocalizeOptions
+from rholoc.service.schemas import DescriptorQuery, ErrorAnswer, FramesQuery, LocalizeOptions
 
 _REF = "#/components/schemas/{model}"
-_BY_HAND: tuple[type[BaseModel], ...] = (LocalizeOptions, DescriptorQuery)
+_BY_HAND: tuple[type[BaseModel], ...] = (LocalizeOptions, DescriptorQuery, FramesQuery)
 BINARY = {"type": "string", "format": "binary"}
 
 

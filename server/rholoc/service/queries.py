@@ -109,15 +109,15 @@ def prior_of(given: PriorIn | None) -> Prior | None:
     """
     if given is None:
         return None
-    position = _finite("prior.position", given.position)
+    position = finite("prior.position", given.position)
     if (given.heading is None) == (given.quaternion_xyzw is None):
         raise InvalidInput("A prior needs either a heading or a quaternion.", "Send prior.heading.")
     if given.heading is not None:
-        pose = Pose.from_heading(position, _direction("prior.heading", given.heading))
+        pose = Pose.from_heading(position, direction("prior.heading", given.heading))
     else:
-        pose = Pose.from_quaternion(position, _direction("prior.quaternion_xyzw", given.quaternion_xyzw or []))
-    radius_rad = math.radians(float(_finite("prior.radius_deg", [given.radius_deg])[0]))
-    return Prior(pose, float(_finite("prior.radius_m", [given.radius_m])[0]), radius_rad)
+        pose = Pose.from_quaternion(position, direction("prior.quaternion_xyzw", given.quaternion_xyzw or []))
+    radius_rad = math.radians(float(finite("prior.radius_deg", [given.radius_deg])[0]))
+    return Prior(pose, float(finite("prior.radius_m", [given.radius_m])[0]), radius_rad)
 
 
 def gravity_of(given: list[float] | None) -> FloatArray | None:
@@ -126,18 +126,28 @@ def gravity_of(given: list[float] | None) -> FloatArray | None:
     Raises:
         InvalidInput: it has no direction.
     """
-    return None if given is None else _direction("gravity", given)
+    return None if given is None else direction("gravity", given)
 
 
-def _finite(name: str, values: list[float]) -> FloatArray:
+def finite(name: str, values: list[float]) -> FloatArray:
+    """Values as an array.
+
+    Raises:
+        InvalidInput: one of them is not finite.
+    """
     array = np.asarray(values, dtype=np.float64)
     if not np.isfinite(array).all() or np.abs(array).max() > 1e9:
         raise InvalidInput(f"{name} must consist of finite numbers.", "Send numbers.")
     return array
 
 
-def _direction(name: str, values: list[float]) -> FloatArray:
-    array = _finite(name, values)
+def direction(name: str, values: list[float]) -> FloatArray:
+    """Values as a vector of unit length.
+
+    Raises:
+        InvalidInput: they have no direction.
+    """
+    array = finite(name, values)
     length = float(np.linalg.norm(array))
     if length < 1e-9:
         raise InvalidInput(f"{name} has no direction: its length is 0.", "Send a unit vector.")

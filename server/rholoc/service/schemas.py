@@ -214,6 +214,46 @@ class DescriptorQuery(LocalizeOptions):
     features: FeaturesIn
 
 
+class FrameIn(_In):
+    """One of several frames: a picture or a descriptor set, and where its camera was relative to the others."""
+
+    camera: CameraChoice | None = Field(default=None, description="its intrinsics; default: the request's `camera`")
+    image: str | None = Field(
+        default=None, description="a JPEG or PNG as base64; in a multipart body a part `image0`, `image1`, … instead"
+    )
+    features: FeaturesIn | None = Field(default=None, description="its features, instead of an image")
+    position: Vector3 = Field(description="of the camera in the frames' common frame, m")
+    quaternion_xyzw: Quaternion = Field(description="of its rotation, R_common_camera")
+    gravity: Vector3 | None = Field(default=None, description="the direction of gravity (down) in the camera frame")
+
+
+class FramesQuery(_In):
+    """2 to 10 frames whose poses relative to each other are known: a rig's cameras, or one camera with odometry."""
+
+    model_config = ConfigDict(
+        extra="forbid",
+        frozen=True,
+        json_schema_extra={
+            "example": {
+                "camera": _CAMERA,
+                "frames": [
+                    {"image": "/9j/4AAQ…", "position": [0, 0, 0], "quaternion_xyzw": [0, 0, 0, 1]},
+                    {"image": "/9j/4AAQ…", "position": [0.21, 0, 0.02], "quaternion_xyzw": [0, 0.087, 0, 0.996]},
+                ],
+                "sigma_m": 0.01,
+                "sigma_deg": 0.5,
+            }
+        },
+    )
+
+    frames: list[FrameIn]
+    camera: CameraChoice = Field(default_factory=CameraChoice, description="of frames that name none of their own")
+    dof: Dof = Dof.AUTO
+    sigma_m: Number = Field(default=0.005, description="one sigma of a frame's position as its predecessor sees it, m")
+    sigma_deg: Number = Field(default=0.2, description="one sigma of its rotation, degrees")
+    deadline_ms: float | None = Field(default=None, gt=0, le=600_000, description="how long the answer may take")
+
+
 class PoseOut(_Out):
     """A pose in the map frame (right-handed, z up)."""
 
@@ -251,6 +291,13 @@ class EstimatedCameraOut(_Out):
     focal_sigma_px: float = Field(description="one sigma of fx and fy")
 
 
+class FramePoseOut(_Out):
+    """One of several frames that were localized together."""
+
+    pose: PoseOut | None
+    inliers: int = Field(description="how many of its matches agree with the pose")
+
+
 class LocalizationOut(_Out):
     """The answer for one frame. ``localized`` false is an answer, not an error."""
 
@@ -281,6 +328,7 @@ class LocalizationOut(_Out):
                 "diagnosis": None,
                 "near_prior": None,
                 "camera": None,
+                "frames": None,
                 "timings_ms": {
                     "queue": 0.1, "decode": 2.1, "extract": 11.0, "match": 9.5, "seed": 14.2, "ascend": 20.3,
                     "verify": 1.7, "diagnose": 0.0, "total": 59.4,
@@ -315,9 +363,53 @@ class LocalizationOut(_Out):
     diagnosis: DiagnosisOut | None = Field(description="the most likely cause where there is no pose, else null")
     near_prior: bool | None = Field(description="whether the pose lies where the prior has it; null without a prior")
     camera: EstimatedCameraOut | None = Field(description="where `intrinsics` is 'unknown': the camera as estimated")
+    frames: list[FramePoseOut] | None = Field(
+        default=None, description="each frame's pose where several were sent; `pose` is the first one's"
+    )
     timings_ms: dict[str, float] = Field(
         description="milliseconds: queue, decode, extract, match, seed, ascend, verify, diagnose, total"
     )
+
+
+class PlaceOut(_Out):
+    """A view of a map that a picture may show much the same as."""
+
+    map: str
+    map_id: str
+    map_version: int
+    view: int = Field(description="its number in the map")
+    pose: PoseOut = Field(description="where the view was taken: near the picture's place, not the picture's pose")
+    score: float = Field(description="how strongly the picture speaks for it; for ranking")
+
+
+class PlacesOut(_Out):
+    """The likeliest views of all maps that were asked, the likeliest first."""
+
+    model_config = ConfigDict(
+        frozen=True,
+        json_schema_extra={
+            "example": {
+                "places": [
+                    {
+                        "map": "testsite",
+                        "map_id": _MAP_ID,
+                        "map_version": 1,
+                        "view": 41,
+                        "pose": {
+                            "position": [1.203, 0.412, 1.498],
+                            "heading": [1.0, 0.0, 0.0],
+                            "roll_deg": 0.0,
+                            "quaternion_xyzw": [-0.5, 0.5, -0.5, 0.5],
+                            "T_map_camera": [[0, 0, 1, 1.203], [-1, 0, 0, 0.412], [0, -1, 0, 1.498], [0, 0, 0, 1]],
+                        },
+                        "score": 6.3,
+                    }
+                ]
+            }
+        },
+    )
+
+    places: list[PlaceOut]
 
 
 _SUMMARY: JsonDict = {

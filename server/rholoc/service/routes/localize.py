@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+import re
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Annotated, Any
 
@@ -22,17 +24,20 @@ from rholoc.errors import (
     UnknownCamera,
     UnknownMap,
 )
+from rholoc.localization import MOST_FRAMES
 from rholoc.recordings.frames.image import IMAGE_START_BYTES, begins_like_an_image
 from rholoc.service.access import NEEDS_LOCALIZE
 from rholoc.service.bodies import PieceListener, media_type, read_body, read_multipart
+from rholoc.service.compute import Effort
 from rholoc.service.errors import InvalidRequest, UnsupportedMediaType
 from rholoc.service.json_bodies import JsonLimits
-from rholoc.service.localize import Stopwatch, frame_deadline_s, late_answer, localize_frame
+from rholoc.service.localize import Stopwatch, frame_deadline_s, late_answer, likeliest_places, localize_frame
 from rholoc.service.localizers import Localizers
 from rholoc.service.openapi import BINARY, failures, reference, request_body
 from rholoc.service.queries import Frame, effort_of, effort_of_set
-from rholoc.service.schemas import DescriptorQuery, LocalizationOut, LocalizeOptions
+from rholoc.service.schemas import DescriptorQuery, FramesQuery, LocalizationOut, LocalizeOptions, PlacesOut
 from rholoc.service.settings import Settings
+from rholoc.service.several_frames import Frames, localize_frames
 from rholoc.service.state import Service, State
 
 router = APIRouter(prefix="/v1", tags=["localization"])
@@ -49,7 +54,10 @@ _BODY = request_body(
             "schema": {
                 "type": "object",
                 "required": ["image"],
-                "properties": {"image": BINARY, "request": reference(LocalizeOptions)},
+                "properties": {
+                    "image": BINARY,
+                    "request": {"anyOf": [reference(LocalizeOptions), reference(FramesQuery)]},
+                },
             },
             "encoding": {
                 "image": {"contentType": "image/jpeg, image/png"},
@@ -57,7 +65,7 @@ _BODY = request_body(
             },
         },
         "application/json": {
-            "schema": reference(DescriptorQuery),
+            "schema": {"anyOf": [reference(DescriptorQuery), reference(FramesQuery)]},
             "example": DescriptorQuery.model_config["json_schema_extra"]["example"],  # type: ignore[index]
         },
     }
@@ -65,6 +73,12 @@ _BODY = request_body(
 
 _LOADING_GRACE_S = 0.5  # for a map that was not in memory, beyond the deadline
 _PARTS = frozenset({"image", "request"})  # of a multipart body
+_PARTS_HINT = "Send a file part 'image' and, if you like, a JSON part 'request'."
+_NUMBERED_IMAGE = re.compile(r"image(\d{1,2})")  # of one with several frames
+_NAMES_FRAMES = re.compile(rb'"frames"\s*:')  # of a JSON body with several frames
+_START_BYTES = 2048  # of a JSON body, within which it names them
+
+_SentFrames = tuple[FramesQuery, dict[int, bytes]]  # what was asked, and the pictures that came beside it, by number
 
 
 @dataclass(frozen=True)
@@ -149,7 +163,10 @@ Options = Annotated[OptionParameters, Depends()]
 )
 async def localize_in_map(map_name: str, request: Request, service: Service, options: Options) -> LocalizationOut:
     """Send a JPEG or PNG as it is, with options in the query; or multipart, with an `image` and a JSON `request`; or a
-    descriptor set as JSON. "No pose" is an answer: `localized` is false and `reason` says why."""
+    descriptor set as JSON. "No pose" is an answer: `localized` is false and `reason` says why.
+
+    Several frames whose poses relative to each other are known get one answer: send JSON with 2 to 10 `frames`, their
+    pictures within or as parts `image0`, `image1`, … beside the `request` of a multipart body."""
     return await _localize([map_name], request, service, options)
 
 
@@ -167,13 +184,49 @@ async def localize_in_maps(
     maps: Annotated[str, Query(description="names separated by commas, or 'all'", examples=["all", "hall,kitchen"])],
 ) -> LocalizationOut:
     """Asks every map and gives the surest answer, with the map's name."""
-    names = list(dict.fromkeys(name.strip() for name in maps.split(",")))
-    every = names == ["all"]
-    if every:
-        names = await run_in_threadpool(service.library.readable)
-        if not names:
-            raise UnknownMap("There is no map yet.", "Upload one, or a recording.")
+    names, every = await _named(maps, service)
     return await _localize(names, request, service, options, every)
+
+
+@router.post(
+    "/places",
+    dependencies=[NEEDS_LOCALIZE],
+    summary="Which views of several maps a picture is most like, without a pose",
+    responses=_FAILURES,
+    openapi_extra=_BODY,
+)
+async def find_places(
+    request: Request,
+    service: Service,
+    options: Options,
+    maps: Annotated[str, Query(description="names separated by commas, or 'all'", examples=["all", "hall,kitchen"])],
+    limit: Annotated[int, Query(ge=1, le=100, description="how many views at most", examples=[10])] = 10,
+) -> PlacesOut:
+    """Place recognition: quick, and of use where a pose is not needed or not to be had. The picture is sent as for a
+    pose, one picture or descriptor set."""
+    clock = Stopwatch()
+    names, every = await _named(maps, service)
+    with service.held_bodies.hold() as look:
+        frame = await _sent(request, options.options(), service, look)
+        if not isinstance(frame, Frame):
+            raise InvalidRequest("Several frames cannot be asked for their place.", "Send one picture.")
+        for name in [] if every else names:
+            service.library.stat(name)
+        settings = service.settings
+        return await service.compute.run(
+            lambda: likeliest_places(frame, names, service.localizers, settings, clock, limit, every), frame.effort
+        )
+
+
+async def _named(maps: str, service: State) -> tuple[list[str], bool]:
+    """The maps that a request is for, and whether that is all of them."""
+    names = list(dict.fromkeys(name.strip() for name in maps.split(",")))
+    if names != ["all"]:
+        return names, False
+    names = await run_in_threadpool(service.library.readable)
+    if not names:
+        raise UnknownMap("There is no map yet.", "Upload one, or a recording.")
+    return names, True
 
 
 async def _localize(
@@ -181,8 +234,10 @@ async def _localize(
 ) -> LocalizationOut:
     clock = Stopwatch()
     with service.held_bodies.hold() as look:
-        frame = await _frame(request, options.options(), service, look)
-        return await _localize_frame(frame, names, service, clock, every)
+        sent = await _sent(request, options.options(), service, look)
+        if isinstance(sent, Frame):
+            return await _localize_frame(sent, names, service, clock, every)
+        return await _localize_frames(*sent, names, service, clock, every)
 
 
 async def _localize_frame(
@@ -191,14 +246,52 @@ async def _localize_frame(
     if frame.options.camera.name is not None:
         profile = await run_in_threadpool(service.cameras.get, frame.options.camera.name)
         frame = replace(frame, stored=profile.camera)
-    for name in [] if every else names:
+    settings = service.settings
+    return await _answered(
+        lambda: localize_frame(frame, names, service.localizers, settings, clock, every),
+        names,
+        not every,
+        service,
+        clock,
+        frame_deadline_s(frame.options.deadline_ms, settings),
+        frame.effort,
+    )
+
+
+async def _localize_frames(
+    query: FramesQuery, images: dict[int, bytes], names: list[str], service: State, clock: Stopwatch, every: bool
+) -> LocalizationOut:
+    cameras = [query.camera, *(one.camera for one in query.frames if one.camera is not None)]
+    named = {camera.name for camera in cameras if camera.name is not None}
+    stored = {name: (await run_in_threadpool(service.cameras.get, name)).camera for name in named}
+    frames = Frames.of(query, images, stored)
+    settings, deadline_s = service.settings, frame_deadline_s(query.deadline_ms, service.settings)
+    return await _answered(
+        lambda: localize_frames(frames, names, service.localizers, settings, clock, deadline_s, every),
+        names,
+        not every,
+        service,
+        clock,
+        deadline_s,
+        Effort.LARGE,
+    )
+
+
+async def _answered(
+    localized: Callable[[], LocalizationOut],
+    names: list[str],
+    named: bool,
+    service: State,
+    clock: Stopwatch,
+    deadline_s: float,
+    effort: Effort,
+) -> LocalizationOut:
+    """What a thread finds in one of several maps, that somebody ``named``, or at the deadline that it was too late."""
+    for name in names if named else ():
         service.library.stat(name)  # an unknown map is refused before it takes a place in the queue
-    deadline_s = frame_deadline_s(frame, service.settings)
     try:
         async with asyncio.timeout(deadline_s - clock.elapsed_s):
-            answer = await service.compute.run(
-                lambda: localize_frame(frame, names, service.localizers, service.settings, clock, every), frame.effort
-            )
+            answer = await service.compute.run(localized, effort)
     except (TimeoutError, DeadlineExceeded):
         answer = await _late_answer(names[0], service.localizers, clock)
     service.metrics.localization(answer.reason)
@@ -214,7 +307,7 @@ async def _late_answer(name: str, localizers: Localizers, clock: Stopwatch) -> L
         raise DeadlineExceeded("The deadline passed while the map was being loaded.", "Try again.") from None
 
 
-async def _frame(request: Request, options: dict[str, Any], service: State, look: PieceListener) -> Frame:
+async def _sent(request: Request, options: dict[str, Any], service: State, look: PieceListener) -> Frame | _SentFrames:
     settings = service.settings
     kind, max_bytes = media_type(request), settings.max_request_bytes
     if kind.startswith("image/"):  # what it really is, its bytes tell
@@ -222,18 +315,55 @@ async def _frame(request: Request, options: dict[str, Any], service: State, look
         effort = await run_in_threadpool(effort_of, image)
         return Frame(LocalizeOptions.model_validate(options), image=image, effort=effort)
     if kind == "application/json":
-        measured = JsonLimits.of_features(max_bytes, settings.max_features).measured(look)
-        body = await read_body(request, max_bytes, measured)
+        body = await read_body(request, max_bytes, _measured_json(settings, look))
+        if _names_frames(body):
+            return await _frames_query(body, service), {}
         effort = effort_of_set(body)
         service.compute.check_room(effort)
         query = await run_in_threadpool(DescriptorQuery.model_validate_json, body)
         return Frame(query, features=query.features, effort=effort)
     if kind == "multipart/form-data":
-        return await _multipart_frame(request, options, settings, look)
+        return await _multipart(request, options, service, look)
     raise UnsupportedMediaType(
         f"A body of type '{kind}' cannot be read.",
         "Send image/jpeg, image/png, multipart/form-data or application/json as Content-Type.",
     )
+
+
+def _names_frames(body: bytes) -> bool:
+    """Whether a JSON body is of several frames: the member stands near its start."""
+    return _NAMES_FRAMES.search(body, 0, _START_BYTES) is not None
+
+
+def _measured_json(settings: Settings, look: PieceListener) -> PieceListener:
+    """Refuses a JSON body once it is beyond the limits of one frame, or of several where it names them; shows ``look``
+    each piece too.
+
+    Raises:
+        TooLarge: by the call.
+    """
+    one = JsonLimits.of_features(settings.max_request_bytes, settings.max_features).measured()
+    several = _limits_of_several(settings).measured(look)
+    start = b""
+
+    def listen(piece: bytes) -> None:
+        nonlocal start
+        start += piece[: max(0, _START_BYTES - len(start))]
+        several(piece)
+        if not _names_frames(start):
+            one(piece)
+
+    return listen
+
+
+def _limits_of_several(settings: Settings) -> JsonLimits:
+    return JsonLimits.of_features(settings.max_request_bytes, MOST_FRAMES * settings.max_features)
+
+
+async def _frames_query(body: bytes, service: State) -> FramesQuery:
+    _limits_of_several(service.settings).check(body)
+    service.compute.check_room(Effort.LARGE)
+    return await run_in_threadpool(FramesQuery.model_validate_json, body)
 
 
 def _refusing_others(look: PieceListener) -> PieceListener:
@@ -255,23 +385,31 @@ def _refusing_others(look: PieceListener) -> PieceListener:
     return listen
 
 
-async def _multipart_frame(request: Request, options: dict[str, Any], settings: Settings, look: PieceListener) -> Frame:
-    files: dict[str, bytearray] = {}
+async def _multipart(
+    request: Request, options: dict[str, Any], service: State, look: PieceListener
+) -> Frame | _SentFrames:
+    settings, files = service.settings, dict[str, bytearray]()
 
     def keep(field_name: str, _filename: str, chunk: bytes) -> None:
         files.setdefault(field_name, bytearray()).extend(chunk)
 
-    fields = await read_multipart(request, settings.max_request_bytes, len(_PARTS), keep, look)
-    strange = (files.keys() | fields.keys()) - _PARTS
-    if strange or "image" not in files:
-        raise InvalidRequest(
-            f"The multipart body has a part '{min(strange)}'."
-            if strange
-            else "The multipart body has no file 'image'.",
-            "Send a file part 'image' and, if you like, a JSON part 'request'.",
-        )
+    fields = await read_multipart(request, settings.max_request_bytes, MOST_FRAMES + 1, keep, look)
     text = bytes(files.get("request", b"")) or fields.get("request", "").encode()
+    numbered = {int(match[1]): name for name in files if (match := _NUMBERED_IMAGE.fullmatch(name))}
+    parts = files.keys() | fields.keys()
+    if numbered and "image" not in parts:
+        _refuse_strange(parts - _PARTS - set(numbered.values()))
+        query = await _frames_query(text, service)
+        return query, {number: bytes(files[name]) for number, name in numbered.items()}
+    _refuse_strange(parts - _PARTS)
+    if "image" not in files:
+        raise InvalidRequest("The multipart body has no file 'image'.", _PARTS_HINT)
     JsonLimits.of_options(settings.max_json_bytes).check(text)
     parsed = LocalizeOptions.model_validate_json(text) if text else LocalizeOptions.model_validate(options)
     image = bytes(files["image"])
     return Frame(parsed, image=image, effort=await run_in_threadpool(effort_of, image))
+
+
+def _refuse_strange(parts: set[str]) -> None:
+    if parts:
+        raise InvalidRequest(f"The multipart body has a part '{min(parts)}'.", _PARTS_HINT)

@@ -1,0 +1,67 @@
+"""Rivals: other poses that a picture may show as well as the one found.
+
+Two desks of a make, two doors in a corridor: whichever is found first looks right. A pose is only as sure as it is
+better than the next best, so that one is looked for: among the matches that the pose leaves unexplained, and among
+what its own matches might have been instead.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from rholoc.geometry import FloatArray, pose_distances
+from rholoc.localization.map_index import MapIndex
+from rholoc.localization.matches import Matches, NearestLandmarks
+from rholoc.localization.ransac import lo_ransac
+from rholoc.localization.seeds import vote_for_places
+from rholoc.localization.support import Support
+from rholoc.localization.types import Query
+from rholoc.localization.verification import Verified
+
+_PLACES = 2
+_VIEWS_EACH = 10
+_EXPLAINED_PX = 24.0
+_TOLERANCE_PX = 12.0
+_SAMPLES = (300, 30)
+_FEWEST_AGREEING, _FEWEST_OF_FOUND = 8, 0.2  # matches; of the matches of the pose that was found
+_APART_M, _APART_RAD = 0.2, np.deg2rad(10.0)
+_TELLING_NATS = 12.0  # by which much more support one of two poses is twice as sure again; about a cell of the picture
+
+
+def rival_seeds(
+    index: MapIndex, nearest: NearestLandmarks, query: Query, rays: FloatArray, found: Verified
+) -> Iterator[FloatArray]:
+    """Poses (4, 4) that matches other than those of a pose agree with, the best place first."""
+    fewest = max(_FEWEST_AGREEING, _FEWEST_OF_FOUND * found.inliers)
+    pairs = _unexplained(index, nearest.pairs(), query, found)
+    for place in vote_for_places(index, pairs, _PLACES, _VIEWS_EACH, None):
+        some = pairs.take(np.flatnonzero(np.isin(pairs.landmarks, place.landmarks))).likeliest_first()
+        if len(some) < fewest:
+            continue
+        seen = rays[some.detections]
+        landmarks = index.landmarks[some.landmarks]
+        seed = lo_ransac(seen[:, :2] / seen[:, 2:], landmarks, query.camera.focal, _TOLERANCE_PX, *_SAMPLES)
+        if seed is not None and seed[1] >= fewest:
+            yield seed[0]
+
+
+def _unexplained(index: MapIndex, pairs: Matches, query: Query, found: Verified) -> Matches:
+    """The pairs that a pose does not bring together."""
+    T = found.optimum.T_map_camera
+    pixels = query.camera.project((index.landmarks[pairs.landmarks] - T[:3, 3]) @ T[:3, :3])
+    off_px = np.linalg.norm(pixels - query.features.pixels[pairs.detections], axis=1)
+    return pairs.take(np.flatnonzero(~(off_px <= _EXPLAINED_PX)))  # behind the camera it is NaN
+
+
+def are_rivals(a: Verified, b: Verified) -> bool:
+    """Whether two poses cannot both be right."""
+    apart_m, turned_rad = pose_distances(a.optimum.T_map_camera, b.optimum.T_map_camera)
+    return bool(apart_m > _APART_M or turned_rad > _APART_RAD)
+
+
+def sureness(own: Support, rival: Support) -> float:
+    """0..1, the probability that the first of two poses is the right one, by what supports each."""
+    return 1 / (1 + math.exp(-float(np.clip((own.net - rival.net) / _TELLING_NATS, -50, 50))))

@@ -1,0 +1,275 @@
+"""Several frames → their poses, by one density over all of them: a rig's cameras, or one camera on its way.
+
+What one frame cannot tell, several do: matches are pooled, seeds come from the generalized three-point problem (rays
+that do not meet in one point; poselib's solver), and the ascent climbs the sum of all frames' log densities, the frames
+held to each other by what is known of their relative poses.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import poselib
+
+from rholoc.density import Evidence
+from rholoc.errors import InvalidInput
+from rholoc.geometry import FloatArray, Pose, is_rotation, pose_matrix
+from rholoc.localization.ascent import Optimum
+from rholoc.localization.confidence import joint_confidence
+from rholoc.localization.joint_ascent import Link, ascend_together, joint_covariances
+from rholoc.localization.localizer import Localizer
+from rholoc.localization.map_index import MapIndex
+from rholoc.localization.map_uncertainty import with_map_error
+from rholoc.localization.matches import Matches
+from rholoc.localization.seeds import vote_for_places
+from rholoc.localization.support import support_of
+from rholoc.localization.types import Dof, Intrinsics, Localization, Query, Reason
+from rholoc.localization.verification import FINAL_TOLERANCE_PX, SEARCH_RADII_PX, Verified, evidence_of
+
+FEWEST_FRAMES, MOST_FRAMES = 2, 10
+_PLACES = 6
+_VIEWS_EACH = 10
+_SAMPLES = (1000, 30)
+_TOLERANCE_PX = 12.0
+_MIN_MATCHES = 6
+
+
+@dataclass(frozen=True, eq=False)
+class SeveralFrames:
+    """Frames whose poses relative to each other are known.
+
+    Attributes:
+        frames: 2 to 10 of them; of each its features, camera, gravity and picture count, and the first one's ``dof``
+            and ``deadline_s``.
+        T_rig_cameras: (N, 4, 4) each camera's pose in one common frame, whatever it is: a rig's, or odometry's.
+        sigma_m: one sigma of the position of a frame as its predecessor sees it, metres along each axis.
+        sigma_rad: one sigma of its rotation, radians about each axis.
+
+    Raises:
+        InvalidInput: too few or too many frames, no poses, or no uncertainty.
+    """
+
+    frames: tuple[Query, ...]
+    T_rig_cameras: FloatArray
+    sigma_m: float = 0.005
+    sigma_rad: float = 0.003
+
+    def __post_init__(self) -> None:
+        count = len(self.frames)
+        if not FEWEST_FRAMES <= count <= MOST_FRAMES:
+            raise InvalidInput(
+                f"{count} frames; {FEWEST_FRAMES} to {MOST_FRAMES} can be localized together.",
+                "Send a single frame by itself, and long sequences in parts.",
+            )
+        if self.T_rig_cameras.shape != (count, 4, 4) or not all(is_rigid(T) for T in self.T_rig_cameras):
+            raise InvalidInput(
+                "A frame's relative pose is not a rigid motion.",
+                "Send a rotation (orthonormal, determinant +1) and a finite position for every frame.",
+            )
+        if not (0 < self.sigma_m < np.inf and 0 < self.sigma_rad < np.inf):
+            raise InvalidInput("The uncertainty of the relative poses is not positive.", "Send sigmas above 0.")
+
+    @property
+    def links(self) -> list[Link]:
+        """From each frame to the next."""
+        T = self.T_rig_cameras
+        return [Link(i, i + 1, np.linalg.inv(T[i]) @ T[i + 1], self.sigma_m, self.sigma_rad) for i in range(len(T) - 1)]
+
+
+@dataclass(frozen=True, eq=False)
+class JointLocalization:
+    """The answer for several frames.
+
+    Attributes:
+        first: the answer for the first of them; its matches and inliers are those of all frames.
+        poses: of all of them, in their order; empty where there is none.
+        inliers: how many matches agree in each.
+    """
+
+    first: Localization
+    poses: tuple[Pose, ...]
+    inliers: tuple[int, ...]
+
+
+def is_rigid(T: FloatArray) -> bool:
+    """Whether a matrix (4, 4) is a rotation and a finite position."""
+    return bool(np.isfinite(T).all() and np.allclose(T[3], (0, 0, 0, 1)) and is_rotation(T[:3, :3]))
+
+
+def localize_together(localizer: Localizer, asked: SeveralFrames) -> JointLocalization:
+    """The poses of several frames; "no pose" is an answer, as for one.
+
+    Raises:
+        InvalidDescriptors: a frame's features are not of the map's kind.
+        InvalidInput: a frame's intrinsics are unknown: one frame alone can estimate them.
+    """
+    for frame in asked.frames:
+        localizer.check(frame)
+        if frame.intrinsics is Intrinsics.UNKNOWN:
+            raise InvalidInput("Frames that are localized together need their intrinsics.", "Send fx, fy, cx, cy.")
+    return _Joint(localizer, asked).localize()
+
+
+@dataclass(frozen=True, eq=False)
+class _Candidate:
+    """Poses (N, 4, 4) that may be the answer, what speaks for them in each frame, and how probably they are right."""
+
+    verified: tuple[Verified, ...]
+    covariances: FloatArray
+    confidence: float
+
+
+class _Joint:
+    """One joint localization."""
+
+    def __init__(self, localizer: Localizer, asked: SeveralFrames) -> None:
+        self.localizer, self.index, self.asked = localizer, localizer.index, asked
+        self.frames = [localizer.adapted(frame) for frame in asked.frames]
+        self.dof: Dof = self.frames[0].dof
+        self.rays = [frame.camera.rays(frame.features.pixels) for frame in self.frames]
+        self.started = time.perf_counter()
+        self.timings_ms: dict[str, float] = {}
+
+    def localize(self) -> JointLocalization:
+        """The answer."""
+        best: _Candidate | None = None
+        reason, matched = Reason.NO_AGREEMENT, 0
+        for matches in self._pools():
+            matched = matched or sum(len(one) for one in matches)
+            if best is not None and self._late():
+                break
+            candidate = self._candidate(matches)
+            if candidate is not None and (best is None or candidate.confidence > best.confidence):
+                best = candidate
+            if best is not None and best.confidence >= self.localizer.options.conclusive:
+                break
+            if self._late():
+                reason = Reason.DEADLINE
+                break
+        if matched < _MIN_MATCHES:
+            reason = Reason.NO_MATCHES
+        return self._answer(best, reason, matched)
+
+    def _late(self) -> bool:
+        deadline_s = self.frames[0].deadline_s
+        return deadline_s is not None and time.perf_counter() - self.started > deadline_s
+
+    def _pools(self) -> Iterator[list[Matches]]:
+        """Matches of every frame: with the whole map, then within its likeliest places, one after the other."""
+        everywhere = [self.index.match_everywhere(frame.features) for frame in self.frames]
+        yield everywhere
+        places = [vote_for_places(self.index, one, _PLACES, _VIEWS_EACH, None) for one in everywhere]
+        for rank in range(_PLACES):
+            if not any(len(own) > rank for own in places):
+                return
+            yield [
+                self.index.match_within(frame.features, own[rank].landmarks) if len(own) > rank else Matches.none()
+                for frame, own in zip(self.frames, places, strict=True)
+            ]
+
+    def _candidate(self, matches: list[Matches]) -> _Candidate | None:
+        T_map_rig = self._seed(matches)
+        if T_map_rig is None:
+            return None
+        return self._verified(T_map_rig @ self.asked.T_rig_cameras)
+
+    def _seed(self, matches: list[Matches]) -> FloatArray | None:
+        """The rig's pose (4, 4) by LO-RANSAC over all frames' matches."""
+        ordered = [one.likeliest_first() for one in matches]
+        if sum(len(one) for one in ordered) < _MIN_MATCHES:
+            return None
+        focal_px = float(np.mean([frame.camera.focal for frame in self.frames]))
+        pinhole = {"model": "SIMPLE_PINHOLE", "width": 1, "height": 1, "params": [focal_px, 0.0, 0.0]}
+        plane = [_plane(rays[one.detections]) * focal_px for rays, one in zip(self.rays, ordered, strict=True)]
+        points = [self.index.landmarks[one.landmarks] for one in ordered]
+        settings = {
+            "max_iterations": _SAMPLES[0],
+            "min_iterations": _SAMPLES[1],
+            "max_reproj_error": _TOLERANCE_PX,
+            "success_prob": 0.9999,
+        }
+        mounted = [_camera_pose(T) for T in self.asked.T_rig_cameras]
+        cameras = [pinhole] * len(self.frames)
+        pose, report = poselib.estimate_generalized_absolute_pose(plane, points, mounted, cameras, settings, {})
+        R_rig_map = np.asarray(pose.R)
+        T_map_rig = pose_matrix(R_rig_map.T, -R_rig_map.T @ np.asarray(pose.t))
+        return T_map_rig if report["num_inliers"] >= _MIN_MATCHES and np.isfinite(T_map_rig).all() else None
+
+    def _verified(self, T_map_cameras: FloatArray) -> _Candidate | None:
+        """Match again around the poses and ascend, within each radius in turn."""
+        T, links, densities = T_map_cameras, self.asked.links, self.index.map.densities
+        verified: tuple[Verified, ...] = ()
+        for radius in SEARCH_RADII_PX:
+            near = [
+                self.index.match_near(frame.features, frame.camera, pose, radius)
+                for frame, pose in zip(self.frames, T, strict=True)
+            ]
+            if sum(len(matches) for matches, _ in near) < _MIN_MATCHES:
+                return None
+            evidences = [
+                evidence_of(self.index, matches, rays, frame.camera)
+                for (matches, _), rays, frame in zip(near, self.rays, self.frames, strict=True)
+            ]
+            tolerances_px = (*(px for px in (radius, radius / 2) if px > FINAL_TOLERANCE_PX), FINAL_TOLERANCE_PX)
+            optima = ascend_together(densities, evidences, T, links, tolerances_px, self.dof)
+            T = np.array([optimum.T_map_camera for optimum in optima])
+            verified = tuple(
+                _verified(self.index, frame, optimum, matches, evidence, by_chance)
+                for optimum, (matches, by_chance), evidence, frame in zip(
+                    optima, near, evidences, self.frames, strict=True
+                )
+            )
+        covariances = joint_covariances(
+            [one.evidence for one in verified], [one.optimum for one in verified], links, FINAL_TOLERANCE_PX
+        )
+        return _Candidate(verified, covariances, joint_confidence(verified, covariances[0], self.index.metric))
+
+    def _answer(self, best: _Candidate | None, reason: Reason, matched: int) -> JointLocalization:
+        timings_ms = {"match": 1e3 * (time.perf_counter() - self.started)}
+        nothing = np.zeros(0, dtype=np.int64)
+        if best is None:
+            refusal = Localization(False, reason, None, None, 0.0, matched, 0, np.zeros((0, 2)), nothing, timings_ms)
+            return JointLocalization(refusal, (), ())
+        localized = best.confidence >= self.localizer.min_confidence
+        poses = tuple(Pose(one.optimum.T_map_camera) for one in best.verified)
+        inliers = tuple(one.inliers for one in best.verified)
+        agreeing = [one.optimum.density > 0 for one in best.verified]
+        first = Localization(
+            localized=localized,
+            reason=None if localized else Reason.LOW_CONFIDENCE,
+            pose=poses[0] if localized else None,
+            covariance=best.covariances[0] if localized else None,
+            confidence=best.confidence,
+            matches=matched,
+            inliers=sum(inliers),
+            inlier_pixels=best.verified[0].pixels[agreeing[0]],
+            inlier_features=np.concatenate(
+                [one.matches.landmarks[some] for one, some in zip(best.verified, agreeing, strict=True)]
+            ),
+            timings_ms=timings_ms,
+        )
+        return JointLocalization(with_map_error(self.index, first), poses if localized else (), inliers)
+
+
+def _verified(
+    index: MapIndex, frame: Query, optimum: Optimum, matches: Matches, evidence: Evidence, by_chance: FloatArray
+) -> Verified:
+    pixels = frame.features.pixels
+    support = support_of(index, pixels, frame.camera, matches, evidence, optimum, by_chance)
+    chance = float(by_chance.sum())
+    return Verified(optimum, matches, evidence, pixels[matches.detections], chance, matches, support)
+
+
+def _plane(rays: FloatArray) -> FloatArray:
+    return np.asarray(rays[:, :2] / rays[:, 2:])
+
+
+def _camera_pose(T_rig_camera: FloatArray) -> poselib.CameraPose:
+    """poselib's form of where a camera sits: it takes points of the rig's frame to the camera's."""
+    pose = poselib.CameraPose()
+    pose.R = T_rig_camera[:3, :3].T
+    pose.t = -T_rig_camera[:3, :3].T @ T_rig_camera[:3, 3]
+    return pose

@@ -1,0 +1,109 @@
+"""What speaks for a pose and what against it, counted by parts of the picture.
+
+Matches that lie side by side stand or fall together: a hundred on one poster say that the poster is there, not which of
+two like it. So the picture is divided into cells, and what a cell can say is bounded. What a place should show and does
+not, where the picture shows something else, speaks against the pose: a door of the same make, a desk with the same
+screen agree as far as they reach, and no farther.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from rholoc.density import Evidence
+from rholoc.geometry import Camera, FloatArray, IntArray
+from rholoc.localization.ascent import Optimum
+from rholoc.localization.map_index import MapIndex
+from rholoc.localization.matches import Matches
+
+_CELLS_ACROSS = 8
+_CELL_NATS = 10.0  # the most that a cell can say
+_CHANCE_NATS = 1.5  # what a match by chance says, about
+_VIEWS_ALIKE = 10
+_FEWEST_EXPECTED, _FEWEST_DETECTED = 2, 3  # landmarks, features of a cell that can contradict
+_HIGHEST_RATE = 0.9
+
+
+@dataclass(frozen=True)
+class Support:
+    """How far a picture bears a pose out.
+
+    Attributes:
+        seen: nats, what its matches say for it, cell by cell.
+        missing: nats, what the cells say against it where landmarks should be and other things are.
+    """
+
+    seen: float
+    missing: float
+
+    @property
+    def net(self) -> float:
+        """Nats for the pose, by which hypotheses compare."""
+        return self.seen - self.missing
+
+
+def support_of(
+    index: MapIndex,
+    pixels: FloatArray,
+    camera: Camera,
+    found: Matches,
+    evidence: Evidence,
+    optimum: Optimum,
+    by_chance: FloatArray,
+) -> Support:
+    """The support of an optimum.
+
+    Args:
+        index: of the map.
+        pixels: (N, 2) of all features of the picture.
+        camera: that took it.
+        found: the matches that the optimum rests on.
+        evidence: what they say.
+        optimum: the pose.
+        by_chance: (N,) how probably each feature matches something there by chance.
+    """
+    agreeing = np.flatnonzero(optimum.density > 0)
+    if len(agreeing) == 0:
+        return Support(0.0, 0.0)
+    grid = _Grid.of(camera)
+    gains = np.log1p(optimum.density[agreeing] / evidence.epsilon[agreeing])
+    said = grid.sums(pixels[found.detections[agreeing]], gains) - _CHANCE_NATS * grid.sums(pixels, by_chance)
+    shown, should_be = _expected(index, found.landmarks[agreeing], camera, optimum.T_map_camera)
+    expected = grid.sums(should_be)
+    seen = grid.sums(should_be[np.isin(shown, found.landmarks[agreeing])])
+    empty = (seen == 0) & (expected >= _FEWEST_EXPECTED) & (grid.sums(pixels) >= _FEWEST_DETECTED)
+    rate = min(float(seen.sum()) / max(float(expected[seen > 0].sum()), 1.0), _HIGHEST_RATE)
+    against = -np.log(1 - rate) * expected[empty]
+    return Support(float(np.clip(said, 0, _CELL_NATS).sum()), float(np.minimum(against, _CELL_NATS).sum()))
+
+
+def _expected(
+    index: MapIndex, agreeing: IntArray, camera: Camera, T_map_camera: FloatArray
+) -> tuple[IntArray, FloatArray]:
+    """The landmarks (E,) that views from hereabouts saw and this one should, and where (E, 2)."""
+    seen = np.flatnonzero(index.seen_alike(agreeing, _VIEWS_ALIKE))
+    rows = seen[index.present(T_map_camera[:3, 3], seen)]
+    pixels = camera.project((index.landmarks[rows] - T_map_camera[:3, 3]) @ T_map_camera[:3, :3])
+    inside = camera.contains(pixels)
+    return rows[inside], pixels[inside]
+
+
+@dataclass(frozen=True)
+class _Grid:
+    """Square cells over a picture."""
+
+    size_px: float
+    rows: int
+
+    @classmethod
+    def of(cls, camera: Camera) -> _Grid:
+        size_px = max(camera.width, camera.height) / _CELLS_ACROSS
+        return cls(size_px, int(np.ceil(camera.height / size_px)))
+
+    def sums(self, pixels: FloatArray, weights: FloatArray | None = None) -> FloatArray:
+        """The sum of ``weights`` (N,), or the number, of ``pixels`` (N, 2) in each cell."""
+        column, row = np.clip((pixels // self.size_px).astype(np.int64), 0, (_CELLS_ACROSS - 1, self.rows - 1)).T
+        cells = row * _CELLS_ACROSS + column
+        return np.bincount(cells, weights, minlength=self.rows * _CELLS_ACROSS).astype(np.float64)

@@ -1,0 +1,65 @@
+"""Look-alikes: places that show the same, things of a place in a picture of another."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from rholoc.features import FeatureSet
+from rholoc.localization import Dof, Localizer, Query
+from rholoc.localization.rivals import sureness
+from rholoc.localization.support import Support
+from rholoc.localization.verification import verify
+
+
+@pytest.fixture(scope="module")
+def twin_room(point_room: Any) -> Any:
+    """A room that looks the same after half a turn."""
+    half = point_room.points[: len(point_room.points) // 2]
+    other = half * (-1, -1, 1)
+    descriptors = point_room.descriptors[: len(half)]
+    return type(point_room)(np.vstack([half, other]), np.vstack([descriptors, descriptors]), point_room.camera)
+
+
+def test_a_room_that_is_its_own_twin_is_not_answered_with_confidence(twin_room: Any) -> None:
+    localizer = Localizer(twin_room.map_of(twin_room.walk(80), "twin"), min_confidence=0.0)
+    for seed, truth in enumerate(twin_room.walk(9, sideways_m=0.1)[1:3]):
+        answer = localizer.localize(Query(twin_room.see(truth, 70 + seed), twin_room.camera, Dof.FREE))
+        assert answer.confidence < 0.75  # of two equal places neither is likelier than a half
+
+
+def _in_a_crowd(seen: FeatureSet, kept: np.ndarray, seed: int) -> FeatureSet:
+    """Some of the features of a picture, amid others that nobody has seen."""
+    rng, count = np.random.default_rng(seed), 400
+    strange = FeatureSet(
+        rng.uniform(0, (640, 480), (count, 2)).astype(np.float32),
+        np.zeros(count, np.uint8),
+        rng.integers(0, 256, (count, seen.descriptors.shape[1]), dtype=np.uint8),
+        np.full(count, 31, np.float32),
+        np.zeros(count, np.float32),
+    )
+    return FeatureSet.concatenate([seen.take(np.flatnonzero(kept)), strange])
+
+
+def test_what_should_be_seen_and_is_not_speaks_against_a_pose(localizer: Localizer, point_room: Any) -> None:
+    missing = np.zeros(2)
+    for seed, truth in enumerate(point_room.walk(12, sideways_m=0.1)[:8]):
+        seen = point_room.see(truth, seed)
+        thing = seen.pixels[:, 0] < 250
+        for i, kept in enumerate((np.ones(len(seen), dtype=bool), thing)):
+            query = Query(_in_a_crowd(seen, kept, seed), point_room.camera, Dof.FREE)
+            rays = point_room.camera.rays(query.features.pixels)
+            found = verify(localizer.index, query, rays, truth.T_map_camera)
+            assert found is not None
+            missing[i] += found.support.missing
+    of_the_place, of_the_thing = missing
+    assert of_the_thing > 4 * of_the_place
+    assert of_the_thing > 40
+
+
+def test_matches_in_one_corner_say_no_more_than_a_few() -> None:
+    assert sureness(Support(100.0, 0.0), Support(100.0, 0.0)) == 0.5
+    assert sureness(Support(160.0, 5.0), Support(110.0, 5.0)) > 0.95
+    assert sureness(Support(110.0, 40.0), Support(110.0, 0.0)) < 0.05

@@ -1,0 +1,144 @@
+"""Several frames go in, their poses come out: over a real socket."""
+
+from __future__ import annotations
+
+import base64
+import json
+
+import httpx
+import numpy as np
+import pytest
+
+from rholoc.features import get_extractor
+
+_HERE = {"position": [0, 0, 0], "quaternion_xyzw": [0, 0, 0, 1]}
+_CAMERA = {"fx": 520, "fy": 520, "cx": 319.5, "cy": 239.5}
+
+
+def _features(world):
+    found = get_extractor("gray").extract(world.image)
+    return {
+        "pixels": found.pixels.tolist(),
+        "channels": ["L"] * len(found),
+        "descriptors": base64.b64encode(found.descriptors.tobytes()).decode(),
+    }
+
+
+def _ask(service, body, **files):
+    url = service.url + "/v1/maps/room/localize"
+    if files:
+        parts = {name: (name, content, "image/png") for name, content in files.items()}
+        parts["request"] = ("request.json", json.dumps(body).encode(), "application/json")
+        return httpx.post(url, files=parts, timeout=30)
+    return httpx.post(url, json=body, timeout=30)
+
+
+def test_the_ways_to_send_them_give_the_same_poses(service, picture_world):
+    picture = base64.b64encode(picture_world.png()).decode()
+    size = {"width": picture_world.camera.width, "height": picture_world.camera.height}
+    by_features = {**_HERE, "features": _features(picture_world), "camera": {**size, **_CAMERA}}
+    answers = [
+        _ask(service, {"camera": _CAMERA, "frames": [{**_HERE, "image": picture}] * 2}),
+        _ask(service, {"frames": [by_features] * 2}),
+        _ask(
+            service,
+            {"camera": _CAMERA, "frames": [_HERE, _HERE]},
+            image0=picture_world.png(),
+            image1=picture_world.png(),
+        ),
+        _ask(service, {"camera": _CAMERA, "frames": [_HERE, by_features]}, image0=picture_world.png()),
+    ]
+    for answer in answers:
+        assert answer.status_code == 200, answer.text
+        body = answer.json()
+        assert body["localized"]
+        assert len(body["frames"]) == 2
+        assert body["frames"][0]["pose"] == body["pose"]
+        assert sum(frame["inliers"] for frame in body["frames"]) == body["inliers"]
+        np.testing.assert_allclose(body["pose"]["position"], picture_world.pose.position, atol=0.02)
+        np.testing.assert_allclose(body["pose"]["T_map_camera"], answers[0].json()["pose"]["T_map_camera"], atol=1e-6)
+
+
+def test_one_picture_has_no_frames(service, picture_world):
+    answer = httpx.post(
+        service.url + "/v1/maps/room/localize",
+        content=picture_world.png(),
+        headers={"Content-Type": "image/png"},
+        timeout=30,
+    )
+    assert answer.json()["frames"] is None
+
+
+def test_the_deadline_holds_for_all_frames(service, picture_world):
+    picture = base64.b64encode(picture_world.png()).decode()
+    body = _ask(service, {"frames": [{**_HERE, "image": picture}] * 2, "deadline_ms": 0.001}).json()
+    assert (body["localized"], body["reason"]) == (False, "deadline")
+
+
+@pytest.mark.parametrize("count", [0, 1, 11])
+def test_too_few_or_too_many_frames(service, picture_world, count):
+    answer = _ask(service, {"frames": [{**_HERE, "image": "AAAA"}] * count})
+    assert answer.status_code == 422
+    assert answer.json()["code"] == "invalid_input"
+    assert answer.json()["message"].startswith(f"{count} frames")
+
+
+@pytest.mark.parametrize("quaternion", [[0, 0, 0, 0], [1, 1, 1, 1], [0, 0, 0, 2]])
+def test_relative_poses_that_are_no_rotations(service, picture_world, quaternion):
+    frame = {**_HERE, "features": _features(picture_world), "camera": {"width": 640, "height": 480}}
+    answer = _ask(service, {"frames": [frame, {**frame, "quaternion_xyzw": quaternion}]})
+    assert (answer.status_code, answer.json()["code"]) == (422, "invalid_input")
+    assert "frame 1" in answer.json()["message"]
+
+
+@pytest.mark.parametrize(
+    ("frame", "code"),
+    [
+        ({}, "invalid_input"),
+        ({"image": "AAAA", "features": {"pixels": [], "descriptors": []}}, "invalid_input"),
+        ({"image": "not base64!"}, "invalid_image"),
+        ({"image": "AAAA"}, "invalid_image"),
+        ({"features": {"pixels": [[1, 2]], "descriptors": ["ab"]}}, "invalid_descriptors"),
+    ],
+)
+def test_a_frame_that_is_none(service, frame, code):
+    sized = {**_HERE, "camera": {"width": 640, "height": 480}, **frame}
+    answer = _ask(service, {"frames": [sized, sized]})
+    assert answer.json()["code"] == code
+
+
+def test_the_features_of_another_map_are_refused(service, picture_world):
+    own = {**_HERE, "features": _features(picture_world), "camera": {"width": 640, "height": 480}}
+    other = {**own, "features": {"pixels": [[1, 2]], "channels": ["L"], "descriptors": ["ab" * 48]}}
+    answer = _ask(service, {"frames": [own, other]})
+    assert answer.json()["code"] == "invalid_descriptors"
+
+
+@pytest.mark.parametrize("sigma", [{"sigma_m": 0.0}, {"sigma_deg": -1.0}])
+def test_an_uncertainty_must_be_positive(service, picture_world, sigma):
+    own = {**_HERE, "features": _features(picture_world), "camera": {"width": 640, "height": 480}}
+    answer = _ask(service, {"frames": [own, own], **sigma})
+    assert answer.json()["code"] == "invalid_input"
+
+
+def test_a_picture_without_its_frame(service, picture_world):
+    answer = _ask(service, {"frames": [_HERE, _HERE]}, image0=picture_world.png(), image7=picture_world.png())
+    assert answer.json()["code"] == "invalid_input"
+    assert "image7" in answer.json()["message"]
+
+
+def test_places_are_the_views_that_a_picture_is_like(service, picture_world):
+    def find(body=None, **params):
+        sent = {"content": picture_world.png()} if body is None else {"content": json.dumps(body).encode()}
+        kind = "image/png" if body is None else "application/json"
+        return httpx.post(service.url + "/v1/places", params=params, headers={"Content-Type": kind}, timeout=30, **sent)
+
+    found = find(maps="all", limit=100).json()["places"]
+    assert {place["map"] for place in found} == {"room", "loose"}
+    assert [place["score"] for place in found] == sorted((place["score"] for place in found), reverse=True)
+    assert len(find(maps="room", limit=1).json()["places"]) == 1
+    own = {"features": _features(picture_world), "camera": {"width": 640, "height": 480}}
+    assert find(own, maps="room").json() == find(maps="room").json()
+    assert find(maps="attic").json()["code"] == "unknown_map"
+    assert find(maps="room", limit=0).status_code == 422
+    assert find({"frames": [_HERE, _HERE]}, maps="room").json()["code"] == "invalid_request"
