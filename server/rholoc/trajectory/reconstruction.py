@@ -58,7 +58,8 @@ _CORNERS_APART = (1, 2, 4, 8)  # keyframes, between which corners show the direc
 _FEWEST_CORNERS = 15
 _DIRECTION_TOLERANCE_PX = 2.0
 _FOLLOWED = 60  # corners that neighbouring keyframes share, in the median, where pictures are close enough to follow
-_ROUNDS = 2  # of adjusting and judging sightings anew
+_ROUNDS = 2  # of adjusting and judging sightings anew …
+_ROUNDS_OF_PICTURES = 3  # … without an IMU, from a start that is less near
 _ITERATIONS = 12
 _LAST_ITERATIONS = 8
 _FEWEST_PX, _OUTLIER = 2.5, 5.0  # a sighting this far off is left out, or so many times the median
@@ -452,7 +453,7 @@ def _solve_from_pictures(
     numbered = Observations(number[whole.keyframes], whole.tracks, whole.pixels)
     observations = numbered.take(numbered.keyframes >= 0)
     problem = Problem(some.times, observations, camera_sigmas=_camera_sigmas(sights.camera))
-    problem, adjusted = _adjusted_in_rounds(problem, state, told, (0.45, 0.75))
+    problem, adjusted = _adjusted_in_rounds(problem, state, told, (0.45, 0.75), _ROUNDS_OF_PICTURES)
     left_out: dict[str, LeftOut] = {}
     mistaken: tuple[str, ...] = ()
     depth = _median_depth(problem.observations, adjusted)
@@ -491,11 +492,11 @@ def _start_from_pictures(
 
 
 def _adjusted_in_rounds(
-    problem: Problem, state: State, told: _Progress, span: tuple[float, float]
+    problem: Problem, state: State, told: _Progress, span: tuple[float, float], rounds: int = _ROUNDS
 ) -> tuple[Problem, Adjusted]:
     """Adjust, and judge all sightings anew by what comes out; the problem with those that are right."""
     everything = problem.observations
-    edges = np.linspace(*span, _ROUNDS + 1).tolist()
+    edges = np.linspace(*span, rounds + 1).tolist()
     step = told.step(edges[0], edges[1], "all measurements adjusted together")
     adjusted = adjust(problem, state, _ITERATIONS, step)
     for start, end in itertools.pairwise(edges[1:]):
