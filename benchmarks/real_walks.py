@@ -182,15 +182,13 @@ def euroc(path: Path) -> dict[str, Any]:
 def kitchen(path: Path, choice: str, every: int) -> dict[str, Any]:
     """One map of frames 400–999 and the errors of frames 200–399 localized in it.
 
-    A choice ``n+k`` is every n-th frame from the k-th on; another choice has other waypoints, one in each quarter.
+    A choice ``n+k`` is every n-th frame from the k-th on; another choice has other waypoints, spread as a user would.
     """
     step, offset = (int(part) for part in choice.split("+"))
     recording = read_recording(path, camera=KITCHEN_CAMERA, frames=f"{400 + offset}:1000:{step}")
     assert recording.poses is not None
-    count = len(recording.frames.times)
-    rng = np.random.default_rng(KITCHEN_CHOICES.index(choice))
-    measured_rows = [int(count * (quarter + rng.uniform(0.15, 0.85)) / _WAYPOINTS) for quarter in range(_WAYPOINTS)]
     positions = recording.poses.T_map_camera[:, :3, 3]
+    measured_rows = spread_rows(positions, KITCHEN_CHOICES.index(choice))
     waypoints = tuple(
         Waypoint(f"W{i}", float(recording.frames.times[row]), tuple(positions[row].tolist()))
         for i, row in enumerate(measured_rows)
@@ -220,6 +218,15 @@ def kitchen(path: Path, choice: str, every: int) -> dict[str, Any]:
         "cm": spread(100 * np.minimum(errors.position_m, 10)),
         "deg": spread(np.degrees(np.minimum(errors.rotation_rad, np.pi))),
     }
+
+
+def spread_rows(positions: FloatArray, seed: int) -> list[int]:
+    """Rows of four positions (N, 3): one at random, then each the furthest from those before."""
+    rows = [int(np.random.default_rng(seed).integers(len(positions)))]
+    while len(rows) < _WAYPOINTS:
+        apart = np.linalg.norm(positions[:, None] - positions[rows], axis=2).min(axis=1)
+        rows.append(int(apart.argmax()))
+    return sorted(rows)
 
 
 def spoiled(path: Path, spoil: Spoil, at_s: float | None) -> dict[str, Any]:
