@@ -117,3 +117,21 @@ def test_more_matches_make_the_covariance_smaller() -> None:
         for evidence in (few, many)
     ]
     assert sizes[1] < sizes[0] / 3
+
+
+def test_the_covariance_is_the_spread_of_optima_with_a_factor_of_three() -> None:
+    """Detections 1 px off; the factor allows for what no single frame shows, and nothing else may change the size."""
+    squared = []
+    for seed in range(40):
+        evidence = _evidence(seed, count=60, noise_px=1.0)
+        optimum = ascend(RAY, evidence, TRUTH, (8.0, 8.0), Dof.FREE)
+        R = optimum.T_map_camera[:3, :3] @ TRUTH[:3, :3].T
+        error = np.r_[(optimum.T_map_camera - TRUTH)[:3, 3], Rotation.from_matrix(R).as_rotvec()]
+        covariance = covariance_at(evidence, optimum, 8.0)
+        squared.append([_mean_square(error, covariance), _mean_square(error[:3], covariance[:3, :3])])
+    assert 3**2 * np.mean(squared, axis=0).min() > 1 / 3
+    assert 3**2 * np.mean(squared, axis=0).max() < 3
+
+
+def _mean_square(error: np.ndarray, covariance: np.ndarray) -> float:
+    return float(error @ np.linalg.solve(covariance, error) / len(error))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ from rholoc.errors import InvalidDescriptors
 from rholoc.features import FeatureSet
 from rholoc.geometry import Pose, pose_matrix
 from rholoc.localization import Cause, Dof, Localizer, Prior, Query, Reason
+from rholoc.localization.seeds import place_of_prior
 
 
 def _off(answer: Any, truth: Pose) -> tuple[float, float]:
@@ -86,6 +88,43 @@ def test_a_wrong_prior_is_recovered_from(localizer: Localizer, point_room: Any, 
     answer = localizer.localize(Query(point_room.see(truth, 8), point_room.camera, prior=Prior(far, 0.5, 0.3)))
     assert _off(answer, truth)[0] < 0.03
     assert answer.near_prior is False
+
+
+def test_a_prior_of_another_heading_was_not_met(localizer: Localizer, point_room: Any) -> None:
+    truth = point_room.walk(9)[4]
+    features = point_room.see(truth, 8)
+    turn = Rotation.from_euler("z", 60, degrees=True).as_matrix()
+    turned = Pose(pose_matrix(turn @ truth.R_map_camera, truth.position))
+    for radius_deg, met in ((45, False), (75, True)):
+        prior = Prior(turned, 0.5, math.radians(radius_deg))
+        answer = localizer.localize(Query(features, point_room.camera, prior=prior))
+        assert _off(answer, truth)[0] < 0.03
+        assert answer.near_prior is met
+
+
+def test_a_priors_place_is_seen_by_views_that_look_its_way(localizer: Localizer, point_room: Any) -> None:
+    index, truth = localizer.index, point_room.walk(9)[4]
+    place = place_of_prior(index, Prior(truth, 4.0, 0.1), views_each=60)
+    assert place is not None
+    turned = np.arccos(np.clip(index.view_headings @ truth.heading, -1, 1))
+    alike = np.flatnonzero(turned < 0.1 + np.deg2rad(30))
+    assert 0 < len(alike) < len(turned)
+    np.testing.assert_array_equal(place.landmarks, np.unique(index.visibility[alike].indices))
+    upwards = Pose.from_heading(truth.position, np.array([0.01, 0.0, 1.0]))
+    assert place_of_prior(index, Prior(upwards, 4.0, 0.1), views_each=60) is None
+
+
+@pytest.mark.parametrize(("turned_deg", "tracked"), [(1.5, True), (10.0, False)])
+def test_tracking_looks_no_further_than_a_camera_turns_between_frames(
+    localizer: Localizer, point_room: Any, turned_deg: float, tracked: bool
+) -> None:
+    """15 and 90 px. Further off, look-alikes would be found by chance: the search starts from what is seen instead."""
+    truth = point_room.walk(9)[4]
+    turn = Rotation.from_euler("z", turned_deg, degrees=True).as_matrix()
+    prior = Prior(Pose(pose_matrix(turn @ truth.R_map_camera, truth.position)), 0.5, 0.3)
+    answer = localizer.localize(Query(point_room.see(truth, 8), point_room.camera, prior=prior))
+    assert _off(answer, truth)[0] < 0.03
+    assert ("seed" not in answer.timings_ms) is tracked
 
 
 def test_a_roll_that_only_the_request_forbids_is_named(localizer: Localizer, point_room: Any) -> None:

@@ -85,6 +85,19 @@ def test_selection_keeps_what_is_seen_often(landmarks: Landmarks, walked: Views)
     assert few.view_counts.mean() > all_.view_counts.mean()
 
 
+def test_what_two_views_saw_is_not_stable_however_well_its_place_is_known(landmarks: Landmarks, walked: Views) -> None:
+    labels = landmarks.labels.copy()
+    often = np.argsort(-landmarks.view_counts)[:40]
+    for landmark in often:
+        rows = np.flatnonzero(labels == landmark)
+        labels[rows[1:-1]] = -1  # the first and the last view stay: the widest baseline
+    thinned = triangulate(walked, labels)
+    twice = thinned.view_counts == 2
+    sigma = np.sqrt(np.linalg.eigvalsh(thinned.covariances)[:, -1])
+    assert (twice & (sigma < 0.05)).sum() > 20
+    assert select_stable(walked, thinned, per_view=10_000).view_counts.min() == 3
+
+
 def test_representatives_start_with_the_medoid(landmarks: Landmarks, walked: Views) -> None:
     rows = representative_rows(walked, landmarks.labels, len(landmarks), Metric.HAMMING, most=2)
     assert len(rows) == len(landmarks)

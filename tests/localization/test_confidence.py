@@ -1,0 +1,67 @@
+"""Confidence: it follows what speaks for a pose and against it, and tells right answers from made-up ones."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from rholoc.features import FeatureSet, Metric
+from rholoc.localization import MIN_CONFIDENCE, Dof, Localizer, Query
+from rholoc.localization.confidence import confidence_inputs, confidence_of
+from rholoc.maps import Map
+
+
+def _verified(value: float = 100.0, by_chance: float = 10.0, sigma_m: float = 0.01) -> Any:
+    covariance = np.diag([1e-6, sigma_m**2, 1e-6, 0.1, 0.1, 0.1])
+    return SimpleNamespace(optimum=SimpleNamespace(value=value), by_chance=by_chance, covariance=covariance)
+
+
+@pytest.mark.parametrize("metric", list(Metric))
+def test_it_rises_with_the_matches_and_falls_with_chance_and_uncertainty(metric: Metric) -> None:
+    by_value = [confidence_of(_verified(value=value), metric) for value in (0, 10, 30, 100, 300, 1000)]
+    by_chance = [confidence_of(_verified(by_chance=count), metric) for count in (0, 3, 10, 30, 100, 300)]
+    by_sigma = [confidence_of(_verified(sigma_m=sigma_m), metric) for sigma_m in (0.06, 0.1, 0.3, 1.0)]
+    for confidences, sign in ((by_value, 1), (by_chance, -1), (by_sigma, -1)):
+        assert (sign * np.diff(confidences) > 0).all()
+        assert all(0 < confidence < 1 for confidence in confidences)
+    assert by_value[0] < 0.01
+    assert by_value[-1] > 0.99
+    assert by_chance[-1] < 0.01
+
+
+def test_what_it_weighs_is_in_octaves_and_a_sigma_below_5_cm_costs_nothing() -> None:
+    np.testing.assert_allclose(confidence_inputs(_verified(127.0, 7.0, 0.2)), [7, 3, 2])
+    np.testing.assert_allclose(confidence_inputs(_verified(0.0, 0.0, 0.05)), [0, 0, 0], atol=1e-12)
+    np.testing.assert_allclose(confidence_inputs(_verified(0.0, 0.0, 0.001)), [0, 0, 0])
+
+
+def test_answers_are_sure_where_much_is_seen_and_unsure_where_hardly_anything_is(
+    room_map: Map, point_room: Any
+) -> None:
+    localizer = Localizer(room_map, min_confidence=0.0)
+    of_share: dict[float, list[float]] = {0.7: [], 0.03: []}
+    for share, confidences in of_share.items():
+        for seed, truth in enumerate(point_room.walk(6, sideways_m=0.1)):
+            seen = _among_clutter(point_room.see(truth, 700 + seed, share), seed)
+            confidences.append(localizer.localize(Query(seen, point_room.camera, Dof.FREE)).confidence)
+    assert min(of_share[0.7]) > 0.9
+    assert max(of_share[0.03]) < MIN_CONFIDENCE
+    assert np.mean(of_share[0.03]) < 0.2
+
+
+def _among_clutter(seen: FeatureSet, seed: int, count: int = 300) -> FeatureSet:
+    """What was seen, among detections of nothing in particular."""
+    rng = np.random.default_rng(seed)
+    pixels = rng.uniform((0, 0), (640, 480), (count, 2)).astype(np.float32)
+    return replace(
+        seen,
+        pixels=np.concatenate([seen.pixels, pixels]),
+        channels=np.concatenate([seen.channels, np.zeros(count, np.uint8)]),
+        descriptors=np.concatenate([seen.descriptors, rng.integers(0, 256, (count, 32), dtype=np.uint8)]),
+        sizes=np.concatenate([seen.sizes, np.full(count, 31, np.float32)]),
+        angles=np.concatenate([seen.angles, np.zeros(count, np.float32)]),
+    )
