@@ -9,7 +9,7 @@ BIN := $(VENV)/bin
 INSTALLED := $(VENV)/.installed
 PAGE_TOOLS := client/node_modules/.installed
 
-.PHONY: demo serve test lint format clean
+.PHONY: demo serve test test-all lint format clean
 
 demo: $(INSTALLED)
 	$(BIN)/rholoc demo
@@ -18,7 +18,10 @@ serve: $(INSTALLED)
 	$(BIN)/rholoc serve
 
 test: $(INSTALLED)
-	$(BIN)/python -m pytest -n 2
+	$(BIN)/python -m pytest -n 2 -m "not slow"
+
+test-all: test
+	$(BIN)/python -m pytest -n 2 -m slow
 
 lint: $(INSTALLED) $(PAGE_TOOLS)
 	$(BIN)/ruff check .

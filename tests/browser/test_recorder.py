@@ -85,6 +85,7 @@ def digest(path: Path) -> str:
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
+@pytest.mark.slow
 def test_a_recording_arrives_whole_through_a_lost_connection_and_a_reload(running, phone, wire, tmp_path):
     line = wire(running.address)
     page = phone(line.url)
@@ -395,6 +396,7 @@ def test_the_page_can_be_installed(running, phone):
     assert [one["errorId"] for one in problems] in ([], ["in-incognito"])
 
 
+@pytest.mark.slow
 def test_a_bare_wall_and_a_blur_are_said_while_recording_and_before_sending(running, fake_camera):
     rng = np.random.default_rng(3)
     wall = np.full((480, 640, 3), 190, np.uint8)

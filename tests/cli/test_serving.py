@@ -79,6 +79,7 @@ def test_a_port_that_is_taken_is_one_line(tmp_path: Path) -> None:
         assert f"127.0.0.1:{port}" in fails_in_one_line(tmp_path / "maps", tmp_path / "data", port)
 
 
+@pytest.mark.slow
 def test_folders_that_cannot_be_used_are_one_line(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("a file where a folder should be")
     (tmp_path / "damaged").mkdir()
@@ -107,6 +108,7 @@ def test_after_its_first_line_a_server_writes_json(tmp_path: Path) -> None:
     assert all("event" in json.loads(line) for line in rest.splitlines())
 
 
+@pytest.mark.slow
 def test_ctrl_c_ends_serve_and_worker_in_order(tmp_path: Path) -> None:
     for command in (["serve", "--port", "0", "--no-worker"], ["worker"]):
         arguments = [*command, "--maps", str(tmp_path / "maps"), "--data", str(tmp_path / "data")]

@@ -234,6 +234,7 @@ def test_an_export_whose_client_leaves_before_it_begins_is_given_up(tmp_path, mo
     asyncio.run(ask())
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("every_export_is_long")
 def test_an_export_that_nobody_waits_for_gives_its_place_back(serve, picture_world):
     running = serve()

@@ -8,6 +8,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 from rholoc.jobs import EmbeddedWorker, JobQueue, JobState, RecordingStore
 from waiting import alive, until
 
@@ -23,6 +25,7 @@ time.sleep(60)
 """
 
 
+@pytest.mark.slow
 def test_it_works_restarts_and_stops(tmp_path: Path) -> None:
     queue, recordings = JobQueue(tmp_path), RecordingStore(tmp_path)
     worker = EmbeddedWorker(tmp_path, tmp_path / "maps")

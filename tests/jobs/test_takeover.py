@@ -30,6 +30,7 @@ def test_workers_killed_in_every_stage_lose_no_job_and_publish_each_once(site: S
     assert MapLibrary(site.maps_dir).names() == sorted(job.map_name for job in jobs)
 
 
+@pytest.mark.slow
 def test_two_workers_share_the_queue_and_one_takes_over_from_the_other(site: Site) -> None:
     site.control.hold("poses")
     workers = [site.start_worker(), site.start_worker()]
@@ -44,6 +45,7 @@ def test_two_workers_share_the_queue_and_one_takes_over_from_the_other(site: Sit
     assert site.control.count("put") == 2
 
 
+@pytest.mark.slow
 def test_a_stopped_worker_gives_its_job_back_at_once(site: Site) -> None:
     site.control.hold("poses")
     first = site.start_worker()

@@ -133,6 +133,7 @@ def test_a_database_that_fails_at_the_end_costs_nothing(busy_site: Site) -> None
     engine.dispose()
 
 
+@pytest.mark.slow
 def test_a_disk_that_is_full_as_a_build_ends_keeps_no_job_running(busy_site: Site) -> None:
     engine = open_database(busy_site.data_dir)
     tables = ("rholoc_jobs", "workflow_status", "operation_outputs")

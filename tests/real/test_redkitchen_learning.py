@@ -39,6 +39,7 @@ def errors_m(map_: Map, real_data: Path) -> np.ndarray:
     return np.array(errors)
 
 
+@pytest.mark.slow
 @pytest.mark.real
 @pytest.mark.timeout(300)
 def test_the_second_half_registers_itself_and_makes_the_map_no_worse(real_data: Path, first_half: Map) -> None:
@@ -57,6 +58,7 @@ def test_the_second_half_registers_itself_and_makes_the_map_no_worse(real_data: 
     assert np.median(errors_m(merged, real_data)) < np.median(before) + 0.002
 
 
+@pytest.mark.slow
 @pytest.mark.real
 @pytest.mark.timeout(120)
 @pytest.mark.parametrize("other", _OTHERS)

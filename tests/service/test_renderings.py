@@ -79,6 +79,7 @@ def test_a_browser_that_has_a_picture_gets_304(service):
     assert part.headers["ETag"] != whole.headers["ETag"]
 
 
+@pytest.mark.slow
 def test_pictures_take_no_place_among_the_frames_that_are_localized(serve, picture_world):
     """With one thread for frames and no queue, any picture that took it would have frames refused."""
     running = serve(concurrency=1, queue_length=0)
