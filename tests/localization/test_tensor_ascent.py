@@ -137,3 +137,25 @@ def test_features_speak_only_where_a_density_is_valid(tensor_localizer: Localize
     stayed = ascend(densities, evidence, far.T_map_camera, (14.0, 7.0), Dof.FREE)
     np.testing.assert_allclose(stayed.T_map_camera, far.T_map_camera, atol=1e-9)
     assert stayed.value == 0
+
+
+def test_it_is_the_densities_that_are_climbed_not_the_landmarks(tensor_localizer: Localizer, point_room: Any) -> None:
+    """Densities that peak 1 cm beside their landmarks: the ascent and the whole localizer end 1 cm beside, too."""
+    beside = np.array([0.008, -0.006, 0.004])
+    map_ = tensor_localizer.map
+    fitted = map_.densities
+    assert isinstance(fitted, TensorDensities)
+    aside = replace(fitted, landmarks=fitted.landmarks + beside, places=fitted.places + beside)
+    aside_localizer = Localizer(replace(map_, densities=aside))
+    climbed, answered = [], []
+    for seed, truth in enumerate(point_room.walk(5, sideways_m=0.1)):
+        _, evidence = _near(tensor_localizer.index, point_room, truth, seed)
+        ends = [ascend(form, evidence, truth.T_map_camera, (14.0,) * 3, Dof.FREE) for form in (fitted, aside)]
+        climbed.append((ends[1].T_map_camera - ends[0].T_map_camera)[:3, 3])
+        query = Query(point_room.see(truth, seed), point_room.camera, Dof.FREE)
+        poses = [localizer.localize(query).pose for localizer in (tensor_localizer, aside_localizer)]
+        assert poses[0] is not None
+        assert poses[1] is not None
+        answered.append(poses[1].position - poses[0].position)
+    np.testing.assert_allclose(np.median(climbed, axis=0), beside, atol=0.003)
+    np.testing.assert_allclose(np.median(answered, axis=0), beside, atol=0.003)
