@@ -298,7 +298,7 @@ def test_a_full_phone_ends_the_recording_and_keeps_what_came_before(running, pho
     page.reload()
     open_camera(page)
     page.get_by_role("button", name="Record", exact=True).click()
-    expect(page.get_by_text("this phone has no room left")).to_be_visible(timeout=LONG_MS)
+    expect(page.get_by_text("this phone has no space left")).to_be_visible(timeout=LONG_MS)
     expect(page.locator(".facts")).to_contain_text(re.compile(r"Length0:0[1-9]"))
     page.get_by_role("link", name="Later").click()
     expect(page.get_by_role("link", name="Look at it")).to_be_visible()

@@ -60,11 +60,11 @@ def test_cameras_are_added_listed_shown_and_removed(run, tmp_path):
         (("add", "x", "500,500,320,240"), "size of the camera's images is missing"),
         (("add", "x", "500,500,320,240", "--size", "big"), "size of the camera's images is missing"),
         (("add", "x", "500,500,3200,240", "--size", "640x480"), "outside the image"),
-        (("add", "../x", "500,500,320,240", "--size", "640x480"), "not a camera name"),
+        (("add", "../x", "500,500,320,240", "--size", "640x480"), "not a valid camera name"),
         (("add", "x", "absent.json"), "absent.json"),
         (("remove", "x"), "There is no camera x"),
         (("calibrate", ".", "--board", "9", "--square-mm", "25"), "'9' is not the size of a board"),
-        (("calibrate", ".", "--board", "9x6", "--square-mm", "25", "--name", "a/b"), "not a camera name"),
+        (("calibrate", ".", "--board", "9x6", "--square-mm", "25", "--name", "a/b"), "not a valid camera name"),
     ],
 )
 def test_bad_input_is_told_in_one_line(run, words, said):

@@ -46,7 +46,7 @@ _GAUGE_SIGMA = 1e-4
 _TIE_SIGMA_RAD, _TIE_SIGMA_M = 2e-4, 5e-4
 _FIXED = 1e-9
 _RELATIVE_TOLERANCE = 2e-4
-_FIRST_DAMPING = 1e-4
+_FIRST_DAMPING = 10.0
 _SETTLING_STEPS = 6
 _HOLDS = (1e-2, 0.3, 10.0)  # how firmly points are held where a step fails with less
 
