@@ -10,33 +10,44 @@ import numpy as np
 import pytest
 
 from rholoc.features import FeatureSet, Metric
+from rholoc.geometry import FloatArray
 from rholoc.localization import MIN_CONFIDENCE, Dof, Localizer, Query
 from rholoc.localization.confidence import confidence_inputs, confidence_of
 from rholoc.maps import Map
 
 
-def _verified(value: float = 100.0, by_chance: float = 10.0, sigma_m: float = 0.01) -> Any:
-    covariance = np.diag([1e-6, sigma_m**2, 1e-6, 0.1, 0.1, 0.1])
-    return SimpleNamespace(optimum=SimpleNamespace(value=value), by_chance=by_chance, covariance=covariance)
+def _covariance(sigma_m: float) -> FloatArray:
+    return np.diag([1e-6, sigma_m**2, 1e-6, 0.1, 0.1, 0.1])
+
+
+def _verified(seen: float = 100.0, missing: float = 0.0, by_chance: float = 10.0, sigma_m: float = 0.01) -> Any:
+    support = SimpleNamespace(seen=seen, missing=missing)
+    return SimpleNamespace(support=support, by_chance=by_chance, covariance=_covariance(sigma_m))
 
 
 @pytest.mark.parametrize("metric", list(Metric))
-def test_it_rises_with_the_matches_and_falls_with_chance_and_uncertainty(metric: Metric) -> None:
-    by_value = [confidence_of(_verified(value=value), metric) for value in (0, 10, 30, 100, 300, 1000)]
+def test_it_rises_with_what_is_seen_and_falls_with_what_is_missing_chance_and_uncertainty(metric: Metric) -> None:
+    by_seen = [confidence_of(_verified(seen=nats), metric) for nats in (0, 10, 30, 100, 300, 1000)]
+    by_missing = [confidence_of(_verified(missing=nats), metric) for nats in (0, 10, 30, 100, 300, 1000)]
     by_chance = [confidence_of(_verified(by_chance=count), metric) for count in (0, 3, 10, 30, 100, 300)]
     by_sigma = [confidence_of(_verified(sigma_m=sigma_m), metric) for sigma_m in (0.06, 0.1, 0.3, 1.0)]
-    for confidences, sign in ((by_value, 1), (by_chance, -1), (by_sigma, -1)):
+    for confidences, sign in ((by_seen, 1), (by_missing, -1), (by_chance, -1), (by_sigma, -1)):
         assert (sign * np.diff(confidences) > 0).all()
         assert all(0 < confidence < 1 for confidence in confidences)
-    assert by_value[0] < 0.01
-    assert by_value[-1] > 0.99
-    assert by_chance[-1] < 0.01
+    assert by_seen[0] < 0.01
+    assert by_seen[-1] > 0.99
+    assert by_missing[-1] < 0.05
 
 
 def test_what_it_weighs_is_in_octaves_and_a_sigma_below_5_cm_costs_nothing() -> None:
-    np.testing.assert_allclose(confidence_inputs(_verified(127.0, 7.0, 0.2)), [7, 3, 2])
-    np.testing.assert_allclose(confidence_inputs(_verified(0.0, 0.0, 0.05)), [0, 0, 0], atol=1e-12)
-    np.testing.assert_allclose(confidence_inputs(_verified(0.0, 0.0, 0.001)), [0, 0, 0])
+    inputs = [
+        ([_verified(127.0, 0.0, 7.0)], 0.2, [7, 0, 3, 2]),
+        ([_verified(30.0, 10.0, 0.0)], 0.05, [np.log2(31), 0.25, 0, 0]),
+        ([_verified(0.0, 0.0, 0.0)], 0.001, [0, 0, 0, 0]),
+        ([_verified(100.0, 0.0, 3.0), _verified(27.0, 127.0, 4.0)], 0.1, [7, 0.5, 3, 1]),
+    ]
+    for verified, sigma_m, expected in inputs:
+        np.testing.assert_allclose(confidence_inputs(verified, _covariance(sigma_m)), expected, atol=1e-12)
 
 
 def test_answers_are_sure_where_much_is_seen_and_unsure_where_hardly_anything_is(
