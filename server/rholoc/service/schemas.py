@@ -23,6 +23,13 @@ Vector3 = Annotated[list[float], Field(min_length=3, max_length=3)]
 Quaternion = Annotated[list[float], Field(min_length=4, max_length=4)]
 
 _MAP_ID = "4f1c2a9be07d4d0c8f5f6f0f3f1f7a11"
+_POSE_EXAMPLE: JsonDict = {
+    "position": [1.203, 0.412, 1.498],
+    "heading": [1.0, 0.0, 0.0],
+    "roll_deg": 0.0,
+    "quaternion_xyzw": [-0.5, 0.5, -0.5, 0.5],
+    "T_map_camera": [[0, 0, 1, 1.203], [-1, 0, 0, 0.412], [0, -1, 0, 1.498], [0, 0, 0, 1]],
+}
 _JOB_ID = "0b6e0f6f4f0c4d5f9a8b7c6d5e4f3a21"
 _RECORDING_ID = "9c5d1c3f5b8e4a0d8e6f7a8b9c0d1e2f"
 _CAMERA: JsonDict = {"width": 640, "height": 480, "fx": 525.5, "fy": 525.5, "cx": 320.0, "cy": 240.0, "distortion": []}
@@ -307,13 +314,7 @@ class LocalizationOut(_Out):
             "example": {
                 "localized": True,
                 "reason": None,
-                "pose": {
-                    "position": [1.203, 0.412, 1.498],
-                    "heading": [1.0, 0.0, 0.0],
-                    "roll_deg": 0.0,
-                    "quaternion_xyzw": [-0.5, 0.5, -0.5, 0.5],
-                    "T_map_camera": [[0, 0, 1, 1.203], [-1, 0, 0, 0.412], [0, -1, 0, 1.498], [0, 0, 0, 1]],
-                },
+                "pose": _POSE_EXAMPLE,
                 "covariance": [[1e-4 if row == column else 0.0 for column in range(6)] for row in range(6)],
                 "confidence": 0.97,
                 "matches": 412,
@@ -395,13 +396,7 @@ class PlacesOut(_Out):
                         "map_id": _MAP_ID,
                         "map_version": 1,
                         "view": 41,
-                        "pose": {
-                            "position": [1.203, 0.412, 1.498],
-                            "heading": [1.0, 0.0, 0.0],
-                            "roll_deg": 0.0,
-                            "quaternion_xyzw": [-0.5, 0.5, -0.5, 0.5],
-                            "T_map_camera": [[0, 0, 1, 1.203], [-1, 0, 0, 0.412], [0, -1, 0, 1.498], [0, 0, 0, 1]],
-                        },
+                        "pose": _POSE_EXAMPLE,
                         "score": 6.3,
                     }
                 ]

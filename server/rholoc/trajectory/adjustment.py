@@ -11,7 +11,7 @@ from __future__ import annotations
 import contextlib
 import functools
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -195,11 +195,7 @@ class Adjusted:
 
     def _eliminated(self) -> gtsam.GaussianBayesTree:
         """The linear system at the solution; with points held as firmly as it needs, where some are hardly known."""
-        linear = self._graph.linearize(self._values)
-        for firmness in _HOLDS:
-            system = gtsam.GaussianFactorGraph()
-            system.push_back(linear)
-            system.push_back(self._held(firmness))
+        for system in _with_points_held(self._graph.linearize(self._values), self._held):
             with contextlib.suppress(RuntimeError):  # gtsam's word for a singular system
                 return system.eliminateMultifrontal(self._ordering)
         raise MappingFailed("What was measured leaves the shape of the walk open.", "Walk further, and in loops.")
@@ -519,11 +515,7 @@ def _stepped(
     cost: float,
 ) -> tuple[gtsam.Values, float]:
     """A step of Gauss and Newton; where it leads up, one of Levenberg and Marquardt, which takes thrice the time."""
-    linear = graph.linearize(values)
-    for firmness in _HOLDS:
-        system = gtsam.GaussianFactorGraph()
-        system.push_back(linear)
-        system.push_back(held(firmness))
+    for system in _with_points_held(graph.linearize(values), held):
         try:
             there = values.retract(system.optimize(ordering))
         except RuntimeError:  # gtsam's word for a singular system
@@ -537,6 +529,17 @@ def _stepped(
     optimizer = gtsam.LevenbergMarquardtOptimizer(graph, values, parameters)
     optimizer.iterate()
     return optimizer.values(), optimizer.error()
+
+
+def _with_points_held(
+    linear: gtsam.GaussianFactorGraph, held: Callable[[float], gtsam.GaussianFactorGraph]
+) -> Iterator[gtsam.GaussianFactorGraph]:
+    """A linear system with its points held, more and more firmly."""
+    for firmness in _HOLDS:
+        system = gtsam.GaussianFactorGraph()
+        system.push_back(linear)
+        system.push_back(held(firmness))
+        yield system
 
 
 def _held_points(

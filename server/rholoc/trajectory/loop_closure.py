@@ -9,13 +9,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 
 from rholoc.geometry import BoolArray, FloatArray, IntArray
 from rholoc.trajectory.adjustment import State, residuals_px, triangulate
 from rholoc.trajectory.matching import VerifiedPair
-from rholoc.trajectory.tracks import Observations
+from rholoc.trajectory.tracks import Observations, linked_features
 
 _FEWEST_POINTS = 5
 _LEAST_PARALLAX_DEG = 1.5
@@ -62,10 +60,7 @@ def _placed_features(
     neighbours: Sequence[VerifiedPair], pixels: Sequence[FloatArray], first_feature: IntArray, state: State
 ) -> tuple[FloatArray, BoolArray, IntArray]:
     """Points (M, 3) of neighbours' matches, which of them are known (M,), and the point of every feature (F,)."""
-    count = int(first_feature[-1])
-    links = np.concatenate([pair.matches + first_feature[[pair.first, pair.second]] for pair in neighbours])
-    graph = coo_matrix((np.ones(len(links)), (links[:, 0], links[:, 1])), shape=(count, count))
-    label: IntArray = connected_components(graph, directed=False)[1]
+    _, label = linked_features(first_feature, neighbours)
     keyframe = np.repeat(np.arange(len(pixels)), np.diff(first_feature))
     seen = Observations(keyframe, label, np.concatenate(pixels))
     points, parallax_deg = triangulate(seen, state)

@@ -406,6 +406,8 @@ def _closed_loops(
     sights: Sights, evidence: _Evidence, problem: Problem, adjusted: Adjusted, told: _Progress
 ) -> tuple[_Evidence, Problem, Adjusted]:
     """Adjust with the loops that the walk without them allows; judged again once they have told how it drifted."""
+    if not evidence.loops:
+        return evidence, problem, adjusted
     pixels = [features.pixels.astype(np.float64) for features in sights.features]
     kept: list[VerifiedPair] = []
     for span in ((0.6, 0.68), (0.68, 0.75)):

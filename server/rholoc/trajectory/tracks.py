@@ -160,10 +160,7 @@ def matched_features(planes: Sequence[FloatArray], pairs: Sequence[VerifiedPair]
     offsets = np.concatenate([[0], np.cumsum([len(places) for places in planes])])
     if not pairs:
         return Observations(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 2)))
-    links = np.concatenate([pair.matches + offsets[[pair.first, pair.second]] for pair in pairs])
-    nodes = int(offsets[-1])
-    graph = coo_matrix((np.ones(len(links)), (links[:, 0], links[:, 1])), shape=(nodes, nodes))
-    label: IntArray = connected_components(graph, directed=False)[1]
+    links, label = linked_features(offsets, pairs)
     keyframe = np.repeat(np.arange(len(planes)), np.diff(offsets))
     seen = np.unique(links)
     label, keyframe, places = label[seen], keyframe[seen], np.concatenate(planes)[seen]
@@ -174,6 +171,20 @@ def matched_features(planes: Sequence[FloatArray], pairs: Sequence[VerifiedPair]
     twice = np.concatenate([same, [False]]) | np.concatenate([[False], same])
     found = Observations(keyframe, label, places)
     return found.take(~twice)
+
+
+def linked_features(first_feature: IntArray, pairs: Sequence[VerifiedPair]) -> tuple[IntArray, IntArray]:
+    """Matches (M, 2) as features numbered through all keyframes, and the point (F,) that each feature is of.
+
+    Args:
+        first_feature: (K + 1,) the number of every keyframe's first feature, then how many there are.
+        pairs: verified matches; one at least.
+    """
+    links = np.concatenate([pair.matches + first_feature[[pair.first, pair.second]] for pair in pairs])
+    count = int(first_feature[-1])
+    graph = coo_matrix((np.ones(len(links)), (links[:, 0], links[:, 1])), shape=(count, count))
+    label: IntArray = connected_components(graph, directed=False)[1]
+    return links, label
 
 
 def pieces_of(count: int, observations: Observations) -> IntArray:

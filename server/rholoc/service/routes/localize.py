@@ -152,6 +152,7 @@ def _numbers(name: str, text: str | None) -> list[float] | None:
 
 
 Options = Annotated[OptionParameters, Depends()]
+MapNames = Annotated[str, Query(description="names separated by commas, or 'all'", examples=["all", "hall,kitchen"])]
 
 
 @router.post(
@@ -181,7 +182,7 @@ async def localize_in_maps(
     request: Request,
     service: Service,
     options: Options,
-    maps: Annotated[str, Query(description="names separated by commas, or 'all'", examples=["all", "hall,kitchen"])],
+    maps: MapNames,
 ) -> LocalizationOut:
     """Asks every map and gives the surest answer, with the map's name."""
     names, every = await _named(maps, service)
@@ -199,7 +200,7 @@ async def find_places(
     request: Request,
     service: Service,
     options: Options,
-    maps: Annotated[str, Query(description="names separated by commas, or 'all'", examples=["all", "hall,kitchen"])],
+    maps: MapNames,
     limit: Annotated[int, Query(ge=1, le=100, description="how many views at most", examples=[10])] = 10,
 ) -> PlacesOut:
     """Place recognition: quick, and of use where a pose is not needed or not to be had. The picture is sent as for a
