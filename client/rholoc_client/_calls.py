@@ -257,6 +257,16 @@ def forget_recording(name: str, source: str) -> Call[MapSummary]:
     return _post(f"{_map_path(name)}/forget", {"source": source}, _map)
 
 
+def correct_map(name: str, correction: Mapping[str, Any]) -> Call[MapSummary]:
+    """Correct a map."""
+    return _post(f"{_map_path(name)}/corrections", dict(correction), _map)
+
+
+def restore_map(name: str, number: int) -> Call[MapSummary]:
+    """Put back a map that was replaced."""
+    return Call("POST", f"{_map_path(name)}/restore", _map, idempotent=False, params={"number": number})
+
+
 def list_cameras() -> Call[list[CameraProfile]]:
     """All stored cameras."""
     return Call("GET", "/v1/cameras", lambda response: [parse_profile(one) for one in response.json()["cameras"]])

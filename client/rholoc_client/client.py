@@ -217,6 +217,17 @@ class Client:
         """Take out of a map what it learned from a recording, named by its id or name in the map's sources."""
         return self._send(_calls.forget_recording(name, source))
 
+    def correct_map(self, name: str, correction: Mapping[str, Any]) -> MapSummary:
+        """Correct a map's frame, scale, extent or names, such as ``{"kind": "origin", "at": [1.2, 0.4, 0]}``.
+
+        The service's ``/docs`` has all kinds. The answer is the map's next version.
+        """
+        return self._send(_calls.correct_map(name, correction), _UPLOAD_TIMEOUT_S)
+
+    def restore_map(self, name: str, number: int = 1) -> MapSummary:
+        """Put a map that was replaced back in its place; 1 is the one that was replaced last."""
+        return self._send(_calls.restore_map(name, number))
+
     def cameras(self) -> list[CameraProfile]:
         """All cameras that the service keeps under a name."""
         return self._send(_calls.list_cameras())
@@ -471,6 +482,14 @@ class AsyncClient:
     async def forget_recording(self, name: str, source: str) -> MapSummary:
         """Take out of a map what it learned from a recording, named by its id or name in the map's sources."""
         return await self._send(_calls.forget_recording(name, source))
+
+    async def correct_map(self, name: str, correction: Mapping[str, Any]) -> MapSummary:
+        """As :meth:`Client.correct_map`."""
+        return await self._send(_calls.correct_map(name, correction), _UPLOAD_TIMEOUT_S)
+
+    async def restore_map(self, name: str, number: int = 1) -> MapSummary:
+        """As :meth:`Client.restore_map`."""
+        return await self._send(_calls.restore_map(name, number))
 
     async def cameras(self) -> list[CameraProfile]:
         """As :meth:`Client.cameras`."""

@@ -187,6 +187,32 @@ def test_a_map_that_is_replaced_is_kept_and_restored(tmp_path, picture_world):
     assert library.path("room").read_bytes() == second
 
 
+def test_the_last_five_versions_are_kept_and_any_is_restored(tmp_path, picture_world):
+    library = MapLibrary(tmp_path)
+    files = [picture_world.rho(version=number) for number in range(8)]
+    for file in files:
+        library.put_file("room", file)
+
+    def versions():
+        return [info.version for info in library.versions("room").values()]
+
+    assert versions() == [6, 5, 4, 3, 2]
+    library.restore("room", 3)
+    assert library.path("room").read_bytes() == files[4]
+    assert versions() == [7, 6, 5, 3, 2]
+    library.put_file("room", files[0])
+    assert versions() == [4, 7, 6, 5, 3]
+    with pytest.raises(Conflict, match="no version 6"):
+        library.restore("room", 6)
+    library.put_file("room.rho.2", files[1])
+    library.rename("room", "hall")
+    assert versions() == []
+    assert sorted(library.versions("hall")) == [1, 2, 3, 4, 5]
+    library.delete("hall")
+    assert list((tmp_path / ".previous").iterdir()) == []
+    assert library.names() == ["room.rho.2"]
+
+
 def test_the_map_before_goes_where_the_map_goes(tmp_path, picture_world):
     library = MapLibrary(tmp_path)
     for number in ("1", "2"):

@@ -14,7 +14,7 @@ from typing import Any, ClassVar, Protocol, Self
 from numpy.typing import NDArray
 
 from rholoc.density.evidence import Evidence
-from rholoc.geometry import FloatArray, IntArray
+from rholoc.geometry import FloatArray, IntArray, Similarity
 
 Arrays = Mapping[str, NDArray[Any]]
 
@@ -167,6 +167,10 @@ class Densities(Protocol):
         Raises:
             ValueError: an array is missing, or contradicts another; says which.
         """
+        ...
+
+    def moved(self, similarity: Similarity) -> Self:
+        """The densities of the same features in another frame, which ``similarity`` takes points to."""
         ...
 
     @classmethod

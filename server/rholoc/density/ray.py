@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from rholoc.density.density import TARGET_RADIUS, Arrays, DensityKind, DensityRows, Sightings, Slopes
 from rholoc.density.evidence import Evidence
-from rholoc.geometry import FloatArray, IntArray, cross
+from rholoc.geometry import FloatArray, IntArray, Similarity, cross
 
 _AGREE = 1e-6  # relative, of written coefficients with those that follow from the landmark
 _ALONG = 1e-9  # relative information along a direction below which a landmark has no place in it
@@ -209,6 +209,10 @@ class RayDensities:
     def from_arrays(cls, arrays: Arrays, landmarks: FloatArray) -> RayDensities:
         """The densities; there is nothing to read."""
         return cls()
+
+    def moved(self, similarity: Similarity) -> RayDensities:
+        """The densities; they move with the landmarks."""
+        return self
 
     @classmethod
     def fit(cls, sightings: Sightings, degree: int, progress: Callable[[float, str], None]) -> RayDensities:

@@ -29,7 +29,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from typing import Any, ClassVar
 
@@ -40,7 +40,7 @@ from rholoc.density.density import TARGET_RADIUS, Arrays, DensityKind, DensityRo
 from rholoc.density.evidence import Evidence
 from rholoc.density.places import Places
 from rholoc.density.polynomial import monomial_derivatives, monomials, power_factors, tensor_powers
-from rholoc.geometry import BoolArray, FloatArray, IntArray
+from rholoc.geometry import BoolArray, FloatArray, IntArray, Similarity
 
 DEGREES = (1, 2, 3)
 HEADING_LIMIT_RAD = math.radians(50.0)
@@ -248,6 +248,15 @@ class TensorDensities:
             places.astype(np.float64),
             radii.astype(np.float64),
         )
+
+    def moved(self, similarity: Similarity) -> TensorDensities:
+        """The densities of the same places in another frame; fitted anew where it is turned, for positions count along
+        the map's axes."""
+        landmarks, places = similarity.points(self.landmarks), similarity.points(self.places)
+        radii, coefficients = similarity.scale * self.radii, self.coefficients
+        if not np.array_equal(similarity.rotation, np.eye(3)):
+            coefficients = fit_tensors(landmarks, places, radii, self.degree).coefficients
+        return replace(self, landmarks=landmarks, places=places, radii=radii, coefficients=coefficients)
 
     @classmethod
     def fit(cls, sightings: Sightings, degree: int, progress: Callable[[float, str], None]) -> TensorDensities:

@@ -1,6 +1,17 @@
 """Recording → map: the pipeline, the report, and learning that goes on."""
 
 from rholoc.mapping.build import DEFAULT_FEATURES, BuildOptions, build_map
+from rholoc.mapping.correcting import (
+    lay_over_plan,
+    remove_region,
+    remove_views,
+    set_distance,
+    set_names,
+    set_north,
+    set_origin,
+    set_up,
+    set_wall,
+)
 from rholoc.mapping.forgetting import forget_recording
 from rholoc.mapping.learning import UpdateOptions, update_map
 from rholoc.mapping.merging import merge_maps
@@ -12,7 +23,16 @@ __all__ = [
     "UpdateOptions",
     "build_map",
     "forget_recording",
+    "lay_over_plan",
     "merge_maps",
     "observation_table",
+    "remove_region",
+    "remove_views",
+    "set_distance",
+    "set_names",
+    "set_north",
+    "set_origin",
+    "set_up",
+    "set_wall",
     "update_map",
 ]

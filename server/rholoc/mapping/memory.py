@@ -115,7 +115,7 @@ def keep_features(map_: Map, kept: BoolArray) -> Map:
         return map_
     number = np.cumsum(kept) - 1
     seen, described = kept[map_.observation_features], kept[map_.descriptor_features]
-    observations = check_observations(map_, "The map")
+    observations = map_.observations
     return replace(
         map_,
         channels=map_.channels[kept],
@@ -126,7 +126,11 @@ def keep_features(map_: Map, kept: BoolArray) -> Map:
         descriptor_features=number[map_.descriptor_features[described]].astype(np.int32),
         observation_views=map_.observation_views[seen],
         observation_features=number[map_.observation_features[seen]].astype(np.int32),
-        observations=Observations(
-            observations.pixels[seen], observations.view_sources, observations.descriptor_sources[described]
+        observations=(
+            None
+            if observations is None
+            else Observations(
+                observations.pixels[seen], observations.view_sources, observations.descriptor_sources[described]
+            )
         ),
     )

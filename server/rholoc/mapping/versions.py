@@ -1,4 +1,4 @@
-"""The next version of a map that has learned or forgotten."""
+"""The next version of a map that has learned or forgotten, or that somebody corrected."""
 
 from __future__ import annotations
 
@@ -6,9 +6,11 @@ from dataclasses import replace
 
 from rholoc.mapping.fitting import fit_densities
 from rholoc.mapping.report import map_statistics
-from rholoc.maps import Map
+from rholoc.maps import Correction, Map, MapInfo
 from rholoc.progress import ProgressListener, silent
-from rholoc.reports import LearningReport
+from rholoc.reports import LearningReport, MapReport
+
+_MAX_CORRECTIONS = 1000  # that a map keeps
 
 
 def as_learned(before: Map, after: Map, learned: LearningReport, progress: ProgressListener = silent) -> Map:
@@ -16,13 +18,34 @@ def as_learned(before: Map, after: Map, learned: LearningReport, progress: Progr
 
     ``learned`` says what was learned; the report keeps it.
     """
-    report = before.info.report
-    report = replace(
-        map_statistics(after),
+    report = _brought_up(after, before.info.report)
+    report = replace(report, learned=(*report.learned, learned))
+    after = replace(after, info=replace(after.info, version=learned.version, report=report))
+    return fit_densities(after, before.info.density, before.densities.degree, progress)
+
+
+def as_corrected(before: Map, after: Map, correction: Correction) -> Map:
+    """The next version of a map that somebody corrected: ``after``, in the form that ``before`` has.
+
+    ``correction`` says what was corrected; the map keeps it.
+    """
+    if after.info.density is not before.info.density:
+        after = fit_densities(after, before.info.density, before.densities.degree)
+    return replace(after, info=replace(noted(after.info, correction), report=_brought_up(after, after.info.report)))
+
+
+def noted(info: MapInfo, correction: Correction) -> MapInfo:
+    """A map's description with one correction more."""
+    kept = (*info.corrections, correction)[-_MAX_CORRECTIONS:]
+    return replace(info, version=correction.version, corrections=kept)
+
+
+def _brought_up(map_: Map, report: MapReport) -> MapReport:
+    """What a map says of itself, with what ``report`` says of how it was made."""
+    return replace(
+        map_statistics(map_),
         held_out=report.held_out,
         trajectories=report.trajectories,
         coaching=report.coaching,
-        learned=(*report.learned, learned),
+        learned=report.learned,
     )
-    after = replace(after, info=replace(after.info, version=learned.version, report=report))
-    return fit_densities(after, before.info.density, before.densities.degree, progress)

@@ -4,11 +4,13 @@ from rholoc.density import DensityKind
 from rholoc.maps.cameras import CameraLibrary, CameraProfile
 from rholoc.maps.coefficient_reading import is_coefficient_table, read_coefficient_table
 from rholoc.maps.coefficient_table import coefficient_table, write_coefficient_table
+from rholoc.maps.corrections import Correction, CorrectionKind
 from rholoc.maps.coverage import Coverage, coverage_of
 from rholoc.maps.export import landmark_sigmas, map_to_ply, map_to_vtp
 from rholoc.maps.info import MapInfo, MapWaypoint, Source
 from rholoc.maps.library import MapLibrary, MapStat, check_map_name
 from rholoc.maps.map import Map
+from rholoc.maps.names import MapNames, NamedArea, NamedPoint, check_names, check_outline
 from rholoc.maps.observations import (
     Observations,
     check_observations,
@@ -33,20 +35,27 @@ from rholoc.maps.validation import check_usable, validate_map
 __all__ = [
     "CameraLibrary",
     "CameraProfile",
+    "Correction",
+    "CorrectionKind",
     "Coverage",
     "DensityKind",
     "Map",
     "MapInfo",
     "MapLibrary",
+    "MapNames",
     "MapStat",
     "MapWaypoint",
+    "NamedArea",
+    "NamedPoint",
     "ObservationTable",
     "Observations",
     "Source",
     "TrajectoryTable",
     "Trust",
     "check_map_name",
+    "check_names",
     "check_observations",
+    "check_outline",
     "check_usable",
     "coefficient_table",
     "consistency_m",

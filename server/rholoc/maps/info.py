@@ -9,6 +9,8 @@ from dataclasses import dataclass, field
 from rholoc.density import DensityKind
 from rholoc.errors import InvalidInput, InvalidMap
 from rholoc.geometry import Camera
+from rholoc.maps.corrections import Correction
+from rholoc.maps.names import MapNames
 from rholoc.reports import MapReport, report_from_json, report_to_json
 
 _MAX_LENGTH = 2**24
@@ -71,6 +73,8 @@ class MapInfo:
         camera: the intrinsics of the first recording.
         sources: what it was made from.
         waypoints: measured points.
+        names: of points and areas.
+        corrections: what people corrected since it was built, by version.
         report: what it found out about itself while it was built.
     """
 
@@ -84,6 +88,8 @@ class MapInfo:
     camera: Camera
     sources: tuple[Source, ...] = ()
     waypoints: tuple[MapWaypoint, ...] = ()
+    names: MapNames = field(default_factory=MapNames)
+    corrections: tuple[Correction, ...] = ()
     report: MapReport = field(default_factory=MapReport)
 
 

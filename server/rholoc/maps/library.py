@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import re
 import threading
@@ -21,6 +22,7 @@ _NAMES_SHOWN = 5
 _PIECE_BYTES = 2**20
 _ALL = "all"
 _PREVIOUS = ".previous"  # the folder within a library's that keeps the maps that were replaced
+_KEPT_VERSIONS = 5  # of each map that was replaced
 
 
 def is_name(name: str) -> bool:
@@ -214,46 +216,73 @@ class MapLibrary:
         Raises:
             InvalidName: it is not a name.
         """
-        try:
-            return load_info(self._previous_path(name))
-        except InvalidMap:
-            return None
+        return self.versions(name).get(1)
 
-    def restore(self, name: str) -> None:
-        """Put the map that was last replaced back in its place; the present one is kept in turn.
+    def versions(self, name: str) -> dict[int, MapInfo]:
+        """The descriptions of the maps that were replaced under a name, by number: 1 was replaced last.
+
+        Raises:
+            InvalidName: it is not a name.
+        """
+        found = {}
+        for number in range(1, _KEPT_VERSIONS + 1):
+            with contextlib.suppress(InvalidMap):
+                found[number] = load_info(self._previous_path(name, number))
+        return found
+
+    def restore(self, name: str, number: int = 1) -> None:
+        """Put a map that was replaced back in its place, by its number in :meth:`versions`.
+
+        The present one is kept in turn: restoring number 1 twice changes nothing.
 
         Raises:
             InvalidName: it is not a name.
             UnknownMap: there is no such map.
-            Conflict: none was replaced.
+            Conflict: none was replaced, or no longer kept.
             InvalidMap: the one that was replaced cannot be read; nothing was changed.
         """
         with self._lock:
-            path, previous = self.path(name), self._previous_path(name)
+            path, previous = self.path(name), self._previous_path(name, number)
             self.stat(name)
             if not previous.is_file():
-                raise Conflict(f"The map {name} has not replaced another.", "There is nothing to restore.")
+                if number == 1:
+                    raise Conflict(f"The map {name} has not replaced another.", "There is nothing to restore.")
+                raise Conflict(f"The map {name} keeps no version {number}.", "Its versions are listed by number.")
             load_map(previous, f"The map before {name}")
             present = previous.with_name(f".{uuid4().hex}.present")
             _link(path, present)
             previous.replace(path)
-            present.replace(previous)
+            self._make_room(name, number)
+            present.replace(self._previous_path(name))
 
-    def _previous_path(self, name: str) -> Path:
-        return self.folder / _PREVIOUS / self.path(name).name
+    def _previous_path(self, name: str, number: int = 1) -> Path:
+        path = self.folder / _PREVIOUS / self.path(name).name
+        return path if number == 1 else path.with_name(f"{path.name}.{number}")
+
+    def _previous_paths(self, name: str) -> list[Path]:
+        """Of all that are kept."""
+        paths = [self._previous_path(name, number) for number in range(1, _KEPT_VERSIONS + 1)]
+        return [path for path in paths if path.is_file()]
 
     def _keep_previous(self, name: str) -> None:
-        """Keep the map that is about to be replaced, if there is one, in place of the one kept before it."""
+        """Keep the map that is about to be replaced, if there is one, as number 1."""
         path, previous = self.path(name), self._previous_path(name)
         if not path.is_file():
             return
         previous.parent.mkdir(exist_ok=True)
         arrived = previous.with_name(f".{uuid4().hex}.kept")
         _link(path, arrived)
+        self._make_room(name, _KEPT_VERSIONS)
         arrived.replace(previous)
 
+    def _make_room(self, name: str, last: int) -> None:
+        """Count the numbers below ``last`` up by one, up to the first that is free; what had the last is gone."""
+        free = next((n for n in range(1, last) if not self._previous_path(name, n).is_file()), last)
+        for number in range(free, 1, -1):
+            self._previous_path(name, number - 1).replace(self._previous_path(name, number))
+
     def delete(self, name: str) -> None:
-        """Delete a map, and the one that it replaced.
+        """Delete a map, and those that it replaced.
 
         Raises:
             InvalidName: it is not a name.
@@ -265,7 +294,8 @@ class MapLibrary:
                 self.path(name).unlink()
             except FileNotFoundError as error:
                 raise self._unknown(name) from error
-            self._previous_path(name).unlink(missing_ok=True)
+            for path in self._previous_paths(name):
+                path.unlink(missing_ok=True)
 
     def rename(self, name: str, new_name: str) -> None:
         """Give a map another name.
@@ -282,9 +312,10 @@ class MapLibrary:
             if new.exists():
                 raise Conflict(f"There is already a map {new_name}.", "Choose another name, or delete that map first.")
             old.rename(new)
-            self._previous_path(new_name).unlink(missing_ok=True)
-            if self._previous_path(name).is_file():
-                self._previous_path(name).rename(self._previous_path(new_name))
+            for path in self._previous_paths(new_name):
+                path.unlink(missing_ok=True)
+            for path in self._previous_paths(name):
+                path.rename(path.with_name(new_name + path.name.removeprefix(name)))
             self._cache.pop(name, None)
 
     def _make_folder(self) -> None:

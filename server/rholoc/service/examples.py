@@ -7,7 +7,7 @@ from typing import Any
 from pydantic import TypeAdapter
 
 from rholoc.geometry import Camera
-from rholoc.maps import MapWaypoint, Source
+from rholoc.maps import Correction, CorrectionKind, MapNames, MapWaypoint, NamedArea, NamedPoint, Source
 from rholoc.reports import (
     Advice,
     AdviceKind,
@@ -32,6 +32,20 @@ SOURCE = Source(
 )
 
 WAYPOINT = MapWaypoint("W1", (0.0, 0.0, 1.5), residual_m=0.01)
+
+NAMES = MapNames(
+    points=(NamedPoint("charger", (0.2, 3.1, 0.0)),),
+    areas=(NamedArea("kitchen", ((0.0, 0.0), (4.0, 0.0), (4.0, 3.0), (0.0, 3.0))),),
+)
+
+CORRECTION = Correction(
+    version=2,
+    kind=CorrectionKind.ORIGIN,
+    created="2026-01-06T09:30:00+00:00",
+    scale=1.0,
+    rotation=((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)),
+    translation=(-1.2, -0.4, 0.0),
+)
 
 REPORT = MapReport(
     features=5120,

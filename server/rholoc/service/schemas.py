@@ -2,24 +2,26 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
+from fastapi.openapi.models import Example
 from pydantic import BaseModel, ConfigDict, FailFast, Field, Strict
 from pydantic.config import JsonDict
 
 from rholoc.features import Channel
 from rholoc.jobs import JobState
 from rholoc.localization import Cause, Dof, Intrinsics, Reason
-from rholoc.maps import DensityKind, MapWaypoint, Source
+from rholoc.maps import Correction, DensityKind, MapNames, MapWaypoint, Source
 from rholoc.progress import Stage
 from rholoc.reports import MapReport
-from rholoc.service.examples import REPORT, SOURCE, WAYPOINT, sent
+from rholoc.service.examples import CORRECTION, NAMES, REPORT, SOURCE, WAYPOINT, sent
 from rholoc.trajectory import PoseMethod, Scale
 
 _LARGEST_SIZE_PX = 2**31
 SizePx = Annotated[int, Strict(), Field(ge=-_LARGEST_SIZE_PX, le=_LARGEST_SIZE_PX)]  # what is possible, Camera says
 Number = Annotated[float, Strict()]  # neither text nor true and false
 Vector3 = Annotated[list[float], Field(min_length=3, max_length=3)]
+Vector2 = Annotated[list[Number], Field(min_length=2, max_length=2)]
 Quaternion = Annotated[list[float], Field(min_length=4, max_length=4)]
 
 _MAP_ID = "4f1c2a9be07d4d0c8f5f6f0f3f1f7a11"
@@ -460,9 +462,23 @@ class MapSummary(_Out):
 class PreviousMap(_Out):
     """The map that a map replaced."""
 
+    number: int = Field(default=1, description="what restores it: 1 was replaced last")
     id: str
     version: int
     created: str = Field(description="ISO 8601, UTC")
+
+
+class MapVersions(_Out):
+    """The maps that a map replaced and that are kept, the last one first."""
+
+    model_config = ConfigDict(
+        frozen=True,
+        json_schema_extra={
+            "example": {"versions": [{"number": 1, "id": _MAP_ID, "version": 1, "created": "2026-01-05T10:00:00Z"}]}
+        },
+    )
+
+    versions: list[PreviousMap]
 
 
 class MapDetail(MapSummary):
@@ -477,6 +493,8 @@ class MapDetail(MapSummary):
                 "waypoints": [sent(WAYPOINT)],
                 "bounds_m": [[-1.0, -2.0, 0.0], [5.0, 3.0, 2.8]],
                 "previous": None,
+                "names": sent(NAMES),
+                "corrections": [sent(CORRECTION)],
             }
         },
     )
@@ -485,6 +503,8 @@ class MapDetail(MapSummary):
     waypoints: tuple[MapWaypoint, ...]
     bounds_m: list[list[float]] | None = Field(description="the lowest and the highest x, y, z of its landmarks")
     previous: PreviousMap | None = Field(description="the map that it replaced, which can be restored")
+    names: MapNames = Field(description="of points and areas")
+    corrections: tuple[Correction, ...] = Field(description="what people corrected in it, the last one last")
 
 
 class MapList(_Out):
@@ -502,6 +522,132 @@ class MapPatch(_In):
     model_config = ConfigDict(extra="forbid", frozen=True, json_schema_extra={"example": {"name": "ground-floor"}})
 
     name: str
+
+
+class _CorrectionIn(_In):
+    version: int | None = Field(
+        default=None,
+        description="the version that is corrected: where it is no longer the present one, nothing changes",
+    )
+
+
+class OriginIn(_CorrectionIn):
+    """A point becomes the origin."""
+
+    kind: Literal["origin"]
+    at: Vector3 = Field(description="m, present frame")
+
+
+class NorthIn(_CorrectionIn):
+    """A direction, seen from above, becomes y; the map turns about its origin."""
+
+    kind: Literal["north"]
+    direction: Vector3 = Field(description="present frame; its length does not matter")
+
+
+class WallIn(_CorrectionIn):
+    """A direction along a wall, seen from above, becomes x; the map turns about its origin."""
+
+    kind: Literal["wall"]
+    direction: Vector3 = Field(description="present frame; its length does not matter")
+
+
+class UpIn(_CorrectionIn):
+    """A direction becomes z, and the map upright."""
+
+    kind: Literal["up"]
+    direction: Vector3 | None = Field(
+        default=None, description="present frame; default: the direction that the map's views hold upright"
+    )
+
+
+class ScaleIn(_CorrectionIn):
+    """The distance of two points was measured: the map takes that scale, and is metric."""
+
+    kind: Literal["scale"]
+    start: Vector3 = Field(description="present frame")
+    end: Vector3 = Field(description="present frame")
+    length_m: Number = Field(gt=0, description="how far apart they are in truth, m")
+
+
+class PlanPoint(_In):
+    """A point of the map, and where it is on a floor plan."""
+
+    map: Vector3 = Field(description="present frame")
+    plan: Vector2 = Field(description="m, in the plan's frame: x and y")
+
+
+class PlanIn(_CorrectionIn):
+    """The map is laid over a floor plan, whose frame becomes the map's; heights stay."""
+
+    kind: Literal["plan"]
+    points: list[PlanPoint] = Field(description="two pairs or more")
+    scaled: bool = Field(default=False, description="whether the map takes the plan's scale, and is metric")
+
+
+class RegionIn(_CorrectionIn):
+    """The landmarks of a region are removed, or all others."""
+
+    kind: Literal["region"]
+    outline: list[Vector2] = Field(description="its corners, seen from above, m: 3 to 200")
+    bottom_m: Number | None = Field(default=None, description="its lowest z; default: no bound")
+    top_m: Number | None = Field(default=None, description="its highest z; default: no bound")
+    keep: Literal["inside", "outside"] = Field(description="what stays")
+
+
+class WalkIn(_CorrectionIn):
+    """A piece of a walk is removed: its views, and the landmarks that only they saw."""
+
+    kind: Literal["walk"]
+    first_view: int = Field(description="its first view, by number in the map, from 0")
+    last_view: int = Field(description="its last view; it goes, too")
+
+
+class NamedPointIn(_In):
+    """A point with a name."""
+
+    name: str
+    position: Vector3 = Field(description="m")
+
+
+class NamedAreaIn(_In):
+    """An area with a name, seen from above; areas may overlap."""
+
+    name: str
+    outline: list[Vector2] = Field(description="its corners in order, m: 3 to 200")
+
+
+class NamesIn(_CorrectionIn):
+    """Names of points and areas, in place of those that the map has."""
+
+    kind: Literal["names"]
+    points: list[NamedPointIn] = Field(default_factory=list)
+    areas: list[NamedAreaIn] = Field(default_factory=list)
+
+
+CorrectionIn = Annotated[
+    OriginIn | NorthIn | WallIn | UpIn | ScaleIn | PlanIn | RegionIn | WalkIn | NamesIn, Field(discriminator="kind")
+]
+
+CORRECTION_EXAMPLES: dict[str, Example] = {
+    "origin": {"value": {"kind": "origin", "at": [1.2, 0.4, 0.0]}},
+    "wall": {"value": {"kind": "wall", "direction": [0.98, 0.17, 0.0]}},
+    "scale": {"value": {"kind": "scale", "start": [0.0, 0.0, 1.0], "end": [0.0, 2.1, 1.0], "length_m": 2.05}},
+    "plan": {
+        "value": {
+            "kind": "plan",
+            "points": [{"map": [0.1, 0.2, 0.0], "plan": [4.0, 2.0]}, {"map": [3.1, 0.3, 0.0], "plan": [4.0, 5.0]}],
+        }
+    },
+    "region": {"value": {"kind": "region", "outline": [[0, 0], [4, 0], [4, 3], [0, 3]], "keep": "inside"}},
+    "names": {
+        "value": {
+            "kind": "names",
+            "points": [{"name": "charger", "position": [0.2, 3.1, 0.0]}],
+            "areas": [{"name": "kitchen", "outline": [[0, 0], [4, 0], [4, 3], [0, 3]]}],
+        }
+    },
+}
 
 
 class UpdateIn(_In):

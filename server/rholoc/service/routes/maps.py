@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
-from fastapi import APIRouter, Query, Request, Response
+from fastapi import APIRouter, Body, Query, Request, Response
 from fastapi.responses import StreamingResponse
 from starlette.concurrency import run_in_threadpool
 
@@ -53,6 +53,7 @@ from rholoc.reports import CoverageReport
 from rholoc.service.access import NEEDS_ADMIN, NEEDS_MAP, NEEDS_READ
 from rholoc.service.bodies import save_body
 from rholoc.service.compute import Effort
+from rholoc.service.corrections import corrected_map
 from rholoc.service.errors import InvalidRequest
 from rholoc.service.examples import REPORT, sent
 from rholoc.service.exports import ExportRequest, is_long
@@ -61,7 +62,9 @@ from rholoc.service.job_events import job_out
 from rholoc.service.openapi import BINARY, failures, request_body
 from rholoc.service.renderings import etag_of
 from rholoc.service.schemas import (
+    CORRECTION_EXAMPLES,
     CameraIn,
+    CorrectionIn,
     ForgetIn,
     JobOut,
     MapDetail,
@@ -69,7 +72,9 @@ from rholoc.service.schemas import (
     MapPatch,
     MapReportOut,
     MapSummary,
+    MapVersions,
     MergeIn,
+    PreviousMap,
     UpdateIn,
 )
 from rholoc.service.state import Service, State
@@ -249,10 +254,43 @@ async def get_coverage(map_name: str, request: Request, service: Service) -> Res
     summary="Restore the map before",
     responses=failures(*_FAILURES, Conflict),
 )
-async def restore_map(map_name: str, service: Service) -> MapDetail:
+async def restore_map(
+    map_name: str,
+    service: Service,
+    number: Annotated[int, Query(ge=1, le=1000, description="which of its `versions`; 1 was replaced last")] = 1,
+) -> MapDetail:
     """The map that was last replaced under this name takes its place again, and the present one is kept in turn:
-    restoring twice changes nothing."""
-    await run_in_threadpool(service.library.restore, map_name)
+    restoring twice changes nothing. `number` says which, where an earlier one is wanted."""
+    await run_in_threadpool(service.library.restore, map_name, number)
+    return await run_in_threadpool(_detail, service.library, map_name)
+
+
+@router.get(
+    "/{map_name}/versions",
+    dependencies=[NEEDS_READ],
+    summary="The maps that a map replaced",
+    responses=failures(*_FAILURES),
+)
+async def list_versions(map_name: str, service: Service) -> MapVersions:
+    """Those that can be restored: the last five that were replaced under this name, the last one first."""
+    return await run_in_threadpool(_versions, service.library, map_name)
+
+
+@router.post(
+    "/{map_name}/corrections",
+    dependencies=[NEEDS_MAP],
+    summary="Correct a map",
+    responses=failures(*_FAILURES, InvalidInput, InvalidRequest, Conflict, Busy, StorageFull),
+)
+async def correct_map(
+    map_name: str, wanted: Annotated[CorrectionIn, Body(openapi_examples=CORRECTION_EXAMPLES)], service: Service
+) -> MapDetail:
+    """The map's next version: with another origin, north, upright, axis or scale, laid over a floor plan, without a
+    region or a piece of its walk, or with names. Where the frame moves, poses are answered in the new one from then on,
+    moved by exactly what `corrections` says. The version before can be restored."""
+    map_ = await run_in_threadpool(service.library.get, map_name)
+    corrected = await service.compute.run(lambda: corrected_map(map_, wanted), Effort.LARGE)
+    await run_in_threadpool(service.library.replace, map_name, corrected)
     return await run_in_threadpool(_detail, service.library, map_name)
 
 
@@ -437,9 +475,20 @@ def _detail_of(name: str, map_: Map, size_bytes: int, before: MapInfo | None) ->
         "sources": map_.info.sources,
         "waypoints": map_.info.waypoints,
         "bounds_m": bounds,
-        "previous": None if before is None else {"id": before.id, "version": before.version, "created": before.created},
+        "previous": None if before is None else _previous(1, before),
+        "names": map_.info.names,
+        "corrections": map_.info.corrections,
     }
     return MapDetail.model_validate({**_summary_of(name, map_, size_bytes), **fields})
+
+
+def _versions(library: MapLibrary, name: str) -> MapVersions:
+    library.stat(name)
+    return MapVersions(versions=[_previous(number, info) for number, info in library.versions(name).items()])
+
+
+def _previous(number: int, info: MapInfo) -> PreviousMap:
+    return PreviousMap(number=number, id=info.id, version=info.version, created=info.created)
 
 
 def _camera(camera: Camera) -> CameraIn:

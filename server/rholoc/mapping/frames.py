@@ -1,0 +1,112 @@
+"""Where a map's frame should be, by what people say of it: the similarity that takes the present frame to that one."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from rholoc.errors import InvalidInput
+from rholoc.geometry import FloatArray, Similarity
+from rholoc.maps import Map
+
+_Z = np.array([0.0, 0.0, 1.0])
+_SHORTEST = 1e-6  # of a direction or a distance, in the map's unit
+_MIN_LEVEL = 0.05  # of a direction, as a share of its length: the sine of the least angle against the vertical
+_SCALES = (1e-4, 1e4)  # what a map may be stretched by at once
+
+
+def origin_at(point: FloatArray) -> Similarity:
+    """The point (3,) becomes (0, 0, 0)."""
+    return Similarity(1.0, np.eye(3), -point)
+
+
+def level_direction(direction: FloatArray, becomes_deg: float) -> Similarity:
+    """A direction (3,), seen from above, comes to point ``becomes_deg`` from x towards y; turned about z.
+
+    Raises:
+        InvalidInput: it is too short, or points up or down.
+    """
+    length, level = float(np.linalg.norm(direction)), float(np.linalg.norm(direction[:2]))
+    if length < _SHORTEST or level < _MIN_LEVEL * length:
+        raise InvalidInput("The direction points nowhere, or straight up or down.", "Give a level direction.")
+    turn = np.deg2rad(becomes_deg) - np.arctan2(direction[1], direction[0])
+    return Similarity(1.0, Rotation.from_euler("z", turn).as_matrix(), np.zeros(3))
+
+
+def upward(direction: FloatArray) -> Similarity:
+    """A direction (3,) becomes z, by the least turn.
+
+    Raises:
+        InvalidInput: it is too short.
+    """
+    length = float(np.linalg.norm(direction))
+    if length < _SHORTEST:
+        raise InvalidInput("The upward direction points nowhere.", "Give a longer one.")
+    up = direction / length
+    axis, cosine = np.cross(up, _Z), float(np.clip(up @ _Z, -1, 1))
+    sine = float(np.linalg.norm(axis))
+    if sine < 1e-12:
+        axis, sine = np.array([1.0, 0.0, 0.0]), 1.0
+    turn = Rotation.from_rotvec(axis / sine * np.arccos(cosine))
+    return Similarity(1.0, turn.as_matrix(), np.zeros(3))
+
+
+def estimated_up(map_: Map) -> FloatArray:
+    """The direction (3,) that is up, by the views: the mean of their own, for people hold cameras upright.
+
+    Raises:
+        InvalidInput: the views do not agree on any.
+    """
+    ups = -map_.T_map_camera[:, :3, 1]
+    mean = ups.mean(axis=0) if len(ups) else np.zeros(3)
+    if np.linalg.norm(mean) < 0.5:
+        raise InvalidInput("The views do not show which direction is up.", "Give the direction.")
+    return np.asarray(mean)
+
+
+def measured(start: FloatArray, end: FloatArray, length_m: float) -> Similarity:
+    """Two points (3,) come to be ``length_m`` apart; the origin stays.
+
+    Raises:
+        InvalidInput: they are one point, or the length is absurd.
+    """
+    distance = float(np.linalg.norm(end - start))
+    if distance < _SHORTEST:
+        raise InvalidInput("The two points are one.", "Choose points that lie further apart.")
+    return Similarity(_sensible(length_m / distance), np.eye(3), np.zeros(3))
+
+
+def laid_over(points: FloatArray, plan: FloatArray, scaled: bool) -> tuple[Similarity, float]:
+    """Points of the map (N, 3) come to lie over those of a plan (N, 2), by least squares; turned about z.
+
+    In complex numbers, with a and b the centred points, turn and scale are Σ b ā / Σ |a|².
+
+    Args:
+        points: at least two, that are not above each other.
+        plan: in metres.
+        scaled: whether the map takes the plan's scale; heights are scaled alike.
+
+    Returns:
+        The similarity, and how far the points miss those of the plan: root mean square, metres.
+
+    Raises:
+        InvalidInput: the points are one, seen from above, or the scale is absurd.
+    """
+    a, b = (xy[:, 0] + 1j * xy[:, 1] for xy in (points, plan))
+    from_middle, to_middle = a - a.mean(), b - b.mean()
+    spread = float((np.abs(from_middle) ** 2).sum())
+    turn = (to_middle * from_middle.conj()).sum()
+    if spread < _SHORTEST**2 or abs(turn) < _SHORTEST**2:
+        raise InvalidInput("The points lie above each other.", "Choose points that lie further apart.")
+    scale = _sensible(float(abs(turn)) / spread) if scaled else 1.0
+    spin = scale * turn / abs(turn)
+    shift = b.mean() - spin * a.mean()
+    missed_m = float(np.sqrt(np.mean(np.abs(spin * a + shift - b) ** 2)))
+    R = Rotation.from_euler("z", float(np.angle(spin))).as_matrix()
+    return Similarity(scale, R, np.array([shift.real, shift.imag, 0.0])), missed_m
+
+
+def _sensible(scale: float) -> float:
+    if not _SCALES[0] <= scale <= _SCALES[1]:
+        raise InvalidInput(f"The map would be stretched by {scale:g}.", "Check the length, which is in metres.")
+    return scale

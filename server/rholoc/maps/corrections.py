@@ -1,0 +1,49 @@
+"""What people corrected in a map after it was built."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+
+class CorrectionKind(StrEnum):
+    """What was corrected."""
+
+    ORIGIN = "origin"  # which point is (0, 0, 0)
+    NORTH = "north"  # which direction is y
+    WALL = "wall"  # along which wall x lies
+    UP = "up"  # which direction is z
+    SCALE = "scale"  # how long a metre is
+    PLAN = "plan"  # the map laid over a floor plan, by points of both
+    REGION = "region"  # landmarks of a region removed
+    WALK = "walk"  # a piece of a walk removed
+    NAMES = "names"  # names of points and areas
+
+
+@dataclass(frozen=True)
+class Correction:
+    """One version of a map that somebody corrected.
+
+    Where the map's frame moved, a point x of the version before is now at ``scale`` · ``rotation`` x + ``translation``;
+    the members are None where it did not.
+
+    Attributes:
+        version: of the map.
+        kind: what was corrected.
+        created: ISO 8601 time, UTC.
+        scale: of lengths.
+        rotation: (3, 3), rows.
+        translation: (3,) metres.
+        residual_m: how far the points of a plan are missed, root mean square.
+        landmarks_removed, views_removed: how many are gone.
+    """
+
+    version: int
+    kind: CorrectionKind
+    created: str
+    scale: float | None = None
+    rotation: tuple[tuple[float, float, float], ...] | None = None
+    translation: tuple[float, float, float] | None = None
+    residual_m: float | None = None
+    landmarks_removed: int = 0
+    views_removed: int = 0

@@ -1,0 +1,107 @@
+"""Maps corrected over HTTP: every kind, its answer, its undoing, and what is refused."""
+
+from __future__ import annotations
+
+import httpx
+import numpy as np
+import pytest
+
+from rholoc.geometry import Similarity
+from rholoc.maps import load_map, save_map
+from rholoc_client import Client
+
+SQUARE = [[0, -9], [9, -9], [9, 9], [0, 9]]
+
+
+@pytest.fixture(scope="module")
+def site(serve, point_room, picture_world):
+    """A service with the maps ``room``, which shows a picture, and ``hall``, which remembers what it learned from."""
+    running = serve()
+    (running.settings.maps_dir / "room.rho").write_bytes(picture_world.rho())
+    save_map(point_room.map_of(point_room.walk(30), "walk"), running.settings.maps_dir / "hall.rho")
+    return running
+
+
+def correct(site, name, body):
+    return httpx.post(f"{site.url}/v1/maps/{name}/corrections", json=body, timeout=60)
+
+
+def test_a_picture_s_pose_moves_by_what_the_map_reports_and_back(site, picture_world):
+    client = Client(site.url)
+
+    def pose():
+        return client.localize("room", picture_world.png(), camera=None).pose.T_map_camera
+
+    before = np.array(pose())
+    turned = correct(site, "room", {"kind": "wall", "direction": [1, 1, 0], "version": 3})
+    assert turned.status_code == 200, turned.text
+    plan = [{"map": [0, 0, 0], "plan": [4, 2]}, {"map": [1, 0, 0], "plan": [4, 3.1]}]
+    client.correct_map("room", {"kind": "plan", "points": plan, "scaled": True})
+    done = client.correct_map("room", {"kind": "origin", "at": [1, 2, 0.5]})
+    assert done.version == 6
+    corrections = httpx.get(f"{site.url}/v1/maps/room").json()["corrections"]
+    assert [one["kind"] for one in corrections] == ["wall", "plan", "origin"]
+    assert corrections[1]["residual_m"] == pytest.approx(0, abs=1e-9)
+    expected = before[None]
+    for one in corrections:
+        expected = Similarity(one["scale"], np.array(one["rotation"]), np.array(one["translation"])).poses(expected)
+    np.testing.assert_allclose(pose(), expected[0], atol=1e-3)
+    versions = httpx.get(f"{site.url}/v1/maps/room/versions").json()["versions"]
+    assert [(one["number"], one["version"]) for one in versions] == [(1, 5), (2, 4), (3, 3)]
+    assert client.restore_map("room", 3).version == 3
+    np.testing.assert_allclose(pose(), before, atol=1e-6)
+
+
+def test_a_region_a_piece_of_the_walk_and_names(site):
+    before = load_map(site.settings.maps_dir / "hall.rho")
+    named = {"points": [{"name": "Tür", "position": [1, 2, 0.5]}], "areas": [{"name": "Küche", "outline": SQUARE}]}
+    answer = correct(site, "hall", {"kind": "names", **named}).json()
+    assert answer["names"] == {**named, "points": [{"name": "Tür", "position": [1, 2, 0.5]}]}
+    answer = correct(site, "hall", {"kind": "walk", "first_view": 20, "last_view": 29}).json()
+    assert (answer["views"], answer["corrections"][-1]["views_removed"]) == (20, 10)
+    answer = correct(site, "hall", {"kind": "region", "outline": SQUARE, "keep": "inside"}).json()
+    after = load_map(site.settings.maps_dir / "hall.rho")
+    assert answer["landmarks"] == len(after) < len(before)
+    assert after.landmarks[:, 0].min() >= 0
+    assert answer["names"]["areas"][0]["name"] == "Küche"
+
+
+@pytest.mark.parametrize(
+    ("name", "body", "status", "code"),
+    [
+        ("nowhere", {"kind": "up"}, 404, "unknown_map"),
+        ("room", {}, 422, "invalid_request"),
+        ("room", {"kind": "sideways"}, 422, "invalid_request"),
+        ("room", {"kind": "origin"}, 422, "invalid_request"),
+        ("room", {"kind": "origin", "at": [0, 0]}, 422, "invalid_request"),
+        ("room", {"kind": "origin", "at": ["0", "0", "x"]}, 422, "invalid_request"),
+        ("room", {"kind": "origin", "at": [1e30, 0, 0]}, 422, "invalid_input"),
+        ("room", {"kind": "origin", "at": [0, 0, 0], "version": 2}, 409, "conflict"),
+        ("room", {"kind": "north", "direction": [0, 0, 1]}, 422, "invalid_input"),
+        ("room", {"kind": "scale", "start": [0, 0, 0], "end": [1, 0, 0], "length_m": -1}, 422, "invalid_request"),
+        ("room", {"kind": "scale", "start": [0, 0, 0], "end": [0, 0, 0], "length_m": 1}, 422, "invalid_input"),
+        ("room", {"kind": "plan", "points": []}, 422, "invalid_input"),
+        ("room", {"kind": "plan", "points": [{"map": [0, 0, 0], "plan": [0, 0]}]}, 422, "invalid_input"),
+        ("room", {"kind": "region", "outline": [], "keep": "inside"}, 422, "invalid_input"),
+        ("room", {"kind": "region", "outline": [[0, 0], [1, 1]], "keep": "inside"}, 422, "invalid_input"),
+        ("room", {"kind": "region", "outline": SQUARE, "keep": "none"}, 422, "invalid_request"),
+        ("room", {"kind": "walk", "first_view": 3, "last_view": 2}, 422, "invalid_input"),
+        ("room", {"kind": "walk", "first_view": 0, "last_view": 2**53}, 422, "invalid_input"),
+        ("room", {"kind": "walk", "first_view": 0, "last_view": 3}, 409, "conflict"),
+        ("room", {"kind": "names", "points": [{"name": "", "position": [0, 0, 0]}]}, 422, "invalid_input"),
+        ("room", {"kind": "names", "points": [{"name": "a\nb", "position": [0, 0, 0]}]}, 422, "invalid_input"),
+    ],
+)
+def test_what_does_not_fit_is_refused_and_changes_nothing(site, name, body, status, code):
+    before = (site.settings.maps_dir / "room.rho").read_bytes()
+    answer = correct(site, name, body)
+    assert (answer.status_code, answer.json()["code"]) == (status, code), answer.text
+    assert answer.json()["message"]
+    assert (site.settings.maps_dir / "room.rho").read_bytes() == before
+
+
+def test_only_versions_that_are_kept_are_restored(site):
+    answer = httpx.post(f"{site.url}/v1/maps/hall/restore", params={"number": 5})
+    assert (answer.status_code, answer.json()["code"]) == (409, "conflict")
+    assert httpx.post(f"{site.url}/v1/maps/hall/restore", params={"number": 0}).status_code == 422
+    assert httpx.get(f"{site.url}/v1/maps/nowhere/versions").status_code == 404
