@@ -44,6 +44,12 @@ def test_a_blank_picture_has_no_features(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", extractor_names())
+@pytest.mark.parametrize("shape", [(1, 1, 3), (1, 500, 3), (500, 1), (30, 30, 3)])
+def test_a_tiny_picture_has_no_features(name: str, shape: tuple[int, ...]) -> None:
+    assert len(get_extractor(name).extract(np.zeros(shape, dtype=np.uint8))) == 0
+
+
+@pytest.mark.parametrize("name", extractor_names())
 def test_grey_pictures_are_taken(name: str, picture: np.ndarray) -> None:
     get_extractor(name).extract(picture[:, :, 0].copy())
 

@@ -42,6 +42,7 @@ from rholoc.service.localizers import Localizers
 from rholoc.service.metrics import Metered, Metrics
 from rholoc.service.middleware import RequestBoundary
 from rholoc.service.openapi import install
+from rholoc.service.pacing import FramesFirst
 from rholoc.service.renderings import Renderings
 from rholoc.service.routes import ROUTERS
 from rholoc.service.settings import Settings
@@ -95,6 +96,7 @@ def create_app(settings: Settings | None = None) -> FastAPI:
         app.add_exception_handler(kind, _answer_error)
     keys = KeyStore(settings.data_dir)
     app.add_middleware(JsonBodies, max_bytes=settings.max_json_bytes)
+    app.add_middleware(FramesFirst, busy=lambda scope: scope["app"].state.rholoc.compute.busy)
     app.add_middleware(SlowBodies, silence_s=settings.slow_client_timeout_s)
     app.add_middleware(Guard, routes=app.routes, keys=keys, policy=settings.keys, host=settings.host)
     app.add_middleware(Tus)

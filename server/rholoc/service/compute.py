@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import math
 import os
 import sys
 import threading
@@ -22,6 +23,7 @@ _T = TypeVar("_T")
 _SMOOTHING = 0.2  # weight of the newest duration in the running mean
 _FIRST_GUESS_S = 0.2
 _CLOSE_TIMEOUT_S = 5.0
+_BUSY_AFTER_S = 0.1  # who sends a frame after the other is at work between them, too
 _NICENESS = 5  # of large work; more would let it hold the interpreter while it waits for a core
 _THREADS = "rholoc-compute"
 
@@ -50,6 +52,11 @@ class ComputePool:
     def taken(self) -> int:
         """How many calls run or wait."""
         return sum(lane.taken for lane in self._lanes.values())
+
+    @property
+    def busy(self) -> bool:
+        """Whether calls of ordinary effort run or wait, or did a moment ago."""
+        return self._lanes[Effort.ORDINARY].busy
 
     @property
     def full(self) -> bool:
@@ -91,6 +98,11 @@ class _Lane:
         self._capacity = concurrency + queue_length
         self._mean_s = _FIRST_GUESS_S
         self.taken = 0
+        self._last_end_s = -math.inf
+
+    @property
+    def busy(self) -> bool:
+        return self.taken > 0 or time.monotonic() - self._last_end_s < _BUSY_AFTER_S
 
     @property
     def full(self) -> bool:
@@ -118,6 +130,7 @@ class _Lane:
 
     def _release(self) -> None:
         self.taken -= 1
+        self._last_end_s = time.monotonic()
 
     def close(self) -> None:
         self._executor.shutdown(wait=False, cancel_futures=True)

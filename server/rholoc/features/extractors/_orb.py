@@ -13,6 +13,7 @@ from rholoc.features.feature_set import Channel, FeatureSet, Metric
 from rholoc.geometry import ByteArray
 
 DESCRIPTOR_BYTES = 32
+_PATCH_PX = 31  # what a descriptor is computed from: a smaller image has no feature, and one pixel has OpenCV raise
 _SCALE_STEP = 1.2
 _LEVELS = 8
 _FAST_THRESHOLD = 7  # grey levels; low, so that dim and soft images still give features: the best are kept anyway
@@ -71,6 +72,8 @@ class OrbExtractor:
 
     def extract(self, image: ByteArray) -> FeatureSet:
         """The features of an image (H, W, 3) in BGR order or (H, W) grey, uint8."""
+        if min(image.shape[:2]) < _PATCH_PX:
+            return FeatureSet.empty(DESCRIPTOR_BYTES)
         sets = []
         for channel, plane in zip(self.channels, self.split(image), strict=True):
             orb = cv2.ORB_create(  # type: ignore[attr-defined]
