@@ -203,6 +203,7 @@ ServeFunction = Callable[..., RunningService]
 def serve(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ServeFunction]:
     """Starts services with chosen settings, in folders of their own and without a worker; stops them at the end."""
     from rholoc.service import Settings, create_app
+    from rholoc.service.connections import websocket_options
 
     started: list[tuple[uvicorn.Server, threading.Thread]] = []
 
@@ -213,7 +214,8 @@ def serve(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ServeFunction]:
         chosen = Settings(**{**defaults, **settings})
         app = create_app(chosen)
         listener = socket.create_server(("127.0.0.1", 0))
-        server = uvicorn.Server(uvicorn.Config(app, log_level="error", timeout_graceful_shutdown=2))
+        websockets = websocket_options(chosen.max_request_bytes)
+        server = uvicorn.Server(uvicorn.Config(app, log_level="error", timeout_graceful_shutdown=2, **websockets))
         thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]}, daemon=True)
         thread.start()
         while not server.started:

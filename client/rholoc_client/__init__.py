@@ -6,7 +6,14 @@
         answer = client.localize("testsite", Path("frame.jpg"))
         if answer.localized:
             print(answer.pose.position, answer.pose.heading, answer.confidence)
+
+:class:`Tracker` keeps track of a camera between answers; it needs NumPy (``rholoc-client[tracking]``), and OpenCV
+where pictures are all there is (``rholoc-client[pictures]``).
 """
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
 
 from rholoc_client.client import AsyncClient, Client
 from rholoc_client.errors import (
@@ -28,6 +35,7 @@ from rholoc_client.errors import (
     InvalidName,
     InvalidRecording,
     InvalidRequest,
+    InvalidTrack,
     InvalidTrajectory,
     InvalidWaypoints,
     JobFailed,
@@ -59,13 +67,26 @@ from rholoc_client.models import (
     Job,
     Localization,
     MapSummary,
+    Matches,
     Place,
     Pose,
     Prior,
 )
 
+if TYPE_CHECKING:
+    from rholoc_client.tracking import (
+        AsyncTracker,
+        ImuNoise,
+        OdometryNoise,
+        Tracked,
+        Tracker,
+        TrackOptions,
+        TrackStatus,
+    )
+
 __all__ = [
     "AsyncClient",
+    "AsyncTracker",
     "Busy",
     "Camera",
     "CameraProfile",
@@ -80,6 +101,7 @@ __all__ = [
     "Forbidden",
     "Frame",
     "FramePose",
+    "ImuNoise",
     "Internal",
     "InvalidAnswer",
     "InvalidCamera",
@@ -90,6 +112,7 @@ __all__ = [
     "InvalidName",
     "InvalidRecording",
     "InvalidRequest",
+    "InvalidTrack",
     "InvalidTrajectory",
     "InvalidWaypoints",
     "Job",
@@ -97,8 +120,10 @@ __all__ = [
     "Localization",
     "MapSummary",
     "MappingFailed",
+    "Matches",
     "MethodNotAllowed",
     "NotFound",
+    "OdometryNoise",
     "Place",
     "Pose",
     "Prior",
@@ -108,6 +133,10 @@ __all__ = [
     "StorageFull",
     "StorageUnavailable",
     "TooLarge",
+    "TrackOptions",
+    "TrackStatus",
+    "Tracked",
+    "Tracker",
     "Unauthorized",
     "UnknownCamera",
     "UnknownJob",
@@ -118,3 +147,14 @@ __all__ = [
     "UnsupportedVersion",
     "WaitTimedOut",
 ]
+
+_OF_TRACKING = ("AsyncTracker", "ImuNoise", "OdometryNoise", "TrackOptions", "TrackStatus", "Tracked", "Tracker")
+
+
+def __getattr__(name: str) -> Any:
+    """What needs NumPy is imported when it is first used: all else does without."""
+    if name in _OF_TRACKING:
+        from rholoc_client import tracking
+
+        return getattr(tracking, name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -180,6 +180,7 @@ def localize_options(
     gravity: tuple[float, float, float] | None,
     deadline_ms: float | None,
     intrinsics: str | None = None,
+    with_matches: bool = False,
 ) -> dict[str, Any]:
     """The options of a localization as the service takes them; what is None is left out."""
     given = {
@@ -189,6 +190,7 @@ def localize_options(
         "gravity": gravity,
         "deadline_ms": deadline_ms,
         "intrinsics": intrinsics,
+        "with_matches": with_matches or None,
     }
     return _without_none(given)
 

@@ -86,6 +86,7 @@ class Client:
         gravity: Vector3 | None = None,
         deadline_ms: float | None = None,
         intrinsics: str | None = None,
+        with_matches: bool = False,
     ) -> Localization:
         """Where a picture was taken. "No pose" is an answer: look at ``localized``.
 
@@ -99,8 +100,9 @@ class Client:
             gravity: the direction of gravity (down) in the camera frame.
             deadline_ms: how long the service may take.
             intrinsics: "unknown" where nothing is known of the camera; the answer's ``camera`` has it as estimated.
+            with_matches: whether the answer's ``agreeing`` lists the matches that agree with the pose.
         """
-        options = localize_options(camera, prior, dof, gravity, deadline_ms, intrinsics)
+        options = localize_options(camera, prior, dof, gravity, deadline_ms, intrinsics, with_matches)
         return self._send(_calls.localize_image(maps, image, options))
 
     def localize_together(
@@ -148,9 +150,10 @@ class Client:
         gravity: Vector3 | None = None,
         deadline_ms: float | None = None,
         intrinsics: str | None = None,
+        with_matches: bool = False,
     ) -> Localization:
         """Where a picture was taken, from its features alone. Arguments as of :meth:`localize`."""
-        options = localize_options(camera, prior, dof, gravity, deadline_ms, intrinsics)
+        options = localize_options(camera, prior, dof, gravity, deadline_ms, intrinsics, with_matches)
         return self._send(_calls.localize_features(maps, features, options))
 
     def maps(self) -> list[MapSummary]:
@@ -388,9 +391,10 @@ class AsyncClient:
         gravity: Vector3 | None = None,
         deadline_ms: float | None = None,
         intrinsics: str | None = None,
+        with_matches: bool = False,
     ) -> Localization:
         """As :meth:`Client.localize`."""
-        options = localize_options(camera, prior, dof, gravity, deadline_ms, intrinsics)
+        options = localize_options(camera, prior, dof, gravity, deadline_ms, intrinsics, with_matches)
         return await self._send(_calls.localize_image(maps, image, options))
 
     async def localize_together(
@@ -422,9 +426,10 @@ class AsyncClient:
         gravity: Vector3 | None = None,
         deadline_ms: float | None = None,
         intrinsics: str | None = None,
+        with_matches: bool = False,
     ) -> Localization:
         """As :meth:`Client.localize_descriptors`."""
-        options = localize_options(camera, prior, dof, gravity, deadline_ms, intrinsics)
+        options = localize_options(camera, prior, dof, gravity, deadline_ms, intrinsics, with_matches)
         return await self._send(_calls.localize_features(maps, features, options))
 
     async def maps(self) -> list[MapSummary]:

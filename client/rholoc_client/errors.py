@@ -7,6 +7,7 @@
     ├── InvalidAnswer               what answered is not the service, or another version of it
     ├── JobFailed                   the job that was waited for ended without a map
     ├── WaitTimedOut                the job that was waited for did not end in time
+    ├── InvalidTrack                what a tracker was given cannot be: times that go backward, poses that are none
     └── ServiceError                the service answered with an error; it has code, hint, request_id
         ├── InvalidInput            what was sent cannot be used
         │   ├── InvalidRequest      a parameter is missing or of the wrong type
@@ -58,6 +59,11 @@ class ConnectionFailed(RholocClientError):
 
 class InvalidAnswer(RholocClientError):
     """What answered is not the service, or another version of it."""
+
+
+class InvalidTrack(RholocClientError):
+    """What a tracker was given cannot be: times that go backward, poses that are none, odometry in a map without
+    scale."""
 
 
 class JobFailed(RholocClientError):

@@ -130,6 +130,15 @@ class FramePose:
 
 
 @dataclass(frozen=True)
+class Matches:
+    """The matches that agree with a pose: pixels (u, v) of the frame, and the landmarks (x, y, z) that they show, map
+    frame."""
+
+    pixels: tuple[tuple[float, float], ...]
+    landmarks: tuple[Vector3, ...]
+
+
+@dataclass(frozen=True)
 class Localization:
     """The answer for one frame.
 
@@ -152,6 +161,7 @@ class Localization:
         focal_sigma_px: one sigma of its focal length.
         frames: each frame's pose and how many of its matches agree, where several were localized together; ``pose`` is
             the first one's.
+        agreeing: the matches that agree with the pose, where they were asked for.
     """
 
     localized: bool
@@ -173,6 +183,7 @@ class Localization:
     camera: Camera | None = None
     focal_sigma_px: float | None = None
     frames: tuple[FramePose, ...] = ()
+    agreeing: Matches | None = None
 
 
 @dataclass(frozen=True)
@@ -308,7 +319,14 @@ def parse_localization(answer: Mapping[str, Any]) -> Localization:
             FramePose(None if one["pose"] is None else parse_pose(one["pose"]), one["inliers"])
             for one in answer.get("frames") or ()
         ),
+        agreeing=_matches(answer.get("agreeing")),
     )
+
+
+def _matches(agreeing: Mapping[str, Any] | None) -> Matches | None:
+    if agreeing is None:
+        return None
+    return Matches(tuple(map(tuple, agreeing["pixels"])), tuple(map(tuple, agreeing["landmarks"])))
 
 
 def parse_place(answer: Mapping[str, Any]) -> Place:

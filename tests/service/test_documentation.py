@@ -6,9 +6,11 @@ import re
 from pathlib import Path
 
 import pytest
+from fastapi.routing import APIWebSocketRoute, iter_route_contexts
 
 from rholoc.service import Settings, create_app
 from rholoc.service.errors import error_classes, status_of
+from rholoc.service.track_messages import Begin, FrameMessage, TrackedOut
 
 README = (Path(__file__).parents[2] / "server" / "README.md").read_text(encoding="utf-8")
 
@@ -22,7 +24,22 @@ def rows(heading: str) -> dict[str, list[str]]:
 
 def test_every_route_is_documented_and_no_other():
     paths = create_app(Settings()).openapi()["paths"]
-    assert set(rows("Routes")) == {f"{method.upper()} {path}" for path, item in paths.items() for method in item}
+    documented = {name for name in rows("Routes") if " /" in name}
+    assert documented == {f"{method.upper()} {path}" for path, item in paths.items() for method in item}
+
+
+def test_every_stream_is_documented_and_no_other():
+    contexts = iter_route_contexts(create_app(Settings()).routes)
+    streams = {context.path for context in contexts if isinstance(context.original_route, APIWebSocketRoute)}
+    assert streams
+    assert streams == set(re.findall(r"^\| `(/v1/\S+)` \|", README, re.MULTILINE))
+
+
+def test_every_message_of_a_stream_is_documented():
+    section = README.split("### A stream of frames\n", 1)[1].split("\n### ", 1)[0]
+    for model in (Begin, FrameMessage, TrackedOut):
+        for name in model.model_fields:
+            assert f"`{name}`" in section or f'"{name}"' in section, name
 
 
 def test_every_error_code_is_documented_with_its_status_and_no_other():

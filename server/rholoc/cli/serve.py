@@ -57,7 +57,7 @@ def serve(
     from rholoc.logs import configure_process_logs
     from rholoc.service import create_app
     from rholoc.service.compute import compute_threads
-    from rholoc.service.connections import protocol_of
+    from rholoc.service.connections import protocol_of, websocket_options
     from rholoc.service.guard import keys_needed
     from rholoc.service.keys import KeyStore
 
@@ -69,6 +69,7 @@ def serve(
             log_level="warning",
             log_config=None,
             http=protocol_of(settings.max_connections),
+            **websocket_options(settings.max_request_bytes),
             backlog=_BACKLOG,
             timeout_graceful_shutdown=_SHUTDOWN_S,
         )

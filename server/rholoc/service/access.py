@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated
 
-from fastapi import Request, Security
+from fastapi import Request, Security, WebSocket
 from fastapi.dependencies.models import Dependant
 from fastapi.params import Security as SecurityParameter
 from fastapi.routing import RouteContext, iter_route_contexts
@@ -66,11 +66,29 @@ def allow_everyone() -> None:
     """The dependency of a route that needs no key."""
 
 
+STREAM_PROTOCOL = "rholoc.track.1"
+STREAM_KEY_PREFIX = "rholoc.key."
+
+
+def check_stream_granted(socket: WebSocket, needed: SecurityScopes) -> None:
+    """As :func:`check_granted`, for a WebSocket.
+
+    Raises:
+        Forbidden: it was not let in.
+    """
+    held: Scope | None = getattr(socket.state, _GRANTED, None)
+    for scope in map(Scope, needed.scopes):
+        if held is None or not held.allows(scope):
+            raise forbidden(held, scope) if held else undeclared()
+
+
+STREAM_NEEDS_LOCALIZE = Security(check_stream_granted, scopes=[Scope.LOCALIZE])
 NEEDS_READ = Security(check_granted, scopes=[Scope.READ])
 NEEDS_LOCALIZE = Security(check_granted, scopes=[Scope.LOCALIZE])
 NEEDS_MAP = Security(check_granted, scopes=[Scope.MAP])
 NEEDS_ADMIN = Security(check_granted, scopes=[Scope.ADMIN])
 OPEN = Security(allow_everyone)
+_CHECKS = (check_granted, check_stream_granted)
 
 
 def undeclared() -> Forbidden:
@@ -159,7 +177,7 @@ def _query(dependant: Dependant) -> frozenset[str]:
 
 def _declared(context: RouteContext) -> Access | None:
     declared = [one for one in getattr(context, "dependencies", ()) if isinstance(one, SecurityParameter)]
-    scopes = [Scope(scope) for one in declared if one.dependency is check_granted for scope in one.scopes or ()]
+    scopes = [Scope(scope) for one in declared if one.dependency in _CHECKS for scope in one.scopes or ()]
     if scopes:
         return Access(max(scopes, key=list(Scope).index))
     return Access(None) if any(one.dependency is allow_everyone for one in declared) else None

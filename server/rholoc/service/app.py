@@ -47,6 +47,7 @@ from rholoc.service.renderings import Renderings
 from rholoc.service.routes import ROUTERS
 from rholoc.service.settings import Settings
 from rholoc.service.state import State
+from rholoc.service.stream_count import OpenStreams
 from rholoc.service.tus import Tus
 
 _BODIES_AT_ONCE = 8  # of the largest that are allowed
@@ -115,6 +116,8 @@ def _start(settings: Settings, metrics: Metrics) -> State:
     compute = ComputePool(settings.concurrency, settings.queue_length)
     metrics.gauge("rholoc_jobs", "Mapping jobs", "state", lambda: {str(state): n for state, n in jobs.counts().items()})
     metrics.gauge("rholoc_frames", "Frames that are being localized, or wait", "at", lambda: {"now": compute.taken})
+    streams = OpenStreams(settings.max_streams)
+    metrics.gauge("rholoc_streams", "Streams of frames that are open", "at", lambda: {"now": streams.count})
     return State(
         settings=settings,
         library=library,
@@ -132,6 +135,7 @@ def _start(settings: Settings, metrics: Metrics) -> State:
         jobs=jobs,
         job_events=JobEvents(jobs),
         worker=_worker(settings) if settings.worker else None,
+        streams=streams,
     )
 
 

@@ -19,6 +19,7 @@ _HEAD_TIMEOUT_S = 20.0  # for a request's line and headers
 _LEAST_BYTES_PER_S = 500.0  # of a body, on average
 _LEFTOVER_BYTES_PER_S = 4e6  # of a body that was refused before it had come: reading it costs the others
 _RETRY_AFTER_S = 5.0
+_STREAMED_BYTES = 8 * 2**20  # of one message of a WebSocket
 
 
 class PatientProtocol(H11Protocol):
@@ -98,6 +99,16 @@ def _full_answer() -> bytes:
 def protocol_of(max_connections: int) -> type[PatientProtocol]:
     """The protocol for a server that holds so many connections."""
     return type("PatientProtocol", (PatientProtocol,), {"max_connections": max_connections})
+
+
+def websocket_options(max_request_bytes: int) -> dict[str, Any]:
+    """Uvicorn's options for WebSockets: how long a message may be, and that none is packed, for what unpacks may be a
+    bomb."""
+    return {
+        "ws": "websockets-sansio",
+        "ws_max_size": min(max_request_bytes, _STREAMED_BYTES),
+        "ws_per_message_deflate": False,
+    }
 
 
 class SlowBodies:

@@ -11,7 +11,16 @@ from starlette.datastructures import Headers, MutableHeaders, QueryParams
 from starlette.routing import BaseRoute
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from rholoc.service.access import Access, RouteAccess, find_route, forbidden, grant, route_access, undeclared
+from rholoc.service.access import (
+    STREAM_KEY_PREFIX,
+    Access,
+    RouteAccess,
+    find_route,
+    forbidden,
+    grant,
+    route_access,
+    undeclared,
+)
 from rholoc.service.errors import CrossSite, InvalidRequest, MethodNotAllowed, Unauthorized, UnknownRoute
 from rholoc.service.keys import KeyStore
 from rholoc.service.keys import Scope as KeyScope
@@ -91,15 +100,15 @@ class Guard:
             UnknownRoute, MethodNotAllowed: no route takes it; which only those who may read something learn.
             InvalidRequest: the query has a name that the route does not know.
         """
-        if scope["type"] == "http":
+        if scope["type"] in ("http", "websocket"):
             headers = Headers(scope=scope)
-            check_same_site(scope["method"], headers, self._local_only)
+            check_same_site(scope.get("method", "GET"), headers, self._local_only)
             found = find_route(self._routes, scope)
             access = Access(KeyScope.READ) if found.route is None else found.route.access
             if access is None:
                 raise undeclared()
             if access.scope is not None:
-                grant(scope, self._check_key(headers.get("authorization", ""), access.scope))
+                grant(scope, self._check_key(_authorization(scope, headers), access.scope))
             if found.route is None and found.methods:
                 hint = "The answer's header Allow names those that it takes."
                 raise MethodNotAllowed("This route does not support this method.", hint, found.methods)
@@ -123,6 +132,13 @@ class Guard:
         if not key.scope.allows(needed):
             raise forbidden(key.scope, needed)
         return key.scope
+
+
+def _authorization(scope: Scope, headers: Headers) -> str:
+    """What a request proves itself with. A browser cannot give a WebSocket headers, but offer subprotocols."""
+    offered = scope.get("subprotocols", ()) if scope["type"] == "websocket" else ()
+    keys = [one.removeprefix(STREAM_KEY_PREFIX) for one in offered if one.startswith(STREAM_KEY_PREFIX)]
+    return headers.get("authorization", f"Bearer {keys[0]}" if keys else "")
 
 
 def keys_needed(policy: KeyPolicy, host: str) -> bool:

@@ -12,6 +12,7 @@ from starlette.requests import ClientDisconnect
 from starlette.responses import JSONResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from rholoc.errors import RholocError
 from rholoc.service.errors import Internal, as_rholoc_error, error_body, error_headers, status_of
 
 REQUEST_ID_HEADER = "X-Request-ID"
@@ -32,6 +33,9 @@ class RequestBoundary:
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Answer one request."""
+        if scope["type"] == "websocket":
+            await self._open_socket(scope, receive, send)
+            return
         if scope["type"] != "http":
             await self._app(scope, receive, send)
             return
@@ -63,6 +67,17 @@ class RequestBoundary:
             if not started:
                 answer = JSONResponse(error_body(known, request_id), status_of(type(known)), error_headers(known))
                 await answer(scope, receive, send_with_id)
+
+    async def _open_socket(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Let a WebSocket in, or answer its handshake with the error for which it is not."""
+        request_id = _request_id(Headers(scope=scope).get(REQUEST_ID_HEADER))
+        try:
+            await self._app(scope, receive, send)
+        except RholocError as error:
+            await asyncio.sleep(_REFUSAL_TAKES_S)
+            answer = JSONResponse(error_body(error, request_id), status_of(type(error)), error_headers(error))
+            answer.headers[REQUEST_ID_HEADER] = request_id
+            await answer(scope, receive, send)
 
 
 def _request_id(offered: str | None) -> str:

@@ -77,6 +77,7 @@ class Settings(BaseSettings):
         default=300, gt=0, description="How long the export of a map into another format may take."
     )
     max_connections: int = Field(default=500, ge=1, description="The most connections that are open at a time.")
+    max_streams: int = Field(default=20, ge=0, description="The most streams of frames (WebSockets) that are open.")
     max_unfinished_uploads: int = Field(
         default=100, ge=1, description="The most resumable uploads that are unfinished at a time."
     )

@@ -18,6 +18,7 @@ from rholoc.service.localizers import Localizers
 from rholoc.service.metrics import Metrics
 from rholoc.service.renderings import Renderings
 from rholoc.service.settings import Settings
+from rholoc.service.stream_count import OpenStreams
 
 
 @dataclass(frozen=True)
@@ -38,6 +39,7 @@ class State:
     jobs: JobQueue
     job_events: JobEvents
     worker: EmbeddedWorker | None
+    streams: OpenStreams
     publishing: asyncio.Lock = field(default_factory=asyncio.Lock)  # a large map takes memory while it is checked
 
 

@@ -1,7 +1,8 @@
 """The routes: one module per resource."""
 
-from rholoc.service.routes import cameras, health, jobs, localize, maps, recordings, uploads
+from rholoc.service.routes import cameras, health, jobs, localize, maps, recordings, track, uploads
 
-ROUTERS = (localize.router, maps.router, cameras.router, recordings.router, uploads.router, jobs.router, health.router)
+_RESOURCES = (localize, track, maps, cameras, recordings, uploads, jobs, health)
+ROUTERS = tuple(resource.router for resource in _RESOURCES)
 
 __all__ = ["ROUTERS"]

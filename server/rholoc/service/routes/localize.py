@@ -237,13 +237,18 @@ async def _localize(
     with service.held_bodies.hold() as look:
         sent = await _sent(request, options.options(), service, look)
         if isinstance(sent, Frame):
-            return await _localize_frame(sent, names, service, clock, every)
+            return await answer_frame(sent, names, service, clock, every)
         return await _localize_frames(*sent, names, service, clock, every)
 
 
-async def _localize_frame(
+async def answer_frame(
     frame: Frame, names: list[str], service: State, clock: Stopwatch, every: bool
 ) -> LocalizationOut:
+    """The surest pose of several maps for one frame, by its deadline.
+
+    Raises:
+        RholocError: as :func:`rholoc.service.localize.localize_frame`, and Busy.
+    """
     if frame.options.camera.name is not None:
         profile = await run_in_threadpool(service.cameras.get, frame.options.camera.name)
         frame = replace(frame, stored=profile.camera)

@@ -1,0 +1,521 @@
+"""A track: what is believed of a camera's pose over time. No network, no threads, no clock of its own.
+
+Frames, odometry or IMU readings come in, and a pose for every frame goes out. The track says when an answer of the
+service would pay (:attr:`Track.wants_answer`), and takes it whenever it comes: answers speak of the frame that was
+asked with, so that what was believed then is corrected, and the steps since are taken once more.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass, field, replace
+from enum import StrEnum
+
+import numpy as np
+
+from rholoc_client.errors import InvalidTrack
+from rholoc_client.models import Localization, Pose, Prior
+from rholoc_client.tracking.belief import Belief, OdometryNoise, PoseBelief, Step, alignment, squared_distance
+from rholoc_client.tracking.inertial import ImuNoise, ImuReading, InertialBelief
+from rholoc_client.tracking.rigid import (
+    FloatArray,
+    inverse,
+    motion_between,
+    moved,
+    quaternion_of,
+    rigid,
+)
+
+_GATE = 22.5  # of χ² with six degrees of freedom: a right answer is farther once in a thousand times
+_UNTENABLE = 6  # answers that contradict a track, and each other: it is not true, whatever is
+_SURE = 0.8  # confidence from which one answer begins a track; of less it takes two that agree
+_LEAST_SIGMA_M, _LEAST_SIGMA_RAD = 0.005, math.radians(0.2)  # of an answer: no map is more exact
+_MOST_READINGS = 20_000  # of an IMU that wait for a frame
+_PATIENT_FAILURES = 6
+_LONGEST_WAIT_S = 3.0
+_LONGEST_GAP_S = 5.0  # between frames; beyond it a track begins anew
+_DEGREES = np.array([1.0, 1.0, 1.0, *[180 / math.pi] * 3])
+
+
+class TrackStatus(StrEnum):
+    """How far a pose is to be relied on."""
+
+    SEARCHING = "searching"  # no answer yet that a track could begin with: there is no pose
+    TRACKING = "tracking"  # the pose is as good as its covariance says
+    LOST = "lost"  # too long without an answer: the pose is a guess
+
+
+@dataclass(frozen=True)
+class TrackOptions:
+    """How a track is kept.
+
+    Attributes:
+        odometry: how good the odometry is.
+        imu: how good the IMU is, where there is no odometry.
+        answers_per_s: the most answers that are asked for.
+        drift_m: the uncertainty gained since the last answer at which the next one pays.
+        longest_s: after so long an answer pays in any case.
+        smoothing_s: a correction is let in over about this time, so that poses do not jerk; 0: at once.
+        jump_m, jump_deg: larger corrections are let in at once, and counted.
+        lost_m, lost_deg: one sigma beyond which a pose is lost.
+    """
+
+    odometry: OdometryNoise = field(default_factory=OdometryNoise)
+    imu: ImuNoise = field(default_factory=ImuNoise)
+    answers_per_s: float = 2.0
+    drift_m: float = 0.007
+    longest_s: float = 5.0
+    smoothing_s: float = 0.15
+    jump_m: float = 0.10
+    jump_deg: float = 5.0
+    lost_m: float = 0.5
+    lost_deg: float = 20.0
+
+    def __post_init__(self) -> None:
+        for name in ("answers_per_s", "drift_m", "longest_s", "jump_m", "jump_deg", "lost_m", "lost_deg"):
+            if not 0 < getattr(self, name) < math.inf:
+                raise InvalidTrack(f"The option {name} is not a positive number.")
+        if not 0 <= self.smoothing_s < math.inf:
+            raise InvalidTrack("The option smoothing_s is negative.")
+
+
+@dataclass(frozen=True, eq=False)
+class Tracked:
+    """Where a camera is at a frame.
+
+    Attributes:
+        time_s: the frame's.
+        status: how far the pose is to be relied on.
+        pose: in the map, or None while searching.
+        covariance: 6×6 of the pose, of the position in metres and a small rotation about the map's axes in degrees.
+        T_map_odom: 4×4, takes points of odometry's frame to the map; None without odometry.
+        T_map_odom_covariance: 6×6 of it, at the origin of odometry's frame; units as of ``covariance``.
+        reset_counter: goes up by one whenever the pose jumps: what was derived from poses before is void.
+        since_answer_s: how long ago the frame was taken that the last answer of use was about; None before the first.
+        answers: how many answers were of use.
+        rejected: how many contradicted the track and were left aside.
+    """
+
+    time_s: float
+    status: TrackStatus
+    pose: Pose | None
+    covariance: tuple[tuple[float, ...], ...] | None
+    T_map_odom: tuple[tuple[float, ...], ...] | None
+    T_map_odom_covariance: tuple[tuple[float, ...], ...] | None
+    reset_counter: int
+    since_answer_s: float | None
+    answers: int
+    rejected: int
+
+
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """What the service says of one frame.
+
+    Attributes:
+        T_map_camera: (4, 4).
+        covariance: (6, 6), metres and radians.
+        confidence: 0..1.
+        metric: whether the map's unit of length is the metre.
+    """
+
+    T_map_camera: FloatArray
+    covariance: FloatArray
+    confidence: float
+    metric: bool = True
+
+    @classmethod
+    def of(cls, answer: Localization) -> Answer | None:
+        """The client's answer; None where there is no pose, or no covariance."""
+        if not answer.localized or answer.pose is None or answer.covariance is None:
+            return None
+        covariance = np.asarray(answer.covariance) / np.outer(_DEGREES, _DEGREES)
+        return cls(rigid(answer.pose.T_map_camera), covariance, answer.confidence, answer.scale == "metric")
+
+    @property
+    def sober_covariance(self) -> FloatArray:
+        """The covariance (6, 6), nowhere smaller than any map allows."""
+        least = np.diag([_LEAST_SIGMA_M**2] * 3 + [_LEAST_SIGMA_RAD**2] * 3)
+        return self.covariance + least
+
+
+@dataclass(frozen=True, eq=False)
+class _Hypothesis:
+    """A belief and how many answers it rests on."""
+
+    belief: PoseBelief | InertialBelief
+    answers: int
+
+    def advanced(self, motion: Step | ImuReading) -> _Hypothesis:
+        if isinstance(self.belief, InertialBelief):
+            return replace(self, belief=self.belief.advanced(motion)) if isinstance(motion, ImuReading) else self
+        return replace(self, belief=self.belief.advanced(motion)) if isinstance(motion, Step) else self
+
+    def agrees(self, answer: Answer) -> bool:
+        return squared_distance(self.belief, answer.T_map_camera, answer.sober_covariance) < _GATE
+
+    def corrected(self, answer: Answer) -> _Hypothesis:
+        return _Hypothesis(self.belief.corrected(answer.T_map_camera, answer.sober_covariance), self.answers + 1)
+
+
+@dataclass(frozen=True, eq=False)
+class Question:
+    """What was believed when an answer was asked for.
+
+    Attributes:
+        time_s: of the frame.
+        prior: where its pose is expected, or None.
+        main, rival: the hypotheses.
+    """
+
+    time_s: float
+    prior: Prior | None
+    main: _Hypothesis | None
+    rival: _Hypothesis | None
+
+
+@dataclass
+class _Pace:
+    """When the next answer may be asked for."""
+
+    answers_per_s: float
+    due_s: tuple[float, ...] = ()
+    waiting_until_s: float = -math.inf
+    failures: int = 0
+
+    def allows(self, time_s: float, in_haste: bool) -> bool:
+        """Whether a question may be asked. Two may follow each other at once, should there be haste; then none for as
+        long as both would have taken."""
+        if time_s < self.waiting_until_s or (len(self.due_s) == 2 and time_s < self.due_s[0] + 2 / self.answers_per_s):
+            return False
+        return in_haste or not self.due_s or time_s >= self.due_s[-1] + 1 / self.answers_per_s
+
+    def asked(self, time_s: float) -> None:
+        self.due_s = (*self.due_s, time_s)[-2:]
+
+    def came(self, of_use: bool, time_s: float) -> None:
+        """After a while of failures questions come more rarely."""
+        self.failures = 0 if of_use else self.failures + 1
+        if self.failures > _PATIENT_FAILURES:
+            wait_s = min(_LONGEST_WAIT_S, 2 ** (self.failures - _PATIENT_FAILURES) / self.answers_per_s)
+            self.waiting_until_s = time_s + wait_s
+
+
+@dataclass
+class _Standing:
+    """What changes with the answers."""
+
+    reset_counter: int = 0
+    last_answer_s: float | None = None
+    used: int = 0
+    rejected: int = 0
+    settled: bool = False
+    contradicted: int = 0  # times in a row
+    variance_m2: float = 0.0  # of the position, right after the last answer
+
+
+class Track:
+    """The pose of one camera over time.
+
+    Times are seconds on any one clock, which must go forward.
+    """
+
+    def __init__(self, options: TrackOptions | None = None) -> None:
+        self.options = options or TrackOptions()
+        self._main: _Hypothesis | None = None
+        self._rival: _Hypothesis | None = None
+        self._time_s: float | None = None
+        self._T_odom_camera: FloatArray | None = None
+        self._has_odometry = False
+        self._readings: deque[tuple[float, FloatArray, FloatArray]] = deque()
+        self._last_reading: tuple[float, FloatArray, FloatArray] | None = None
+        self._imu_s: float | None = None
+        self._question: Question | None = None
+        self._since: list[Step | ImuReading] = []
+        self._offset: FloatArray = np.zeros(6)
+        self._pace = _Pace(self.options.answers_per_s)
+        self._standing = _Standing()
+
+    def imu(self, time_s: float, acceleration_m_s2: FloatArray, rate_rad_s: FloatArray) -> None:
+        """Take in a reading of an IMU, in the camera's axes: x right, y down, z forward.
+
+        Args:
+            time_s: when it was read, on the frames' clock.
+            acceleration_m_s2: (3,) at rest gravity's reaction: 9.81 upwards.
+            rate_rad_s: (3,) the angular velocity.
+
+        Raises:
+            InvalidTrack: its time is not after the last reading's, or it is not of three finite numbers each.
+        """
+        _check_time(time_s, self._imu_s, "reading")
+        acceleration, rate = (np.asarray(one, dtype=np.float64) for one in (acceleration_m_s2, rate_rad_s))
+        if not all(one.shape == (3,) and np.isfinite(one).all() for one in (acceleration, rate)):
+            raise InvalidTrack("An IMU's reading is not of three finite numbers for each sensor.")
+        self._imu_s = time_s
+        self._readings.append((time_s, acceleration, rate))
+        if len(self._readings) > _MOST_READINGS:
+            self._readings.popleft()
+
+    def frame(self, time_s: float, T_odom_camera: FloatArray | None = None) -> Tracked:
+        """Take in a frame; where the camera is at it.
+
+        Args:
+            time_s: when it was taken.
+            T_odom_camera: (4, 4) the camera's pose in odometry's own frame; None where odometry does not know.
+
+        Raises:
+            InvalidTrack: the time is not after the last frame's, or the pose is no rigid motion.
+        """
+        _check_time(time_s, self._time_s, "frame")
+        if T_odom_camera is not None:
+            try:
+                T_odom_camera = rigid(T_odom_camera)
+            except ValueError as error:
+                raise InvalidTrack(f"Odometry: {error}") from error
+            self._has_odometry = True
+        duration_s = 0.0 if self._time_s is None else time_s - self._time_s
+        if duration_s > _LONGEST_GAP_S:
+            self._begin_anew()
+        elif self._time_s is not None:
+            self._advance(duration_s, T_odom_camera)
+        self._drop_readings(time_s)
+        self._time_s, self._T_odom_camera = time_s, T_odom_camera
+        if self.options.smoothing_s > 0:
+            self._offset = self._offset * math.exp(-duration_s / self.options.smoothing_s)
+        return self.now()
+
+    def now(self) -> Tracked:
+        """Where the camera was at the last frame, by all that is known."""
+        standing, time_s = self._standing, self._time_s
+        if time_s is None:
+            raise InvalidTrack("There is no frame yet.")
+        since_s = None if standing.last_answer_s is None else time_s - standing.last_answer_s
+        counted = (standing.reset_counter, since_s, standing.used, standing.rejected)
+        if self._main is None or not standing.settled:
+            return Tracked(time_s, TrackStatus.SEARCHING, None, None, None, None, *counted)
+        belief = replace(self._main.belief, T_map_camera=moved(self._main.belief.T_map_camera, self._offset))
+        status = TrackStatus.LOST if self._is_lost(belief) else TrackStatus.TRACKING
+        T_map_odom = covariance = None
+        if self._T_odom_camera is not None:
+            T_map_odom, covariance = alignment(belief, self._T_odom_camera)
+        return Tracked(
+            time_s,
+            status,
+            _pose_of(belief.T_map_camera),
+            _rows(belief.covariance * np.outer(_DEGREES, _DEGREES)),
+            None if T_map_odom is None else _rows(T_map_odom),
+            None if covariance is None else _rows(covariance * np.outer(_DEGREES, _DEGREES)),
+            *counted,
+        )
+
+    @property
+    def wants_answer(self) -> bool:
+        """Whether an answer for the last frame pays: there is no pose, or it has become uncertain enough."""
+        standing, options = self._standing, self.options
+        if not self.may_ask:
+            return False
+        assert self._time_s is not None
+        if self._main is None or not standing.settled or standing.contradicted or standing.last_answer_s is None:
+            return True
+        gained = float(np.trace(self._main.belief.covariance[:3, :3])) - standing.variance_m2
+        return gained > options.drift_m**2 or self._time_s - standing.last_answer_s > options.longest_s
+
+    @property
+    def may_ask(self) -> bool:
+        """Whether an answer may be asked for, by the rate of questions, and none is being asked for."""
+        if self._time_s is None or self._question is not None:
+            return False
+        # Of an IMU the first two answers are to be apart, for they give the velocity.
+        in_haste = not self._standing.settled and (self._main is None or self._has_odometry)
+        return self._pace.allows(self._time_s, in_haste)
+
+    def check_time(self, time_s: float) -> None:
+        """Refuse a frame's time that is not after the last one's. Raises InvalidTrack."""
+        _check_time(time_s, self._time_s, "frame")
+
+    def ask(self) -> Question:
+        """Note that an answer for the last frame is being asked for; one at a time."""
+        assert self._time_s is not None
+        assert self._question is None
+        self._question = Question(self._time_s, self._prior(), self._main, self._rival)
+        self._since = []
+        self._pace.asked(self._time_s)
+        return self._question
+
+    def unanswered(self) -> None:
+        """The question came to nothing: there was no pose, or the service did not answer."""
+        self._question = None
+        assert self._time_s is not None
+        self._pace.came(False, self._time_s)
+
+    def answered(
+        self, answer: Answer | None, since: list[Step] | None = None, T_odom_camera: FloatArray | None = None
+    ) -> None:
+        """The answer to the question.
+
+        Args:
+            answer: None where there is no pose.
+            since: the camera's steps from the question's frame to the last one, where they became known only now.
+            T_odom_camera: with ``since``: the camera's pose (4, 4) at the last frame by odometry, or None.
+
+        Raises:
+            InvalidTrack: the map has no scale, which odometry and IMU need.
+        """
+        question, time_s = self._question, self._time_s
+        if question is None or time_s is None:
+            return  # a frame gap ended the track that had asked
+        if answer is None:
+            self.unanswered()
+            return
+        if not answer.metric and (self._has_odometry or self._imu_s is not None):
+            self._question = None
+            raise InvalidTrack("The map's unit of length is not the metre, so odometry in metres does not fit it.")
+        before = None if self._main is None else moved(self._main.belief.T_map_camera, self._offset)
+        steps: list[Step | ImuReading] = self._since if since is None else [*since]
+        if since is not None:
+            self._T_odom_camera = T_odom_camera
+            self._has_odometry = self._has_odometry or T_odom_camera is not None
+        main, rival, of_use = self._judged(question, answer)
+        self._question = None
+        self._main, self._rival = _replayed(main, steps), _replayed(rival, steps)
+        self._pace.came(of_use, time_s)
+        self._let_in(before)
+
+    def _judged(self, question: Question, answer: Answer) -> tuple[_Hypothesis | None, _Hypothesis | None, bool]:
+        """The hypotheses after an answer, and whether it was of use; they are of the question's time."""
+        standing, main, rival = self._standing, question.main, question.rival
+        if main is not None and main.agrees(answer):
+            return self._followed(main.corrected(answer), question.time_s, answer), None, True
+        fresh = self._hypothesis(answer)
+        rival = rival.corrected(answer) if rival is not None and rival.agrees(answer) else fresh
+        if main is None:
+            return self._followed(fresh, question.time_s, answer), None, True
+        lost = self._is_lost(main.belief) and answer.confidence >= _SURE
+        untenable = standing.contradicted + 1 >= _UNTENABLE
+        if lost or untenable or rival.answers > min(main.answers, 2):
+            was_settled = standing.settled
+            followed = self._followed(rival, question.time_s, answer)
+            standing.reset_counter += was_settled
+            self._offset = np.full(6, np.nan)  # whatever was shown is void
+            return followed, None, True
+        standing.rejected += 1
+        standing.contradicted += 1
+        return main, rival, False
+
+    def _followed(self, main: _Hypothesis, time_s: float, answer: Answer) -> _Hypothesis:
+        """Note an answer that the track goes by."""
+        standing = self._standing
+        standing.last_answer_s, standing.contradicted = time_s, 0
+        standing.used += 1
+        standing.variance_m2 = float(np.trace(main.belief.covariance[:3, :3]))
+        knows_motion = self._has_odometry and not isinstance(main.belief, InertialBelief)
+        sure = answer.confidence >= _SURE and knows_motion
+        standing.settled = standing.settled or main.answers >= 2 or sure
+        return main
+
+    def _hypothesis(self, answer: Answer) -> _Hypothesis:
+        if self._imu_s is not None and not self._has_odometry:
+            inertial = InertialBelief.at(answer.T_map_camera, answer.sober_covariance, self.options.imu)
+            return _Hypothesis(inertial, 1)
+        return _Hypothesis(PoseBelief.at(answer.T_map_camera, answer.sober_covariance, self.options.odometry), 1)
+
+    def _let_in(self, before: FloatArray | None) -> None:
+        """Show a correction over time if it is small, else at once."""
+        jumped = bool(np.isnan(self._offset).any())
+        if self._main is None or before is None or jumped:
+            self._offset = np.zeros(6)
+            return
+        offset = motion_between(self._main.belief.T_map_camera, before)
+        apart_m, turned_deg = float(np.linalg.norm(offset[:3])), math.degrees(float(np.linalg.norm(offset[3:])))
+        if apart_m > self.options.jump_m or turned_deg > self.options.jump_deg:
+            self._standing.reset_counter += self._standing.settled
+            offset = np.zeros(6)
+        self._offset = offset if self.options.smoothing_s > 0 else np.zeros(6)
+
+    def _advance(self, duration_s: float, T_odom_camera: FloatArray | None) -> None:
+        assert self._time_s is not None
+        known = T_odom_camera is not None and self._T_odom_camera is not None
+        T_before_now = inverse(self._T_odom_camera) @ T_odom_camera if known else None  # type: ignore[arg-type, operator]
+        motions: list[Step | ImuReading] = [Step(duration_s, T_before_now)]
+        motions += self._read(self._time_s, self._time_s + duration_s)
+        for motion in motions:
+            self._main = None if self._main is None else self._main.advanced(motion)
+            self._rival = None if self._rival is None else self._rival.advanced(motion)
+        if self._question is not None:
+            self._since += motions
+
+    def _read(self, start_s: float, end_s: float) -> list[ImuReading]:
+        """The IMU's readings of a stretch of time; the last one is held until its end."""
+        found, at_s = [], start_s
+        while self._readings and self._readings[0][0] <= end_s:
+            time_s, acceleration, rate = self._readings.popleft()
+            if time_s > at_s:
+                _, last_acceleration, last_rate = self._last_reading or (time_s, acceleration, rate)
+                found.append(ImuReading(time_s - at_s, (acceleration + last_acceleration) / 2, (rate + last_rate) / 2))
+                at_s = time_s
+            self._last_reading = (time_s, acceleration, rate)
+        if self._last_reading is not None and end_s > at_s:
+            found.append(ImuReading(end_s - at_s, self._last_reading[1], self._last_reading[2]))
+        return found
+
+    def _drop_readings(self, time_s: float) -> None:
+        while self._readings and self._readings[0][0] <= time_s:
+            self._last_reading = self._readings.popleft()
+
+    def _begin_anew(self) -> None:
+        """After a long gap nothing is known any more."""
+        standing = self._standing
+        standing.reset_counter += standing.settled
+        standing.settled, standing.contradicted = False, 0
+        self._main = self._rival = self._question = None
+        self._since, self._offset = [], np.zeros(6)
+
+    def _is_lost(self, belief: Belief) -> bool:
+        sigmas = np.sqrt(np.diag(belief.covariance))
+        return bool(sigmas[:3].max() > self.options.lost_m or math.degrees(sigmas[3:].max()) > self.options.lost_deg)
+
+    def _prior(self) -> Prior | None:
+        """Where the frame's pose is expected; none where the track is in doubt: the answer is to be its own."""
+        if self._main is None or not self._standing.settled or self._standing.contradicted:
+            return None
+        belief = self._main.belief
+        if self._is_lost(belief):
+            return None
+        sigmas = np.sqrt(np.diag(belief.covariance))
+        pose = _pose_of(belief.T_map_camera)
+        return pose.as_prior(0.3 + 3 * float(sigmas[:3].max()), 10 + 3 * math.degrees(float(sigmas[3:].max())))
+
+
+def _replayed(hypothesis: _Hypothesis | None, motions: list[Step | ImuReading]) -> _Hypothesis | None:
+    if hypothesis is not None:
+        for motion in motions:
+            hypothesis = hypothesis.advanced(motion)
+    return hypothesis
+
+
+def _check_time(time_s: float, last_s: float | None, what: str) -> None:
+    if not math.isfinite(time_s):
+        raise InvalidTrack(f"The time of a {what} is not a finite number.")
+    if last_s is not None and time_s <= last_s:
+        raise InvalidTrack(f"The time of a {what}, {time_s:.6f} s, is not after the last one's, {last_s:.6f} s.")
+
+
+def _pose_of(T: FloatArray) -> Pose:
+    x, y, z = T[:3, 3].tolist()
+    hx, hy, hz = T[:3, 2].tolist()
+    return Pose((x, y, z), (hx, hy, hz), _roll_deg(T), quaternion_of(T[:3, :3]), _rows(T))
+
+
+def _roll_deg(T: FloatArray) -> float:
+    """The rotation about the heading against a camera whose x axis is horizontal, degrees."""
+    heading = T[:3, 2]
+    level = np.cross(heading, (0.0, 0.0, 1.0))
+    if np.linalg.norm(level) < 1e-6:  # it looks straight up or down
+        return 0.0
+    level /= np.linalg.norm(level)
+    return math.degrees(math.atan2(float(T[:3, 0] @ np.cross(heading, level)), float(T[:3, 0] @ level)))
+
+
+def _rows(matrix: FloatArray) -> tuple[tuple[float, ...], ...]:
+    return tuple(tuple(row) for row in matrix.tolist())

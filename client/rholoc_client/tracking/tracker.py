@@ -1,0 +1,247 @@
+"""The trackers: a :class:`FollowedTrack` whose questions the service answers, beside the caller's own work."""
+
+from __future__ import annotations
+
+import asyncio
+from concurrent.futures import Future, ThreadPoolExecutor
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+
+from rholoc_client._images import ImageLike
+from rholoc_client.client import AsyncClient, Client
+from rholoc_client.errors import (
+    Busy,
+    ConnectionFailed,
+    DeadlineExceeded,
+    Internal,
+    InvalidTrack,
+    RequestTimeout,
+    RholocClientError,
+    StorageUnavailable,
+)
+from rholoc_client.models import Camera, Localization
+from rholoc_client.tracking.following import AnsweredMatches, FollowedTrack
+from rholoc_client.tracking.rigid import FloatArray
+from rholoc_client.tracking.track import Answer, Question, Tracked, TrackOptions
+
+_PASSING = (Busy, ConnectionFailed, DeadlineExceeded, Internal, RequestTimeout, StorageUnavailable)
+_JPEG_QUALITY = 92
+
+
+class _Tracking:
+    """What both trackers share: a track, and how answers come into it."""
+
+    def __init__(self, map_name: str, camera: Camera | None, options: TrackOptions | None) -> None:
+        self.map_name = map_name
+        self.last_error: RholocClientError | None = None
+        """Why the last question was not answered, should that pass by itself: the service is busy, or not reached."""
+        self._camera = camera
+        self._track = FollowedTrack(options, camera)
+
+    def imu(self, time_s: float, acceleration_m_s2: FloatArray, rate_rad_s: FloatArray) -> None:
+        """Take in a reading of an IMU, in the camera's axes (x right, y down, z forward), on the frames' clock.
+
+        Args:
+            time_s: when it was read; readings may run ahead of frames.
+            acceleration_m_s2: (3,) at rest gravity's reaction: 9.81 upwards.
+            rate_rad_s: (3,) the angular velocity.
+
+        Raises:
+            InvalidTrack: its time is not after the last reading's, or it is not of three finite numbers each.
+        """
+        self._track.imu(time_s, acceleration_m_s2, rate_rad_s)
+
+    def _frame(self, time_s: float, picture: ImageLike | None, T_odom_camera: FloatArray | None) -> Tracked:
+        return self._track.frame(time_s, T_odom_camera, _decoded(picture) if T_odom_camera is None else None)
+
+    def _asking(self, question: Question) -> dict[str, Any]:
+        """What is asked with a question."""
+        return {"camera": self._camera, "prior": question.prior, "with_matches": self._track.follows_pictures}
+
+    def _came(self, answer: Localization | None, error: RholocClientError | None) -> None:
+        """Take in what a question came to.
+
+        Raises:
+            ServiceError: one that will not pass.
+        """
+        self.last_error = error
+        if answer is None:
+            self._track.unanswered()
+            if error is not None and not isinstance(error, _PASSING):
+                raise error
+            return
+        matches = answer.agreeing
+        self._track.answered(
+            Answer.of(answer), None if matches is None else AnsweredMatches(matches.pixels, matches.landmarks)
+        )
+
+
+class Tracker(_Tracking):
+    """Keeps track of a camera in a map: give it every frame, it asks the service when that pays.
+
+    ::
+
+        with Client("http://localhost:8080") as client, Tracker(client, "testsite", camera) as tracker:
+            for time_s, picture, T_odom_camera in robot:
+                tracked = tracker.track(time_s, picture, T_odom_camera)
+                if tracked.status is TrackStatus.TRACKING:
+                    print(tracked.pose.position, tracked.reset_counter)
+
+    Questions are asked by a thread of its own, so that :meth:`track` does not wait for the service. Not safe to share
+    between threads.
+
+    Args:
+        client: the service.
+        map_name: the map.
+        camera: the pictures' intrinsics; None: the map's own, and pictures are not followed.
+        options: how the track is kept.
+    """
+
+    def __init__(
+        self, client: Client, map_name: str, camera: Camera | None = None, options: TrackOptions | None = None
+    ) -> None:
+        super().__init__(map_name, camera, options)
+        self._client = client
+        self._thread = ThreadPoolExecutor(1, thread_name_prefix="rholoc-tracker")
+        self._pending: Future[Localization] | None = None
+
+    def __enter__(self) -> Tracker:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Ask no more; what is being asked is awaited."""
+        self._thread.shutdown(cancel_futures=True)
+
+    def track(self, time_s: float, picture: ImageLike | None, T_odom_camera: FloatArray | None = None) -> Tracked:
+        """Where the camera is at a frame.
+
+        Args:
+            time_s: when it was taken, seconds on any one clock.
+            picture: as for :meth:`Client.localize`; None for a frame without one, which odometry alone places.
+            T_odom_camera: (4, 4) the camera's pose by odometry: ARKit's, ARCore's, wheels', VIO's, in its own frame.
+                None: motion is read off the pictures (where OpenCV is installed), else off the IMU.
+
+        Raises:
+            InvalidTrack: the time is not after the last frame's, or the pose is no rigid motion.
+            ServiceError: the service refused, and would again: there is no such map, the key is not good.
+        """
+        self._collect()
+        tracked = self._frame(time_s, picture, T_odom_camera)
+        if picture is not None and self._pending is None and self._track.wants_answer:
+            asked = self._asking(self._track.ask())
+            self._pending = self._thread.submit(
+                lambda: self._client.localize(self.map_name, _encoded(picture), **asked)
+            )
+        return tracked
+
+    def wait(self, timeout_s: float | None = None) -> Tracked:
+        """Wait until the question that is being asked has been answered; where the camera was at the last frame then.
+
+        Raises:
+            TimeoutError: it took longer.
+            ServiceError: as :meth:`track`.
+        """
+        if self._pending is not None:
+            self._pending.exception(timeout_s)
+        self._collect()
+        return self._track.now()
+
+    def _collect(self) -> None:
+        pending = self._pending
+        if pending is None or not pending.done():
+            return
+        self._pending = None
+        failed = pending.exception()
+        if failed is not None and not isinstance(failed, RholocClientError):
+            self._track.unanswered()
+            raise failed
+        self._came(None if failed else pending.result(), failed)
+
+
+class AsyncTracker(_Tracking):
+    """As :class:`Tracker`, for programs on asyncio."""
+
+    def __init__(
+        self, client: AsyncClient, map_name: str, camera: Camera | None = None, options: TrackOptions | None = None
+    ) -> None:
+        super().__init__(map_name, camera, options)
+        self._client = client
+        self._pending: asyncio.Task[Localization] | None = None
+
+    async def __aenter__(self) -> AsyncTracker:
+        return self
+
+    async def __aexit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        await self.close()
+
+    async def close(self) -> None:
+        """Ask no more."""
+        if self._pending is not None:
+            self._pending.cancel()
+            await asyncio.gather(self._pending, return_exceptions=True)
+
+    async def track(self, time_s: float, picture: ImageLike | None, T_odom_camera: FloatArray | None = None) -> Tracked:
+        """As :meth:`Tracker.track`."""
+        self._collect()
+        tracked = self._frame(time_s, picture, T_odom_camera)
+        if picture is not None and self._pending is None and self._track.wants_answer:
+            asked = self._asking(self._track.ask())
+            self._pending = asyncio.create_task(self._client.localize(self.map_name, _encoded(picture), **asked))
+        return tracked
+
+    async def wait(self, timeout_s: float | None = None) -> Tracked:
+        """As :meth:`Tracker.wait`."""
+        if self._pending is not None:
+            done, _ = await asyncio.wait({self._pending}, timeout=timeout_s)
+            if not done:
+                raise TimeoutError
+        self._collect()
+        return self._track.now()
+
+    def _collect(self) -> None:
+        pending = self._pending
+        if pending is None or not pending.done():
+            return
+        self._pending = None
+        failed = pending.exception()
+        if failed is not None and not isinstance(failed, RholocClientError):
+            self._track.unanswered()
+            raise failed
+        self._came(None if isinstance(failed, RholocClientError) else pending.result(), failed)
+
+
+def _decoded(picture: ImageLike | None) -> Any:
+    """A picture as an array; None where there is none, or OpenCV to decode it."""
+    if picture is None or not isinstance(picture, bytes | Path):
+        return picture
+    try:
+        import cv2
+    except ImportError:
+        return None
+    content = picture.read_bytes() if isinstance(picture, Path) else picture
+    decoded = cv2.imdecode(np.frombuffer(content, dtype=np.uint8), cv2.IMREAD_GRAYSCALE) if content else None
+    if decoded is None:
+        raise InvalidTrack("This is not an image that can be read.")
+    return decoded
+
+
+def _encoded(picture: ImageLike) -> ImageLike:
+    """A picture as it is sent: an array as JPEG, where OpenCV is there to make one."""
+    if isinstance(picture, bytes | Path):
+        return picture
+    try:
+        import cv2
+    except ImportError:
+        return picture
+    found, jpeg = cv2.imencode(".jpg", np.asarray(picture), [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
+    return jpeg.tobytes() if found else picture

@@ -1,0 +1,33 @@
+"""How many streams of frames are open."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from rholoc.errors import Busy
+
+_RETRY_AFTER_S = 5.0
+
+
+class OpenStreams:
+    """How many streams are open. Used from the event loop's thread alone."""
+
+    def __init__(self, most: int) -> None:
+        self._most = most
+        self.count = 0
+
+    @contextmanager
+    def one_more(self) -> Iterator[None]:
+        """For as long as a stream is open.
+
+        Raises:
+            Busy: as many are open as may be.
+        """
+        if self.count >= self._most:
+            raise Busy(f"{self._most} streams are open, as many as may be.", "Try again later.", _RETRY_AFTER_S)
+        self.count += 1
+        try:
+            yield
+        finally:
+            self.count -= 1
