@@ -9,7 +9,7 @@ import pytest
 
 from rholoc.geometry import Camera, FloatArray, Pose
 from rholoc.trajectory.adjustment import State
-from rholoc.trajectory.loop_closure import loops_in_reach
+from rholoc.trajectory.loop_closure import loop_pose, loops_in_reach, place_features
 from rholoc.trajectory.matching import VerifiedPair
 
 _CAMERA = Camera(640, 480, 520.0, 520.0, 319.5, 239.5)
@@ -43,7 +43,7 @@ def _neighbours() -> list[VerifiedPair]:
 
 def _judged(drift_m: float, sigma_m: float, pairs: Sequence[VerifiedPair]) -> list[bool]:
     state, pixels = _rooms(np.array([0.0, drift_m, 0.0]))
-    return loops_in_reach(pairs, _neighbours(), pixels, state, np.full(18, sigma_m)).tolist()
+    return loops_in_reach(pairs, place_features(_neighbours(), pixels, state), np.full(18, sigma_m)).tolist()
 
 
 @pytest.mark.parametrize("drift_m", [0.0, 0.08, 0.25])
@@ -58,4 +58,17 @@ def test_a_walk_that_is_known_less_well_allows_more() -> None:
 
 def test_features_without_a_place_prove_nothing() -> None:
     state, pixels = _rooms(np.zeros(3))
-    assert loops_in_reach([_pair(2, 8)], _neighbours()[:2], pixels, state, np.full(18, 0.1)).tolist() == [False]
+    placed = place_features(_neighbours()[:2], pixels, state)
+    assert loops_in_reach([_pair(2, 8)], placed, np.full(18, 0.1)).tolist() == [False]
+    assert loop_pose(_pair(2, 8), place_features([], pixels, state)) is None
+
+
+@pytest.mark.parametrize("drift_m", [0.0, 0.5, 3.0])
+def test_where_a_loops_keyframes_stand_to_each_other_is_free_of_drift(drift_m: float) -> None:
+    state, pixels = _rooms(np.array([0.0, drift_m, 0.0]))
+    found = loop_pose(_pair(2, 9), place_features(_neighbours(), pixels, state))
+    assert found is not None
+    R = state.R_map_camera[found.first]
+    moved = R @ found.T_first_second[:3, 3]
+    np.testing.assert_allclose(np.sign(found.second - found.first) * moved, [0.15, 0.0, 0.0], atol=1e-3)
+    np.testing.assert_allclose(found.T_first_second[:3, :3], np.eye(3), atol=1e-3)

@@ -37,7 +37,7 @@ from rholoc.trajectory.flow import Flow
 from rholoc.trajectory.global_positions import global_positions
 from rholoc.trajectory.gyroscope import GyroCalibration, camera_rotations
 from rholoc.trajectory.inertial_start import InertialStart, inertial_start
-from rholoc.trajectory.loop_closure import loops_in_reach
+from rholoc.trajectory.loop_closure import PlacedFeatures, loop_pose, loops_in_reach, place_features
 from rholoc.trajectory.map_frame import (
     MapFrame,
     frame_of_first_camera,
@@ -46,6 +46,7 @@ from rholoc.trajectory.map_frame import (
     up_by_pictures,
 )
 from rholoc.trajectory.matching import VerifiedPair, match_keyframes
+from rholoc.trajectory.pose_graph import RelativePose, bend
 from rholoc.trajectory.rolling_shutter import RollingShutter
 from rholoc.trajectory.rotations import PairRotation, average_rotations
 from rholoc.trajectory.tracks import Observations, followed_corners, matched_features, pieces_of
@@ -69,6 +70,8 @@ _SEEN = 12  # sightings that place a keyframe by itself
 _CARRIED_SIGMA_M = 0.05  # up to which the IMU alone places a keyframe
 _COVARIANCES = 60  # keyframes, spread over the walk, whose covariance is computed; between them it is interpolated …
 _JUDGING = 12  # … and while loops are judged
+_FAR_M, _MOST_LOOPS = 0.3, 0.9  # by which so many loops at most fail to close for an adjustment to close them …
+_FAR_FROM_WAYPOINTS_M = 0.2  # … or the waypoints are missed, in the median
 _ACCELEROMETER_SCALE = 0.01  # from which it is corrected
 _NOISE_PRIOR = 2.0  # coordinates that were off as much as assumed
 _NOISE_FACTORS = (0.4, 2.0)
@@ -382,7 +385,9 @@ def _solve_with_imu(
         frame = frame_of_waypoints(sights.times, adjusted.state.T_map_camera, waypoints, up, why_up, scale_sigma)
         level = None if not frame.upright else problem.level_sigma_rad
         problem = replace(problem, level_sigma_rad=level)
-        problem, adjusted, left_out, mistaken = _held_by_waypoints(problem, adjusted.state, sights.times, frame, told)
+        problem, adjusted, left_out, mistaken = _held_by_waypoints(
+            problem, adjusted.state, sights.times, frame, evidence.loops, told
+        )
     else:
         depth = _median_depth(problem.observations, adjusted)
         frame = frame_of_first_camera(adjusted.state.T_map_camera, up, why_up, depth, scale_sigma)
@@ -412,13 +417,24 @@ def _closed_loops(
     kept: list[VerifiedPair] = []
     for span in ((0.6, 0.68), (0.68, 0.75)):
         sigmas_m = np.sqrt(np.trace(_spread_covariances(adjusted, len(pixels), _JUDGING)[:, :3, :3], axis1=1, axis2=2))
-        in_reach = loops_in_reach(evidence.loops, evidence.sequential, pixels, adjusted.state, sigmas_m)
+        placed = place_features(evidence.sequential, pixels, adjusted.state)
+        in_reach = loops_in_reach(evidence.loops, placed, sigmas_m)
         before, kept = kept, [pair for pair, keep in zip(evidence.loops, in_reach, strict=True) if keep]
         if kept == before:
             break
         problem = replace(problem, observations=replace(evidence, loops=kept).observations(sights))
-        problem, adjusted = _adjusted_in_rounds(problem, adjusted.state, told, span)
+        problem, adjusted = _adjusted_in_rounds(problem, _with_loops_met(kept, placed), told, span)
     return replace(evidence, loops=kept), problem, adjusted
+
+
+def _with_loops_met(loops: Sequence[VerifiedPair], placed: PlacedFeatures) -> State:
+    """The walk, bent where its loops are too far from closing for an adjustment to close them."""
+    poses = [pose for pair in loops if (pose := loop_pose(pair, placed)) is not None]
+    T = placed.state.T_map_camera
+    apart_m = [np.linalg.norm((T[one.first] @ one.T_first_second - T[one.second])[:3, 3]) for one in poses]
+    if not poses or np.quantile(apart_m, _MOST_LOOPS) <= _FAR_M:
+        return placed.state
+    return bend(placed.state, poses)
 
 
 def _camera_sigmas(given: Camera | None) -> CameraSigmas | None:
@@ -462,7 +478,7 @@ def _solve_from_pictures(
     up, why_up = up_by_pictures(adjusted.state.R_map_camera)
     if waypoints:
         frame = frame_of_waypoints(some.times, adjusted.state.T_map_camera, waypoints, up, why_up)
-        problem, adjusted, left_out, mistaken = _held_by_waypoints(problem, adjusted.state, some.times, frame, told)
+        problem, adjusted, left_out, mistaken = _held_by_waypoints(problem, adjusted.state, some.times, frame, (), told)
     else:
         frame = frame_of_first_camera(adjusted.state.T_map_camera, up, why_up, depth, None)
     part = _finished(some, evidence, problem, adjusted, frame, waypoints, None, reason, left_out, mistaken)
@@ -516,13 +532,20 @@ def _cleaned(problem: Problem, observations: Observations, off_px: FloatArray) -
 
 
 def _held_by_waypoints(
-    problem: Problem, state: State, times: FloatArray, frame: MapFrame, told: _Progress
+    problem: Problem,
+    state: State,
+    times: FloatArray,
+    frame: MapFrame,
+    loops: Sequence[VerifiedPair],
+    told: _Progress,
 ) -> tuple[Problem, Adjusted, dict[str, LeftOut], tuple[str, ...]]:
     """Adjust with the waypoints; those that all else contradicts are taken out, the furthest off first."""
     state = _moved(state, frame.similarity)
     nearest = {waypoint.name: int(np.abs(times - waypoint.time).argmin()) for waypoint in frame.waypoints}
     measured = {waypoint.name: waypoint for waypoint in frame.waypoints}
     names = [name for name in nearest if abs(times[nearest[name]] - measured[name].time) <= MAX_GAP_S]
+    everywhere = tuple(Fix(nearest[name], measured[name].position, measured[name].sigma_m) for name in names)
+    state = _with_waypoints_met(state, everywhere, loops)
     mistaken: list[str] = []
     outs: dict[str, LeftOut] = {}
     for attempt in range(1 + int(_MAX_MISTAKES * len(names)) + 1):
@@ -552,6 +575,16 @@ def _held_by_waypoints(
     problem = replace(problem, fixes=fixes)
     adjusted = adjust(problem, state, _LAST_ITERATIONS, told.step(0.9, 0.95, "adjusted to the waypoints"))
     return problem, adjusted, outs, tuple(mistaken)
+
+
+def _with_waypoints_met(state: State, fixes: tuple[Fix, ...], loops: Sequence[VerifiedPair]) -> State:
+    """The walk, bent where it is too far from the waypoints for an adjustment to meet them."""
+    missed_m = [np.linalg.norm(state.positions[fix.keyframe] - fix.position) for fix in fixes]
+    if state.inertial is None or np.median(missed_m) <= _FAR_FROM_WAYPOINTS_M:
+        return state
+    T = state.T_map_camera
+    closed = [RelativePose(a, b, np.linalg.inv(T[a]) @ T[b]) for a, b in ((pair.first, pair.second) for pair in loops)]
+    return bend(state, closed, fixes)
 
 
 def _noise_factor(sigmas: Sequence[float]) -> float:

@@ -178,9 +178,11 @@ def linked_features(first_feature: IntArray, pairs: Sequence[VerifiedPair]) -> t
 
     Args:
         first_feature: (K + 1,) the number of every keyframe's first feature, then how many there are.
-        pairs: verified matches; one at least.
+        pairs: verified matches.
     """
-    links = np.concatenate([pair.matches + first_feature[[pair.first, pair.second]] for pair in pairs])
+    links = np.concatenate(
+        [np.zeros((0, 2), np.int64), *(pair.matches + first_feature[[pair.first, pair.second]] for pair in pairs)]
+    )
     count = int(first_feature[-1])
     graph = coo_matrix((np.ones(len(links)), (links[:, 0], links[:, 1])), shape=(count, count))
     label: IntArray = connected_components(graph, directed=False)[1]

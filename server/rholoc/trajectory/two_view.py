@@ -9,7 +9,7 @@ import poselib
 from scipy.spatial.transform import Rotation
 
 from rholoc.features import FeatureSet
-from rholoc.geometry import BoolArray, FloatArray, IntArray
+from rholoc.geometry import BoolArray, FloatArray, IntArray, pose_matrix
 
 _RATIO = 0.8  # Lowe's ratio of the nearest to the second nearest distance
 _ROUNDING = 1e-6  # of a dot product of unit descriptors: twins differ by no more
@@ -49,6 +49,25 @@ def relative_pose(first: FloatArray, second: FloatArray, tolerance: float) -> Tw
     pose, info = poselib.estimate_relative_pose(first, second, _UNIT_CAMERA, _UNIT_CAMERA, options, {})
     inliers = np.array(info["inliers"], dtype=np.bool_)
     return TwoView(inliers if len(inliers) == len(first) else np.zeros(len(first), np.bool_), np.asarray(pose.R))
+
+
+def absolute_pose(plane: FloatArray, points: FloatArray, tolerance: float) -> tuple[FloatArray, int]:
+    """The camera's pose T_map_camera (4, 4) that most matches agree with, and how many do (LO-RANSAC, poselib).
+
+    Args:
+        plane: (M, 2) detections on the plane z = 1 of the camera.
+        points: (M, 3) what they are of, in the map frame.
+        tolerance: how far off a detection may be, on that plane.
+    """
+    options = {
+        "max_reproj_error": tolerance,
+        "min_iterations": _ITERATIONS[0],
+        "max_iterations": _ITERATIONS[1],
+        "seed": _SEED,
+    }
+    pose, info = poselib.estimate_absolute_pose(plane, points, _UNIT_CAMERA, options, {})
+    R = np.asarray(pose.R)
+    return pose_matrix(R.T, -R.T @ np.asarray(pose.t)), int(info["num_inliers"])
 
 
 def inliers_of_rotation(

@@ -16,7 +16,7 @@ from rholoc.recordings import Waypoint, check_waypoints_fix_frame
 
 _WAYPOINT_SIGMA_M = 0.02  # how well a phone is held to a measured point
 _ROBUST_FROM = 5  # waypoints; fewer cannot outvote a wrong one
-_MAX_RMS_M = 0.25
+_MAX_RMS_M, _MAX_RMS_OF_WAY = 0.25, 0.005  # by which a walk misses its waypoints, and of the way between them
 MAX_GAP_S = 0.5  # a waypoint further from any posed frame has no place on the trajectory
 _AGREEING_M = 0.06  # rms of the waypoints left when a mistaken one is taken out …
 _MISTAKE_M = 0.15  # … from which that one is at least this far off
@@ -87,7 +87,8 @@ def align_to_waypoints(
     residuals = np.where(near, np.linalg.norm(off, axis=1), np.nan)
     robust = len(used) >= _ROBUST_FROM
     typical = float(np.median(residuals[used])) if robust else float(np.sqrt(np.mean(residuals[used] ** 2)))
-    if typical > _MAX_RMS_M:
+    way_m = found.scale * _way(times, positions, waypoints)
+    if typical > max(_MAX_RMS_M, _MAX_RMS_OF_WAY * way_m):
         raise MappingFailed(
             f"The camera's path misses the waypoints by {typical:.2f} m.",
             "Check their times and coordinates; walk slower and keep more texture in view.",
@@ -102,6 +103,13 @@ def positions_at(times: FloatArray, positions: FloatArray, at: FloatArray) -> Fl
         return np.repeat(positions, len(at), axis=0)
     inside = np.clip(at, times[0], times[-1])
     return np.asarray(CubicSpline(times, positions, bc_type="natural")(inside))
+
+
+def _way(times: FloatArray, positions: FloatArray, waypoints: Sequence[Waypoint]) -> float:
+    """How far the camera went from the first to the last of the waypoints, in the unit of ``positions``."""
+    stops = [waypoint.time for waypoint in waypoints]
+    between = (times >= min(stops)) & (times <= max(stops))
+    return float(np.linalg.norm(np.diff(positions[between], axis=0), axis=1).sum())
 
 
 def _check_enough_near(waypoints: Sequence[Waypoint], near: FloatArray) -> None:
