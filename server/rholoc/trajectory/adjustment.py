@@ -45,7 +45,7 @@ _LEVEL_SIGMA_RAD = np.radians(0.5)  # of the waypoints' z axis
 _GAUGE_SIGMA = 1e-4
 _TIE_SIGMA_RAD, _TIE_SIGMA_M = 2e-4, 5e-4
 _FIXED = 1e-9
-_RELATIVE_TOLERANCE = 2e-4
+_COARSE, _FINE = 1e-3, 2e-4  # the share of the cost by which a step must lower it to be followed by another
 _FIRST_DAMPING = 10.0
 _SETTLING_STEPS = 6
 _HOLDS = (1e-2, 0.3, 10.0)  # how firmly points are held where a step fails with less
@@ -202,7 +202,11 @@ class Adjusted:
 
 
 def adjust(
-    problem: Problem, state: State, iterations: int, told: Callable[[float], None] = lambda fraction: None
+    problem: Problem,
+    state: State,
+    iterations: int,
+    told: Callable[[float], None] = lambda fraction: None,
+    coarsely: bool = False,
 ) -> Adjusted:
     """Solve from a state near enough (Levenberg–Marquardt).
 
@@ -212,6 +216,7 @@ def adjust(
     Args:
         iterations: at most so many.
         told: hears the fraction of them that is done.
+        coarsely: end sooner, for sightings are judged anew by what comes out, and all is adjusted again.
     """
     points, used = _usable_points(problem.observations, state, problem.pixel_sigma_px)
     state = replace(state, points=points)
@@ -226,7 +231,7 @@ def adjust(
         _fix_gauge(graph, values, state, metric=state.inertial is not None)
     ordering = _ordering(values, problem.observations, used)
     held = functools.cache(lambda firmness: _held_points(problem.observations, state, used, firmness))
-    values, cost = _solve(graph, values, ordering, held, iterations, told)
+    values, cost = _solve(graph, values, ordering, held, iterations, _COARSE if coarsely else _FINE, told)
     return Adjusted(_state_of(values, problem, state, used), used, cost, graph, values, ordering, held)
 
 
@@ -495,6 +500,7 @@ def _solve(
     ordering: gtsam.Ordering,
     held: Callable[[float], gtsam.GaussianFactorGraph],
     iterations: int,
+    tolerance: float,
     told: Callable[[float], None],
 ) -> tuple[gtsam.Values, float]:
     cost = graph.error(values)
@@ -502,7 +508,7 @@ def _solve(
         before = cost
         values, cost = _stepped(graph, values, ordering, held, cost)
         told((done + 1) / iterations)
-        if before - cost <= _RELATIVE_TOLERANCE * before:
+        if before - cost <= tolerance * before:
             break
     return values, cost
 

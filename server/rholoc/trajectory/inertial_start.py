@@ -12,8 +12,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import coo_matrix, csr_matrix, diags_array
-from scipy.sparse.linalg import spsolve
+from scipy.sparse import coo_matrix, csc_matrix, csr_matrix, diags_array
+from scipy.sparse.linalg import splu
 
 from rholoc.geometry import BoolArray, FloatArray, IntArray
 from rholoc.recordings import GRAVITY, Imu
@@ -31,7 +31,7 @@ _ROUNDS = 12
 _CAUCHY = 2.0
 _BACKWARD = 3.0  # sigmas, added where a way leads backward
 _UNCOVERED = 1e-3  # the weight of the equations of motion over a gap of the IMU's table
-_UNKNOWNS_APART = 6  # gravity and bias, before the velocities and positions
+_UNKNOWNS_APART = 6  # gravity and bias, before every keyframe's velocity and position
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,21 +81,21 @@ def inertial_start(
     unknowns = _UNKNOWNS_APART + 6 * count
     prior, expected = np.full(unknowns, 1e-9), np.zeros(unknowns)
     prior[3:6] = _BIAS_SIGMA**-2
-    places = _UNKNOWNS_APART + 3 * count
-    prior[places : places + 3] = 1e6  # the first keyframe is the origin
-    x = expected
+    prior[_UNKNOWNS_APART + 3 : _UNKNOWNS_APART + 6] = 1e6  # the first keyframe is the origin
+    x: FloatArray = expected
     for _ in range(_ROUNDS):
-        A = _stacked(motion, _direction_rows(count, first, second, toward))
+        A = _stacked(motion, _direction_rows(first, second, toward))
         measured = np.concatenate([motion.measured, way_wanted.ravel()])
         sigmas = np.concatenate([motion.sigmas, np.repeat(sigma * np.maximum(way, _LEAST_WAY_M), 3)])
         weights = np.sqrt(np.repeat(robust, 3)) / sigmas
         weighted = diags_array(weights) @ A
         information = (weighted.T @ weighted).tocsc()
         information.setdiag(information.diagonal() + prior)
-        x = spsolve(information, weighted.T @ (weights * measured) + prior * expected)
+        x = _solved(information, weighted.T @ (weights * measured) + prior * expected)
         off = (A @ x - measured) / sigmas
         felt = np.linalg.norm(off[:n].reshape(-1, 3), axis=1)
-        between = x[places:].reshape(-1, 3)[second] - x[places:].reshape(-1, 3)[first]
+        positions = x[_UNKNOWNS_APART:].reshape(-1, 6)[:, 3:]
+        between = positions[second] - positions[first]
         way = np.linalg.norm(between, axis=1)
         along = np.sum(between * unit, axis=1)
         across = np.linalg.norm(between - along[:, None] * unit, axis=1)
@@ -115,11 +115,24 @@ def inertial_start(
         way_wanted = way[:, None] * (unit - np.sum(unit * toward, axis=1)[:, None] * toward)
     return InertialStart(
         -x[:3] / np.linalg.norm(x[:3]),
-        x[places:].reshape(-1, 3),
-        x[_UNKNOWNS_APART:places].reshape(-1, 3),
+        positions,
+        x[_UNKNOWNS_APART:].reshape(-1, 6)[:, :3],
         x[3:6],
         float(np.median(felt)),
     )
+
+
+def _solved(information: csc_matrix, target: FloatArray) -> FloatArray:
+    """The solution of the normal equations: keyframes share rows with their neighbours alone, and with what is apart.
+
+    Without the unknowns apart the matrix is a band, which is factorized in time that grows with the walk.
+    """
+    n = _UNKNOWNS_APART
+    band, border = information[n:, n:].tocsc(), information[n:, :n].toarray()
+    factorized = splu(band, permc_spec="NATURAL", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+    by_border, alone = factorized.solve(border), factorized.solve(target[n:])
+    apart = np.linalg.solve(information[:n, :n].toarray() - border.T @ by_border, target[:n] - border.T @ alone)
+    return np.concatenate([apart, alone - by_border @ apart])
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,8 +163,8 @@ def _equations_of_motion(t: FloatArray, R: FloatArray, imu: Imu, gyro: GyroCalib
     axes = np.arange(3)
     of_speed = 3 * np.arange(n)[:, None] + axes
     of_way = 3 * n + of_speed
-    velocity = _UNKNOWNS_APART + 3 * np.arange(count)[:, None] + axes
-    place = velocity + 3 * count
+    velocity = _UNKNOWNS_APART + 6 * np.arange(count)[:, None] + axes
+    place = velocity + 3
     ones, step = np.ones((n, 3)), np.repeat(dt[:, None], 3, axis=1)
     gravity = np.broadcast_to(axes, (n, 3))
     parts = [
@@ -172,15 +185,13 @@ def _equations_of_motion(t: FloatArray, R: FloatArray, imu: Imu, gyro: GyroCalib
     return _Motion(rows, columns, entries, np.concatenate([speed.ravel(), way.ravel()]), np.repeat(sigma, 3))
 
 
-def _direction_rows(
-    count: int, first: IntArray, second: IntArray, unit: FloatArray
-) -> tuple[IntArray, IntArray, FloatArray]:
+def _direction_rows(first: IntArray, second: IntArray, unit: FloatArray) -> tuple[IntArray, IntArray, FloatArray]:
     """(I - d dᵀ) (p_second - p_first) = 0 for every direction d: entries of a sparse matrix."""
     across = np.eye(3) - unit[:, :, None] * unit[:, None, :]
     row = np.broadcast_to(3 * np.arange(len(unit))[:, None, None] + np.arange(3)[None, :, None], across.shape)
-    place = _UNKNOWNS_APART + 3 * count
-    to = np.broadcast_to(place + 3 * second[:, None, None] + np.arange(3)[None, None, :], across.shape)
-    start = np.broadcast_to(place + 3 * first[:, None, None] + np.arange(3)[None, None, :], across.shape)
+    place = _UNKNOWNS_APART + 3 + np.arange(3)[None, None, :]
+    to = np.broadcast_to(place + 6 * second[:, None, None], across.shape)
+    start = np.broadcast_to(place + 6 * first[:, None, None], across.shape)
     return (
         np.concatenate([row.ravel(), row.ravel()]),
         np.concatenate([to.ravel(), start.ravel()]),

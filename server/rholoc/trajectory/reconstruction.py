@@ -70,8 +70,7 @@ _SEEN = 12  # sightings that place a keyframe by itself
 _CARRIED_SIGMA_M = 0.05  # up to which the IMU alone places a keyframe
 _COVARIANCES = 60  # keyframes, spread over the walk, whose covariance is computed; between them it is interpolated …
 _JUDGING = 12  # … and while loops are judged
-_FAR_M, _MOST_LOOPS = 0.3, 0.9  # by which so many loops at most fail to close for an adjustment to close them …
-_FAR_FROM_WAYPOINTS_M = 0.2  # … or the waypoints are missed, in the median
+_FAR_M = 0.15  # by which a walk is bent at most where an adjustment alone closes its loops, or meets its waypoints
 _ACCELEROMETER_SCALE = 0.01  # from which it is corrected
 _NOISE_PRIOR = 2.0  # coordinates that were off as much as assumed
 _NOISE_FACTORS = (0.4, 2.0)
@@ -414,27 +413,22 @@ def _closed_loops(
     if not evidence.loops:
         return evidence, problem, adjusted
     pixels = [features.pixels.astype(np.float64) for features in sights.features]
-    kept: list[VerifiedPair] = []
-    for span in ((0.6, 0.68), (0.68, 0.75)):
+    for span, rounds in (((0.6, 0.65), 1), ((0.65, 0.75), _ROUNDS)):
         sigmas_m = np.sqrt(np.trace(_spread_covariances(adjusted, len(pixels), _JUDGING)[:, :3, :3], axis1=1, axis2=2))
         placed = place_features(evidence.sequential, pixels, adjusted.state)
         in_reach = loops_in_reach(evidence.loops, placed, sigmas_m)
-        before, kept = kept, [pair for pair, keep in zip(evidence.loops, in_reach, strict=True) if keep]
-        if kept == before:
-            break
+        kept = [pair for pair, keep in zip(evidence.loops, in_reach, strict=True) if keep]
         problem = replace(problem, observations=replace(evidence, loops=kept).observations(sights))
-        problem, adjusted = _adjusted_in_rounds(problem, _with_loops_met(kept, placed), told, span)
+        problem, adjusted = _adjusted_in_rounds(problem, _with_loops_met(kept, placed), told, span, rounds)
     return replace(evidence, loops=kept), problem, adjusted
 
 
 def _with_loops_met(loops: Sequence[VerifiedPair], placed: PlacedFeatures) -> State:
     """The walk, bent where its loops are too far from closing for an adjustment to close them."""
     poses = [pose for pair in loops if (pose := loop_pose(pair, placed)) is not None]
-    T = placed.state.T_map_camera
-    apart_m = [np.linalg.norm((T[one.first] @ one.T_first_second - T[one.second])[:3, 3]) for one in poses]
-    if not poses or np.quantile(apart_m, _MOST_LOOPS) <= _FAR_M:
-        return placed.state
-    return bend(placed.state, poses)
+    bent = bend(placed.state, poses)
+    moved_m = np.linalg.norm(bent.positions - placed.state.positions, axis=1)
+    return bent if moved_m.max() > _FAR_M else placed.state
 
 
 def _camera_sigmas(given: Camera | None) -> CameraSigmas | None:
@@ -516,11 +510,12 @@ def _adjusted_in_rounds(
     everything = problem.observations
     edges = np.linspace(*span, rounds + 1).tolist()
     step = told.step(edges[0], edges[1], "all measurements adjusted together")
-    adjusted = adjust(problem, state, _ITERATIONS, step)
+    adjusted = adjust(problem, state, _ITERATIONS, step, coarsely=True)
     for start, end in itertools.pairwise(edges[1:]):
         off = residuals_px(everything, adjusted.state, triangulate(everything, adjusted.state)[0])
         problem = _cleaned(problem, everything, off)
-        adjusted = adjust(problem, adjusted.state, _ITERATIONS, told.step(start, end, "adjusted anew"))
+        again = told.step(start, end, "adjusted anew")
+        adjusted = adjust(problem, adjusted.state, _ITERATIONS, again, coarsely=end < span[1])
     return problem, adjusted
 
 
@@ -580,7 +575,7 @@ def _held_by_waypoints(
 def _with_waypoints_met(state: State, fixes: tuple[Fix, ...], loops: Sequence[VerifiedPair]) -> State:
     """The walk, bent where it is too far from the waypoints for an adjustment to meet them."""
     missed_m = [np.linalg.norm(state.positions[fix.keyframe] - fix.position) for fix in fixes]
-    if state.inertial is None or np.median(missed_m) <= _FAR_FROM_WAYPOINTS_M:
+    if state.inertial is None or np.median(missed_m) <= _FAR_M:
         return state
     T = state.T_map_camera
     closed = [RelativePose(a, b, np.linalg.inv(T[a]) @ T[b]) for a, b in ((pair.first, pair.second) for pair in loops)]

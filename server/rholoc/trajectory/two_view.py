@@ -91,8 +91,8 @@ def inliers_of_rotation(
     ways = ways[lengths > 0] / lengths[lengths > 0, None]
     if len(ways) == 0:
         return np.asarray(still)
-    parallax = np.linalg.norm(np.cross(ways[:, None], turned[None]), axis=2)
-    agree = np.abs(ways @ normals.T) < tolerance * np.maximum(parallax, _LEAST_PARALLAX)
+    parallax = np.sqrt(np.maximum(1 - (ways @ turned.T) ** 2, _LEAST_PARALLAX**2))
+    agree = np.abs(ways @ normals.T) < tolerance * parallax
     return np.asarray(agree[agree.sum(axis=1).argmax()] | still)
 
 
