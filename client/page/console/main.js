@@ -4,6 +4,7 @@ import { keyButton } from "../shared/api.js";
 import { fill, h } from "../shared/dom.js";
 import { t, translatePage } from "../shared/text.js";
 import { showCameras } from "./cameras.js";
+import { showCorrections } from "./correct.js";
 import { showJob, showJobs } from "./jobs.js";
 import { showMap } from "./map.js";
 import { showMaps } from "./maps.js";
@@ -14,6 +15,7 @@ import { showTry } from "./try.js";
 const ROUTES = [
   [/^\/maps$/, t`Maps`, showMaps],
   [/^\/maps\/([^/]+)$/, t`Map`, showMap],
+  [/^\/maps\/([^/]+)\/correct$/, t`Make it right`, showCorrections],
   [/^\/try(?:\/([^/]+))?$/, t`Try it`, showTry],
   [/^\/jobs$/, t`Jobs`, showJobs],
   [/^\/jobs\/([^/]+)$/, t`Job`, showJob],

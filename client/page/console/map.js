@@ -54,7 +54,7 @@ export async function showMap(main, name, signal) {
 /** Fetch a map's scene and show it. */
 export async function showScene(view, map, signal) {
   const response = await request(path`v1/maps/${map.name}/scene`, { signal });
-  view.showMap(readScene(await response.arrayBuffer()), map.waypoints, map.scale === "metric");
+  view.showMap(readScene(await response.arrayBuffer()), map.waypoints, map.scale === "metric", map.names);
 }
 
 /** What the report has of it; older maps have it worked out by the server. */
@@ -280,6 +280,7 @@ function actions(name) {
     "div",
     { class: "row" },
     h("a", { class: "button primary", href: `#/try/${encodeURIComponent(name)}` }, t`Try it`),
+    h("a", { class: "button", href: `#/maps/${encodeURIComponent(name)}/correct` }, t`Make it right`),
     action(t`Update`, () => update(name)),
     action(t`Merge`, () => merge(name)),
     action(t`Rename`, () => rename(name)),

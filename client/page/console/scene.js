@@ -106,7 +106,7 @@ export class SceneView {
   }
 
   /** Show a map; `waypoints` as the service gives them, `unit` is the unit of lengths. */
-  showMap(scene, waypoints, metric) {
+  showMap(scene, waypoints, metric, names = { points: [], areas: [] }) {
     if (!this.gl) return;
     const { gl } = this;
     this.count = this.budget = scene.features;
@@ -126,7 +126,7 @@ export class SceneView {
       position: axis.map((value) => AXIS * value),
       label: h("span", { class: "scene-axis" }, name),
     }));
-    this.waypoints.push(...tips);
+    this.waypoints.push(...tips, ...named(names, floorOf(scene.landmarks)));
     this.labels.replaceChildren(...this.waypoints.map(({ label }) => label));
     this.legend.replaceChildren(
       t`uncertainty `,
@@ -139,6 +139,7 @@ export class SceneView {
     for (const [name, axis, colour] of AXES)
       this.setLines(`axis ${name}`, colour, [0, 0, 0, ...axis.map((value) => AXIS * value)]);
     this.setLines("floor", "--line", floor(scene.landmarks));
+    this.setLines("areas", "--accent", outlines(names.areas, floorOf(scene.landmarks)));
     this.setLines("walk", "--ink", walk(scene.views));
     this.setLines("headings", "--muted", headings(scene.views));
     this.lookAtAll(scene);
@@ -407,6 +408,28 @@ function floor(landmarks) {
   for (let x = west; x <= east; x++) lines.push(x, south, z, x, north, z);
   for (let y = south; y <= north; y++) lines.push(west, y, z, east, y, z);
   return lines;
+}
+
+/** The height of the lowest landmarks. */
+const floorOf = (landmarks) => (landmarks.length ? quantiles(landmarks, 2, SHOWN)[0] : 0);
+
+/** Labels of named points and areas, these in the middle of their floor. */
+function named({ points, areas }, z) {
+  const label = (name) => h("span", { class: "scene-name" }, name);
+  const middle = (outline, axis) => outline.reduce((sum, corner) => sum + corner[axis], 0) / outline.length;
+  return [
+    ...points.map(({ name, position }) => ({ position, label: label(name) })),
+    ...areas.map(({ name, outline }) => ({
+      position: [middle(outline, 0), middle(outline, 1), z],
+      label: label(name),
+    })),
+  ];
+}
+
+function outlines(areas, z) {
+  return areas.flatMap(({ outline }) =>
+    outline.flatMap((corner, i) => [...corner, z, ...outline[(i + 1) % outline.length], z]),
+  );
 }
 
 function headings(views) {
