@@ -7,7 +7,9 @@ import pytest
 
 from rholoc.errors import Conflict, InvalidName, NotFound
 from rholoc.service import keys as key_store
-from rholoc.service.guard import KeyPolicy, keys_needed
+from rholoc.service.access import Access, RouteAccess
+from rholoc.service.errors import CrossSite, InvalidRequest
+from rholoc.service.guard import KeyPolicy, check_query, check_same_site, keys_needed
 from rholoc.service.keys import KeyStore, Scope
 from rholoc_client import Client, Forbidden, Unauthorized
 
@@ -56,6 +58,65 @@ def test_keys_are_asked_for_where_others_can_reach_the_server():
     assert all(keys_needed(KeyPolicy.AUTO, host) for host in ("0.0.0.0", "::", "192.168.1.4", "rho.example"))
     assert keys_needed(KeyPolicy.ALWAYS, "127.0.0.1")
     assert not keys_needed(KeyPolicy.NEVER, "0.0.0.0")
+
+
+def query(path, names, text):
+    route = RouteAccess(path, frozenset({"GET"}), Access(None), frozenset(names), parses_body=False, context=None)
+    check_query({"type": "http", "query_string": text}, route)
+
+
+def test_a_query_may_have_the_names_that_the_route_takes_and_no_other():
+    query("/v1/maps", {"limit", "before"}, b"limit=3&before=7&limit=4")
+    query("/v1/maps", set(), b"")
+    query("/docs", set(), b"limt=3")  # a page's address may carry anything
+    with pytest.raises(InvalidRequest, match="'limt'") as refused:
+        query("/v1/maps", {"limit", "before"}, b"limit=3&limt=3")
+    assert refused.value.hint == "It takes: before, limit."
+    with pytest.raises(InvalidRequest) as refused:
+        query("/v1/maps", set(), b"x" * 1000 + b"=1")
+    assert refused.value.hint == "It takes: none."
+    assert "x" * 64 in refused.value.message
+    assert "x" * 65 not in refused.value.message
+
+
+@pytest.mark.parametrize(
+    ("headers", "refused"),
+    [
+        ({"host": "attacker.example"}, True),
+        ({"host": "[::1"}, True),
+        ({}, True),
+        ({"host": "localhost:8080"}, False),
+        ({"host": "[::1]:8080"}, False),
+        ({"host": "console.localhost"}, False),
+        ({"host": "localhost", "origin": "http://localhost"}, False),
+        ({"host": "localhost", "origin": "http://attacker.example"}, True),
+        ({"host": "localhost", "origin": "http://attacker.example", "sec-fetch-site": "same-origin"}, False),
+        ({"host": "localhost", "sec-fetch-site": "cross-site"}, True),
+        ({"host": "localhost", "sec-fetch-site": "cross-site", "sec-fetch-mode": "navigate"}, False),
+    ],
+)
+def test_a_server_for_one_machine_knows_who_asks(headers, refused):
+    if refused:
+        with pytest.raises(CrossSite):
+            check_same_site("GET", headers, local_only=True)
+    else:
+        check_same_site("GET", headers, local_only=True)
+
+
+def test_another_site_may_link_but_not_send():
+    headers = {"host": "rho.example", "sec-fetch-site": "cross-site", "sec-fetch-mode": "navigate"}
+    check_same_site("GET", headers, local_only=False)
+    with pytest.raises(CrossSite):
+        check_same_site("POST", headers, local_only=False)
+
+
+@pytest.mark.parametrize("authorization", ["", "Bearer", "Basic {secret}", "{secret}"])
+def test_only_a_bearers_key_counts(locked, keys, request, authorization):
+    secret = keys.create(request.node.name, Scope.READ)
+    headers = {"Authorization": authorization.format(secret=secret)}
+    answer = httpx.get(locked.url + "/v1/maps", headers=headers)
+    assert (answer.status_code, answer.json()["message"]) == (401, "This server requires an API key.")
+    assert httpx.get(locked.url + "/v1/maps", headers={"Authorization": f"bEARER {secret}"}).status_code == 200
 
 
 def test_without_a_good_key_nothing_is_told(locked, keys):
