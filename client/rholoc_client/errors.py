@@ -7,7 +7,7 @@
     ├── InvalidAnswer               what answered is not the service, or another version of it
     ├── JobFailed                   the job that was waited for ended without a map
     ├── WaitTimedOut                the job that was waited for did not end in time
-    ├── InvalidTrack                what a tracker was given cannot be: times that go backward, poses that are none
+    ├── InvalidTrack                a tracker's input is invalid: times that go backward, poses that are not rigid
     └── ServiceError                the service answered with an error; it has code, hint, request_id
         ├── InvalidInput            what was sent cannot be used
         │   ├── InvalidRequest      a parameter is missing or of the wrong type
@@ -62,7 +62,7 @@ class InvalidAnswer(RholocClientError):
 
 
 class InvalidTrack(RholocClientError):
-    """What a tracker was given cannot be: times that go backward, poses that are none, odometry in a map without
+    """A tracker's input is invalid: times that go backward, poses that are not rigid, odometry in a map without
     scale."""
 
 

@@ -220,7 +220,7 @@ def test_a_refused_key_keeps_the_recording_and_another_sends_it(serve, phone):
     expect(page.get_by_role("heading", name="The server makes the map")).to_be_visible()
 
 
-def test_a_camera_that_is_refused_is_told_with_what_to_do(running, phone):
+def test_a_camera_that_is_refused_is_reported_with_what_to_do(running, phone):
     page = phone(running.url)
     page.evaluate(
         """() => {
@@ -304,11 +304,11 @@ def test_a_full_phone_ends_the_recording_and_keeps_what_came_before(running, pho
     expect(page.get_by_role("link", name="Look at it")).to_be_visible()
 
 
-def test_little_room_is_told_beforehand(running, phone):
+def test_little_storage_is_reported_beforehand(running, phone):
     page = phone(running.url)
     page.add_init_script("navigator.storage.estimate = async () => ({quota: 3e8, usage: 2e8})")
     page.reload()
-    expect(page.get_by_text("This phone has little room left: 100 MB")).to_be_visible()
+    expect(page.get_by_text("This phone's storage is almost full: 100 MB left")).to_be_visible()
 
 
 def test_a_reload_in_mid_recording_keeps_what_came_before(running, phone):

@@ -11,7 +11,7 @@ export const State = Object.freeze({
 
 const NAME = "rholoc-recorder";
 
-/** The phone has no room left. */
+/** The phone's storage is full. */
 export class StorageFull extends Error {}
 
 /** The recordings in this browser; opened with `Store.open()`. */
@@ -40,7 +40,7 @@ export class Store {
     return done(this.table("recordings").get(id));
   }
 
-  /** Keep a description in place of the one with its id; without room for it that one stands. Gives back the new one. */
+  /** Keep a description in place of the one with its id; where storage is full, the old one stays. Returns the new one. */
   async save(recording) {
     try {
       await this.write((table) => table("recordings").put(recording));
@@ -98,7 +98,7 @@ export class Store {
         change((name) => transaction.objectStore(name));
       });
     } catch (error) {
-      if (error?.name === "QuotaExceededError") throw new StorageFull("This phone has no room left.", { cause: error });
+      if (error?.name === "QuotaExceededError") throw new StorageFull("This phone's storage is full.", { cause: error });
       throw error;
     }
   }

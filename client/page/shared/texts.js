@@ -362,7 +362,7 @@ export const GERMAN = {
   "Walk slowly, keep texture in view, and come back to where you began.":
     "Langsam gehen, Strukturen im Bild behalten, und zum Anfang zurückkommen.",
   "On this phone": "Auf diesem Telefon",
-  "This phone has little room left: {0}. A minute takes about 60 MB.":
+  "This phone's storage is almost full: {0} left. A minute takes about 60 MB.":
     "Dieses Telefon hat wenig Platz: {0}. Eine Minute braucht etwa 60 MB.",
   "broken off": "abgebrochen",
   "not sent": "nicht gesendet",

@@ -19,7 +19,7 @@ def rigid(values: ArrayLike) -> FloatArray:
     """A motion (4, 4), its rotation made orthonormal.
 
     Raises:
-        ValueError: it is none: not finite, not 4×4, or no rotation.
+        ValueError: it is not one: not finite, not 4×4, or no rotation.
     """
     T = np.array(values, dtype=np.float64)
     if T.shape != (4, 4) or not np.isfinite(T).all() or not np.allclose(T[3], (0, 0, 0, 1), atol=_RIGID_TOLERANCE):

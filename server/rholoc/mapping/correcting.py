@@ -53,7 +53,7 @@ def set_up(map_: Map, direction: FloatArray | None = None) -> Map:
     """The direction (3,) becomes z, and the map upright; where none is given, the one that its views hold upright.
 
     Raises:
-        InvalidInput: it is none, or the views do not show one.
+        InvalidInput: it is not a valid direction, or the views do not show one.
     """
     up = frames.estimated_up(map_) if direction is None else direction
     return _moved(map_, frames.upward(up), CorrectionKind.UP, upright=True)
@@ -103,7 +103,7 @@ def remove_region(
         keep_inside: whether what is outside goes.
 
     Raises:
-        InvalidInput: the outline is none.
+        InvalidInput: the outline is not a valid polygon.
         Conflict: there is nothing to remove, or too little would be left.
     """
     inside: BoolArray = in_region(map_.landmarks, outline, bottom_m, top_m)

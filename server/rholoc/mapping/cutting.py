@@ -21,7 +21,7 @@ def in_region(
     """Which positions (N, 3) are within an outline (M, 2), seen from above, and between two heights (even-odd rule).
 
     Raises:
-        InvalidInput: the outline is none.
+        InvalidInput: the outline is not a valid polygon.
     """
     check_outline(outline, "The region")
     x, y, z = positions.T.astype(np.float64)

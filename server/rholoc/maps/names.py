@@ -58,7 +58,7 @@ def check_names(names: MapNames) -> MapNames:
     """The names, if a map may keep them.
 
     Raises:
-        InvalidInput: there are too many, one is empty, too long, not printable or given twice, or an area is none.
+        InvalidInput: there are too many; one is empty, too long, not printable or given twice; an area is not valid.
     """
     if len(names.points) + len(names.areas) > MAX_NAMES:
         raise InvalidInput(f"A map keeps at most {MAX_NAMES} names.", "Leave some out.")

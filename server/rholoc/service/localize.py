@@ -339,6 +339,6 @@ def pose_out(pose: Pose) -> PoseOut:
 
 
 def _covariance(covariance: FloatArray) -> list[list[float]] | None:
-    """(m, rad) → (m, deg); an unbounded one is none."""
+    """(m, rad) → (m, deg); None where it is unbounded."""
     scaled = covariance * np.outer(_DEGREES, _DEGREES)
     return scaled.tolist() if np.isfinite(scaled).all() else None

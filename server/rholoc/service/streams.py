@@ -183,7 +183,7 @@ class _ServedTrack:
         """Take in a frame.
 
         Raises:
-            InvalidInput: times go backward, a pose is none, a reading is not finite.
+            InvalidInput: times go backward, a pose is not a rigid motion, a reading is not finite.
         """
         with _told():
             if self._track is None:

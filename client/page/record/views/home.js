@@ -80,7 +80,7 @@ async function roomNotice() {
   return h(
     "p",
     { class: "notice warn" },
-    t`This phone has little room left: ${size(quota - usage)}. A minute takes about 60 MB.`,
+    t`This phone's storage is almost full: ${size(quota - usage)} left. A minute takes about 60 MB.`,
   );
 }
 

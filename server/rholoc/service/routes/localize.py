@@ -376,7 +376,7 @@ def _refusing_others(look: PieceListener) -> PieceListener:
     """Refuses a picture by its first bytes, before the others come; shows ``look`` each piece too.
 
     Raises:
-        InvalidImage: by the call: it is none.
+        InvalidImage: by the call: it is not one.
     """
     start = b""
 
