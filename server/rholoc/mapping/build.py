@@ -16,6 +16,7 @@ from rholoc.geometry import Camera, FloatArray, IntArray
 from rholoc.mapping.assembly import assemble
 from rholoc.mapping.coaching import advice_line, coach, with_advice
 from rholoc.mapping.fitting import DEFAULT_DEGREE, fit_densities
+from rholoc.mapping.frame_features import FrameFeatures
 from rholoc.mapping.landmarks import (
     Landmarks,
     extend_and_merge,
@@ -29,7 +30,7 @@ from rholoc.mapping.uncertainty import storable_covariances
 from rholoc.mapping.views import choose_views
 from rholoc.maps import DensityKind, Map, MapInfo, MapWaypoint, Source
 from rholoc.progress import ProgressListener, Stage, silent
-from rholoc.recordings import Look, Recording, Waypoint, look_at
+from rholoc.recordings import Look, Recording, Waypoint
 from rholoc.trajectory import PoseMethod, Scale, Trajectory, estimate_trajectory
 
 DEFAULT_FEATURES = "sift48"
@@ -63,6 +64,7 @@ class _Walk:
     """One recording with its trajectory, and the rows of the trajectory that become views or are held out."""
 
     recording: Recording
+    features: FrameFeatures
     trajectory: Trajectory
     views: IntArray
     held_out: IntArray
@@ -86,9 +88,9 @@ def build_map(
     extractor = get_extractor(options.features)
     if options.degree not in DEGREES:
         raise InvalidInput(f"A density of degree {options.degree} cannot be fitted.", "Use 1, 2 or 3.")
-    walks = [_walk(recording, options, progress) for recording in recordings]
+    walks = [_walk(recording, extractor, options, progress) for recording in recordings]
     _check_common_frame(walks)
-    views, held_out, looks = _extract(walks, extractor, progress)
+    views, held_out, looks = _look(walks, progress)
     landmarks = _landmarks(views, extractor, progress)
     progress(Stage.DENSITIES, 0.6, f"{len(landmarks)} stable features")
     map_ = _assemble(walks, views, landmarks, extractor, options)
@@ -107,9 +109,10 @@ def build_map(
     return replace(map_, info=replace(map_.info, report=report))
 
 
-def _walk(recording: Recording, options: BuildOptions, progress: ProgressListener) -> _Walk:
+def _walk(recording: Recording, extractor: Extractor, options: BuildOptions, progress: ProgressListener) -> _Walk:
+    features = FrameFeatures(recording.frames, extractor)
     try:
-        trajectory = estimate_trajectory(recording, options.poses, progress)
+        trajectory = estimate_trajectory(recording, options.poses, progress, features.show)
     except MappingFailed as failure:
         raise with_advice(failure, recording) from failure
     views, held_out = choose_views(trajectory.T_map_camera, hold_out=options.report)
@@ -118,7 +121,7 @@ def _walk(recording: Recording, options: BuildOptions, progress: ProgressListene
             f"Only {len(views)} frames with different views have a pose; a map needs at least {_MIN_VIEWS}.",
             "Record a longer walk, or give poses for more frames.",
         )
-    return _Walk(recording, trajectory, views, held_out)
+    return _Walk(recording, features, trajectory, views, held_out)
 
 
 def _check_common_frame(walks: Sequence[_Walk]) -> None:
@@ -131,9 +134,7 @@ def _check_common_frame(walks: Sequence[_Walk]) -> None:
         )
 
 
-def _extract(
-    walks: Sequence[_Walk], extractor: Extractor, progress: ProgressListener
-) -> tuple[Views, HeldOut, list[list[Look]]]:
+def _look(walks: Sequence[_Walk], progress: ProgressListener) -> tuple[Views, HeldOut, list[list[Look]]]:
     """The features of all views, those of the frames held out, and what each walk's frames look like."""
     cameras: list[Camera] = []
     poses: list[FloatArray] = []
@@ -145,11 +146,10 @@ def _extract(
     for walk in walks:
         trajectory, is_view = walk.trajectory, set(walk.views.tolist())
         chosen = np.sort(np.concatenate([walk.views, walk.held_out]))
-        images = walk.recording.frames.images(trajectory.rows[chosen].tolist())
         looks.append([])
-        for row, image in zip(chosen.tolist(), images, strict=True):
-            found = extractor.extract(image).coloured(image)
-            looks[-1].append(look_at(image))
+        shown = walk.features.of(trajectory.rows[chosen].tolist())
+        for row, (found, look) in zip(chosen.tolist(), shown, strict=True):
+            looks[-1].append(look)
             if row in is_view:
                 if trajectory.rolling_shutter is not None:
                     found = trajectory.rolling_shutter.at_once(row, found)

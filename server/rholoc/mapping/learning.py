@@ -14,6 +14,7 @@ from rholoc.localization import Localizer
 from rholoc.mapping.assembly import assemble
 from rholoc.mapping.coaching import coach
 from rholoc.mapping.fitting import ray_form
+from rholoc.mapping.frame_features import FrameFeatures
 from rholoc.mapping.joining import join
 from rholoc.mapping.landmarks import Landmarks, extend_and_merge, select_stable, triangulate
 from rholoc.mapping.memory import recording_id
@@ -137,7 +138,7 @@ def _localized_walk(localizer: Localizer, recording: Recording, progress: Progre
     times = recording.frames.times
     count = int(np.clip((times[-1] - times[0]) * _FRAMES_PER_S, MIN_FOUND, _MAX_FRAMES))
     rows = np.unique(np.linspace(0, len(times) - 1, count).round().astype(np.int64))
-    features = _features(localizer, recording, rows, progress)
+    features = _features(_frame_features(localizer, recording), rows, progress)
     frames = [(camera, one) for one in features]
     found = find_frames(localizer, frames, np.arange(len(rows)), recording.name, progress)
     found = without_jumps(found, times[rows], recording.name)
@@ -156,13 +157,14 @@ def _localized_walk(localizer: Localizer, recording: Recording, progress: Progre
 
 def _aligned_walk(localizer: Localizer, recording: Recording, method: PoseMethod, progress: ProgressListener) -> _Walk:
     """The recording's own trajectory, aligned to those of its frames that are localized."""
-    trajectory = estimate_trajectory(recording, method, progress)
+    shown = _frame_features(localizer, recording)
+    trajectory = estimate_trajectory(recording, method, progress, shown.show)
     views, _ = choose_views(trajectory.T_map_camera, hold_out=False, step=_VIEW_STEP)
     if len(views) < MIN_FOUND:
         raise MappingFailed(
             f"Only {len(views)} frames of {recording.name} with different views have a pose.", "Record a longer walk."
         )
-    features = _features(localizer, recording, trajectory.rows[views], progress)
+    features = _features(shown, trajectory.rows[views], progress)
     frames = [(trajectory.camera, one) for one in features]
     tried = np.unique(np.linspace(0, len(views) - 1, _MAX_LOCALIZED).round().astype(np.int64))
     found = find_frames(localizer, frames, tried, recording.name, progress)
@@ -193,13 +195,14 @@ def alignment_report(alignment: Alignment, found: Found) -> LearningReport:
     )
 
 
-def _features(
-    localizer: Localizer, recording: Recording, rows: IntArray, progress: ProgressListener
-) -> list[FeatureSet]:
-    extractor = get_extractor(localizer.map.info.features)
-    features = []
-    for image in recording.frames.images(rows.tolist()):
-        features.append(extractor.extract(image).coloured(image))
+def _frame_features(localizer: Localizer, recording: Recording) -> FrameFeatures:
+    return FrameFeatures(recording.frames, get_extractor(localizer.map.info.features))
+
+
+def _features(frames: FrameFeatures, rows: IntArray, progress: ProgressListener) -> list[FeatureSet]:
+    features: list[FeatureSet] = []
+    for found, _ in frames.of(rows.tolist()):
+        features.append(found)
         progress(Stage.FEATURES, len(features) / len(rows), f"features of {len(features)} of {len(rows)} frames")
     return features
 

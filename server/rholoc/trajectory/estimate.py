@@ -17,7 +17,7 @@ from rholoc.trajectory.child import run_in_child
 from rholoc.trajectory.dead_reckoning import integrate_between_waypoints
 from rholoc.trajectory.flow import Flow, track_corners
 from rholoc.trajectory.gaps import describe, missing_spans
-from rholoc.trajectory.keyframe_features import extract_keyframe_features
+from rholoc.trajectory.keyframe_features import FrameListener, extract_keyframe_features
 from rholoc.trajectory.keyframes import choose_keyframes
 from rholoc.trajectory.reconstruction import Reconstruction, Sights, reconstruct
 from rholoc.trajectory.rolling_shutter import RollingShutter, measure_rolling_shutter
@@ -40,8 +40,19 @@ _MOVE = "Walk through the room while recording; keep texture in view."
 _SLOWER = "Walk slower, keep more texture in view: no blank walls, no darkness."
 
 
-def estimate_trajectory(recording: Recording, method: PoseMethod, progress: ProgressListener = silent) -> Trajectory:
+def estimate_trajectory(
+    recording: Recording,
+    method: PoseMethod,
+    progress: ProgressListener = silent,
+    show: FrameListener | None = None,
+) -> Trajectory:
     """The poses of a recording's frames, metric and upright where something measured makes them so.
+
+    Args:
+        recording: with frames, and what else the method needs.
+        method: where poses come from.
+        progress: is called with each step that is done.
+        show: is shown the frames that may get a pose, where they are decoded for their features; from threads.
 
     Raises:
         InvalidRecording: the method needs poses or an IMU that the recording does not have, or a frame is damaged.
@@ -58,7 +69,7 @@ def estimate_trajectory(recording: Recording, method: PoseMethod, progress: Prog
         case PoseMethod.INERTIAL:
             return _inertial(recording, progress)
         case PoseMethod.VISUAL | PoseMethod.VISUAL_INERTIAL:
-            return _visual(recording, method, progress)
+            return _visual(recording, method, progress, show)
 
 
 def _given(recording: Recording) -> Trajectory:
@@ -112,11 +123,13 @@ def _inertial(recording: Recording, progress: ProgressListener) -> Trajectory:
     return Trajectory(rows, times, poses, camera, Scale.METRIC, True, report)
 
 
-def _visual(recording: Recording, method: PoseMethod, progress: ProgressListener) -> Trajectory:
+def _visual(
+    recording: Recording, method: PoseMethod, progress: ProgressListener, show: FrameListener | None
+) -> Trajectory:
     imu = recording.imu if method is PoseMethod.VISUAL_INERTIAL else None
     flow = track_corners(recording.frames, progress)
     rows, choices = _keyframes(recording, imu, flow)
-    sights = _look(recording, flow, rows, progress)
+    sights = _look(recording, flow, rows, progress, show)
     found = run_in_child(
         reconstruct, sights, imu, choices if recording.waypoints else [], progress=progress, stage=Stage.POSES
     )
@@ -147,9 +160,11 @@ def _visual(recording: Recording, method: PoseMethod, progress: ProgressListener
     )
 
 
-def _look(recording: Recording, flow: Flow, rows: IntArray, progress: ProgressListener) -> Sights:
+def _look(
+    recording: Recording, flow: Flow, rows: IntArray, progress: ProgressListener, show: FrameListener | None
+) -> Sights:
     """The keyframes' features, corrected for the rolling shutter where its read-out is known."""
-    features = extract_keyframe_features(recording.frames, rows, progress)
+    features = extract_keyframe_features(recording.frames, rows, progress, show)
     shutter: RollingShutter | None = None
     if recording.readout_s is not None:
         shutter = measure_rolling_shutter(flow, rows, recording.readout_s)

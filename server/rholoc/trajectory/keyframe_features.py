@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
 
@@ -19,24 +19,35 @@ _LONGER_SIDE_PX = 960  # larger images are reduced to this: more pixels cost tim
 _THREADS = 2
 _EXTRACTOR = SiftExtractor(features=1000)
 
+FrameListener = Callable[[int, ByteArray], None]
+"""Is shown a frame: its row and its image (H, W, 3) BGR."""
+
 
 def extract_keyframe_features(
-    frames: FrameSource, rows: IntArray, progress: ProgressListener = silent
+    frames: FrameSource, rows: IntArray, progress: ProgressListener = silent, show: FrameListener | None = None
 ) -> list[FeatureSet]:
-    """The features of the frames in ``rows`` (K,), increasing."""
+    """The features of the frames in ``rows`` (K,), increasing; ``show`` is shown each of them too, in a thread."""
     features: list[FeatureSet] = []
     with ThreadPoolExecutor(_THREADS) as pool:
-        for found in _in_order(pool, frames.images([int(row) for row in rows])):
+        for found in _in_order(pool, rows.tolist(), frames.images(rows.tolist()), show):
             features.append(found)
             progress(Stage.FEATURES, len(features) / len(rows), f"{len(features)} of {len(rows)} keyframes")
     return features
 
 
-def _in_order(pool: ThreadPoolExecutor, images: Iterator[ByteArray]) -> Iterator[FeatureSet]:
+def _in_order(
+    pool: ThreadPoolExecutor, rows: list[int], images: Iterator[ByteArray], show: FrameListener | None
+) -> Iterator[FeatureSet]:
     """Extract with a few images in flight, not all of them in memory."""
     waiting: list[Future[FeatureSet]] = []
-    for image in images:
-        waiting.append(pool.submit(_extract, image))
+
+    def extract(row: int, image: ByteArray) -> FeatureSet:
+        if show is not None:
+            show(row, image)
+        return _extract(image)
+
+    for row, image in zip(rows, images, strict=True):
+        waiting.append(pool.submit(extract, row, image))
         if len(waiting) > 2 * _THREADS:
             yield waiting.pop(0).result()
     for future in waiting:

@@ -1,0 +1,51 @@
+"""Frames that another step has decoded are not decoded again for their features."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from rholoc.features import get_extractor
+from rholoc.mapping.frame_features import FrameFeatures
+from rholoc.recordings import look_at
+from rholoc.trajectory.keyframe_features import extract_keyframe_features
+
+IMAGES = np.random.default_rng(0).integers(0, 255, (6, 120, 160, 3), np.uint8)
+EXTRACTOR = get_extractor("gray")
+
+
+class Frames:
+    """Counts what is decoded."""
+
+    size = (160, 120)
+    times = np.arange(6.0)
+    numbers = np.arange(6)
+
+    def __init__(self) -> None:
+        self.decoded: list[int] = []
+
+    def images(self, rows: Sequence[int]) -> Iterator[np.ndarray]:
+        for row in rows:
+            self.decoded.append(row)
+            yield IMAGES[row]
+
+
+def test_shown_frames_are_not_decoded_again() -> None:
+    frames = Frames()
+    features = FrameFeatures(frames, EXTRACTOR)
+    extract_keyframe_features(frames, np.array([0, 2, 3]), show=features.show)
+    assert frames.decoded == [0, 2, 3]
+    found = list(features.of([0, 1, 3, 5]))
+    assert frames.decoded == [0, 2, 3, 1, 5]
+    for (one, look), row in zip(found, [0, 1, 3, 5], strict=True):
+        expected = EXTRACTOR.extract(IMAGES[row]).coloured(IMAGES[row])
+        np.testing.assert_array_equal(one.descriptors, expected.descriptors)
+        np.testing.assert_array_equal(one.colours, expected.colours)
+        assert look == look_at(IMAGES[row])
+
+
+def test_without_a_step_before_all_are_decoded_once() -> None:
+    frames = Frames()
+    assert len(list(FrameFeatures(frames, EXTRACTOR).of([1, 4]))) == 2
+    assert frames.decoded == [1, 4]
