@@ -4,21 +4,32 @@
 
 Prints, for the first visit of a phone to the console and to the recorder, the bytes over the network and the time until
 the page can be used, the processor throttled to a quarter; how many camera frames a second "try it" localizes and
-draws; and how many times a second a map of 50 000 landmarks is drawn: whole, and while it is being turned, when as many
-landmarks are drawn as keep it smooth, and how many those are.
+draws; how many times a second a map of 50 000 landmarks is drawn: whole, and while it is being turned, when as many
+landmarks are drawn as keep it smooth, and how many those are; and how often a map's page draws while 20 robots are
+answered five times a second each, and how many of their answers it hears.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import math
 import shutil
+import socket
 import tempfile
+import threading
+import time
 from pathlib import Path
 
+import uvicorn
+from fastapi import FastAPI
 from playwright.sync_api import Browser, Page, Playwright, sync_playwright
 
 from rholoc.cli.server_process import running_server
+from rholoc.service import Settings, create_app
+from rholoc.service.live import ASKER
+from rholoc.service.schemas import LocalizationOut
+from rholoc.service.state import State
 
 MAPS = Path(__file__).parents[1] / "maps"
 PHONE = {"width": 390, "height": 844}
@@ -29,6 +40,7 @@ TRY_S = 12
 STILL = 60  # pictures that the camera stays in a place for, 30 a second
 LANDMARKS = 50_000
 DRAW_S = 4
+ROBOTS, ROBOT_HZ, LIVE_S = 20, 5, 8
 CHROMIUM = ["--no-sandbox", "--enable-unsafe-swiftshader", "--use-fake-device-for-media-stream"]
 
 # Turns the map and waits for each picture's last pixel, so that no frame is counted that was only queued.
@@ -58,6 +70,21 @@ DRAW = """async ([count, seconds]) => {
 }"""
 
 
+# Counts the pictures that a map's page draws while others are answered, and the answers that it hears.
+LIVE = """async (seconds) => {
+    const { SceneView } = await import('/web/console/scene.js');
+    const { Motions } = await import('/web/console/motions.js');
+    let [drawn, heard] = [0, 0];
+    const [draw, hear] = [SceneView.prototype.draw, Motions.prototype.hear];
+    SceneView.prototype.draw = function () { drawn++; return draw.call(this); };
+    Motions.prototype.hear = function (...all) { heard++; return hear.apply(this, all); };
+    const start = performance.now();
+    await new Promise((resolve) => setTimeout(resolve, 1000 * seconds));
+    const passed = (performance.now() - start) / 1000;
+    return [drawn / passed, heard / passed];
+}"""
+
+
 def main() -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -67,6 +94,7 @@ def main() -> None:
         folder = Path(name)
         with running_server(MAPS, folder / "data", folder / "log") as server:
             figures = measured(playwright, server.url, folder)
+        figures |= live(playwright, folder)
     if as_json:
         print(json.dumps(figures, indent=2))
     else:
@@ -90,6 +118,45 @@ def measured(playwright: Playwright, url: str, folder: Path) -> dict[str, float]
     figures |= {"50000 landmarks, frames/s": whole, "while turned, frames/s": turned, "landmarks then drawn": drawn}
     browser.close()
     return figures
+
+
+def live(playwright: Playwright, folder: Path) -> dict[str, float]:
+    """How a map's page keeps up with robots; their answers are made up, which are not what is measured."""
+    app = create_app(Settings(maps_dir=MAPS, data_dir=folder / "live", worker=False, live=True))
+    listener = socket.create_server(("127.0.0.1", 0))
+    server = uvicorn.Server(uvicorn.Config(app, log_level="error"))
+    thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]}, daemon=True)
+    thread.start()
+    while not server.started:
+        time.sleep(0.05)
+    stop = threading.Event()
+    threading.Thread(target=_ask, args=(app, stop), daemon=True).start()
+    browser = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=CHROMIUM)
+    page = browser.new_page(viewport=DESK)
+    page.goto(f"http://127.0.0.1:{listener.getsockname()[1]}/#/maps/testsite")
+    page.get_by_role("button", name="Live").click()
+    page.locator("tbody tr").nth(ROBOTS - 1).wait_for()
+    drawn, heard = page.evaluate(LIVE, LIVE_S)
+    browser.close()
+    stop.set()
+    server.should_exit = True
+    thread.join(10)
+    return {"20 robots, frames/s": drawn, "20 robots, answers heard/s": heard}
+
+
+def _ask(app: FastAPI, stop: threading.Event) -> None:
+    """Robots that walk in circles and are answered."""
+    state: State = app.state.rholoc
+    example = LocalizationOut.model_config["json_schema_extra"]["example"]  # type: ignore[index,call-overload]
+    while not stop.is_set():
+        for robot in range(ROBOTS):
+            angle = 0.5 * time.monotonic() + robot
+            x, y = 2 + 1.5 * math.cos(angle), 1 + 1.5 * math.sin(angle)
+            pose = {**example["pose"], "position": [x, y, 1.5]}
+            pose["T_map_camera"] = [[0, 0, 1, x], [-1, 0, 0, y], [0, -1, 0, 1.5], [0, 0, 0, 1]]
+            ASKER.set(f"robot-{robot}")
+            state.live.note(LocalizationOut.model_validate({**example, "pose": pose}))
+        stop.wait(1 / ROBOT_HZ)
 
 
 def first_visit(browser: Browser, url: str, path: str) -> dict[str, float]:

@@ -1,9 +1,10 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 
-import { cameraAt, moved, nextWalk, sayPlace, summary } from "../../client/page/console/coverage_view.js";
+import { cameraAt, moved, nextWalk, sayFailures, sayPlace, summary } from "../../client/page/console/coverage_view.js";
 import { halfExtents, intrinsicsFor, intrinsicsOfFieldOfView, Known } from "../../client/page/console/intrinsics.js";
 import { matches } from "../../client/page/console/list_tools.js";
+import { Motions } from "../../client/page/console/motions.js";
 import { sayPicked } from "../../client/page/console/scene.js";
 import { readScene } from "../../client/page/console/scene_data.js";
 import { snippet } from "../../client/page/console/snippets.js";
@@ -126,4 +127,49 @@ test("the next walk goes to where most directions fail, and looks in them", () =
   near(Math.min(degrees, 360 - degrees), 0, 1e-6);
   near(position[0], 1 + 0.5 * cell);
   assert.equal(nextWalk({ ...coverage, counts: row.map(() => works) }), null);
+});
+
+const poseAt = (x) => [
+  [0, 0, 1, x],
+  [-1, 0, 0, 0],
+  [0, -1, 0, 1.5],
+  [0, 0, 0, 1],
+];
+
+test("who asks moves smoothly from answer to answer, and fades", () => {
+  const motions = new Motions();
+  const hear = (x, now) => motions.hear({ asker: "robot", T_map_camera: poseAt(x), localized: true }, now);
+  const x = (now) => motions.now(now, 3, 30)[0].T[0][3];
+  hear(0, 10);
+  near(x(10), 0);
+  hear(1, 10.2);
+  near(x(10.2), 0);
+  near(x(10.3), 0.5);
+  near(x(10.4), 1);
+  assert.ok(motions.moving(10.3));
+  assert.ok(!motions.moving(11));
+  near(motions.all(10.4, 30)[0].hertz, 5);
+  assert.equal(motions.now(12, 3, 30)[0].stale, false);
+  assert.equal(motions.now(14, 3, 30)[0].stale, true);
+  assert.deepEqual(motions.now(50, 3, 30), []);
+});
+
+test("on the way a turned camera stays a camera", () => {
+  const motions = new Motions();
+  motions.hear({ asker: "robot", T_map_camera: poseAt(0), localized: true }, 0);
+  const turned = [
+    [1, 0, 0, 0],
+    [0, 0, 1, 0],
+    [0, -1, 0, 0],
+    [0, 0, 0, 1],
+  ];
+  motions.hear({ asker: "robot", T_map_camera: turned, localized: true }, 1);
+  const [{ T }] = motions.now(1.5, 3, 30);
+  for (const j of [0, 1, 2]) near(Math.hypot(T[0][j], T[1][j], T[2][j]), 1);
+  near(T[0][0] * T[0][2] + T[1][0] * T[1][2] + T[2][0] * T[2][2], 0);
+});
+
+test("failures are counted in a sentence", () => {
+  assert.match(sayFailures([{ reason: null }, { reason: "deadline" }]), /1 requests found no pose and 1 an unsure/);
+  assert.match(sayFailures([]), /No request failed/);
 });

@@ -20,13 +20,18 @@ const MAX_HEIGHT = 560; // px
 const BAR_HEIGHT = 28; // px, below the roses
 const BAR_SHARE = 0.25; // of the width at most
 const NEAR_M = 0.5; // within which places count together, standard deviation
+const GLOW_M = 0.4; // around the place of a request that failed
+const GLOW_PX = 10; // at the least
+const GLOW_TOTAL = 20; // failures that are drawn at full strength; more of them, each fainter
+const GLOW_ALPHA = 0.25;
+const LEAST_GLOW = 0.1;
 const BARS_M = [0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50, 100];
 
 /**
  * The drawing with its legend and what is said of the place pointed at. `coverage` is what `/v1/maps/{map}/coverage`
  * answers; `look(T_map_camera)` hears of a place and direction that was clicked.
  */
-export function coverageView(coverage, map, signal, look) {
+export function coverageView(coverage, map, signal, look, failures = []) {
   if (!coverage.cells.length)
     return h("p", { class: "muted" }, t`The map has no views, so it is unknown where it works.`);
   const canvas = h("canvas", { class: "coverage", tabindex: 0, role: "img", "aria-label": summary(coverage) });
@@ -38,7 +43,7 @@ export function coverageView(coverage, map, signal, look) {
   const unit = map.scale === "metric" ? "m" : t`units`;
   const rose = { cell: null, heading: 0 };
   const next = nextWalk(coverage);
-  const draw = () => drawCoverage(canvas, coverage, map, unit, rose, next);
+  const draw = () => drawCoverage(canvas, coverage, map, unit, rose, next, failures);
   const choose = (cell, heading) => {
     Object.assign(rose, { cell, heading });
     said.textContent = sayPlace(coverage, cell, heading, unit);
@@ -69,6 +74,7 @@ export function coverageView(coverage, map, signal, look) {
     canvas,
     said,
     legend(coverage.sufficient),
+    map.keeps_failures && h("p", { class: "small" }, sayFailures(failures)),
     next && walkNext(next, map, unit),
   );
 }
@@ -204,7 +210,7 @@ function roseAt(canvas, coverage, x, y) {
   };
 }
 
-function drawCoverage(canvas, coverage, map, unit, chosen, next) {
+function drawCoverage(canvas, coverage, map, unit, chosen, next, failures) {
   const ratio = Math.min(devicePixelRatio, 2);
   const wanted = placement(coverage, canvas.clientWidth, Infinity);
   const rows = coverage.cells.map((cell) => cell[1]);
@@ -217,6 +223,7 @@ function drawCoverage(canvas, coverage, map, unit, chosen, next) {
   const token = (name) => resolvedColour(canvas, name);
   const place = placement(coverage, width, height - BAR_HEIGHT);
   drawRoses(context, coverage, place, token("--surface"));
+  drawFailures(context, coverage, place, failures, token);
   if (chosen.cell !== null) drawChosen(context, coverage, place, chosen, token("--ink"));
   drawWaypoints(context, coverage, place, map.waypoints, token);
   if (next) drawArrow(context, place.cell(...coverage.cells[next.cell]), next.degrees, place.pixels, token);
@@ -247,6 +254,30 @@ function drawRoses(context, coverage, place, gap) {
 }
 
 const colourOf = (share) => LEVELS.find(([least]) => share >= least)[1];
+
+/** How many requests of the last day failed, in a sentence. */
+export function sayFailures(failures) {
+  if (!failures.length) return t`No request failed here in the last day, as far as this server knows.`;
+  const none = failures.filter(({ reason }) => reason !== null).length;
+  return t`In the last day ${none} requests found no pose and ${failures.length - none} an unsure one: where the drawing glows.`;
+}
+
+/** A glow where requests failed: the more, the stronger. */
+function drawFailures(context, { axes, step }, place, failures, token) {
+  const reach = Math.max(GLOW_PX, (GLOW_M / step) * place.pixels);
+  const strength = Math.max(LEAST_GLOW, Math.min(1, GLOW_TOTAL / Math.max(1, failures.length)));
+  context.fillStyle = token("--bad");
+  for (const { position } of failures) {
+    const [x, y] = place.point(dot(position, axes[0]), dot(position, axes[1]));
+    for (const share of [1, 0.66, 0.33]) {
+      context.globalAlpha = strength * GLOW_ALPHA;
+      context.beginPath();
+      context.arc(x, y, share * reach, 0, 2 * Math.PI);
+      context.fill();
+    }
+  }
+  context.globalAlpha = 1;
+}
 
 function drawChosen(context, coverage, place, { cell, heading }, ink) {
   const [x, y] = place.cell(...coverage.cells[cell]);

@@ -7,6 +7,7 @@ import { t } from "../shared/text.js";
 import { inPlainWords, mistakesIn, restsOnGivenPoses, Trust, trustOf, whatToDo } from "../shared/trust.js";
 import { coverageView } from "./coverage_view.js";
 import { bytes, count, fileNames, length, when } from "./format.js";
+import { liveView } from "./live.js";
 import { action, facts, loading, page, skeletons, tell } from "./parts.js";
 import { SceneView } from "./scene.js";
 import { readScene } from "./scene_data.js";
@@ -25,6 +26,8 @@ export async function showMap(main, name, signal) {
   signal.addEventListener("abort", () => scene.dispose());
   const trust = h("div", { class: "trust" }, skeletons(1, "notice-line"));
   const about = h("div", { class: "stack" }, skeletons(1, "panel"));
+  const watching = h("div", { class: "row" });
+  const live = h("div", {});
   const works = h("div", {}, skeletons(1, "coverage"));
   fill(
     main,
@@ -35,13 +38,26 @@ export async function showMap(main, name, signal) {
       h(
         "div",
         { class: "map-columns" },
-        h("div", { class: "stack" }, h("h2", {}, t`Where it works`), works, h("h2", {}, t`The room`), scene.element),
+        h(
+          "div",
+          { class: "stack" },
+          h("h2", {}, t`Where it works`),
+          works,
+          h("div", { class: "row spread" }, h("h2", {}, t`The room`), watching),
+          scene.element,
+          live,
+        ),
         about,
       ),
     ),
   );
   const address = path`v1/maps/${name}`;
   const map = await get(address, { signal }); // of a map that is gone the page says so, and nothing else
+  if (map.live) {
+    const watcher = liveView(map, scene, signal);
+    fill(watching, watcher.button);
+    fill(live, watcher.element);
+  }
   const report = get(`${address}/report`, { signal }).then(({ report }) => report);
   await Promise.all([
     loading(trust, async () => fill(trust, trustNotice(map, await report)), signal),
@@ -62,7 +78,8 @@ async function showCoverage(map, report, scene, signal) {
   const coverage = report.coverage?.counts
     ? report.coverage
     : await get(path`v1/maps/${map.name}/coverage`, { signal });
-  return coverageView(coverage, map, signal, (T) => scene.showPose(T));
+  const failed = map.keeps_failures ? (await get(path`v1/maps/${map.name}/failures`, { signal })).failures : [];
+  return coverageView(coverage, map, signal, (T) => scene.showPose(T), failed);
 }
 
 /** Whether the map can be relied on, why, and what to do next. */

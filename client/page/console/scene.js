@@ -70,6 +70,7 @@ export class SceneView {
     this.lines = {};
     this.colours = {};
     this.waypoints = [];
+    this.robots = new Map(); // labels and positions, by asker
     this.coloured = false;
     this.view = { target: [0, 0, 0], distance: 5, turn: -0.9, tilt: 0.6 };
     this.home = this.view;
@@ -184,6 +185,42 @@ export class SceneView {
     this.setLines("rays", "--accent", at ? seen.flatMap((landmark) => [...at, ...landmark]) : [], 0.2);
   }
 
+  /** Show those who ask for poses: `{asker, T, localized, stale}`. */
+  showRobots(robots) {
+    if (!this.gl) return;
+    const some = (chosen) => robots.filter(chosen).flatMap(({ T }) => frustum(T, EXTENTS));
+    this.setLines(
+      "robots",
+      "--accent",
+      some(({ localized, stale }) => localized && !stale),
+    );
+    this.setLines(
+      "robots lost",
+      "--bad",
+      some(({ localized, stale }) => !localized && !stale),
+    );
+    this.setLines(
+      "robots gone",
+      "--muted",
+      some(({ stale }) => stale),
+      0.5,
+    );
+    const names = new Set(robots.map(({ asker }) => asker));
+    for (const [asker, { label }] of this.robots) {
+      if (names.has(asker)) continue;
+      label.remove();
+      this.robots.delete(asker);
+    }
+    for (const { asker, T } of robots) {
+      if (!this.robots.has(asker)) {
+        const label = h("span", { class: "scene-robot" }, asker);
+        this.labels.append(label);
+        this.robots.set(asker, { label });
+      }
+      this.robots.get(asker).position = T.slice(0, 3).map((row) => row[3]);
+    }
+  }
+
   /** Show a path as a line: `positions` is a list of [x, y, z]. */
   showTrail(positions) {
     this.setLines("trail", "--warn", segments(positions));
@@ -249,9 +286,14 @@ export class SceneView {
   redraw() {
     this.frame ??= requestAnimationFrame((now) => {
       this.frame = null;
-      if (this.moving) this.keepSmooth(now);
+      if (this.restless) this.keepSmooth(now);
       if (this.canvas.isConnected) this.draw();
     });
+  }
+
+  /** Whether picture follows picture: then no more landmarks are drawn than keep it smooth. */
+  get restless() {
+    return this.moving || this.robots.size > 0;
   }
 
   keepSmooth(now) {
@@ -291,7 +333,7 @@ export class SceneView {
     points.bind(this.buffer, STRIDE_LANDMARK);
     if (this.pictureColours) points.bindColours(this.pictureColours);
     else gl.disableVertexAttribArray(1);
-    gl.drawArrays(gl.POINTS, 0, this.moving ? this.budget : this.count);
+    gl.drawArrays(gl.POINTS, 0, this.restless ? this.budget : this.count);
   }
 
   drawLines({ token, alpha, count, buffer }, matrix) {
@@ -313,7 +355,7 @@ export class SceneView {
 
   placeLabels(matrix) {
     const { clientWidth: width, clientHeight: height } = this.canvas;
-    for (const { position, label } of this.waypoints) {
+    for (const { position, label } of [...this.waypoints, ...this.robots.values()]) {
       const [x, y, w] = project(matrix, position);
       label.hidden = w <= 0 || Math.abs(x) > 1 || Math.abs(y) > 1;
       label.style.transform = `translate(${((x + 1) / 2) * width}px, ${((1 - y) / 2) * height}px)`;

@@ -1,6 +1,7 @@
 // A mapping job, followed until it ends.
 
-import { ApiError, get, path, request } from "../shared/api.js";
+import { ApiError, get, path } from "../shared/api.js";
+import { events } from "../shared/events.js";
 
 const ENDED = new Set(["published", "failed", "cancelled"]);
 const PAUSE_MS = 1500;
@@ -32,22 +33,9 @@ export async function followJob(id, hear, signal, lost = (_error) => {}) {
 
 /** What the server says of a job as it changes, until the connection ends. */
 async function* jobEvents(id, signal) {
-  let response;
   try {
-    response = await request(path`v1/jobs/${id}/events`, { signal, headers: { Accept: "text/event-stream" } });
+    yield* events(path`v1/jobs/${id}/events`, signal);
   } catch (error) {
-    if (error.code === "unknown_route") return;
-    throw error;
-  }
-  let text = "";
-  const reader = response.body.pipeThrough(new TextDecoderStream()).getReader();
-  for (let piece = await reader.read(); !piece.done; piece = await reader.read()) {
-    text += piece.value.replaceAll("\r", "");
-    const blocks = text.split("\n\n");
-    text = blocks.pop();
-    for (const block of blocks) {
-      const data = [...block.matchAll(/^data: ?(.*)$/gm)].map((match) => match[1]).join("\n");
-      if (data) yield JSON.parse(data);
-    }
+    if (error.code !== "unknown_route") throw error;
   }
 }

@@ -38,6 +38,7 @@ const FILES = [
   "record/zip.js",
   "shared/api.js",
   "shared/dom.js",
+  "shared/events.js",
   "shared/icon.svg",
   "shared/name_choice.js",
   "shared/style.css",

@@ -598,4 +598,19 @@ export const GERMAN = {
   "Width of the plan, m": "Breite des Grundrisses, m",
   "Without it, the map's own scale tells.": "Ohne sie gilt der Maßstab der Karte.",
   "The map takes the plan's scale": "Die Karte übernimmt den Maßstab des Grundrisses",
+
+  // Live, and where it failed
+  Live: "Live",
+  Who: "Wer",
+  Pose: "Pose",
+  Uncertainty: "Unsicherheit",
+  Asks: "Fragt",
+  "Nobody asks for poses at the moment.": "Zurzeit fragt niemand nach Posen.",
+  "{0} ask for poses.": "{0} fragen nach Posen.",
+  "{0} s ago": "vor {0} s",
+  "{0} a second": "{0} pro Sekunde",
+  "No request failed here in the last day, as far as this server knows.":
+    "Im letzten Tag schlug hier keine Anfrage fehl, soweit dieser Server weiß.",
+  "In the last day {0} requests found no pose and {1} an unsure one: where the drawing glows.":
+    "Im letzten Tag fanden {0} Anfragen keine Pose und {1} eine unsichere: wo die Zeichnung leuchtet.",
 };

@@ -38,6 +38,7 @@ from rholoc.service.housekeeping import keep_house
 from rholoc.service.job_events import JobEvents
 from rholoc.service.json_bodies import JsonBodies
 from rholoc.service.keys import KeyStore
+from rholoc.service.live import Live
 from rholoc.service.localizers import Localizers
 from rholoc.service.metrics import Metered, Metrics
 from rholoc.service.middleware import RequestBoundary
@@ -128,6 +129,7 @@ def _start(settings: Settings, metrics: Metrics) -> State:
         held_bodies=HeldBodies(_BODIES_AT_ONCE * settings.max_request_bytes),
         exports=Exports(settings.export_time_limit_s),
         metrics=metrics,
+        live=Live(settings.live, settings.keep_failures),
         recordings=recordings,
         uploads=UploadStore(
             recordings, jobs, settings.upload_expires_s, settings.max_upload_files, settings.max_unfinished_uploads

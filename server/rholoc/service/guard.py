@@ -24,6 +24,7 @@ from rholoc.service.access import (
 from rholoc.service.errors import CrossSite, InvalidRequest, MethodNotAllowed, Unauthorized, UnknownRoute
 from rholoc.service.keys import KeyStore
 from rholoc.service.keys import Scope as KeyScope
+from rholoc.service.live import ASKER
 
 _READING = ("GET", "HEAD", "OPTIONS")
 _API_PREFIX = "/v1/"
@@ -108,7 +109,9 @@ class Guard:
             if access is None:
                 raise undeclared()
             if access.scope is not None:
-                grant(scope, self._check_key(_authorization(scope, headers), access.scope))
+                held, name = self._check_key(_authorization(scope, headers), access.scope)
+                grant(scope, held)
+                ASKER.set(name or _address(scope))
             if found.route is None and found.methods:
                 hint = "The answer's header Allow names those that it takes."
                 raise MethodNotAllowed("This route does not support this method.", hint, found.methods)
@@ -117,10 +120,10 @@ class Guard:
             check_query(scope, found.route)
         await self._app(scope, receive, send)
 
-    def _check_key(self, authorization: str, needed: KeyScope) -> KeyScope:
-        """What the request may do, which is at least ``needed``."""
+    def _check_key(self, authorization: str, needed: KeyScope) -> tuple[KeyScope, str]:
+        """What the request may do, which is at least ``needed``, and the name of its key."""
         if not self._keys_needed:
-            return KeyScope.ADMIN
+            return KeyScope.ADMIN, ""
         kind, _, secret = authorization.partition(" ")
         if kind.lower() != "bearer" or not secret.strip():
             raise Unauthorized("This server requires an API key.", _KEY_HINT)
@@ -131,7 +134,12 @@ class Guard:
             raise Unauthorized("This API key has expired.", _KEY_HINT)
         if not key.scope.allows(needed):
             raise forbidden(key.scope, needed)
-        return key.scope
+        return key.scope, key.name
+
+
+def _address(scope: Scope) -> str:
+    client = scope.get("client")
+    return f"{client[0]}" if client else ""
 
 
 def _authorization(scope: Scope, headers: Headers) -> str:

@@ -505,6 +505,8 @@ class MapDetail(MapSummary):
     previous: PreviousMap | None = Field(description="the map that it replaced, which can be restored")
     names: MapNames = Field(description="of points and areas")
     corrections: tuple[Correction, ...] = Field(description="what people corrected in it, the last one last")
+    live: bool = Field(default=False, description="whether this server shows who asks for poses in it")
+    keeps_failures: bool = Field(default=False, description="whether this server keeps where requests fail in it")
 
 
 class MapList(_Out):
@@ -703,6 +705,39 @@ class MapReportOut(_Out):
     map_id: str
     map_version: int
     report: MapReport
+
+
+class FailureOut(_Out):
+    """Where a request found no pose, or an unsure one."""
+
+    time: float = Field(description="s since the epoch")
+    position: list[float] = Field(description="m")
+    heading: list[float] | None = Field(description="where the camera looked; null where that is not known")
+    confidence: float
+    reason: str | None = Field(description="why there is no pose; null where there is an unsure one")
+
+
+class FailuresOut(_Out):
+    """The failures of the last day, the oldest first."""
+
+    model_config = ConfigDict(
+        frozen=True,
+        json_schema_extra={
+            "example": {
+                "failures": [
+                    {
+                        "time": 1767607200.0,
+                        "position": [2.1, 0.4, 1.5],
+                        "heading": None,
+                        "confidence": 0.31,
+                        "reason": "low_confidence",
+                    }
+                ]
+            }
+        },
+    )
+
+    failures: list[FailureOut]
 
 
 class JobError(_Out):

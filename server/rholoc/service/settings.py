@@ -84,6 +84,14 @@ class Settings(BaseSettings):
     max_video_pixels: int = Field(
         default=MAX_FRAME_PIXELS, ge=1, description="The most pixels a frame of a recording may have, by its header."
     )
+    live: bool = Field(
+        default=False, description="Whether those who may read see who asks for poses now, where, and how surely."
+    )
+    keep_failures: bool = Field(
+        default=False,
+        description="Whether the places where requests failed or were unsure are kept in memory for a day, without "
+        "pictures and without who asked.",
+    )
     slow_client_timeout_s: float = Field(
         default=30,
         gt=0,

@@ -14,6 +14,7 @@ from rholoc.service.bodies import HeldBodies
 from rholoc.service.compute import ComputePool
 from rholoc.service.exports import Exports
 from rholoc.service.job_events import JobEvents
+from rholoc.service.live import Live
 from rholoc.service.localizers import Localizers
 from rholoc.service.metrics import Metrics
 from rholoc.service.renderings import Renderings
@@ -34,6 +35,7 @@ class State:
     held_bodies: HeldBodies
     exports: Exports
     metrics: Metrics
+    live: Live
     recordings: RecordingStore
     uploads: UploadStore
     jobs: JobQueue

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated, Any
 
@@ -261,6 +261,7 @@ async def answer_frame(
         clock,
         frame_deadline_s(frame.options.deadline_ms, settings),
         frame.effort,
+        None if frame.options.prior is None else frame.options.prior.position,
     )
 
 
@@ -291,6 +292,7 @@ async def _answered(
     clock: Stopwatch,
     deadline_s: float,
     effort: Effort,
+    expected: Sequence[float] | None = None,
 ) -> LocalizationOut:
     """What a thread finds in one of several maps, that somebody ``named``, or at the deadline that it was too late."""
     for name in names if named else ():
@@ -301,6 +303,7 @@ async def _answered(
     except (TimeoutError, DeadlineExceeded):
         answer = await _late_answer(names[0], service.localizers, clock)
     service.metrics.localization(answer.reason)
+    service.live.note(answer, expected)
     return answer
 
 

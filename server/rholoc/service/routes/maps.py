@@ -93,7 +93,7 @@ async def list_maps(service: Service) -> MapList:
 @router.get("/{map_name}", dependencies=[NEEDS_READ], summary="One map", responses=failures(*_FAILURES))
 async def get_map(map_name: str, service: Service) -> MapDetail:
     """What the map says of itself."""
-    return await run_in_threadpool(_detail, service.library, map_name)
+    return await run_in_threadpool(_detail, service, map_name)
 
 
 @router.put(
@@ -121,7 +121,7 @@ async def put_map(map_name: str, request: Request, service: Service, response: R
     finally:
         arrived.unlink(missing_ok=True)
     response.status_code = 201 if new else 200
-    return await run_in_threadpool(_detail, service.library, map_name)
+    return await run_in_threadpool(_detail, service, map_name)
 
 
 @router.patch(
@@ -136,7 +136,7 @@ async def patch_map(map_name: str, change: MapPatch, service: Service) -> MapDet
     if change.name != map_name:
         await run_in_threadpool(service.library.rename, map_name, change.name)
     service.localizers.forget_missing()
-    return await run_in_threadpool(_detail, service.library, change.name)
+    return await run_in_threadpool(_detail, service, change.name)
 
 
 @router.delete(
@@ -262,7 +262,7 @@ async def restore_map(
     """The map that was last replaced under this name takes its place again, and the present one is kept in turn:
     restoring twice changes nothing. `number` says which, where an earlier one is wanted."""
     await run_in_threadpool(service.library.restore, map_name, number)
-    return await run_in_threadpool(_detail, service.library, map_name)
+    return await run_in_threadpool(_detail, service, map_name)
 
 
 @router.get(
@@ -291,7 +291,7 @@ async def correct_map(
     map_ = await run_in_threadpool(service.library.get, map_name)
     corrected = await service.compute.run(lambda: corrected_map(map_, wanted), Effort.LARGE)
     await run_in_threadpool(service.library.replace, map_name, corrected)
-    return await run_in_threadpool(_detail, service.library, map_name)
+    return await run_in_threadpool(_detail, service, map_name)
 
 
 @router.post(
@@ -327,7 +327,7 @@ async def merge_map(map_name: str, wanted: MergeIn, service: Service) -> MapDeta
     b = await run_in_threadpool(service.library.get, wanted.other)
     merged = await service.compute.run(lambda: merge_maps(a, b), Effort.LARGE)
     await run_in_threadpool(_publish_merged, service.library, {map_name: a, wanted.other: b}, into, merged)
-    return await run_in_threadpool(_detail, service.library, into)
+    return await run_in_threadpool(_detail, service, into)
 
 
 @router.post(
@@ -341,7 +341,7 @@ async def forget_source(map_name: str, wanted: ForgetIn, service: Service) -> Ma
     map_ = await run_in_threadpool(service.library.get, map_name)
     left = await service.compute.run(lambda: forget_recording(map_, wanted.source), Effort.LARGE)
     await run_in_threadpool(service.library.replace, map_name, left)
-    return await run_in_threadpool(_detail, service.library, map_name)
+    return await run_in_threadpool(_detail, service, map_name)
 
 
 @router.get(
@@ -463,8 +463,10 @@ def _summary_of(name: str, map_: Map, size_bytes: int) -> dict[str, object]:
     }
 
 
-def _detail(library: MapLibrary, name: str) -> MapDetail:
-    return _detail_of(name, library.get(name), library.stat(name).size_bytes, library.previous(name))
+def _detail(service: State, name: str) -> MapDetail:
+    library, settings = service.library, service.settings
+    detail = _detail_of(name, library.get(name), library.stat(name).size_bytes, library.previous(name))
+    return detail.model_copy(update={"live": settings.live, "keeps_failures": settings.keep_failures})
 
 
 def _detail_of(name: str, map_: Map, size_bytes: int, before: MapInfo | None) -> MapDetail:
