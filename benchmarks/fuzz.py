@@ -31,7 +31,7 @@ from hostile import JPEG, LOCALIZE, MAPS, MOST_HEALTH_MS, MOST_MEMORY_MIB, Watch
 from rholoc.cli.server_process import running_server
 
 CASES_PER_ROUND = 20  # of one route
-TIMEOUT_S = 60.0
+TIMEOUT_S = 300.0
 SERVED = "testsite"
 NOT_FOUND = 404
 SAID_PROBLEMS = 5  # of one client

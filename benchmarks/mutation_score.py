@@ -104,9 +104,9 @@ def _text(node: ast.AST) -> bool:
 
 
 def _walk_code(tree: ast.AST) -> Iterator[ast.AST]:
-    """All nodes but those of annotations, which do not run."""
+    """All nodes but those of annotations, which do not run, and of decorators: whether a dataclass is frozen."""
     for field, value in ast.iter_fields(tree):
-        if field in ("annotation", "returns"):
+        if field in ("annotation", "returns", "decorator_list"):
             continue
         for node in value if isinstance(value, list) else [value]:
             if isinstance(node, ast.AST):

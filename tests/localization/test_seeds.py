@@ -1,0 +1,121 @@
+"""Seeds: minimal samples that contain the true pose, places that matches vote for."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from rholoc.density import Evidence
+from rholoc.geometry import Pose, pose_distances
+from rholoc.localization import Localizer
+from rholoc.localization.matches import Matches
+from rholoc.localization.ransac import lo_ransac
+from rholoc.localization.rivals import sureness
+from rholoc.localization.seeds import minimal_samples, place_of_prior, view_votes, vote_for_places
+from rholoc.localization.support import Support
+from rholoc.localization.types import Prior
+
+TRUE = Pose.from_heading(np.array([0.3, -0.2, 1.4]), np.array([0.8, 0.6, 0.0]), 0.1).T_map_camera
+
+
+def seen(count: int, false: int = 0, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    """Rays (M, 3) of points (M, 3) in front of a camera; the last ``false`` rays are of something else."""
+    rng = np.random.default_rng(seed)
+    local = np.column_stack([rng.uniform(-1, 1, count), rng.uniform(-0.8, 0.8, count), rng.uniform(2, 5, count)])
+    rays = local / np.linalg.norm(local, axis=1)[:, None]
+    rays[count - false :] = rays[: count - false][rng.permutation(count - false)[:false]]
+    return rays, local @ TRUE[:3, :3].T + TRUE[:3, 3]
+
+
+def evidence(rays: np.ndarray, points: np.ndarray) -> Evidence:
+    count = len(rays)
+    covariances = np.tile(1e-6 * np.eye(3), (count, 1, 1))
+    return Evidence.of(np.arange(count), rays, points, covariances, np.full(count, 0.5), 500.0)
+
+
+@pytest.mark.parametrize(("count", "false"), [(4, 0), (30, 12)])
+def test_the_best_sample_is_the_true_pose(count: int, false: int) -> None:
+    rays, points = seen(count, false)
+    poses = minimal_samples(evidence(rays, points), np.full(count, 0.5), np.arange(count), 300, 5)
+    assert 0 < len(poses) <= 5
+    apart_m, turned_rad = pose_distances(poses[0], TRUE)
+    assert apart_m < 1e-3
+    assert turned_rad < 1e-3
+
+
+def test_samples_are_of_different_detections() -> None:
+    rays, points = seen(6)
+    some = evidence(rays, points)
+    assert len(minimal_samples(some, np.full(6, 0.5), np.array([0, 0, 1, 1, 0, 1]), 100, 5)) == 0
+    three = evidence(rays[:3], points[:3])
+    assert len(minimal_samples(three, np.full(3, 0.5), np.arange(3), 100, 5)) == 0
+
+
+def test_samples_are_drawn_by_chance_and_the_same_each_time() -> None:
+    rays, points = seen(30, 12)
+    chances = np.r_[np.full(18, 0.9), np.full(12, 1e-9)]
+    first = minimal_samples(evidence(rays, points), chances, np.arange(30), 3, 1)
+    np.testing.assert_array_equal(first, minimal_samples(evidence(rays, points), chances, np.arange(30), 3, 1))
+    assert pose_distances(first[0], TRUE)[0] < 1e-3  # three draws suffice where what is drawn is right
+
+
+def test_ransac_finds_the_pose_and_counts_what_agrees() -> None:
+    rays, points = seen(40, 15)
+    found = lo_ransac(rays[:, :2] / rays[:, 2:], points, 500.0, 4.0, 1000)
+    assert found is not None
+    assert pose_distances(found[0], TRUE)[0] < 1e-3
+    assert 25 <= found[1] <= 27
+    four = lo_ransac(rays[:4, :2] / rays[:4, 2:], points[:4], 500.0, 4.0, 1000)
+    assert four is not None
+    assert four[1] == 4
+    assert lo_ransac(rays[:3, :2] / rays[:3, 2:], points[:3], 500.0, 4.0, 1000) is None
+    rng = np.random.default_rng(1)
+    assert lo_ransac(rng.uniform(-1, 1, (5, 2)), rng.uniform(-1, 1, (5, 3)), 500.0, 0.01, 100) is None
+
+
+def test_votes_are_chances_of_what_a_view_saw_and_a_landmark_votes_once(localizer: Localizer) -> None:
+    index = localizer.index
+    rows = index.visibility[[7]].indices[:20]
+    votes = view_votes(index, Matches(np.arange(20), rows, np.full(20, 0.5)))
+    size = max(len(index.visibility[[7]].indices), 50)
+    assert votes[7] == pytest.approx(10 / np.sqrt(size))
+    assert votes.max() == votes[7] or index.visibility[[int(votes.argmax())]].indices.size < size
+    doubled = view_votes(index, Matches(np.arange(60), np.tile(rows, 3), np.full(60, 0.5)))
+    assert doubled[7] == pytest.approx(20 / np.sqrt(size))
+
+
+def test_places_are_different_and_near_a_prior_where_there_is_one(localizer: Localizer) -> None:
+    index = localizer.index
+    rows = np.unique(np.concatenate([index.visibility[[view]].indices for view in (3, 40)]))
+    matches = Matches(np.arange(len(rows)), rows, np.full(len(rows), 0.5))
+    places = vote_for_places(index, matches, 3, 6, None)
+    assert len({place.view for place in places}) == len(places) > 1
+    assert [place.votes for place in places] == sorted((place.votes for place in places), reverse=True)
+    for place in places:
+        assert np.isin(index.visibility[[place.view]].indices, place.landmarks).all()
+    pose = Pose(index.map.T_map_camera[40])
+    near = vote_for_places(index, matches, 1, 6, Prior(pose, 0.1, 0.1))
+    assert np.linalg.norm(index.view_positions[near[0].view] - pose.position) < 1.1
+    assert vote_for_places(index, Matches.none(), 3, 6, None) == []
+
+
+def test_a_priors_place_is_none_where_no_view_is_near_or_looks_its_way(localizer: Localizer, point_room: Any) -> None:
+    index = localizer.index
+    pose = Pose(index.map.T_map_camera[10])
+    here = place_of_prior(index, Prior(pose, 0.5, 0.2), 5)
+    assert here is not None
+    assert here.view == 10
+    away = Pose.from_heading(pose.position + [50.0, 0, 0], pose.heading, 0.0)
+    assert place_of_prior(index, Prior(away, 0.5, 0.2), 5) is None
+    up = Pose.from_heading(pose.position, np.array([0.0, 0.01, 1.0]) / np.hypot(0.01, 1), 0.0)
+    assert place_of_prior(index, Prior(up, 0.5, 0.2), 5) is None
+
+
+def test_of_two_poses_the_better_supported_is_surer() -> None:
+    assert sureness(Support(40.0, 0.0), Support(50.0, 10.0)) == pytest.approx(0.5)
+    assert sureness(Support(52.0, 0.0), Support(40.0, 0.0)) == pytest.approx(1 / (1 + np.exp(-1)))
+    assert sureness(Support(40.0, 12.0), Support(40.0, 0.0)) == pytest.approx(1 / (1 + np.exp(1)))
+    assert sureness(Support(1e6, 0.0), Support(0.0, 0.0)) == pytest.approx(1.0)
+    assert sureness(Support(0.0, 0.0), Support(1e6, 0.0)) == pytest.approx(0.0, abs=1e-12)

@@ -1,0 +1,59 @@
+"""What a picture says for a pose, cell by cell."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from rholoc.density import Evidence
+from rholoc.geometry import Camera
+from rholoc.localization import Localizer
+from rholoc.localization.ascent import Optimum
+from rholoc.localization.matches import Matches
+from rholoc.localization.support import Support, _Grid, support_of
+
+WIDE = Camera(640, 360, 500.0, 500.0, 319.5, 179.5)
+
+
+def test_cells_are_square_and_pixels_beyond_the_picture_count_in_its_outermost() -> None:
+    grid = _Grid.of(WIDE)
+    assert (grid.size_px, grid.rows) == (80.0, 5)
+    assert _Grid.of(Camera(360, 640, 500.0, 500.0, 179.5, 319.5)).rows == 8
+    pixels = np.array([[0.0, 0.0], [79.9, 79.9], [80.0, 0.0], [639.0, 359.0], [-5.0, 900.0]])
+    cells = grid.sums(pixels)
+    assert cells.shape == (40,)
+    assert {cell: cells[cell] for cell in np.flatnonzero(cells)} == {0: 2, 1: 1, 39: 1, 32: 1}
+    assert grid.sums(pixels, np.array([1.0, 2.0, 4.0, 8.0, 16.0]))[[0, 1, 39, 32]].tolist() == [3, 4, 8, 16]
+
+
+def supported(localizer: Localizer, point_room: Any, chosen: int, density: float, by_chance: float = 0.0) -> Support:
+    """The support of a view's own pose by so many matches, whose density there is as given, in one cell."""
+    index = localizer.index
+    landmarks = index.visibility[[20]].indices[:chosen].astype(np.int64)
+    count, camera = len(landmarks), point_room.camera
+    pixels = np.full((count, 2), 100.0)
+    found = Matches(np.arange(count), landmarks, np.full(count, 0.5))
+    rays = np.tile([0.0, 0.0, 1.0], (count, 1))
+    evidence = Evidence.of(landmarks, rays, index.landmarks[landmarks], np.zeros((count, 3, 3)), found.chances, 500.0)
+    optimum = Optimum(index.map.T_map_camera[20], 1.0, np.full(count, density))
+    return support_of(index, pixels, camera, found, evidence, optimum, np.full(count, by_chance))
+
+
+def test_without_matches_that_agree_nothing_speaks_for_a_pose(localizer: Localizer, point_room: Any) -> None:
+    assert supported(localizer, point_room, 5, 0.0) == Support(0.0, 0.0)
+
+
+def test_a_cell_says_the_odds_of_its_matches_less_those_by_chance_and_ten_nats_at_most(
+    localizer: Localizer, point_room: Any
+) -> None:
+    one = np.log1p(1.0 / 0.1)
+    assert supported(localizer, point_room, 3, 1.0).seen == pytest.approx(3 * one)
+    assert supported(localizer, point_room, 3, 1.0, by_chance=0.5).seen == pytest.approx(3 * (one - 0.75))
+    assert supported(localizer, point_room, 3, 0.01, by_chance=1.0).seen == 0.0
+    assert supported(localizer, point_room, 40, 1.0).seen == 10.0
+
+
+def test_what_is_net_is_what_was_seen_less_what_was_missing() -> None:
+    assert Support(12.0, 5.0).net == 7.0
