@@ -15,7 +15,7 @@ import numpy as np
 
 from rholoc_client.models import Camera
 from rholoc_client.tracking.belief import OdometryNoise
-from rholoc_client.tracking.rigid import FloatArray, inverse, pose
+from rholoc_client.tracking.rigid import FloatArray, inverse, pose, rotation
 
 PICTURE_NOISE = OdometryNoise(drift=0.03, turn_drift=0.02, heading_drift_deg_m=0.5, step_m=0.003, step_deg=0.05)
 """How good it is: points seen again and again hold it, until they leave the picture."""
@@ -25,7 +25,10 @@ _FEWEST_POINTS = 8  # there is no pose
 _MOST_POINTS = 250
 _FLOW = {"winSize": (21, 21), "maxLevel": 4}
 _BACK_PX = 1.0  # flow forth and back ends where it began
-_AGREEING_PX = 3.0
+_TOLERANCES_PX = (60.0, 20.0, 8.0, 4.0)
+_ITERATIONS, _SETTLED = 5, 1e-5  # metres or radians
+_LEAST_DEPTH = 0.05  # in front of the camera, metres
+_SAME_PX = 4.0
 _KEPT_PICTURES = 90  # while an answer is awaited
 
 
@@ -105,6 +108,7 @@ class PictureMotion:
         T_odom_camera = T_map_camera if asked.T_odom_camera is None else asked.T_odom_camera
         T_odom_map = T_odom_camera @ inverse(T_map_seen)
         seen = replace(seen, points=seen.points @ T_odom_map[:3, :3].T + T_odom_map[:3, 3])
+        seen = _joined(seen, asked.points)
         standing = replace(asked, T_odom_camera=T_odom_camera, points=seen)
         way = [(standing.time_s, standing.T_odom_camera)]
         for frame in later:
@@ -128,28 +132,54 @@ class PictureMotion:
         return nothing if placed is None else _Standing(time_s, grey, *placed)
 
     def _placed(self, points: _Points, T_guess: FloatArray) -> tuple[FloatArray, _Points] | None:
-        """The pose (4, 4) that shows points where they are, and those that agree with it."""
+        """The pose (4, 4) that shows points where they are, and those that agree with it.
+
+        Gauss–Newton from a guess, the weights falling to 0 at a tolerance that narrows: flow has few outliers, and the
+        guess is the frame before, so that nothing need be drawn by chance.
+        """
         if len(points.points) < _FEWEST_POINTS:
             return None
-        T = inverse(T_guess)
-        found, turned, moved, inliers = cv2.solvePnPRansac(
-            points.points,
-            points.pixels,
-            self._K,
-            self._distortion,
-            cv2.Rodrigues(T[:3, :3])[0],
-            T[:3, 3].copy(),
-            useExtrinsicGuess=True,
-            iterationsCount=60,
-            reprojectionError=_AGREEING_PX,
-            confidence=0.999,
-        )
-        if not found or inliers is None or len(inliers) < _FEWEST_POINTS:
-            return None
-        agreeing = points.take(inliers[:, 0])
-        turned, moved = cv2.solvePnPRefineLM(agreeing.points, agreeing.pixels, self._K, self._distortion, turned, moved)
-        T_odom_camera = inverse(pose(np.asarray(cv2.Rodrigues(turned)[0], dtype=np.float64), np.ravel(moved)))
-        return (T_odom_camera, agreeing) if np.isfinite(T_odom_camera).all() else None
+        plane = cv2.undistortPoints(points.pixels[:, None], self._K, self._distortion)[:, 0]
+        T, focal_px = inverse(T_guess), float(np.sqrt(self._K[0, 0] * self._K[1, 1]))
+        agreeing = np.zeros(len(plane), dtype=bool)
+        for tolerance_px in _TOLERANCES_PX:
+            for _ in range(_ITERATIONS):
+                seen = points.points @ T[:3, :3].T + T[:3, 3]
+                x, y, depth = seen[:, 0], seen[:, 1], np.maximum(seen[:, 2], _LEAST_DEPTH)
+                residual = plane - seen[:, :2] / depth[:, None]
+                off_px = focal_px * np.linalg.norm(residual, axis=1)
+                agreeing = (off_px < tolerance_px) & (seen[:, 2] > _LEAST_DEPTH)
+                if agreeing.sum() < _FEWEST_POINTS:
+                    return None
+                weight = np.where(agreeing, 1 - (off_px / tolerance_px) ** 2, 0.0)
+                one, none = np.ones_like(x), np.zeros_like(x)
+                by_point = np.stack([np.stack([one, none, -x / depth], 1), np.stack([none, one, -y / depth], 1)], 1)
+                by_point /= depth[:, None, None]
+                J = np.concatenate([by_point, -by_point @ _crosses(seen)], axis=2)  # of a motion of the camera frame
+                weighted = (J * weight[:, None, None]).reshape(-1, 6)
+                curvature = weighted.T @ J.reshape(-1, 6) + 1e-9 * np.eye(6)
+                step = np.linalg.solve(curvature, weighted.T @ residual.ravel())
+                R = rotation(step[3:])
+                T = pose(R @ T[:3, :3], R @ T[:3, 3] + step[:3])
+                if np.abs(step).max() < _SETTLED:
+                    break
+        return inverse(T), points.take(np.flatnonzero(agreeing))
+
+
+def _crosses(vectors: FloatArray) -> FloatArray:
+    """[v]× (N, 3, 3) of vectors (N, 3)."""
+    x, y, z = vectors.T
+    zero = np.zeros_like(x)
+    return np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=1).reshape(-1, 3, 3)
+
+
+def _joined(new: _Points, old: _Points) -> _Points:
+    """New points, and those of old ones that lie elsewhere in the picture: motion does not hang on one answer's."""
+    if len(new.points) == 0 or len(old.points) == 0:
+        return new if len(new.points) else old
+    apart_px = np.linalg.norm(old.pixels[:, None] - new.pixels[None], axis=2).min(axis=1)
+    kept = old.take(np.flatnonzero(apart_px > _SAME_PX)[: max(0, _MOST_POINTS - len(new.points))])
+    return _Points(np.concatenate([new.points, kept.points]), np.concatenate([new.pixels, kept.pixels]))
 
 
 def _flowed(before: np.ndarray, now: np.ndarray, points: _Points) -> _Points:

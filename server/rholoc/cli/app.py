@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from rholoc import __version__
-from rholoc.cli import cameras, compare, demo, evaluate, jobs, keys, localize, maps, recordings, serve, simulate
+from rholoc.cli import cameras, compare, demo, evaluate, jobs, keys, localize, maps, recordings, serve, simulate, track
 from rholoc.cli.console import print_error
 from rholoc.disk import is_full
 from rholoc.errors import RholocError
@@ -36,6 +36,7 @@ app.add_typer(recordings.app, name="recording")
 app.add_typer(keys.app, name="key")
 app.add_typer(jobs.app, name="job")
 app.command()(localize.localize)
+app.command()(track.track)
 app.command()(evaluate.evaluate)
 app.command()(compare.compare)
 

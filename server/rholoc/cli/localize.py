@@ -63,7 +63,7 @@ def localize(
     known = Intrinsics.UNKNOWN if camera == Intrinsics.UNKNOWN else Intrinsics.GIVEN
     given = None if known is Intrinsics.UNKNOWN else options.named_camera(camera)
     recording = read_recording(source, camera=given, frames=frames)
-    used_camera = _guessed(recording) if known is Intrinsics.UNKNOWN else _camera(recording, map_.info)
+    used_camera = _guessed(recording) if known is Intrinsics.UNKNOWN else recording_camera(recording, map_.info)
     localizer = Localizer(map_, MIN_CONFIDENCE if min_confidence is None else min_confidence)
     count = len(recording.frames.times)
     start_s = time.perf_counter()
@@ -103,7 +103,7 @@ def _guessed(recording: Recording) -> Camera:
     return Camera(width, height, max(width, height), max(width, height), (width - 1) / 2, (height - 1) / 2)
 
 
-def _camera(recording: Recording, info: MapInfo) -> Camera:
+def recording_camera(recording: Recording, info: MapInfo) -> Camera:
     """The frames' camera: given, the recording's own, or the map's where the frames have the size of the map's."""
     if recording.camera is not None:
         return recording.camera
