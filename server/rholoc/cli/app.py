@@ -9,7 +9,21 @@ from typing import Annotated
 import typer
 
 from rholoc import __version__
-from rholoc.cli import cameras, compare, demo, evaluate, jobs, keys, localize, maps, recordings, serve, simulate, track
+from rholoc.cli import (
+    cameras,
+    compare,
+    demo,
+    evaluate,
+    jobs,
+    keys,
+    localize,
+    maps,
+    paper,
+    recordings,
+    serve,
+    simulate,
+    track,
+)
 from rholoc.cli.console import print_error
 from rholoc.disk import is_full
 from rholoc.errors import RholocError
@@ -33,6 +47,7 @@ app.command()(simulate.simulate)
 app.add_typer(maps.app, name="map")
 app.add_typer(cameras.app, name="camera")
 app.add_typer(recordings.app, name="recording")
+app.add_typer(paper.app, name="paper")
 app.add_typer(keys.app, name="key")
 app.add_typer(jobs.app, name="job")
 app.command()(localize.localize)

@@ -30,8 +30,8 @@ def build(
     out: Annotated[
         Path | None, typer.Option("--out", "-o", metavar="MAP.rho", help="Where to; default: the recording's name.")
     ] = None,
-    density: Annotated[str, typer.Option(metavar="ray|tensor", help="The form of the densities.")] = "ray",
-    degree: Annotated[int, typer.Option(metavar="1|2|3", help="P of tensor densities; with 1 nothing localizes.")] = 2,
+    density: Annotated[str, typer.Option(metavar="ray|tensor|observed", help="The form of the densities.")] = "ray",
+    degree: Annotated[int, typer.Option(metavar="1|2|3", help="P of fitted densities; with 1 nothing localizes.")] = 2,
     features: Annotated[
         str | None, typer.Option(metavar="gray|rgb|lab|lab3|sift|sift48", help="What the map's features are.")
     ] = None,
@@ -150,6 +150,10 @@ def update(
             "each frame is localized in the map.",
         ),
     ] = None,
+    forgetting: Annotated[
+        float | None,
+        typer.Option(metavar="SHARE", help="Of observed densities: what all before weighs less at each observation."),
+    ] = None,
     frames: options.Frames = None,
     camera: options.Camera = None,
     as_json: options.Json = False,
@@ -160,7 +164,8 @@ def update(
     from rholoc.recordings import read_recording
     from rholoc.trajectory import PoseMethod
 
-    update_options = UpdateOptions(None if poses is None else options.choice(PoseMethod, poses, "--poses"))
+    method = None if poses is None else options.choice(PoseMethod, poses, "--poses")
+    update_options = UpdateOptions(method, forgetting)
     map_ = load_map(map_file)
     with stage_progress() as progress:
         updated = update_map(

@@ -5,10 +5,13 @@ A form is a module with a class that implements :class:`Densities`; ``FORMS`` na
 
 from rholoc.density.density import Densities, DensityKind, DensityRows, LocalDensities, Sightings, Slopes
 from rholoc.density.evidence import Evidence
+from rholoc.density.observed import ObservedDensities
 from rholoc.density.ray import RayDensities
 from rholoc.density.tensor import TensorDensities
 
-FORMS: dict[DensityKind, type[Densities]] = {form.kind: form for form in (RayDensities, TensorDensities)}
+FORMS: dict[DensityKind, type[Densities]] = {
+    form.kind: form for form in (RayDensities, TensorDensities, ObservedDensities)
+}
 """The class of each form."""
 
 __all__ = [
@@ -18,6 +21,7 @@ __all__ = [
     "DensityRows",
     "Evidence",
     "LocalDensities",
+    "ObservedDensities",
     "RayDensities",
     "Sightings",
     "Slopes",

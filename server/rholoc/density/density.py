@@ -26,7 +26,8 @@ class DensityKind(StrEnum):
     """The form of equation (3) that a map's densities take."""
 
     RAY = "ray"  # in s = (bearing, position): exact, from information sums
-    TENSOR = "tensor"  # in s = (u, v, position, heading): the paper's own, fitted
+    TENSOR = "tensor"  # in s = (u, v, position, heading): the paper's own, fitted to a bump around the landmark
+    OBSERVED = "observed"  # the same, fitted by the paper's loss (5) to the observations themselves
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,11 +38,13 @@ class Sightings:
         landmarks: (F, 3) metres, map frame.
         features: (V,) which landmark was seen.
         positions: (V, 3) metres, from where.
+        bearings: (V, 3) unit vectors in the map frame, at which pixel; None where nobody remembers.
     """
 
     landmarks: FloatArray
     features: IntArray
     positions: FloatArray
+    bearings: FloatArray | None = None
 
 
 @dataclass(frozen=True, eq=False)

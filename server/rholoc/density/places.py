@@ -27,11 +27,13 @@ class Places:
         features: (T,) of which feature each is, never falling.
         positions: (T, 3) metres, the middle of its views.
         radii: (T,) metres, how far around it a density is to be valid.
+        members: T times (n,) the sightings from there, in their order.
     """
 
     features: IntArray
     positions: FloatArray
     radii: FloatArray
+    members: tuple[IntArray, ...]
 
     @classmethod
     def of(cls, sightings: Sightings) -> Places:
@@ -42,21 +44,24 @@ class Places:
         """
         order = np.argsort(sightings.features, kind="stable")
         bounds = np.searchsorted(sightings.features[order], np.arange(len(sightings.landmarks) + 1))
-        features, positions, radii, support = [], [], [], []
+        features, positions, radii, support, of_place = [], [], [], [], []
         for feature, landmark in enumerate(sightings.landmarks):
-            seen_from = sightings.positions[order[bounds[feature] : bounds[feature + 1]]]
+            own = order[bounds[feature] : bounds[feature + 1]]
+            seen_from = sightings.positions[own]
             for rank, members in enumerate(gather_places(landmark, seen_from)):
                 position, radius_m = _place(landmark, seen_from[members])
                 features.append(feature)
                 positions.append(position)
                 radii.append(radius_m)
                 support.append(len(members) if rank else len(sightings.positions))
+                of_place.append(own[members])
         most = max(_MAX_DENSITIES, len(sightings.landmarks))
         kept = np.sort(np.argsort(-np.array(support, dtype=np.int64), kind="stable")[:most])
         return cls(
             np.array(features, dtype=np.int64)[kept],
             np.array(positions).reshape(-1, 3)[kept].astype(np.float32).astype(np.float64),
             np.array(radii)[kept].astype(np.float32).astype(np.float64),
+            tuple(of_place[row] for row in kept),
         )
 
 

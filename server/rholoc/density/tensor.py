@@ -231,10 +231,10 @@ class TensorDensities:
         """
         missing = [name for name in _ARRAYS if name not in arrays]
         if missing:
-            raise ValueError(f"it has no {', '.join(f'tensor_{name}' for name in missing)}")
+            raise ValueError(f"it has no {', '.join(f'{cls.kind}_{name}' for name in missing)}")
         for name, (kind, dimensions) in _ARRAYS.items():
             if arrays[name].dtype != np.dtype(kind) or arrays[name].ndim != dimensions:
-                raise ValueError(f"tensor_{name} is not of the right type and shape")
+                raise ValueError(f"{cls.kind}_{name} is not of the right type and shape")
         degree, coefficients, features, places, radii = (arrays[name] for name in _ARRAYS)
         if int(degree) not in DEGREES:
             raise ValueError("its densities have an impossible degree")
@@ -273,6 +273,10 @@ class TensorDensities:
             parts.append(fitted.coefficients)
             progress(min(1.0, (start + _FITTED_AT_ONCE) / max(count, 1)), f"{count} densities")
         return cls(degree, np.concatenate(parts), places.features, landmarks, places.positions, places.radii)
+
+    def target_radii(self, distances: FloatArray) -> FloatArray:
+        """(T,) metres: where the fit's target is 0, for cameras at ``distances`` (T,) from the landmarks."""
+        return np.asarray(TARGET_RADIUS * self.distances)
 
     def valid_at(self, position: FloatArray, heading: FloatArray, rows: IntArray) -> BoolArray:
         """Which of the densities at ``rows`` (N,) may be asked at a position (3,) and heading (3,): their domain."""
@@ -336,7 +340,7 @@ class LocalTensorDensities:
         peaks = self.densities.at(self.plane, T_map_camera)
         distance = np.linalg.norm(self.densities.landmarks - T_map_camera[:3, 3], axis=1)
         allowed_m2 = (tolerance_px / self.focal_px * distance) ** 2 + self.variances
-        allowed = allowed_m2 / (TARGET_RADIUS * self.densities.distances) ** 2
+        allowed = allowed_m2 / self.densities.target_radii(distance) ** 2
         density = np.where(peaks.peaked, np.maximum(1 - peaks.drop / allowed, 0), 0)
         inside = np.flatnonzero(density > 0)
         allowed = allowed[inside]
@@ -404,6 +408,11 @@ def local_frames(directions: FloatArray) -> FloatArray:
     return np.asarray(turn @ ahead_left_up)
 
 
+def scaled_heading(headings: FloatArray) -> FloatArray:
+    """The heading's variables (..., 3) of unit headings (..., 3) in the density's frame."""
+    return np.asarray((headings - _DIAGONAL) / _HEADING_SCALE)
+
+
 def fit_tensors(landmarks: FloatArray, places: FloatArray, radii: FloatArray, degree: int) -> TensorDensities:
     """Least-squares fits of equation (3) to equation (5), for landmarks (T, 3) seen from places (T, 3).
 
@@ -415,7 +424,7 @@ def fit_tensors(landmarks: FloatArray, places: FloatArray, radii: FloatArray, de
         radii: (T,) metres, how far around its place each is to be valid.
         degree: P, one of 1, 2 and 3. With 1 a density has no peak: it is linear in u and in v.
     """
-    layout = _Layout.of(degree)
+    layout = Layout.of(degree)
     distances = np.linalg.norm(landmarks - places, axis=1)
     frames = local_frames((landmarks - places) / distances[:, None])
     step = max(1, _CHUNK // layout.samples)
@@ -429,7 +438,7 @@ def fit_tensors(landmarks: FloatArray, places: FloatArray, radii: FloatArray, de
 
 
 @dataclass(frozen=True, eq=False)
-class _Layout:
+class Layout:
     """The samples that all densities of a degree are fitted with, and the pseudo-inverses that fit them.
 
     Attributes:
@@ -447,14 +456,14 @@ class _Layout:
     of_heading: FloatArray
 
     @classmethod
-    def of(cls, degree: int) -> _Layout:
+    def of(cls, degree: int) -> Layout:
         nodes = max(degree + 1, 3)  # the target is a quadratic: fewer would not show it
         line = np.cos((np.arange(nodes) + 0.5) * np.pi / nodes)
         plane = _VIEWPORT * _grid(line, 2)
         position = _grid(line, 3)
         headings = _cap(_HEADINGS[degree])
         every = [tensor_powers(2, degree), tensor_powers(3, degree), tensor_powers(3, degree)]
-        samples = [plane, position, (headings - _DIAGONAL) / _HEADING_SCALE]
+        samples = [plane, position, scaled_heading(headings)]
         inverses = []
         for powers, kept, points in zip(every, kept_powers(degree), samples, strict=True):
             solved = np.linalg.pinv(monomials(powers, points), rcond=math.sqrt(_RIDGE))
@@ -527,7 +536,7 @@ class _Local:
         return cls(
             np.column_stack([u, v]),
             (position - densities.places) / densities.radii[:, None],
-            (heading - _DIAGONAL) / _HEADING_SCALE,
+            scaled_heading(heading),
             plane_jacobian,
             position_jacobian,
             heading_jacobian,

@@ -12,6 +12,7 @@ accuracy: real errors have long tails, and the tail would decide. Where peaks ar
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -44,6 +45,14 @@ class Optimum:
     density: FloatArray
 
 
+@dataclass(frozen=True, eq=False)
+class Step:
+    """A pose (4, 4) on the way up, and the tolerance in pixels that held when it was reached."""
+
+    T_map_camera: FloatArray
+    tolerance_px: float
+
+
 def gains(evidence: Evidence, T_map_camera: FloatArray, tolerance_px: float) -> FloatArray:
     """Σ log((ε + ρ) / ε) (H,) at poses (H, 4, 4), in nats."""
     density = ray_densities(evidence, T_map_camera, tolerance_px)
@@ -67,7 +76,24 @@ def ascend(
     ``Dof.UPRIGHT`` roll is therefore not forbidden but improbable: a nuisance with a prior about zero, so that the
     position does not pay for it. The optimum keeps it; the answer's pose leaves it out. See :func:`roll_prior`.
     """
+    T = T_map_camera
+    for step in climb(densities, evidence, T_map_camera, tolerances_px, dof, iterations, power):
+        T = step.T_map_camera
+    return optimum_at(densities, evidence, T, tolerances_px[-1])
+
+
+def climb(
+    densities: Densities,
+    evidence: Evidence,
+    T_map_camera: FloatArray,
+    tolerances_px: tuple[float, ...],
+    dof: Dof,
+    iterations: int = 3,
+    power: int = 1,
+) -> Iterator[Step]:
+    """The way of :func:`ascend`: every pose on it, the start first."""
     T = upright(T_map_camera) if dof is Dof.UPRIGHT else T_map_camera
+    yield Step(T, tolerances_px[0])
     for tolerance_px in tolerances_px:
         local = densities.near(evidence, T, tolerance_px)
         for _ in range(iterations):
@@ -75,9 +101,9 @@ def ascend(
             if step is None:
                 break
             T = moved(T, step)
+            yield Step(T, tolerance_px)
             if np.abs(step).max() < (_SETTLED if tolerance_px == tolerances_px[-1] else _NEARLY_SETTLED):
                 break
-    return optimum_at(densities, evidence, T, tolerances_px[-1])
 
 
 def ascend_with_focal(

@@ -91,7 +91,7 @@ def build_map(
     walks = [_walk(recording, extractor, options, progress) for recording in recordings]
     _check_common_frame(walks)
     views, held_out, looks = _look(walks, progress)
-    landmarks = _landmarks(views, extractor, progress)
+    landmarks = stable_landmarks(views, extractor, progress)
     progress(Stage.DENSITIES, 0.6, f"{len(landmarks)} stable features")
     map_ = _assemble(walks, views, landmarks, extractor, options)
     map_ = fit_densities(map_, options.density, options.degree, progress)
@@ -164,7 +164,7 @@ def _look(walks: Sequence[_Walk], progress: ProgressListener) -> tuple[Views, He
     return Views.from_features(cameras, np.array(poses), np.array(times), features), HeldOut(tuple(held)), looks
 
 
-def _landmarks(views: Views, extractor: Extractor, progress: ProgressListener) -> Landmarks:
+def stable_landmarks(views: Views, extractor: Extractor, progress: ProgressListener) -> Landmarks:
     labels = link_observations(views, extractor.metric, progress)
     progress(Stage.DENSITIES, 0.0, f"{int(labels.max(initial=-1)) + 1} tracks")
     landmarks = triangulate(views, labels)

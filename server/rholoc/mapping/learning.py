@@ -19,6 +19,7 @@ from rholoc.mapping.joining import join
 from rholoc.mapping.landmarks import Landmarks, extend_and_merge, select_stable, triangulate
 from rholoc.mapping.memory import recording_id
 from rholoc.mapping.observations import Views, link_observations
+from rholoc.mapping.recursive_learning import check_forgetting
 from rholoc.mapping.registration import (
     LEARNING_CONFIDENCE,
     MIN_FOUND,
@@ -54,9 +55,12 @@ class UpdateOptions:
     Attributes:
         poses: where its frame poses come from, to be aligned to the map; None: its own if it comes with poses, else
             each frame is localized in the map, and frames beyond what the map shows are left out.
+        forgetting: ``observed`` densities take the recording in one observation at a time, everything before weighing
+            this much less at each; None: all densities are fitted anew to all observations.
     """
 
     poses: PoseMethod | None = None
+    forgetting: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +88,7 @@ def update_map(
     The recording finds its place by being localized in the map. The map handed in stays as it was.
 
     Raises:
-        InvalidInput: the map does not remember its observations.
+        InvalidInput: the map does not remember its observations, or its densities cannot forget as asked.
         Conflict: the map has learned this recording already.
         InvalidRecording, InvalidCamera, InvalidWaypoints: the recording cannot be read, or its poses not be had.
         MappingFailed: it shows another place, or disagrees with the map; says by how much.
@@ -92,6 +96,8 @@ def update_map(
     """
     options = options or UpdateOptions()
     check_observations(map_, "The map")
+    if options.forgetting is not None:
+        check_forgetting(map_, options.forgetting)
     id_ = recording_id(recording)
     if any(source.id == id_ for source in map_.info.sources):
         raise Conflict(f"The map has already learned {recording.name}.", "Forget it first to learn it again.")
@@ -129,7 +135,7 @@ def update_map(
         features_new=int((seen < 0).sum()),
         coaching=coach(recording, look_through(recording.frames), walk.times, walk.T_map_camera),
     )
-    return as_learned(map_, joined, report, progress)
+    return as_learned(map_, joined, report, progress, options.forgetting)
 
 
 def _localized_walk(localizer: Localizer, recording: Recording, progress: ProgressListener) -> _Walk:

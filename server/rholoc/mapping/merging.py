@@ -37,7 +37,8 @@ def merge_maps(a: Map, b: Map, progress: ProgressListener = silent) -> Map:
     that appear at the same pixels and look alike are one. What both learned from the same recording counts once.
 
     Raises:
-        InvalidInput: a map does not remember its observations, they have different features, or ``tensor`` densities.
+        InvalidInput: a map does not remember its observations, they have different features, or other densities than
+            ``ray``.
         Conflict: ``a`` has learned all that ``b`` has.
         MappingFailed: the maps do not overlap, or disagree; says by how much.
         Cancelled: ``progress`` asked to stop.
@@ -98,9 +99,9 @@ def _placed_in(a: Map, b: Map) -> Map:
 def _check_alike(a: Map, b: Map) -> None:
     for map_, which in ((a, "The first map"), (b, "The second map")):
         check_observations(map_, which)
-        if map_.info.density is DensityKind.TENSOR:
+        if map_.info.density is not DensityKind.RAY:
             raise InvalidInput(
-                f"{which} has tensor densities, which cannot be merged.",
+                f"{which} has {map_.info.density} densities, which cannot be merged.",
                 "Build it with ray densities, and merge those.",
             )
     if a.info.features != b.info.features:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from rholoc.mapping.fitting import fit_densities
+from rholoc.mapping.recursive_learning import with_learned_densities
 from rholoc.mapping.report import map_statistics
 from rholoc.maps import Correction, Map, MapInfo
 from rholoc.progress import ProgressListener, silent
@@ -13,14 +14,23 @@ from rholoc.reports import LearningReport, MapReport
 _MAX_CORRECTIONS = 1000  # that a map keeps
 
 
-def as_learned(before: Map, after: Map, learned: LearningReport, progress: ProgressListener = silent) -> Map:
+def as_learned(
+    before: Map,
+    after: Map,
+    learned: LearningReport,
+    progress: ProgressListener = silent,
+    forgetting: float | None = None,
+) -> Map:
     """The next version of a map: ``after``, of ``ray`` form, in the form that ``before`` has, its report brought up.
 
-    ``learned`` says what was learned; the report keeps it.
+    ``learned`` says what was learned; the report keeps it. With ``forgetting`` ``observed`` densities go on from where
+    they stand, one observation at a time; else all densities are fitted anew.
     """
     report = _brought_up(after, before.info.report)
     report = replace(report, learned=(*report.learned, learned))
     after = replace(after, info=replace(after.info, version=learned.version, report=report))
+    if forgetting is not None:
+        return with_learned_densities(before, after, forgetting)
     return fit_densities(after, before.info.density, before.densities.degree, progress)
 
 

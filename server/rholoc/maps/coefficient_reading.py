@@ -101,14 +101,16 @@ def _header(name: str, columns: list[str]) -> _Header:
     """The form that the names of the columns tell; they must be exactly those of that form."""
     coefficients = [name for name in columns if name.startswith("a_")]
     last = coefficients[-1].removeprefix("a_").split("_") if coefficients else []
-    forms = {len(form.variables): form for form in FORMS.values()}
+    forms: dict[int, list[type[Densities]]] = {}
+    for one in FORMS.values():
+        forms.setdefault(len(one.variables), []).append(one)
     if not last or len(last) not in forms or not all(power.isdecimal() and len(power) == 1 for power in last):
         raise InvalidMap(
             f"{name} is not a map: its columns do not end in coefficients a_P_…_P of {_either(sorted(forms))} "
             "variables.",
             "Give a CSV file in Table 5's form.",
         )
-    form, degree = forms[len(last)], int(last[-1])
+    form, degree = _with_columns(forms[len(last)], columns), int(last[-1])
     if degree not in form.degrees:
         raise InvalidMap(
             f"{name} has coefficients of degree {degree}; '{form.kind}' densities have {_either(form.degrees)}.", _HINT
@@ -122,6 +124,13 @@ def _header(name: str, columns: list[str]) -> _Header:
     if columns != wanted:
         raise InvalidMap(f"The columns of {name} are out of order.", _HINT)
     return _Header(form, degree, columns)
+
+
+def _with_columns(forms: list[type[Densities]], columns: list[str]) -> type[Densities]:
+    """Of forms with as many variables, that whose domain most of the columns describe; the first where none does."""
+    there = set(columns)
+    whole = [form for form in forms if set(form.domain_columns) <= there]
+    return max(whole, key=lambda form: len(form.domain_columns), default=forms[0])
 
 
 def _rows(name: str, lines: Iterator[str], header: _Header) -> Iterator[tuple[int, list[str]]]:

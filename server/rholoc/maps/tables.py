@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from rholoc.geometry import ByteArray, FloatArray
 
 OBSERVATION_COLUMNS = ("descriptor", "u", "v", "x", "y", "z", "hx", "hy", "hz")
+TIME_COLUMN, ROLL_COLUMN = "timestamp", "roll"  # before and after them, where they are known
 
 
 @dataclass(frozen=True, eq=False)
@@ -20,6 +21,8 @@ class ObservationTable:
         pixels: (N, 2), u and v.
         positions: (N, 3), of the camera, metres, map frame.
         headings: (N, 3), unit vectors of the optical axis, map frame.
+        times: (N,) seconds, of the frame; None where they are not known.
+        rolls: (N,) radians about the heading, against the upright camera; None where all are zero, as in the paper.
     """
 
     channels: ByteArray
@@ -27,6 +30,11 @@ class ObservationTable:
     pixels: FloatArray
     positions: FloatArray
     headings: FloatArray
+    times: FloatArray | None = None
+    rolls: FloatArray | None = None
+
+    def __len__(self) -> int:
+        return len(self.channels)
 
 
 def descriptor_hex(channel: int, descriptor: ByteArray) -> str:
@@ -35,12 +43,16 @@ def descriptor_hex(channel: int, descriptor: ByteArray) -> str:
 
 
 def observations_csv(table: ObservationTable) -> Iterator[str]:
-    """The lines of Table 4, each with its line break, the header first.
+    """The lines of Table 4, each with its line break, the header first; times and rolls where there are any.
 
-    Pixels are written to hundredths, positions to tenths of a millimetre, headings to 1e-6.
+    Times are written to microseconds, pixels to hundredths, positions to tenths of a millimetre, directions to 1e-6.
     """
-    yield ",".join(OBSERVATION_COLUMNS) + "\n"
+    first = () if table.times is None else (TIME_COLUMN,)
+    last = () if table.rolls is None else (ROLL_COLUMN,)
+    yield ",".join((*first, *OBSERVATION_COLUMNS, *last)) + "\n"
     rows = zip(table.channels, table.descriptors, table.pixels, table.positions, table.headings, strict=True)
-    for channel, descriptor, (u, v), (x, y, z), (hx, hy, hz) in rows:
+    for row, (channel, descriptor, (u, v), (x, y, z), (hx, hy, hz)) in enumerate(rows):
+        time = "" if table.times is None else f"{table.times[row]:.6f},"
+        roll = "" if table.rolls is None else f",{table.rolls[row]:.6f}"
         pose = f"{x:.4f},{y:.4f},{z:.4f},{hx:.6f},{hy:.6f},{hz:.6f}"
-        yield f"{descriptor_hex(int(channel), descriptor)},{u:.2f},{v:.2f},{pose}\n"
+        yield f"{time}{descriptor_hex(int(channel), descriptor)},{u:.2f},{v:.2f},{pose}{roll}\n"

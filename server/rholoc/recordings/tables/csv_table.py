@@ -55,7 +55,7 @@ def read_rows(
         error: the file cannot be read, is empty, has more than ``max_rows``, or a row has another number of columns
             than the header.
     """
-    with _rows(path, error, max_rows) as (header, rows):
+    with table_rows(path, error, max_rows) as (header, rows):
         return header, [dict(zip(header, row, strict=True)) for row in rows]
 
 
@@ -71,7 +71,7 @@ def read_numbers(
             number.
     """
     values = {column: array("d") for column in columns}
-    with _rows(path, error, MAX_TABLE_ROWS) as (header, rows):
+    with table_rows(path, error, MAX_TABLE_ROWS) as (header, rows):
         require_columns(path, header, columns, error)
         places = [(header.index(column), column, values[column]) for column in columns]
         for line, row in enumerate(rows, start=2):
@@ -83,7 +83,7 @@ def read_numbers(
 
 
 @contextmanager
-def _rows(path: Path, error: type[InvalidInput], max_rows: int) -> Iterator[tuple[list[str], Iterator[list[str]]]]:
+def table_rows(path: Path, error: type[InvalidInput], max_rows: int) -> Iterator[tuple[list[str], Iterator[list[str]]]]:
     """A CSV file's header, and its rows as they are read; what is wrong with it is raised inside the block."""
     with _telling(path, error):
         _check_size(path, error, MAX_TABLE_BYTES)

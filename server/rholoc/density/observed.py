@@ -1,0 +1,483 @@
+"""The ``observed`` density: equation (3) fitted by the loss (5) to the observations themselves, no landmark in between.
+
+    L_f = Σ_i |N_f ρ_f(s_i) w − n(s_i)|²                                                             (5)
+
+over N_f points s_i = (u, v, x, h), n(s) being how many observations lie in the small volume w around s. What is fitted
+is q = N_f w ρ, a polynomial of the form (3) with values n; N_f and w only scale it.
+
+Taken as it is printed, with points where the feature *was* seen, :func:`fit_seen` finds next to nothing: where the
+observations lie further apart than w is wide, n is 1 at all of them and a constant has no loss at all. Nothing in the
+sum says where the feature was *not* seen, so that nothing makes a peak.
+
+But every observation says that, too: it was seen at this pixel, hence at no other. :func:`fit_observed` therefore sums
+over all pixels of the view, counting an observation in full at its pixel and less the further off,
+
+    n(u, v) = 1 − |z (u − u_i, v − v_i)|² / r²,    z = b · h,    r = 60 px,
+
+which falls through 0 at r, to negative values where the feature was not, and is a quadratic itself: (3) with P = 2 fits
+it without bias. z, the part of the bearing b along the heading, frees it of division. Every observation is injected for
+every heading of the layout (rotational symmetry, Figure 4).
+
+Pixels and headings are the same for all observations, only the positions are those of the walk: the samples are a
+product, and so is their pseudo-inverse. What an observation adds is a rank-one update of a matrix as small as the
+position has monomials (:mod:`rholoc.density.recursive`): coefficients can be estimated as observations come.
+
+What such a fit knows of the position is what the walk showed: along it the peaks lie within a pixel of the feature; a
+step beside it nothing says how the feature moves, and the polynomial says that it does not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cache, cached_property
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rholoc.density.density import TARGET_RADIUS, Arrays, DensityKind, DensityRows, Sightings
+from rholoc.density.places import Places
+from rholoc.density.polynomial import monomials
+from rholoc.density.recursive import RecursiveFit
+from rholoc.density.tensor import (
+    Layout,
+    TensorDensities,
+    kept_powers,
+    local_frames,
+    scaled_heading,
+    upright_axes,
+)
+from rholoc.geometry import FloatArray, IntArray, Similarity
+
+RIDGE = 1e-4  # of the coefficients, against observations that count 1 each
+WINDOW_PLANE = TARGET_RADIUS  # half the width of w in u and in v, on the plane z = 1; in each position …
+WINDOW_M = 0.25
+WINDOW_RAD = float(np.deg2rad(10.0))  # … and in angle of the heading
+_INJECTED = 12  # of the layout's headings, for a density fitted as (5) is printed: every how many
+_MINIMUM_NORM = 1e-9  # of the greatest eigenvalue
+_VIEWPORT = 0.75  # half the width of the viewport on the plane z = 1
+_CHUNK = 256  # densities, between two reports of progress
+
+
+@dataclass(frozen=True, eq=False)
+class ObservedDensities(TensorDensities):
+    """T densities, each local to a place, of the form that :class:`TensorDensities` describes.
+
+    Attributes:
+        middles: (T, 3) unit vectors: the middle of the bearings that the feature was seen at from the place.
+        moments: (T, X, X) Σ φ φᵀ + ridge over the observations, φ being the position's monomials.
+        counts: (T,) how many observations each was fitted to.
+    """
+
+    kind: ClassVar[DensityKind] = DensityKind.OBSERVED
+    domain_columns: ClassVar[tuple[str, ...]] = (
+        *TensorDensities.domain_columns,
+        *("direction_x", "direction_y", "direction_z", "observations"),
+    )
+
+    middles: FloatArray
+    moments: FloatArray
+    counts: IntArray
+
+    @cached_property
+    def directions(self) -> FloatArray:
+        """(T, 3) as ``middles``: an ``observed`` density does not know its landmark."""
+        return self.middles
+
+    def target_radii(self, distances: FloatArray) -> FloatArray:
+        """(T,) metres at ``distances`` (T,): r is an angle."""
+        return np.asarray(TARGET_RADIUS * distances)
+
+    def take(self, rows: IntArray) -> ObservedDensities:
+        """The densities at ``rows``, in that order."""
+        taken = ObservedDensities(
+            self.degree,
+            self.coefficients[rows],
+            self.features[rows],
+            self.landmarks[rows],
+            self.places[rows],
+            self.radii[rows],
+            self.middles[rows],
+            self.moments[rows],
+            self.counts[rows],
+        )
+        taken.__dict__["R_local_map"] = self.R_local_map[rows]
+        return taken
+
+    def problem(self, features: int) -> str:
+        """Why these cannot be the densities of a map of so many ``features``; empty where they can."""
+        count, size = len(self.features), len(kept_powers(self.degree)[1])
+        whole = (
+            self.middles.shape == (count, 3)
+            and self.moments.shape == (count, size, size)
+            and self.counts.shape == (count,)
+            and bool(np.isfinite(self.middles).all() and np.isfinite(self.moments).all() and np.all(self.counts >= 0))
+            and bool(np.all(np.abs(np.linalg.norm(self.middles, axis=1) - 1) < 1e-3))
+        )
+        return super().problem(features) if whole else "its densities do not fit together"
+
+    def rows(self, sightings: Sightings, variances: FloatArray) -> DensityRows:
+        """All densities, with their places, radii, directions and how many observations each has."""
+        domain = np.column_stack([self.places, self.radii, self.middles, self.counts])
+        return DensityRows(self.features, domain.astype(np.float32))
+
+    @classmethod
+    def from_rows(
+        cls, degree: int, rows: DensityRows, landmarks: FloatArray, kept: Sequence[FloatArray]
+    ) -> ObservedDensities:
+        """The densities at their places. Table 5 keeps no moments: such densities learn as if they were new.
+
+        Raises:
+            ValueError: a radius is not positive, a place is its landmark, or a direction not a unit vector.
+        """
+        whole = TensorDensities.from_rows(degree, rows, landmarks, kept)
+        domain = rows.domain.astype(np.float64)
+        if not np.all(np.abs(np.linalg.norm(domain[:, 4:7], axis=1) - 1) < 1e-3):
+            raise ValueError("has a direction that is not a unit vector")
+        size = len(kept_powers(degree)[1])
+        moments = np.tile(RIDGE * np.eye(size), (len(domain), 1, 1))
+        counts = np.round(domain[:, 7]).astype(np.int64)
+        return cls(
+            degree,
+            whole.coefficients,
+            whole.features,
+            whole.landmarks,
+            whole.places,
+            whole.radii,
+            _unit(domain[:, 4:7]),
+            moments,
+            counts,
+        )
+
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """What a file has to keep of them besides the landmarks, by name."""
+        upper = np.triu_indices(self.moments.shape[1])
+        return super().arrays() | {
+            "directions": self.middles.astype(np.float32),
+            "moments": self.moments[:, upper[0], upper[1]].astype(np.float64),
+            "counts": self.counts.astype(np.int32),
+        }
+
+    @classmethod
+    def from_arrays(cls, arrays: Arrays, landmarks: FloatArray) -> ObservedDensities:
+        """What :meth:`arrays` gave, of a map's landmarks (F, 3).
+
+        Raises:
+            ValueError: an array is missing, or contradicts another; says which.
+        """
+        whole = TensorDensities.from_arrays(arrays, landmarks)
+        missing = [name for name in _ARRAYS if name not in arrays]
+        if missing:
+            raise ValueError(f"it has no {', '.join(f'observed_{name}' for name in missing)}")
+        size = len(kept_powers(whole.degree)[1])
+        upper = np.triu_indices(size)
+        count = len(whole)
+        for name, (kind, length) in (_ARRAYS | {"moments": (np.float64, len(upper[0]))}).items():
+            shape = (count, length) if length else (count,)
+            if arrays[name].dtype != np.dtype(kind) or arrays[name].shape != shape:
+                raise ValueError(f"observed_{name} is not of the right type and shape")
+        moments = np.zeros((count, size, size))
+        moments[:, upper[0], upper[1]] = arrays["moments"]
+        moments[:, upper[1], upper[0]] = arrays["moments"]
+        return cls(
+            whole.degree,
+            whole.coefficients,
+            whole.features,
+            whole.landmarks,
+            whole.places,
+            whole.radii,
+            arrays["directions"].astype(np.float64),
+            moments,
+            arrays["counts"].astype(np.int64),
+        )
+
+    def moved(self, similarity: Similarity) -> ObservedDensities:
+        """The densities of the same places in another frame; where it is turned, what they are there is fitted anew.
+
+        Exact for a turn about the vertical; a tilt changes what is upright, and is right as far as (3) can follow.
+        """
+        moved = replace(
+            self,
+            landmarks=similarity.points(self.landmarks),
+            places=similarity.points(self.places),
+            radii=similarity.scale * self.radii,
+            middles=self.middles @ similarity.rotation.T,
+        )
+        moved.__dict__.pop("R_local_map", None)
+        if np.array_equal(similarity.rotation, np.eye(3)):
+            return moved
+        layout, R = _layout(self.degree), similarity.rotation
+        powers = kept_powers(self.degree)[1]
+        before = monomials(powers, layout.position @ R)  # of the same positions, along the axes before
+        turn = np.linalg.lstsq(monomials(powers, layout.position), before, rcond=None)[0]  # φ_before = φ turn
+        back = np.linalg.inv(turn) if np.linalg.matrix_rank(turn) == len(powers) else np.linalg.pinv(turn)
+        coefficients = np.empty_like(self.coefficients)
+        for t in range(len(self)):
+            values = self._samples(t, R.T @ moved.R_local_map[t].T, before)
+            by_heading = np.einsum("abc,hc->abh", values, layout.of_heading)
+            coefficients[t] = np.einsum("ua,xb,abh->uxh", layout.of_plane, layout.of_position, by_heading)
+        return replace(moved, coefficients=coefficients, moments=np.swapaxes(back, 0, 1) @ self.moments @ back)
+
+    def _samples(self, density: int, R_map_other: FloatArray, of_position: FloatArray) -> FloatArray:
+        """The values (A, B, C) of a density at another frame's layout; of positions, the monomials (B, X)."""
+        layout = _layout(self.degree)
+        plane_powers, _, heading_powers = kept_powers(self.degree)
+        axes = layout.axes @ R_map_other.T @ self.R_local_map[density].T  # rows: the cameras' axes in this frame
+        upright = upright_axes(axes[:, 2])
+        cos_roll = np.einsum("ci,ci->c", upright[:, 0], axes[:, 0])
+        sin_roll = np.einsum("ci,ci->c", upright[:, 1], axes[:, 0])
+        u, v = layout.plane.T[:, :, None]
+        plane = np.stack([cos_roll * u - sin_roll * v, sin_roll * u + cos_roll * v], axis=-1)  # (A, C, 2)
+        of_heading = monomials(heading_powers, scaled_heading(axes[:, 2]))
+        turned = np.einsum("uxh,ch->uxc", self.coefficients[density].astype(np.float64), of_heading)
+        placed = np.einsum("bx,uxc->ubc", of_position, turned)
+        return np.asarray(np.einsum("acu,ubc->abc", monomials(plane_powers, plane), placed))
+
+    @classmethod
+    def fit(cls, sightings: Sightings, degree: int, progress: Callable[[float, str], None]) -> ObservedDensities:
+        """One for each place that a feature was seen from.
+
+        Raises:
+            ValueError: nobody remembers at which bearings the features were seen.
+        """
+        return fit_observed(sightings, degree, progress)
+
+    def learned(self, density: int, bearings: FloatArray, positions: FloatArray, forgetting: float) -> RecursiveFit:
+        """One density's fit after further observations, one at a time.
+
+        Args:
+            density: its row.
+            bearings: (N, 3) unit vectors in the map frame, in the order that they came.
+            positions: (N, 3) metres, from where.
+            forgetting: what the weight of everything before is multiplied by at each; 1 forgets nothing.
+        """
+        size = self.coefficients.shape[2]
+        of_position = self.coefficients[density].transpose(1, 0, 2).reshape(size, -1)
+        fit = RecursiveFit(of_position.astype(np.float64), np.linalg.inv(self.moments[density]))
+        values = observation_coefficients(bearings @ self.R_local_map[density].T, self.degree)
+        factors = self.position_monomials(density, positions)
+        for phi, value in zip(factors, values, strict=True):
+            fit = fit.observe(phi, value, forgetting)
+        return fit
+
+    def position_monomials(self, density: int, positions: FloatArray) -> FloatArray:
+        """φ (N, X) of positions (N, 3) about a density's place."""
+        return monomials(kept_powers(self.degree)[1], (positions - self.places[density]) / self.radii[density])
+
+    def with_fit(self, density: int, fit: RecursiveFit, observations: int) -> tuple[FloatArray, FloatArray, int]:
+        """The coefficients (U, X, H), moments (X, X) and count of a density after a fit of further ``observations``."""
+        u, x, h = self.coefficients.shape[1:]
+        return (
+            fit.coefficients.reshape(x, u, h).transpose(1, 0, 2),
+            np.linalg.inv(fit.covariance),
+            int(self.counts[density]) + observations,
+        )
+
+
+_ARRAYS: dict[str, tuple[type, int]] = {  # of a file, beside those of a tensor: type, and how many a density
+    "directions": (np.float32, 3),
+    "moments": (np.float64, 0),
+    "counts": (np.int32, 0),
+}
+
+
+def fit_observed(
+    sightings: Sightings, degree: int, progress: Callable[[float, str], None] = lambda done, text: None
+) -> ObservedDensities:
+    """The loss (5) over all pixels of the views that saw a feature, minimized.
+
+    Raises:
+        ValueError: nobody remembers at which bearings the features were seen.
+    """
+
+    def fit(local: FloatArray, s: FloatArray, radius_m: float) -> tuple[FloatArray, FloatArray]:
+        phi = monomials(kept_powers(degree)[1], s)
+        moments = phi.T @ phi + RIDGE * np.eye(phi.shape[1])
+        return np.linalg.solve(moments, phi.T @ observation_coefficients(local, degree)), moments
+
+    return _fitted(sightings, degree, fit, progress)
+
+
+def fit_seen(
+    sightings: Sightings, degree: int, progress: Callable[[float, str], None] = lambda done, text: None
+) -> ObservedDensities:
+    """The loss (5) as it is printed: over the points where a feature was seen, and those that symmetry injects.
+
+    Of the polynomials that minimize it, the one with the smallest coefficients. It has next to no peaks.
+
+    Raises:
+        ValueError: nobody remembers at which bearings the features were seen.
+    """
+
+    def fit(local: FloatArray, s: FloatArray, radius_m: float) -> tuple[FloatArray, FloatArray]:
+        points = SeenPoints.of(local, s, degree)
+        basis = points.basis(degree)
+        values, vectors = np.linalg.eigh(basis @ basis.T)  # the kernel trick: N × N, whatever the degree
+        inverse = np.where(values > _MINIMUM_NORM * values[-1], 1 / np.maximum(values, 1e-300), 0.0)
+        flat = basis.T @ (vectors @ (inverse * (vectors.T @ points.counts(radius_m))))
+        u, x, h = (len(powers) for powers in kept_powers(degree))
+        phi = monomials(kept_powers(degree)[1], s)
+        return flat.reshape(u, x, h).transpose(1, 0, 2).reshape(x, -1), phi.T @ phi + RIDGE * np.eye(x)
+
+    return _fitted(sightings, degree, fit, progress)
+
+
+def _fitted(
+    sightings: Sightings,
+    degree: int,
+    fit: Callable[[FloatArray, FloatArray, float], tuple[FloatArray, FloatArray]],
+    progress: Callable[[float, str], None],
+) -> ObservedDensities:
+    """A density for each place; ``fit`` takes bearings (n, 3) in its frame, positions (n, 3) in radii, and the radius.
+
+    Fitted to what is stored, so that a map read back is the one that was fitted.
+    """
+    if sightings.bearings is None:
+        raise ValueError("nobody remembers at which bearings the features were seen")
+    places = Places.of(sightings)
+    count, sizes = len(places.features), [len(powers) for powers in kept_powers(degree)]
+    u, x, h = sizes
+    coefficients = np.zeros((count, *sizes), dtype=np.float32)
+    moments = np.zeros((count, x, x))
+    middles = np.array([sightings.bearings[rows].mean(axis=0) for rows in places.members]).reshape(-1, 3)
+    middles = _unit(middles).astype(np.float32).astype(np.float64)
+    frames = local_frames(middles)
+    for t, rows in enumerate(places.members):
+        s = (sightings.positions[rows] - places.positions[t]) / places.radii[t]
+        fitted, moments[t] = fit(sightings.bearings[rows] @ frames[t].T, s, float(places.radii[t]))
+        coefficients[t] = fitted.reshape(x, u, h).transpose(1, 0, 2)
+        if t % _CHUNK == 0:
+            progress(t / count, f"{count} densities")
+    progress(1.0, f"{count} densities")
+    return ObservedDensities(
+        degree,
+        coefficients,
+        places.features,
+        sightings.landmarks[places.features],
+        places.positions,
+        places.radii,
+        middles,
+        moments,
+        np.array([len(rows) for rows in places.members], dtype=np.int64),
+    )
+
+
+def observation_coefficients(bearings: FloatArray, degree: int) -> FloatArray:
+    """What one observation each says of (u, v) and the heading: coefficients (N, U H) of n(u, v, h).
+
+    Args:
+        bearings: (N, 3) unit vectors in the density's frame.
+        degree: P.
+    """
+    layout = _layout(degree)
+    target = sample_counts(bearings, degree)
+    return np.asarray(np.einsum("ua,anc,hc->nuh", layout.of_plane, target, layout.of_heading, optimize=True)).reshape(
+        len(bearings), -1
+    )
+
+
+def sample_counts(bearings: FloatArray, degree: int) -> FloatArray:
+    """n (A, N, C) at the A pixels and C headings of the layout, for observations at bearings (N, 3), local frame."""
+    layout = _layout(degree)
+    x, y, z = np.einsum("ni,cki->knc", bearings, layout.axes)[:, None]
+    u, v = layout.plane.T[:, :, None, None]
+    return np.asarray(1 - ((z * u - x) ** 2 + (z * v - y) ** 2) / TARGET_RADIUS**2)
+
+
+@dataclass(frozen=True, eq=False)
+class SeenPoints:
+    """The set S_f of the paper: N_f points s where a feature was seen, those injected by symmetry among them.
+
+    Attributes:
+        plane: (N, 2) u and v, on the plane z = 1.
+        position: (N, 3) in units of the radius, about the place.
+        heading: (N, 3) unit vectors in the density's frame.
+    """
+
+    plane: FloatArray
+    position: FloatArray
+    heading: FloatArray
+
+    @classmethod
+    def of(cls, bearings: FloatArray, positions: FloatArray, degree: int) -> SeenPoints:
+        """From bearings (n, 3) and positions (n, 3), for headings for which the pixel is within the viewport."""
+        axes = _layout(degree).axes[::_INJECTED]
+        x, y, z = np.einsum("ni,cki->knc", bearings, axes)
+        plane = np.stack([x, y], axis=-1) / np.maximum(z, 1e-6)[..., None]
+        seen, heading = np.nonzero((z > 0) & (np.abs(plane).max(axis=-1) <= _VIEWPORT))
+        return cls(plane[seen, heading], positions[seen], axes[heading, 2])
+
+    def basis(self, degree: int) -> FloatArray:
+        """(N, U X H): the monomials at every point."""
+        plane, position, heading = kept_powers(degree)
+        product = np.einsum(
+            "nu,nx,nh->nuxh",
+            monomials(plane, self.plane),
+            monomials(position, self.position),
+            monomials(heading, scaled_heading(self.heading)),
+        )
+        return np.asarray(product).reshape(len(self.plane), -1)
+
+    def counts(self, radius_m: float) -> FloatArray:
+        """n (N,): how many of the points lie in the volume w around each, itself among them; the radius in metres."""
+        near = (np.abs(self.plane[:, None] - self.plane) <= WINDOW_PLANE).all(axis=2)
+        near &= (radius_m * np.abs(self.position[:, None] - self.position) <= WINDOW_M).all(axis=2)
+        near &= self.heading @ self.heading.T >= np.cos(WINDOW_RAD)
+        return np.asarray(near.sum(axis=1), dtype=np.float64)
+
+
+@dataclass(frozen=True)
+class Loss:
+    """Equation (5) for one density: how much of it each explanation leaves.
+
+    Attributes:
+        points: N_f.
+        zero: the loss of ρ = 0.
+        constant: of the best constant.
+        fitted: of the fit.
+    """
+
+    points: int
+    zero: float
+    constant: float
+    fitted: float
+
+    @classmethod
+    def of(cls, counts: FloatArray, values: FloatArray) -> Loss:
+        """From n(s) and q(s) = N_f w ρ(s) at all points."""
+        n = counts.ravel()
+        return cls(n.size, float(n @ n), float(((n - n.mean()) ** 2).sum()), float(((n - values.ravel()) ** 2).sum()))
+
+
+def observed_loss(densities: ObservedDensities, density: int, bearings: FloatArray, positions: FloatArray) -> Loss:
+    """(5) of a density over all pixels of the views that saw its feature at bearings (N, 3) from positions (N, 3)."""
+    layout, degree = _layout(densities.degree), densities.degree
+    plane, _, heading = kept_powers(degree)
+    phi = densities.position_monomials(density, positions)
+    values = np.einsum(
+        "au,nx,ch,uxh->anc",
+        monomials(plane, layout.plane),
+        phi,
+        monomials(heading, scaled_heading(layout.axes[:, 2])),
+        densities.coefficients[density].astype(np.float64),
+        optimize=True,
+    )
+    return Loss.of(sample_counts(bearings @ densities.R_local_map[density].T, degree), values)
+
+
+def seen_loss(densities: ObservedDensities, density: int, bearings: FloatArray, positions: FloatArray) -> Loss:
+    """(5) as printed, over the points where the feature was seen at bearings (N, 3) from positions (N, 3)."""
+    s = (positions - densities.places[density]) / densities.radii[density]
+    points = SeenPoints.of(bearings @ densities.R_local_map[density].T, s, densities.degree)
+    values = points.basis(densities.degree) @ densities.coefficients[density].astype(np.float64).ravel()
+    return Loss.of(points.counts(float(densities.radii[density])), values)
+
+
+@cache
+def _layout(degree: int) -> Layout:
+    return Layout.of(degree)
+
+
+def _unit(vectors: FloatArray) -> FloatArray:
+    return np.asarray(vectors / np.linalg.norm(vectors, axis=1, keepdims=True))

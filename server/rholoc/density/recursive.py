@@ -1,0 +1,60 @@
+"""Recursive least squares with forgetting: coefficients estimated as observations come, one at a time.
+
+The paper's conclusion wishes for it (section 7, "feature observation-time iterative coefficient estimation"). After
+observations (φ_i, y_i), i = 1 … N, the coefficients minimize
+
+    Σ_i λ^(N−i) |y_i − cᵀ φ_i|² + λ^N ridge |c|²,
+
+the same as fitted to all of them in one batch; but each takes one step (Plackett, 1950), whatever came before:
+
+    k = P φ / (λ + φᵀ P φ),    c ← c + k (y − cᵀ φ)ᵀ,    P ← (P − k φᵀ P) / λ.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from rholoc.geometry import FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class RecursiveFit:
+    """Where the estimation stands.
+
+    Attributes:
+        coefficients: (X, K) c, of X monomials, of K values that are fitted side by side.
+        covariance: (X, X) P, the inverse of Σ λ^(N−i) φ φᵀ + λ^N ridge.
+    """
+
+    coefficients: FloatArray
+    covariance: FloatArray
+
+    @classmethod
+    def empty(cls, monomials: int, values: int, ridge: float) -> RecursiveFit:
+        """Before the first observation."""
+        return cls(np.zeros((monomials, values)), np.eye(monomials) / ridge)
+
+    def observe(self, phi: FloatArray, value: FloatArray, forgetting: float = 1.0) -> RecursiveFit:
+        """After one more observation.
+
+        Args:
+            phi: (X,) the monomials where it was made.
+            value: (K,) what was observed.
+            forgetting: λ, 0 < λ ≤ 1: what the weight of all before is multiplied by.
+        """
+        seen = self.covariance @ phi
+        gain = seen / (forgetting + phi @ seen)
+        covariance = (self.covariance - np.outer(gain, seen)) / forgetting
+        innovation = value - phi @ self.coefficients
+        return RecursiveFit(self.coefficients + np.outer(gain, innovation), (covariance + covariance.T) / 2)
+
+
+def batch_fit(phi: FloatArray, values: FloatArray, ridge: float, forgetting: float = 1.0) -> RecursiveFit:
+    """All observations (N, X) with values (N, K) at once: what :meth:`RecursiveFit.observe` arrives at."""
+    count = len(phi)
+    weights = forgetting ** np.arange(count - 1, -1, -1.0)
+    information = (phi * weights[:, None]).T @ phi + forgetting**count * ridge * np.eye(phi.shape[1])
+    covariance = np.linalg.inv(information)
+    return RecursiveFit(np.linalg.solve(information, (phi * weights[:, None]).T @ values), covariance)
