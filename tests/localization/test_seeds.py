@@ -107,7 +107,7 @@ def test_a_priors_place_is_none_where_no_view_is_near_or_looks_its_way(localizer
     here = place_of_prior(index, Prior(pose, 0.5, 0.2), 5)
     assert here is not None
     assert here.view == 10
-    away = Pose.from_heading(pose.position + [50.0, 0, 0], pose.heading, 0.0)
+    away = Pose.from_heading(pose.position + np.array([50.0, 0, 0]), pose.heading, 0.0)
     assert place_of_prior(index, Prior(away, 0.5, 0.2), 5) is None
     up = Pose.from_heading(pose.position, np.array([0.0, 0.01, 1.0]) / np.hypot(0.01, 1), 0.0)
     assert place_of_prior(index, Prior(up, 0.5, 0.2), 5) is None
