@@ -27,6 +27,16 @@ def test_the_gyroscope_is_calibrated(known_mounting: bool) -> None:
     assert found.residual_deg < 0.2
 
 
+@pytest.mark.parametrize("delay_s", [-1.4, -0.3, 0.3, 0.8])
+def test_clocks_that_are_far_apart_are_brought_together(delay_s: float) -> None:
+    walk = hand_held_walk()
+    late = replace(walk.imu, times=walk.imu.times + delay_s)
+    found = calibrate_gyro(walk.times, walk.T_map_camera[:, :3, :3], late)
+    assert found is not None
+    assert found.time_offset_s == pytest.approx(delay_s, abs=0.003)
+    assert found.residual_deg < 0.2
+
+
 def test_a_mounting_that_the_recording_states_wrongly_is_found() -> None:
     walk = hand_held_walk()
     landscape = R_CAMERA_IMU @ Rotation.from_euler("z", 90, degrees=True).as_matrix()

@@ -40,6 +40,7 @@ _GYROSCOPE_BIAS_SIGMA = 0.02  # rad/s
 _MOUNTING_SIGMA_RAD = 0.02
 _LEVER_SIGMA_M = 0.03  # between camera and IMU: the size of a phone
 _CLOCK_SIGMA_S = 3e-3  # what remains of the time offset
+_IMU_COORDINATES = 9  # of a turn, a way and a change of speed, that one interval's readings are measured in
 _GRAVITY_SIGMA = 0.05  # m/s², of its length as accelerometers read it
 _LEVEL_SIGMA_RAD = np.radians(0.5)  # of the waypoints' z axis
 _GAUGE_SIGMA = 1e-4
@@ -144,6 +145,7 @@ class Problem:
         level_sigma_rad: how well the fixes' z axis is level; None where it is not meant to be.
         camera_sigmas: of the intrinsics; None where they are held.
         pixel_sigma_px: of a sighting's coordinates.
+        imu_noise: of the IMU, as a multiple of what is usual.
     """
 
     times: FloatArray
@@ -154,6 +156,7 @@ class Problem:
     level_sigma_rad: float | None = _LEVEL_SIGMA_RAD
     camera_sigmas: CameraSigmas | None = None
     pixel_sigma_px: float = _PIXEL_SIGMA_PX
+    imu_noise: float = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -192,6 +195,16 @@ class Adjusted:
     def camera_sigmas(self) -> FloatArray:
         """(9,) of fx, fy, skew, cx, cy, k1, k2, p1, p2 where they were estimated."""
         return np.asarray(np.sqrt(np.diag(self._eliminated().marginalCovariance(D(0)))))
+
+    def imu_misfit(self) -> float:
+        """By how many times its assumed noise the IMU disagrees with the walk (root mean square); 0 without one."""
+        factors = (self._graph.at(i) for i in range(self._graph.size()))
+        squares = [
+            2 * factor.error(self._values)
+            for factor in factors
+            if isinstance(factor, gtsam.CombinedImuFactorWithGravityVector)
+        ]
+        return float(np.sqrt(np.mean(squares) / _IMU_COORDINATES)) if squares else 0.0
 
     def _eliminated(self) -> gtsam.GaussianBayesTree:
         """The linear system at the solution; with points held as firmly as it needs, where some are hardly known."""
@@ -363,7 +376,7 @@ def _add_imu(
     graph.add(gtsam.PriorFactorVector(G(0), np.array([0.0, 0.0, -GRAVITY]), _gravity_prior(problem)))
     tie = gtsam.noiseModel.Diagonal.Sigmas(np.repeat([_TIE_SIGMA_RAD, _TIE_SIGMA_M], 3))
     rates = np.column_stack([np.interp(times, imu.times, axis) for axis in imu.angular_velocity.T])
-    parameters, longest_s = _imu_noise(), longest_interval_s(imu)
+    parameters, longest_s = _imu_noise(problem.imu_noise), longest_interval_s(imu)
     walk = np.repeat([_ACCELEROMETER_WALK, _GYROSCOPE_WALK], 3)
     for k in covered:
         bias = gtsam.imuBias.ConstantBias(inertial.biases[k, :3], inertial.biases[k, 3:])
@@ -404,11 +417,11 @@ def _gravity_prior(problem: Problem) -> gtsam.noiseModel.Base:
     return gtsam.noiseModel.Diagonal.Sigmas(np.array([level, level, length]))
 
 
-def _imu_noise() -> gtsam.PreintegrationCombinedParams:
+def _imu_noise(times_usual: float) -> gtsam.PreintegrationCombinedParams:
     parameters = gtsam.PreintegrationCombinedParams.MakeSharedU(GRAVITY)
-    parameters.setAccelerometerCovariance(np.eye(3) * _ACCELEROMETER_NOISE**2)
-    parameters.setGyroscopeCovariance(np.eye(3) * _GYROSCOPE_NOISE**2)
-    parameters.setIntegrationCovariance(np.eye(3) * _INTEGRATION_NOISE**2)
+    parameters.setAccelerometerCovariance(np.eye(3) * (times_usual * _ACCELEROMETER_NOISE) ** 2)
+    parameters.setGyroscopeCovariance(np.eye(3) * (times_usual * _GYROSCOPE_NOISE) ** 2)
+    parameters.setIntegrationCovariance(np.eye(3) * (times_usual * _INTEGRATION_NOISE) ** 2)
     parameters.setBiasAccCovariance(np.eye(3) * _ACCELEROMETER_WALK**2)
     parameters.setBiasOmegaCovariance(np.eye(3) * _GYROSCOPE_WALK**2)
     return parameters

@@ -34,6 +34,7 @@ _WELL_PLACED = 0.9  # and that one which is trusted has
 _MAX_EXPECTED_ERROR_M = 0.10  # of a trajectory that is trusted
 _MAX_EXPECTED_ERROR_DEG = 2.0
 _MAX_WAYPOINT_MISS_M = 0.10
+_MAX_IMU_MISFIT = 2.0  # times the noise expected, from which the IMU's readings are not what moved the camera
 _MAX_IMU_RESIDUAL = 8.0  # times the noise expected, from which IMU and pictures contradict each other
 
 _MOVE = "Walk through the room while recording; keep texture in view."
@@ -211,6 +212,11 @@ def _doubts(found: Reconstruction, share: float, missing: str) -> list[str]:
             doubts.append(f"The waypoint {name} is missed by {np.linalg.norm(out.off_m):.2f} m.")
     if found.imu is not None and found.imu.residual > _MAX_IMU_RESIDUAL:
         doubts.append("The accelerometer contradicts the pictures.")
+    elif found.imu is not None and found.imu.misfit > _MAX_IMU_MISFIT:
+        doubts.append(
+            f"The IMU disagrees with the pictures by {found.imu.misfit:.0f} times its noise: vibrations, or readings that "
+            "are too few. Its scale may be wrong; measure waypoints."
+        )
     if found.agreement is not None and not found.agreement.same:
         doubts.append(found.agreement.why)
     error_deg = _expected_error_deg(found)

@@ -10,7 +10,9 @@ from scipy.spatial.transform import Rotation, Slerp
 from rholoc.geometry import FloatArray, aligning_rotation
 from rholoc.recordings import Imu
 
-_OFFSETS_S = np.arange(-0.25, 0.2501, 0.01)
+_NARROW_OFFSETS_S = np.arange(-0.25, 0.2501, 0.01)  # between clocks that are meant to be one …
+_WIDE_OFFSETS_S = np.arange(-2.0, 2.001, 0.01)  # … and where none of those fits well
+_USUAL_RESIDUAL_DEG, _BETTER = 0.3, 0.5  # that share of its residual must another offset leave to be believed
 _FINE_OFFSETS_S = np.arange(-0.01, 0.0101, 0.001)
 _MIN_INTERVAL_S = 0.2  # rotations over shorter times are mostly noise
 _FEWEST_INTERVALS = 7
@@ -93,8 +95,16 @@ def calibrate_gyro(times: FloatArray, R_world_camera: FloatArray, imu: Imu) -> G
 
 
 def _fit(times: FloatArray, R_world_camera: FloatArray, imu: Imu) -> GyroCalibration | None:
+    near = _fit_within(_NARROW_OFFSETS_S, times, R_world_camera, imu)
+    if near is None or near.residual_deg <= _USUAL_RESIDUAL_DEG:
+        return near
+    far = _fit_within(_WIDE_OFFSETS_S, times, R_world_camera, imu)
+    return near if far is None or far.residual_deg > _BETTER * near.residual_deg else far
+
+
+def _fit_within(offsets: FloatArray, times: FloatArray, R_world_camera: FloatArray, imu: Imu) -> GyroCalibration | None:
     rows = spaced_rows(times, _MIN_INTERVAL_S)
-    margin = -_OFFSETS_S[0] + 0.01
+    margin = offsets[-1] + _FINE_OFFSETS_S[-1]
     rows = rows[(times[rows] > imu.times[0] + margin) & (times[rows] < imu.times[-1] - margin)]
     if len(rows) <= _FEWEST_INTERVALS:
         return None
@@ -104,18 +114,18 @@ def _fit(times: FloatArray, R_world_camera: FloatArray, imu: Imu) -> GyroCalibra
     bias = np.zeros(3)
     offset = 0.0
     R_camera_imu = np.eye(3) if imu.R_camera_imu is None else imu.R_camera_imu
-    for offsets in (_OFFSETS_S, _OFFSETS_S, _FINE_OFFSETS_S):
+    for fine in (False, False, True):
         slerp = Slerp(imu.times, orientations(imu, bias))
         fits = []
-        for candidate in offsets if offsets is _OFFSETS_S else offset + offsets:
+        for candidate in (offset + _FINE_OFFSETS_S if fine else offsets).tolist():
             turned = slerp(t + candidate)
             gyro = (turned[:-1].inv() * turned[1:]).as_rotvec()
             mounting = imu.R_camera_imu if imu.R_camera_imu is not None else aligning_rotation(gyro, camera)
             remaining = gyro - camera @ mounting
             drift = np.median(remaining / spans[:, None], axis=0)
             error = np.linalg.norm(remaining - drift * spans[:, None], axis=1)
-            cost = float(np.mean(np.minimum(error, _LARGEST_ERROR_RAD))) + _OFFSET_COST_RAD_S * abs(float(candidate))
-            fits.append((cost, float(candidate), drift, mounting, error))
+            cost = float(np.mean(np.minimum(error, _LARGEST_ERROR_RAD))) + _OFFSET_COST_RAD_S * abs(candidate)
+            fits.append((cost, candidate, drift, mounting, error))
         _, offset, drift, R_camera_imu, error = min(fits, key=lambda fit: fit[0])
         bias = bias + drift
     typical = float(np.median(error))

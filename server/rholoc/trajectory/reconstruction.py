@@ -122,6 +122,7 @@ class InertialFigures:
         clock_s: to be added to the calibrated time offset.
         accelerometer_scale: what it reads for one m/s².
         residual: of the accelerations, in units of the noise expected.
+        misfit: by how many times its noise the IMU disagrees with what the pictures alone say between keyframes.
     """
 
     gyro: GyroCalibration
@@ -131,6 +132,7 @@ class InertialFigures:
     clock_s: float
     accelerometer_scale: float
     residual: float
+    misfit: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -367,6 +369,10 @@ def _solve_with_imu(
     steady = replace(evidence, loops=[])
     problem = Problem(sights.times, steady.observations(sights), imu, gyro, camera_sigmas=_camera_sigmas(sights.camera))
     problem, adjusted = _adjusted_in_rounds(problem, state, told, (0.45, 0.6))
+    misfit = adjusted.imu_misfit()
+    if misfit > 1:
+        problem = replace(problem, imu_noise=misfit)
+        adjusted = adjust(problem, adjusted.state, _ITERATIONS, told)
     evidence, problem, adjusted = _closed_loops(sights, evidence, problem, adjusted, told)
     assert adjusted.state.inertial is not None
     read = float(np.linalg.norm(adjusted.state.inertial.gravity)) / GRAVITY
@@ -402,6 +408,7 @@ def _solve_with_imu(
         inertial.clock_s,
         read,
         began.residual,
+        misfit,
     )
     return _finished(sights, evidence, problem, adjusted, frame, waypoints, figures, "", left_out, mistaken)
 
