@@ -214,8 +214,8 @@ def _doubts(found: Reconstruction, share: float, missing: str) -> list[str]:
         doubts.append("The accelerometer contradicts the pictures.")
     elif found.imu is not None and found.imu.misfit > _MAX_IMU_MISFIT:
         doubts.append(
-            f"The IMU disagrees with the pictures by {found.imu.misfit:.0f} times its noise: vibrations, or readings that "
-            "are too few. Its scale may be wrong; measure waypoints."
+            f"The IMU disagrees with the pictures by {found.imu.misfit:.0f} times its noise, as where vibrations "
+            "meet too few readings. The scale may be wrong: measure waypoints."
         )
     if found.agreement is not None and not found.agreement.same:
         doubts.append(found.agreement.why)
