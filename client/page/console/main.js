@@ -1,6 +1,6 @@
 // The console: one page, whose address after the # says which part of it is shown.
 
-import { keyButton } from "../shared/api.js";
+import { keyButton, takeKeyOfLink } from "../shared/api.js";
 import { fill, h } from "../shared/dom.js";
 import { t, translatePage } from "../shared/text.js";
 import { showCameras } from "./cameras.js";
@@ -68,6 +68,7 @@ addEventListener("hashchange", async () => {
   await show();
   document.getElementById("content").focus({ preventScroll: true });
 });
+takeKeyOfLink();
 translatePage();
 document.querySelector("header").append(keyButton());
 show();

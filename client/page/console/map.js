@@ -11,6 +11,7 @@ import { liveView } from "./live.js";
 import { action, facts, loading, page, skeletons, tell } from "./parts.js";
 import { SceneView } from "./scene.js";
 import { readScene } from "./scene_data.js";
+import { share } from "./share.js";
 
 const FORMATS = [
   ["rho", t`the map itself (.rho)`, "rho"],
@@ -300,6 +301,7 @@ function actions(name) {
     h("a", { class: "button", href: `#/maps/${encodeURIComponent(name)}/correct` }, t`Make it right`),
     action(t`Update`, () => update(name)),
     action(t`Merge`, () => merge(name)),
+    action(t`Share`, () => share(name)),
     action(t`Rename`, () => rename(name)),
     action(t`Delete`, () => remove(name), "danger"),
   );

@@ -1,6 +1,6 @@
 // The recorder: which view is shown, and what they share.
 
-import { keyButton } from "../shared/api.js";
+import { keyButton, takeKeyOfLink } from "../shared/api.js";
 import { fill, h } from "../shared/dom.js";
 import { t, translatePage } from "../shared/text.js";
 import { missing, Problem } from "./problem.js";
@@ -50,6 +50,7 @@ async function start() {
   await show(store);
 }
 
+takeKeyOfLink(true);
 translatePage();
 document.querySelector("header").append(keyButton());
 start().catch((error) => fill(content, problemNotice(error)));

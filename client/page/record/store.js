@@ -98,7 +98,8 @@ export class Store {
         change((name) => transaction.objectStore(name));
       });
     } catch (error) {
-      if (error?.name === "QuotaExceededError") throw new StorageFull("This phone's storage is full.", { cause: error });
+      if (error?.name === "QuotaExceededError")
+        throw new StorageFull("This phone's storage is full.", { cause: error });
       throw error;
     }
   }

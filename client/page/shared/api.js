@@ -32,11 +32,24 @@ export function path(texts, ...values) {
   return texts.reduce((whole, text, i) => whole + encodeURIComponent(values[i - 1]) + text);
 }
 
-/** The key that is stored in this browser, or null. */
-export const storedKey = () => localStorage.getItem(KEY);
+/** The key that this window was opened with, or that is stored in this browser; or null. */
+export const storedKey = () => sessionStorage.getItem(KEY) ?? localStorage.getItem(KEY);
+
+/**
+ * Take over the key of a link, `#/key/KEY/REST`, and leave `#/REST` in the address. It is this window's; where the browser
+ * has no other, it is kept if `keep` says so.
+ */
+export function takeKeyOfLink(keep = false) {
+  const found = location.hash.match(/^#\/key\/([\w-]+)(\/.*)?$/);
+  if (!found) return;
+  sessionStorage.setItem(KEY, found[1]);
+  if (keep && !localStorage.getItem(KEY)) localStorage.setItem(KEY, found[1]);
+  history.replaceState(null, "", `#${found[2] ?? "/"}`);
+}
 
 /** Store a key in this browser, or none. The page's `keychange` event says so. */
 export function storeKey(key) {
+  sessionStorage.removeItem(KEY);
   if (key) localStorage.setItem(KEY, key);
   else localStorage.removeItem(KEY);
   dispatchEvent(new Event("keychange"));

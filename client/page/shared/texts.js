@@ -613,4 +613,31 @@ export const GERMAN = {
     "Im letzten Tag schlug hier keine Anfrage fehl, soweit dieser Server weiß.",
   "In the last day {0} requests found no pose and {1} an unsure one: where the drawing glows.":
     "Im letzten Tag fanden {0} Anfragen keine Pose und {1} eine unsichere: wo die Zeichnung leuchtet.",
+
+  // Links with a key
+  Share: "Teilen",
+  "Share a link": "Link teilen",
+  "one day": "einen Tag",
+  "{0} days": "{0} Tage",
+  "Whoever has the link can look at all maps of this server until it expires, and change nothing.":
+    "Wer den Link hat, kann bis zu dessen Ablauf alle Karten dieses Servers ansehen und nichts ändern.",
+  "It is good for": "Er gilt",
+  "Make the link": "Link erstellen",
+  Link: "Link",
+  Copy: "Kopieren",
+  "It is good until {0}.": "Er gilt bis {0}.",
+  "This server asks for no key: the link is good for ever.":
+    "Dieser Server verlangt keinen Schlüssel: Der Link gilt unbegrenzt.",
+  "This address leads others nowhere: the server listens on this machine alone.":
+    "Diese Adresse führt andere nirgendwohin: Der Server hört nur auf diesem Rechner.",
+  "QR code of the link": "QR-Code des Links",
+  "Go on with a phone": "Mit einem Telefon weitermachen",
+  "A walk is recorded with a phone: this computer's camera does not walk.":
+    "Ein Rundgang wird mit einem Telefon aufgenommen: Die Kamera dieses Rechners geht nicht herum.",
+  "Show a QR code": "QR-Code zeigen",
+  "Point the phone's camera at it.": "Die Kamera des Telefons darauf richten.",
+  "Point the phone's camera at it. The key in it is good for two hours.":
+    "Die Kamera des Telefons darauf richten. Der Schlüssel darin gilt zwei Stunden.",
+  "No phone reaches this address: start the server with rholoc serve --tls, and open the address that it shows.":
+    "Kein Telefon erreicht diese Adresse: Den Server mit rholoc serve --tls starten und die Adresse öffnen, die er zeigt.",
 };

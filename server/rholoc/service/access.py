@@ -19,8 +19,9 @@ from starlette.routing import BaseRoute, Match
 from starlette.types import Scope as RequestScope
 
 from rholoc.service.errors import Forbidden
-from rholoc.service.keys import Scope
+from rholoc.service.keys import ApiKey, Scope
 
+_KEY = "api_key"  # by which key
 _GRANTED = "granted"  # where the guard leaves what the request's key allows
 _FOUND = "found_route"  # and the route that it found
 _bearer = HTTPBearer(
@@ -30,9 +31,16 @@ _bearer = HTTPBearer(
 )
 
 
-def grant(request_scope: RequestScope, scope: Scope) -> None:
-    """Note what a request may do."""
-    request_scope.setdefault("state", {})[_GRANTED] = scope
+def grant(request_scope: RequestScope, scope: Scope, key: ApiKey | None = None) -> None:
+    """Note what a request may do, and the key that says so; None where none is needed."""
+    state = request_scope.setdefault("state", {})
+    state[_GRANTED], state[_KEY] = scope, key
+
+
+def granted_key(request: Request) -> tuple[Scope, float | None, bool]:
+    """What a request may do, until when (seconds since the epoch; None: for ever), and whether that needed a key."""
+    key: ApiKey | None = getattr(request.state, _KEY, None)
+    return getattr(request.state, _GRANTED), None if key is None else key.expires, key is not None
 
 
 def found_route(request_scope: RequestScope) -> RouteAccess | None:

@@ -22,7 +22,7 @@ from rholoc.service.access import (
     undeclared,
 )
 from rholoc.service.errors import CrossSite, InvalidRequest, MethodNotAllowed, Unauthorized, UnknownRoute
-from rholoc.service.keys import KeyStore
+from rholoc.service.keys import ApiKey, KeyStore
 from rholoc.service.keys import Scope as KeyScope
 from rholoc.service.live import ASKER
 
@@ -109,9 +109,9 @@ class Guard:
             if access is None:
                 raise undeclared()
             if access.scope is not None:
-                held, name = self._check_key(_authorization(scope, headers), access.scope)
-                grant(scope, held)
-                ASKER.set(name or _address(scope))
+                key = self._check_key(_authorization(scope, headers), access.scope)
+                grant(scope, KeyScope.ADMIN if key is None else key.scope, key)
+                ASKER.set(_address(scope) if key is None else key.name)
             if found.route is None and found.methods:
                 hint = "The answer's header Allow names those that it takes."
                 raise MethodNotAllowed("This route does not support this method.", hint, found.methods)
@@ -120,10 +120,10 @@ class Guard:
             check_query(scope, found.route)
         await self._app(scope, receive, send)
 
-    def _check_key(self, authorization: str, needed: KeyScope) -> tuple[KeyScope, str]:
-        """What the request may do, which is at least ``needed``, and the name of its key."""
+    def _check_key(self, authorization: str, needed: KeyScope) -> ApiKey | None:
+        """The key that allows the request, at least ``needed``; None where no key is needed."""
         if not self._keys_needed:
-            return KeyScope.ADMIN, ""
+            return None
         kind, _, secret = authorization.partition(" ")
         if kind.lower() != "bearer" or not secret.strip():
             raise Unauthorized("This server requires an API key.", _KEY_HINT)
@@ -134,7 +134,7 @@ class Guard:
             raise Unauthorized("This API key has expired.", _KEY_HINT)
         if not key.scope.allows(needed):
             raise forbidden(key.scope, needed)
-        return key.scope, key.name
+        return key
 
 
 def _address(scope: Scope) -> str:

@@ -15,6 +15,7 @@ from rholoc.maps import Correction, DensityKind, MapNames, MapWaypoint, Source
 from rholoc.progress import Stage
 from rholoc.reports import MapReport
 from rholoc.service.examples import CORRECTION, NAMES, REPORT, SOURCE, WAYPOINT, sent
+from rholoc.service.keys import Scope
 from rholoc.trajectory import PoseMethod, Scale
 
 _LARGEST_SIZE_PX = 2**31
@@ -831,6 +832,69 @@ class RecordingAccepted(_Out):
 
     recording: str = Field(description="the recording's id")
     job: JobOut
+
+
+class KeyIn(_In):
+    """A key to hand on."""
+
+    model_config = ConfigDict(
+        extra="forbid", frozen=True, json_schema_extra={"example": {"scope": "read", "lifetime_s": 86400}}
+    )
+
+    scope: Scope = Field(default=Scope.READ, description="what it allows; no more than the key that asks")
+    lifetime_s: Number = Field(
+        default=86400, ge=60, le=31 * 86400, description="for how long it is good, s: a minute to 31 days"
+    )
+
+
+class KeyOut(_Out):
+    """A key: whose it is and what it allows."""
+
+    name: str
+    scope: Scope
+    created: float = Field(description="s since the epoch")
+    expires: float | None = Field(description="s since the epoch; null: never")
+
+
+class KeyList(_Out):
+    """All keys, the oldest first."""
+
+    model_config = ConfigDict(
+        frozen=True,
+        json_schema_extra={
+            "example": {
+                "keys": [{"name": "robot-7", "scope": "localize", "created": 1767607200.0, "expires": None}],
+            }
+        },
+    )
+
+    keys: list[KeyOut]
+
+
+class HandedKeyOut(_Out):
+    """A key that was handed on."""
+
+    model_config = ConfigDict(
+        frozen=True,
+        json_schema_extra={
+            "example": {"key": "rho_…", "name": "handed-1f2e3d4c", "scope": "read", "expires": 1767693600.0}
+        },
+    )
+
+    key: str | None = Field(description="the key; null where the server asks for none")
+    name: str | None = Field(description="what it is revoked by")
+    scope: Scope
+    expires: float | None = Field(description="s since the epoch")
+
+
+class QrIn(_In):
+    """A text for a QR code."""
+
+    model_config = ConfigDict(
+        extra="forbid", frozen=True, json_schema_extra={"example": {"text": "https://maps.example/record"}}
+    )
+
+    text: str = Field(min_length=1, max_length=1000)
 
 
 class Health(_Out):

@@ -8,6 +8,7 @@ import { missing } from "../problem.js";
 import { askForSensors } from "../sensors.js";
 import { State } from "../store.js";
 import { guide } from "./guide.js";
+import { onPhone } from "./on_phone.js";
 import { waypointList } from "./waypoint_list.js";
 import { duration, moment, size } from "./words.js";
 
@@ -51,6 +52,7 @@ export async function homeView({ content, store, id, place }) {
       lack && h("div", { class: "notice bad", role: "alert" }, h("strong", {}, lack.title), " ", lack.advice),
       await roomNotice(),
       place && walkHere(draft().map, place),
+      onPhone(),
       guide(),
       form,
       recordings.length > 0 && h("h2", {}, t`On this phone`),

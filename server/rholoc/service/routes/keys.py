@@ -1,0 +1,106 @@
+"""Keys that are handed on: for a phone that goes on, for someone who is to see a map. And their QR codes."""
+
+from __future__ import annotations
+
+import io
+import secrets
+import time
+
+import segno
+from fastapi import APIRouter, Request, Response
+from starlette.concurrency import run_in_threadpool
+
+from rholoc.errors import Busy, InvalidInput, NotFound, StorageFull
+from rholoc.service.access import NEEDS_ADMIN, NEEDS_MAP, NEEDS_READ, forbidden, granted_key
+from rholoc.service.errors import InvalidRequest
+from rholoc.service.keys import ApiKey, KeyStore
+from rholoc.service.openapi import failures
+from rholoc.service.schemas import HandedKeyOut, KeyIn, KeyList, KeyOut, QrIn
+from rholoc.service.state import Service
+
+router = APIRouter(prefix="/v1", tags=["keys"])
+
+HANDED_PREFIX = "handed-"
+_MAX_HANDED = 200  # that are good at a time
+_NAME_BYTES = 4
+_SVG = "image/svg+xml"
+
+
+@router.post(
+    "/keys",
+    dependencies=[NEEDS_MAP],
+    status_code=201,
+    summary="Hand on a key that expires",
+    responses=failures(InvalidRequest, Busy, StorageFull),
+)
+async def hand_on_key(wanted: KeyIn, request: Request, service: Service) -> HandedKeyOut:
+    """A new key that allows no more than the one that asks for it, and is good no longer. It is shown this once. Where
+    the server asks nobody for a key, there is none to hand on: `key` is null."""
+    held, expires, needed = granted_key(request)
+    if not held.allows(wanted.scope):
+        raise forbidden(held, wanted.scope)
+    if not needed:
+        return HandedKeyOut(key=None, name=None, scope=wanted.scope, expires=None)
+    lifetime_s = wanted.lifetime_s if expires is None else min(wanted.lifetime_s, expires - time.time())
+    return await run_in_threadpool(_hand_on, KeyStore(service.settings.data_dir), wanted, lifetime_s)
+
+
+@router.get("/keys", dependencies=[NEEDS_ADMIN], summary="All keys")
+async def list_keys(service: Service) -> KeyList:
+    """Whose they are and what they allow, the oldest first; not the keys themselves, of which the server has hashes."""
+    keys = await run_in_threadpool(KeyStore(service.settings.data_dir).keys)
+    return KeyList(keys=[_shown(key) for key in keys])
+
+
+@router.delete(
+    "/keys/{name}", dependencies=[NEEDS_ADMIN], status_code=204, summary="Revoke a key", responses=failures(NotFound)
+)
+async def revoke_key(name: str, service: Service) -> None:
+    """It is refused from the next request on."""
+    await run_in_threadpool(KeyStore(service.settings.data_dir).revoke, name)
+
+
+@router.post(
+    "/qr",
+    dependencies=[NEEDS_READ],
+    summary="A text as a QR code",
+    response_class=Response,
+    responses={
+        200: {
+            "description": "A picture.",
+            "content": {_SVG: {"schema": {"type": "string"}, "example": "<svg …></svg>"}},
+        },
+        **failures(InvalidRequest, InvalidInput),
+    },
+)
+async def draw_qr(wanted: QrIn) -> Response:
+    """For links that a phone is to open; in black on white, whatever the page's colours are."""
+    return Response(await run_in_threadpool(_svg, wanted.text), media_type=_SVG)
+
+
+def _hand_on(store: KeyStore, wanted: KeyIn, lifetime_s: float) -> HandedKeyOut:
+    all_keys = store.keys()
+    handed = [key for key in all_keys if key.name.startswith(HANDED_PREFIX)]
+    for key in handed:
+        if key.expired:
+            store.revoke(key.name)
+    if sum(not key.expired for key in handed) >= _MAX_HANDED:
+        raise Busy("Too many keys are handed on at the moment.", "Revoke some, or wait until they expire.")
+    name = HANDED_PREFIX + secrets.token_hex(_NAME_BYTES)
+    secret = store.create(name, wanted.scope, lifetime_s)
+    return HandedKeyOut(key=secret, name=name, scope=wanted.scope, expires=time.time() + lifetime_s)
+
+
+def _shown(key: ApiKey) -> KeyOut:
+    return KeyOut(name=key.name, scope=key.scope, created=key.created, expires=key.expires)
+
+
+def _svg(text: str) -> bytes:
+    out = io.BytesIO()
+    try:
+        segno.make(text, error="m", micro=False).save(
+            out, kind="svg", border=4, light="white", dark="black", svgns=True
+        )
+    except ValueError as error:
+        raise InvalidInput("The text does not fit into a QR code.", "Send a shorter one.") from error
+    return out.getvalue()
