@@ -131,15 +131,17 @@ def sent_to(url: str, options: argparse.Namespace) -> Found:
     start_s = time.monotonic()
     each = -(-options.cases // options.clients)
     clients = [
-        FORK.Process(target=send, args=(url, options.seed + 1000 * number, each, start_s + options.seconds, said))
+        FORK.Process(target=client, args=(url, options.seed + 1000 * number, each, start_s + options.seconds, said))
         for number in range(options.clients)
     ]
     watcher = FORK.Process(target=watch, args=(url, stop, said))
     for process in (watcher, *clients):
         process.start()
-    sent: list[Sent] = [said.get() for _ in clients]
+    reported = [said.get() for _ in clients]  # before they are joined: they wait until it is read
     stop.set()
-    health: Watched = said.get()
+    reported.append(said.get())
+    sent = [one for one in reported if isinstance(one, Sent)]
+    health = next(one for one in reported if isinstance(one, Watched))
     for process in (watcher, *clients):
         process.join(TIMEOUT_S)
     answers = sum((Counter(one.answers) for one in sent), Counter[str]())
@@ -153,14 +155,22 @@ def sent_to(url: str, options: argparse.Namespace) -> Found:
     )
 
 
-def send(url: str, first_seed: int, cases: int, last_s: float, said: Any) -> None:
-    """One client: rounds through all routes; says what was answered."""
+def client(url: str, first_seed: int, cases: int, last_s: float, said: Any) -> None:
+    """One client; says what was answered, whatever happens to it."""
+    try:
+        said.put(send(url, first_seed, cases, last_s))
+    except Exception as error:
+        said.put(Sent({}, [f"a client failed: {error!r}"]))
+
+
+def send(url: str, first_seed: int, cases: int, last_s: float) -> Sent:
+    """Rounds through all routes."""
     import schemathesis
     from hypothesis import HealthCheck, Phase, given, seed, settings
     from schemathesis.checks import CHECKS
 
     schemathesis.serializer.alias("application/offset+octet-stream", "application/octet-stream")
-    schema = schemathesis.openapi.from_url(url + "/openapi.json")
+    schema = schemathesis.openapi.from_url(url + "/openapi.json", timeout=TIMEOUT_S)
     operations = [found.ok() for found in schema.get_all_operations()]
     checks = CHECKS.get_by_names(["not_a_server_error", "status_code_conformance", "response_schema_conformance"])
     bounded = settings(
@@ -206,7 +216,7 @@ def send(url: str, first_seed: int, cases: int, last_s: float, said: Any) -> Non
             restore(url)
             probe(operation, round_seed)
         round_seed += 1
-    said.put(Sent(dict(answers), problems))
+    return Sent(dict(answers), problems)
 
 
 if __name__ == "__main__":

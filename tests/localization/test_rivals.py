@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
 from rholoc.features import FeatureSet
+from rholoc.geometry import Pose
 from rholoc.localization import Dof, Localizer, Query
-from rholoc.localization.rivals import sureness
+from rholoc.localization.rivals import are_rivals, sureness
 from rholoc.localization.support import Support
 from rholoc.localization.verification import verify
 
@@ -63,3 +65,16 @@ def test_matches_in_one_corner_say_no_more_than_a_few() -> None:
     assert sureness(Support(100.0, 0.0), Support(100.0, 0.0)) == 0.5
     assert sureness(Support(160.0, 5.0), Support(110.0, 5.0)) > 0.95
     assert sureness(Support(110.0, 40.0), Support(110.0, 0.0)) < 0.05
+
+
+@pytest.mark.parametrize(
+    ("apart_m", "turned_deg", "rivals"), [(0.19, 9.0, False), (0.21, 0.0, True), (0.0, 11.0, True), (0.0, 0.0, False)]
+)
+def test_poses_that_differ_in_place_or_heading_are_rivals(apart_m: float, turned_deg: float, rivals: bool) -> None:
+    def verified(pose: Pose) -> Any:
+        return SimpleNamespace(optimum=SimpleNamespace(T_map_camera=pose.T_map_camera))
+
+    turned = np.deg2rad(turned_deg)
+    one = Pose.from_heading(np.zeros(3), np.array([1.0, 0, 0]), 0.0)
+    other = Pose.from_heading(np.array([0, apart_m, 0]), np.array([np.cos(turned), np.sin(turned), 0]), 0.0)
+    assert are_rivals(verified(one), verified(other)) is rivals
