@@ -170,7 +170,7 @@ def error_body(error: RholocError, request_id: str) -> dict[str, str]:
 
 def error_headers(error: RholocError) -> dict[str, str]:
     """``Retry-After`` in whole seconds where trying again may help; what to prove oneself with; which methods and which
-    version of tus are spoken."""
+    version of tus are supported."""
     if isinstance(error, Busy):
         return {"Retry-After": str(max(1, round(error.retry_after_s)))}
     if isinstance(error, UnsupportedVersion):
