@@ -1,6 +1,6 @@
 """The paper's own fit beside the other forms of its density, on the same features and matches.
 
-    python benchmarks/paper_flow.py [--cache DIR] [--features lab3]
+    python benchmarks/paper_flow.py [--cache DIR] [--features lab3] [--queries 25]
 
 Makes Table 4 and its map for the simulated test site (walk 1, true poses) and for redkitchen (frames 400–999, its
 poses), in four forms: `ray`; `tensor`, a bump around the triangulated landmark; `observed`, loss (5) over all pixels of
@@ -21,12 +21,13 @@ import numpy as np
 
 from measuring import SHARED_DATA
 from rholoc.density import DensityKind, TensorDensities
+from rholoc.density.observed import fit_seen
 from rholoc.evaluation.splits import with_poses
 from rholoc.features import FeatureSet, get_extractor
 from rholoc.geometry import Camera, FloatArray, pose_distances
 from rholoc.localization import Dof, Localizer, Query
 from rholoc.localization.density_localizer import DensityLocalizer
-from rholoc.mapping.fitting import fit_densities, ray_form
+from rholoc.mapping.fitting import DEFAULT_DEGREE, fit_densities, ray_form, sightings_of
 from rholoc.mapping.from_observations import FitOptions, fit_figures, map_from_observations
 from rholoc.mapping.observing import observe_recording
 from rholoc.maps import Map
@@ -71,7 +72,8 @@ def forms_of(recording: Recording, features: str) -> dict[str, Map]:
     print(f"  Table 4: {len(table)} observations", flush=True)
     options = FitOptions(report=False, features=features)
     map_ = map_from_observations(table, camera, recording.name, replace(options, density=DensityKind.RAY))
-    printed = map_from_observations(table, camera, recording.name, replace(options, seen_only=True))
+    info = replace(map_.info, density=DensityKind.OBSERVED)
+    printed = replace(map_, info=info, densities=fit_seen(sightings_of(map_), DEFAULT_DEGREE))
     fitted = [fit_densities(ray_form(map_), kind) for kind in (DensityKind.TENSOR, DensityKind.OBSERVED)]
     return dict(zip(FORMS, (map_, *fitted, printed), strict=True))
 
@@ -120,6 +122,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="The paper's own fit beside the other forms of its density.")
     parser.add_argument("--cache", type=Path, default=Path(tempfile.gettempdir()) / "sim")
     parser.add_argument("--features", default="lab3")
+    parser.add_argument("--queries", type=int, default=25, help="of each set, at most")
     args = parser.parse_args()
     extractor = get_extractor(args.features)
     for name, (recording, queries) in (("test site", simulated(args.cache)), ("redkitchen", kitchen())):
@@ -138,8 +141,10 @@ def main() -> None:
         for label, asked in queries.items():
             assert asked.poses is not None
             assert asked.camera is not None
-            truth = asked.poses.T_map_camera
-            frames = [extractor.extract(image) for image in asked.frames.images(range(len(asked.frames.times)))]
+            count = len(asked.frames.times)
+            rows = np.unique(np.linspace(0, count - 1, min(args.queries, count)).astype(np.int64))
+            truth = asked.poses.T_map_camera[rows]
+            frames = [extractor.extract(image) for image in asked.frames.images(rows.tolist())]
             print(f"  {label}, {len(frames)} frames       peaks off   localized: median         5 cm 5°  25 cm 10°")
             for form, map_ in maps.items():
                 off_px = peak_offsets_px(map_, truth, asked.camera)

@@ -312,13 +312,13 @@ def fit_seen(
 
     def fit(local: FloatArray, s: FloatArray, radius_m: float) -> tuple[FloatArray, FloatArray]:
         points = SeenPoints.of(local, s, degree)
-        basis = points.basis(degree)
-        values, vectors = np.linalg.eigh(basis @ basis.T)  # the kernel trick: N × N, whatever the degree
+        values, vectors = np.linalg.eigh(points.kernel(degree))  # N × N, whatever the degree
         inverse = np.where(values > _MINIMUM_NORM * values[-1], 1 / np.maximum(values, 1e-300), 0.0)
-        flat = basis.T @ (vectors @ (inverse * (vectors.T @ points.counts(radius_m))))
-        u, x, h = (len(powers) for powers in kept_powers(degree))
+        weights = vectors @ (inverse * (vectors.T @ points.counts(radius_m)))
+        flat = np.einsum("nu,nx,nh,n->uxh", *points.factors(degree), weights, optimize=True)
+        x = len(kept_powers(degree)[1])
         phi = monomials(kept_powers(degree)[1], s)
-        return flat.reshape(u, x, h).transpose(1, 0, 2).reshape(x, -1), phi.T @ phi + RIDGE * np.eye(x)
+        return flat.transpose(1, 0, 2).reshape(x, -1), phi.T @ phi + RIDGE * np.eye(x)
 
     return _fitted(sightings, degree, fit, progress)
 
@@ -408,16 +408,19 @@ class SeenPoints:
         seen, heading = np.nonzero((z > 0) & (np.abs(plane).max(axis=-1) <= _VIEWPORT))
         return cls(plane[seen, heading], positions[seen], axes[heading, 2])
 
-    def basis(self, degree: int) -> FloatArray:
-        """(N, U X H): the monomials at every point."""
+    def factors(self, degree: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """The monomials (N, U) of (u, v), (N, X) of the position and (N, H) of the heading at every point."""
         plane, position, heading = kept_powers(degree)
-        product = np.einsum(
-            "nu,nx,nh->nuxh",
+        return (
             monomials(plane, self.plane),
             monomials(position, self.position),
             monomials(heading, scaled_heading(self.heading)),
         )
-        return np.asarray(product).reshape(len(self.plane), -1)
+
+    def kernel(self, degree: int) -> FloatArray:
+        """(N, N) products of the points' monomials, summed: a product of three small sums (the kernel trick)."""
+        plane, position, heading = self.factors(degree)
+        return np.asarray((plane @ plane.T) * (position @ position.T) * (heading @ heading.T))
 
     def counts(self, radius_m: float) -> FloatArray:
         """n (N,): how many of the points lie in the volume w around each, itself among them; the radius in metres."""
@@ -470,7 +473,8 @@ def seen_loss(densities: ObservedDensities, density: int, bearings: FloatArray, 
     """(5) as printed, over the points where the feature was seen at bearings (N, 3) from positions (N, 3)."""
     s = (positions - densities.places[density]) / densities.radii[density]
     points = SeenPoints.of(bearings @ densities.R_local_map[density].T, s, densities.degree)
-    values = points.basis(densities.degree) @ densities.coefficients[density].astype(np.float64).ravel()
+    coefficients = densities.coefficients[density].astype(np.float64)
+    values = np.einsum("nu,nx,nh,uxh->n", *points.factors(densities.degree), coefficients, optimize=True)
     return Loss.of(points.counts(float(densities.radii[density])), values)
 
 

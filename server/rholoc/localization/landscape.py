@@ -1,0 +1,160 @@
+"""What densities look like: a feature's ρ over pixels, positions and headings; a frame's product over positions.
+
+All of it is read through :class:`rholoc.density.Densities`, as an ascent reads it, whatever the form.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from rholoc.density import Evidence
+from rholoc.density.presence import Presence
+from rholoc.geometry import BoolArray, Camera, FloatArray, Pose, pose_matrix
+from rholoc.localization.ascent import optimum_at
+from rholoc.maps import Map
+
+_CERTAIN = 0.999  # the chance of a match that a feature is looked at alone for
+
+
+@dataclass(frozen=True, eq=False)
+class Look:
+    """A feature as one camera sees it.
+
+    Attributes:
+        feature: its number.
+        camera: the intrinsics.
+        T_map_camera: (4, 4).
+        pixel: (2,) where it appears.
+    """
+
+    feature: int
+    camera: Camera
+    T_map_camera: FloatArray
+    pixel: FloatArray
+
+    @classmethod
+    def of_view(cls, map_: Map, feature: int, view: int) -> Look:
+        """From a view of the map, at the pixel where the landmark appears."""
+        T = map_.T_map_camera[view]
+        seen = (map_.landmarks[feature].astype(np.float64) - T[:3, 3]) @ T[:3, :3]
+        return cls(feature, map_.info.camera, T, map_.info.camera.project(seen[None])[0])
+
+
+@dataclass(frozen=True, eq=False)
+class Grid:
+    """Positions on a grid about a point.
+
+    Attributes:
+        origin: (3,) metres, the corner with the least x, y and z.
+        spacing_m: between neighbours.
+        shape: how many along x, y and z.
+    """
+
+    origin: FloatArray
+    spacing_m: float
+    shape: tuple[int, int, int]
+
+    @classmethod
+    def about(cls, centre: FloatArray, half_m: tuple[float, float, float], spacing_m: float) -> Grid:
+        """The grid that reaches ``half_m`` metres from ``centre`` (3,) along each axis, which is a point of it."""
+        steps = [round(half / spacing_m) for half in half_m]
+        x, y, z = (2 * count + 1 for count in steps)
+        return cls(np.asarray(centre) - spacing_m * np.array(steps), spacing_m, (x, y, z))
+
+    @property
+    def axes(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """The coordinates along x, y and z, metres."""
+        x, y, z = (self.origin[i] + self.spacing_m * np.arange(self.shape[i]) for i in range(3))
+        return x, y, z
+
+    @property
+    def points(self) -> FloatArray:
+        """(N, 3) metres, x counting fastest."""
+        x, y, z = self.axes
+        return np.stack(np.meshgrid(z, y, x, indexing="ij")[::-1], axis=-1).reshape(-1, 3)
+
+    def folded(self, values: FloatArray) -> FloatArray:
+        """Values (N,) of the points as an array (z, y, x)."""
+        x, y, z = self.shape
+        return values.reshape(z, y, x)
+
+
+def over_picture(map_: Map, look: Look, tolerance_px: float, step_px: float) -> tuple[FloatArray, FloatArray]:
+    """ρ (H, W) at pixels every ``step_px``, from the pose of a look; and the pixels (H, W, 2)."""
+    camera = look.camera
+    u, v = np.meshgrid(np.arange(0, camera.width, step_px), np.arange(0, camera.height, step_px))
+    pixels = np.stack([u, v], axis=-1)
+    evidence = _evidence(map_, look.feature, camera.rays(pixels.reshape(-1, 2)), camera.focal)
+    return _density(map_, evidence, look.T_map_camera, tolerance_px).reshape(u.shape), pixels
+
+
+def over_positions(map_: Map, look: Look, grid: Grid, tolerance_px: float) -> FloatArray:
+    """ρ (z, y, x) of the look's pixel for cameras that stand at a grid's points and are turned as the look's is."""
+    evidence = _evidence(map_, look.feature, look.camera.rays(look.pixel[None]), look.camera.focal)
+    R = look.T_map_camera[:3, :3]
+    values = [_density(map_, evidence, pose_matrix(R, point), tolerance_px)[0] for point in grid.points]
+    return grid.folded(np.array(values))
+
+
+def over_headings(
+    map_: Map, look: Look, half_rad: float, count: int, tolerance_px: float
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """ρ (E, A) of the look's pixel for upright cameras at its place that look elsewhere, and by how much, radians.
+
+    Returns:
+        ρ, with the elevation's offset along the first axis; the offsets (E,) of elevation and (A,) of azimuth.
+    """
+    evidence = _evidence(map_, look.feature, look.camera.rays(look.pixel[None]), look.camera.focal)
+    pose = Pose(look.T_map_camera)
+    azimuth = np.arctan2(pose.heading[1], pose.heading[0])
+    elevation = np.arcsin(np.clip(pose.heading[2], -1, 1))
+    offsets = np.linspace(-half_rad, half_rad, count)
+    values = np.zeros((count, count))
+    for i, up in enumerate(offsets):
+        e = np.clip(elevation + up, -1.55, 1.55)
+        for j, aside in enumerate(offsets):
+            a = azimuth + aside
+            heading = np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
+            T = Pose.from_heading(pose.position, heading, pose.roll).T_map_camera
+            values[i, j] = _density(map_, evidence, T, tolerance_px)[0]
+    return values, offsets, offsets
+
+
+def product_over_positions(
+    map_: Map, evidence: Evidence, T_map_camera: FloatArray, grid: Grid, tolerance_px: float
+) -> FloatArray:
+    """Σ log((ε + ρ) / ε) (z, y, x), nats: a frame's product (2) for cameras turned as at a pose (4, 4)."""
+    R = T_map_camera[:3, :3]
+    values = [optimum_at(map_.densities, evidence, pose_matrix(R, x), tolerance_px).value for x in grid.points]
+    return grid.folded(np.array(values))
+
+
+def seen_from(map_: Map, feature: int, grid: Grid) -> BoolArray:
+    """Where on a grid (z, y, x) a feature may be seen from: presence π."""
+    mine = map_.observation_features == feature
+    presence = Presence.of(
+        map_.landmarks[[feature]].astype(np.float64),
+        map_.view_positions[map_.observation_views[mine]],
+        np.zeros(int(mine.sum()), dtype=np.int64),
+    )
+    landmark = map_.landmarks[[feature]].astype(np.float64)
+    return np.asarray(grid.folded(np.array([presence.allows(landmark, point)[0] for point in grid.points])))
+
+
+def _evidence(map_: Map, feature: int, rays: FloatArray, focal_px: float) -> Evidence:
+    """What one feature says at rays (N, 3)."""
+    count = len(rays)
+    return Evidence.of(
+        np.full(count, feature),
+        rays,
+        np.tile(map_.landmarks[feature].astype(np.float64), (count, 1)),
+        np.tile(map_.covariances[feature].astype(np.float64), (count, 1, 1)),
+        np.full(count, _CERTAIN),
+        focal_px,
+    )
+
+
+def _density(map_: Map, evidence: Evidence, T_map_camera: FloatArray, tolerance_px: float) -> FloatArray:
+    return optimum_at(map_.densities, evidence, T_map_camera, tolerance_px).density
