@@ -201,7 +201,10 @@ ServeFunction = Callable[..., RunningService]
 
 @pytest.fixture(scope="module")
 def serve(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ServeFunction]:
-    """Starts services with chosen settings, in folders of their own and without a worker; stops them at the end."""
+    """Starts services with chosen settings, in folders of their own and without a worker; stops them at the end.
+
+    They refuse at once: thousands of refusals of 20 ms each are a minute.
+    """
     from rholoc.service import Settings, create_app
     from rholoc.service.connections import websocket_options
 
@@ -224,7 +227,9 @@ def serve(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ServeFunction]:
         started.append((server, thread))
         return RunningService(f"http://127.0.0.1:{listener.getsockname()[1]}", app, chosen)
 
-    yield start
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("rholoc.service.middleware._REFUSAL_TAKES_S", 0.0)
+        yield start
     for server, thread in started:
         server.should_exit = True
         thread.join(10)

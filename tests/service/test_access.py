@@ -37,7 +37,7 @@ def locked(serve):
 def secrets(locked):
     """Headers by what they hold: a key of each scope, none, one that was revoked, one that has expired."""
     store = KeyStore(locked.settings.data_dir)
-    keys = {scope: store.create(scope, scope) for scope in Scope}
+    keys = {scope: store.create(f"key-{scope}", scope) for scope in Scope}  # no route of a request revokes one
     keys["revoked"] = store.create("revoked", Scope.ADMIN)
     keys["expired"] = store.create("expired", Scope.ADMIN, lifetime_s=0)
     store.revoke("revoked")
