@@ -9,7 +9,7 @@ BIN := $(VENV)/bin
 INSTALLED := $(VENV)/.installed
 PAGE_TOOLS := client/node_modules/.installed
 
-.PHONY: demo serve test test-all lint format clean
+.PHONY: demo serve test test-all lint format docs clean
 
 demo: $(INSTALLED)
 	$(BIN)/rholoc demo
@@ -37,8 +37,12 @@ format: $(INSTALLED) $(PAGE_TOOLS)
 	$(BIN)/ruff format .
 	npm --prefix client run --silent format
 
+docs: $(INSTALLED)
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet -f docs/site/mkdocs.yml
+	@echo "site/index.html"
+
 clean:
-	rm -rf $(VENV) demo-output client/node_modules
+	rm -rf $(VENV) demo-output site client/node_modules
 
 $(PAGE_TOOLS): client/package.json
 	@command -v npm >/dev/null || { echo "The web page is checked with Node.js 20 or later, which was not found: install nodejs and npm."; exit 1; }
@@ -49,5 +53,5 @@ $(INSTALLED): pyproject.toml client/pyproject.toml server/constraints.txt
 	@$(if $(PYTHON),,echo "rholoc needs Python 3.11 or later; none was found. Install one, or name it: make PYTHON=/path/to/python3.12"; exit 1)
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null || { echo "$(PYTHON) is not Python 3.11 or later. Name one that is: make PYTHON=/path/to/python3.12"; exit 1; }
 	@$(PYTHON) -m venv $(VENV) || { echo "$(PYTHON) has no venv module: install it (Debian: apt install python3-venv)."; exit 1; }
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c server/constraints.txt -e ./client -e '.[dev]'
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c server/constraints.txt -e ./client -e '.[dev,docs]'
 	@touch $@
