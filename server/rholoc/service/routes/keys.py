@@ -53,7 +53,11 @@ async def list_keys(service: Service) -> KeyList:
 
 
 @router.delete(
-    "/keys/{name}", dependencies=[NEEDS_ADMIN], status_code=204, summary="Revoke a key", responses=failures(NotFound)
+    "/keys/{name}",
+    dependencies=[NEEDS_ADMIN],
+    status_code=204,
+    summary="Revoke a key",
+    responses=failures(NotFound, InvalidRequest),
 )
 async def revoke_key(name: str, service: Service) -> None:
     """It is refused from the next request on."""
