@@ -506,3 +506,16 @@ def test_four_pictures_stand_before_the_first_walk_until_they_were_seen(running,
     expect(pictures.first).to_be_hidden()
     page.get_by_text("Before the first walk").click()
     expect(pictures.first).to_be_visible()
+
+
+@pytest.mark.slow
+def test_a_walk_that_comes_back_is_told_to_hold_on(running, phone):
+    page = phone(running.url)  # its camera sees the same wall every five seconds
+    open_camera(page)
+    page.get_by_role("button", name="Record", exact=True).click()
+    expect(page.locator(".ring")).to_be_visible()
+    expect(page.locator(".advice")).to_have_text("You have been here: hold on for two seconds.", timeout=LONG_MS)
+    expect(page.locator(".ring text")).to_have_text("✓")
+    page.get_by_role("button", name="Stop").click()
+    expect(page.get_by_role("heading", name="Your recording")).to_be_visible(timeout=LONG_MS)
+    expect(page.locator(".doubts")).not_to_contain_text("No loop was seen")

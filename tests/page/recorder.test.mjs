@@ -2,6 +2,8 @@ import assert from "node:assert/strict";
 import { test } from "node:test";
 
 import { advice, BAREST, brightness, Flaw, flaws, LEAST_SHARP, sharpness, texture } from "../../client/page/record/coaching.js";
+import { Headings, SECTORS } from "../../client/page/record/headings.js";
+import { agreeing, featuresOf, match, PlaceMemory } from "../../client/page/record/place_memory.js";
 import { flawedSpans, Readings } from "../../client/page/record/readings.js";
 import { added, marked, planned } from "../../client/page/record/waypoints.js";
 
@@ -71,4 +73,60 @@ test("a double tap marks once, and an added point stands before the end", () => 
   assert.deepEqual(added(points).map(({ name }) => name), ["W1", "W2", "W3", "W4", "E"]);
   const ended = points.map((point, i) => ({ ...point, time: 10 * (i + 1) }));
   assert.deepEqual(added(ended).map(({ name }) => name), ["W1", "W2", "W3", "E", "W4"]);
+});
+
+/** A wide wall of smooth speckles, the same for a seed; `view(x)` is what a camera sees of it. */
+function wall(seed, width = 900) {
+  const height = 135;
+  let state = seed;
+  const next = () => ((state = (Math.imul(state, 1103515245) + 12345) & 0x7fffffff) / 0x7fffffff) * 255;
+  const columns = Math.ceil(width / 6) + 2;
+  const coarse = Float32Array.from({ length: columns * (Math.ceil(height / 6) + 2) }, next);
+  const at = (x, y) => {
+    const [i, j] = [Math.floor(x / 6), Math.floor(y / 6)];
+    const [u, v] = [x / 6 - i, y / 6 - j];
+    const value = (a, b) => coarse[(j + b) * columns + i + a];
+    return (1 - v) * ((1 - u) * value(0, 0) + u * value(1, 0)) + v * ((1 - u) * value(0, 1) + u * value(1, 1));
+  };
+  return (left, noise = 0) =>
+    Float32Array.from({ length: 240 * height }, (_, i) => at(left + (i % 240), Math.floor(i / 240)) + noise * (next() / 255 - 0.5));
+}
+const seen = (view) => featuresOf(view, 240, 135);
+
+test("a view is known again, moved and noisy, and another is not", () => {
+  const [here, elsewhere] = [wall(1), wall(2)];
+  const [a, b, c] = [seen(here(100)), seen(here(118, 12)), seen(elsewhere(100))];
+  assert.ok(a.count > 60, String(a.count));
+  assert.ok(agreeing(a, b, match(a, b)) > 0.5 * a.count);
+  assert.ok(agreeing(a, c, match(a, c)) < 6);
+});
+
+test("a walk that comes back closes a loop, one that goes on closes none, and a camera at rest neither", () => {
+  const view = wall(3, 1500);
+  const walk = (places) => {
+    const memory = new PlaceMemory();
+    const found = places.map((place, second) => memory.see(seen(view(place, 8)), second));
+    return { found, count: memory.count };
+  };
+  const there = Array.from({ length: 20 }, (_, i) => 60 * i);
+  assert.deepEqual(walk(there).found.filter(Boolean), []);
+  const back = walk([...there, ...there.slice(0, 18).reverse()]);
+  assert.ok(back.found.slice(-3).every((one) => one !== null && one.since <= 3), JSON.stringify(back.found.slice(-4)));
+  assert.equal(walk(Array(10).fill(0)).count, 1);
+  assert.ok(back.count >= 6, String(back.count));
+  assert.equal(new PlaceMemory().see(featuresOf(new Float32Array(240 * 135).fill(90), 240, 135), 0), null);
+});
+
+test("directions are counted from the gyroscope, to the right, however the phone is held", () => {
+  const rates = { upright: [0, 9.8, 0, 0, -1, 0], lying: [9.8, 0, 0, -1, 0, 0] };
+  for (const [held, row] of Object.entries(rates)) {
+    const headings = new Headings();
+    for (let i = 0; i <= 50; i++) headings.turn([i * (Math.PI / 100), ...row]); // a radian a second for a quarter turn
+    assert.ok(Math.abs(headings.heading - Math.PI / 2) < 1e-6, held);
+    assert.equal(headings.sector, SECTORS / 4);
+    headings.look(1.5);
+    assert.equal(headings.covered, 1);
+    headings.turn([100, ...row]); // a gap says nothing
+    assert.equal(headings.sector, SECTORS / 4);
+  }
 });

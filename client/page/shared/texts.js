@@ -640,4 +640,11 @@ export const GERMAN = {
     "Die Kamera des Telefons darauf richten. Der Schlüssel darin gilt zwei Stunden.",
   "No phone reaches this address: start the server with rholoc serve --tls, and open the address that it shows.":
     "Kein Telefon erreicht diese Adresse: Den Server mit rholoc serve --tls starten und die Adresse öffnen, die er zeigt.",
+
+  // While walking
+  "{0} of {1} directions seen, {2} different views, {3} loops closed":
+    "{0} von {1} Richtungen gesehen, {2} verschiedene Ansichten, {3} Schleifen geschlossen",
+  "You have been here: hold on for two seconds.": "Hier warst du schon: zwei Sekunden innehalten.",
+  "No loop was seen: the walk did not come back to where it had been, or not long enough. The map will not know its own errors.":
+    "Keine Schleife gesehen: Der Rundgang kam nicht dorthin zurück, wo er schon war, oder nicht lange genug. Die Karte kennt dann ihre eigenen Fehler nicht.",
 };

@@ -3,14 +3,17 @@
 import { fill, h } from "../../shared/dom.js";
 import { t, translated } from "../../shared/text.js";
 import { facesAway, openCamera, pictureMeter } from "../camera.js";
-import { advice, LEAST_RATE_HZ, rollDegrees, turnRate } from "../coaching.js";
+import { advice, flaws, LEAST_RATE_HZ, rollDegrees, turnRate } from "../coaching.js";
 import { draft, keepDraft } from "../draft.js";
+import { Headings } from "../headings.js";
+import { LoopWatch } from "../loop_watch.js";
 import { Problem } from "../problem.js";
 import { Readings } from "../readings.js";
 import { askForSensors, Sensors } from "../sensors.js";
 import { Take } from "../take.js";
 import { complete, freeName, marked, nextRow } from "../waypoints.js";
 import { meters } from "./meters.js";
+import { ring } from "./ring.js";
 import { waypointList } from "./waypoint_list.js";
 import { duration, size } from "./words.js";
 
@@ -64,6 +67,9 @@ class Live {
   #smooth = { light: null, texture: null, sharpness: null };
   #readings = new Readings();
   #advised = { code: null, since: 0 };
+  #headings = new Headings();
+  #watch = null; // for loops, while recording
+  #held = false; // whether the present loop was announced
 
   constructor(store) {
     this.store = store;
@@ -73,6 +79,7 @@ class Live {
     this.time = h("strong", { class: "time", role: "timer", hidden: true });
     this.imu = h("span", { class: "badge" }, t`Sensors …`);
     this.meters = meters();
+    this.ring = ring();
     this.advice = h("p", { class: "advice", role: "status", "aria-live": "polite" });
     this.waypoint = h("button", { class: "waypoint", disabled: true, onclick: () => this.mark() });
     this.record = h("button", {
@@ -87,7 +94,7 @@ class Live {
       "section",
       { class: "viewfinder", "aria-label": t`Recording` },
       this.video,
-      h("div", { class: "readings" }, this.time, this.imu, this.meters.element),
+      h("div", { class: "readings" }, this.time, this.imu, this.meters.element, this.ring.element),
       this.advice,
       h("div", { class: "controls" }, this.waypoint, h("div", { class: "row" }, this.back, this.record, this.points)),
     );
@@ -107,6 +114,7 @@ class Live {
 
   close() {
     this.#take?.stop();
+    this.sensors.removeEventListener("row", this.turned);
     clearInterval(this.timer);
     this.sensors.stop();
     for (const track of this.stream?.getTracks() ?? []) track.stop();
@@ -130,6 +138,9 @@ class Live {
       facesAway: facesAway(this.stream),
     };
     this.#readings = new Readings();
+    this.#headings = new Headings();
+    this.#watch = new LoopWatch(this.video);
+    this.sensors.addEventListener("row", this.turned);
     this.#take = new Take(this.store, recording, this);
     this.#take.start();
     this.#take.ended.then((ended) => this.end(ended));
@@ -143,7 +154,10 @@ class Live {
 
   async end(recording) {
     const { darkest } = this.#readings;
-    const kept = { ...recording, waypoints: this.#marks, darkest, seconds: this.#readings.seconds() };
+    const { works, loops, views } = this.#watch ?? {};
+    const seen = works ? { loops, views } : {};
+    const kept = { ...recording, ...seen, waypoints: this.#marks, darkest, seconds: this.#readings.seconds() };
+    this.#watch?.close();
     await this.store.save(kept);
     location.hash = `#/review/${recording.id}`;
   }
@@ -211,11 +225,27 @@ class Live {
       const { elapsed, recording } = this.#take;
       this.#readings.add(elapsed, measured);
       recording.seconds = this.#readings.seconds(); // kept with the next part
+      if (!flaws(measured).length) this.#headings.look(MEASURE_MS / 1000);
+      this.#watch.look(elapsed);
+      this.ring.show(this.#headings, this.#watch.views, this.#watch.loops);
       this.time.textContent = `${duration(elapsed)} · ${size(recording.bytes)}`;
     }
     const rollDeg = rows.length ? rollDegrees(rows.at(-1).slice(1, 4), screen.orientation?.angle) : null;
-    this.advise(advice({ ...measured, rollDeg, imuHz }));
+    this.advise(this.loopAdvice() ?? advice({ ...measured, rollDeg, imuHz }));
   }
+
+  /** What to do where the walk has been before; said once each time. */
+  loopAdvice() {
+    if (!this.#take || !this.#watch?.here) {
+      this.#held = false;
+      return null;
+    }
+    if (!this.#held) navigator.vibrate?.([60, 60, 60]);
+    this.#held = true;
+    return { code: "loop", text: t`You have been here: hold on for two seconds.` };
+  }
+
+  turned = (event) => this.#headings.turn(/** @type {CustomEvent} */ (event).detail);
 
   /** Measurements of the picture that do not flicker. */
   smoothed(seen) {

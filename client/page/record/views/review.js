@@ -21,6 +21,7 @@ const FLAWS = {
   [Flaw.BLURRED]: t`blurred`,
   [Flaw.BARE]: t`nothing to recognise`,
 };
+const LOOP_EXPECTED_S = 20; // of a walk; a shorter one has hardly left
 const MUCH = 0.25; // of a walk's seconds; where more have a flaw, it is better walked again
 
 /** Video, figures, doubts, points; then it is sent, kept or deleted. */
@@ -156,6 +157,9 @@ function doubtsOf(recording, imuHz) {
     Number.isFinite(recording.darkest) &&
       recording.darkest < DARKEST &&
       t`Parts of it are dark. The map may have gaps there.`,
+    recording.loops === 0 &&
+      recording.duration > LOOP_EXPECTED_S &&
+      t`No loop was seen: the walk did not come back to where it had been, or not long enough. The map will not know its own errors.`,
     problem(recording.waypoints),
   ].filter(Boolean);
 }
