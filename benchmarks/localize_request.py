@@ -87,12 +87,11 @@ def prior_fields(kind: PriorKind, pose: dict[str, Any] | None, rng: np.random.Ge
     off_m, off_deg = _OFF[kind]
     shift, axis = rng.normal(size=(2, 3))
     position = np.array(pose["position"]) + off_m * shift / np.linalg.norm(shift)
-    heading = np.array(pose["heading"])
-    axis -= (axis @ heading) * heading
     turn = Rotation.from_rotvec(np.radians(off_deg) * axis / np.linalg.norm(axis))
+    turned = turn * Rotation.from_quat(pose["quaternion_xyzw"])
     return {
         "prior_position": ",".join(f"{x:.4f}" for x in position),
-        "prior_heading": ",".join(f"{x:.5f}" for x in turn.apply(heading)),
+        "prior_quaternion_xyzw": ",".join(f"{x:.6f}" for x in turned.as_quat()),
     }
 
 

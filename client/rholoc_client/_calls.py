@@ -185,7 +185,7 @@ def localize_options(
     """The options of a localization as the service takes them; what is None is left out."""
     given = {
         "camera": _chosen(camera),
-        "prior": None if prior is None else asdict(prior),
+        "prior": None if prior is None else prior_fields(prior),
         "dof": dof,
         "gravity": gravity,
         "deadline_ms": deadline_ms,
@@ -193,6 +193,13 @@ def localize_options(
         "with_matches": with_matches or None,
     }
     return _without_none(given)
+
+
+def prior_fields(prior: Prior) -> dict[str, Any]:
+    """A prior as the service takes it: with its rotation, or else its heading."""
+    known, fields = prior.quaternion_xyzw is not None, asdict(prior)
+    del fields["heading" if known else "quaternion_xyzw"]
+    return fields
 
 
 def list_maps() -> Call[list[MapSummary]]:

@@ -39,12 +39,16 @@ class CameraProfile:
 
 @dataclass(frozen=True)
 class Prior:
-    """A pose that the answer is expected near: metres and unit vectors in the map frame."""
+    """A pose that the answer is expected near: metres and unit vectors in the map frame.
+
+    ``quaternion_xyzw`` is the whole rotation, R_map_camera, where it is known: a heading alone says nothing of roll.
+    """
 
     position: Vector3
     heading: Vector3
     radius_m: float = 1.0
     radius_deg: float = 35.0
+    quaternion_xyzw: tuple[float, float, float, float] | None = None
 
 
 @dataclass(frozen=True)
@@ -108,7 +112,7 @@ class Pose:
 
     def as_prior(self, radius_m: float = 1.0, radius_deg: float = 35.0) -> Prior:
         """This pose as what the next one is expected near: how a robot keeps track."""
-        return Prior(self.position, self.heading, radius_m, radius_deg)
+        return Prior(self.position, self.heading, radius_m, radius_deg, self.quaternion_xyzw)
 
 
 @dataclass(frozen=True)

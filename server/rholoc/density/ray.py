@@ -132,8 +132,13 @@ class RayOffsets:
     @classmethod
     def of(cls, evidence: Evidence, T_map_camera: FloatArray) -> RayOffsets:
         """Of evidence at a pose (4, 4)."""
-        to_landmark = evidence.landmarks - T_map_camera[:3, 3]
-        across = (T_map_camera[:3, :3] @ evidence.across).transpose(0, 2, 1)  # (M, 2, 3), map frame
+        return cls.between(evidence.landmarks, evidence.across, T_map_camera)
+
+    @classmethod
+    def between(cls, landmarks: FloatArray, basis: FloatArray, T_map_camera: FloatArray) -> RayOffsets:
+        """Of landmarks (M, 3) and the bases (M, 3, 2) across their rays, in the camera frame, at a pose (4, 4)."""
+        to_landmark = landmarks - T_map_camera[:3, 3]
+        across = (T_map_camera[:3, :3] @ basis).transpose(0, 2, 1)  # (M, 2, 3), map frame
         # ∂e/∂x = −(R E)ᵀ; a rotation δ from the left turns m − x by −δ: ∂e/∂δ = (R E)ᵀ [m − x]×
         jacobian = np.empty((len(to_landmark), 2, 6))
         jacobian[:, :, :3] = -across
@@ -233,17 +238,16 @@ class LocalRayDensities:
 
     def at(self, T_map_camera: FloatArray, tolerance_px: float) -> Slopes:
         """ρ and its slopes at a pose (4, 4), d being d²/r²."""
-        evidence, x = self.evidence, T_map_camera[:3, 3]
+        evidence = self.evidence
         bearings = evidence.rays @ T_map_camera[:3, :3].T
-        along, aside = _along_and_aside(evidence.landmarks, bearings, x)
+        along, aside = _along_and_aside(evidence.landmarks, bearings, T_map_camera[:3, 3])
         allowed = _squared_tolerances(evidence, along, tolerance_px)
         density = _density(along, aside, allowed)
         inside = np.flatnonzero(density > 0)
-        some, b, r = evidence.take(inside), bearings[inside], np.sqrt(allowed[inside])
-        by_bearing, by_position = ray_density_gradient(some.landmarks, b, x, r)
-        # a rotation δ from the left moves b by δ × b
-        gradient = -np.concatenate([by_position, cross(b, by_bearing)], axis=1)
-        roots = RayOffsets.of(some, T_map_camera).jacobian / r[:, None, None]
+        offsets = RayOffsets.between(evidence.landmarks[inside], evidence.across[inside], T_map_camera)
+        r = np.sqrt(allowed[inside])
+        roots = offsets.jacobian / r[:, None, None]
+        gradient = 2 * ((offsets.offset / r[:, None])[:, None] @ roots)[:, 0]  # d = |e|²/r²
         return Slopes(density, inside, gradient, roots)
 
 

@@ -229,7 +229,8 @@ class _Run:
             prior = None
             if question.prior is not None:
                 sent = question.prior
-                pose = Pose.from_heading(np.array(sent.position), np.array(sent.heading))
+                assert sent.quaternion_xyzw is not None
+                pose = Pose.from_quaternion(np.array(sent.position), np.array(sent.quaternion_xyzw))
                 prior = Prior(pose, sent.radius_m, float(np.radians(sent.radius_deg)))
             self.asked.append(row)
             asked = time.perf_counter()

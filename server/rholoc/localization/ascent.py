@@ -134,14 +134,13 @@ def ascend_with_focal(
 
 def _focal_equations(evidence: Evidence, T: FloatArray, tolerance_px: float, dof: Dof) -> tuple[FloatArray, FloatArray]:
     """As :func:`normal_equations`, with the focal length's logarithm for a seventh parameter: (7,) and (7, 7)."""
-    slopes = RayDensities().near(evidence, T, tolerance_px).at(T, tolerance_px)
-    some = evidence.take(slopes.inside)
-    offsets = RayOffsets.of(some, T)
-    J = np.concatenate([offsets.jacobian, _by_focal(some, T)[:, :, None]], axis=2)
-    weight = 2 * _weights(some.epsilon, slopes.density[slopes.inside], 1) / squared_tolerances(some, T, tolerance_px)
-    weighted = J * weight[:, None, None]
-    slope = -np.einsum("mrp,mr->p", weighted, offsets.offset)
-    curvature = np.einsum("mrp,mrq->pq", weighted, J)
+    offsets, allowed = RayOffsets.of(evidence, T), squared_tolerances(evidence, T, tolerance_px)
+    along = (evidence.landmarks - T[:3, 3]) @ T[:3, :3]  # of the camera frame
+    density = np.maximum(1 - (offsets.offset**2).sum(axis=1) / allowed, 0) * (_dot(along, evidence.rays) > 0)
+    J = np.concatenate([offsets.jacobian, _by_focal(evidence, T)[:, :, None]], axis=2).reshape(-1, 7)
+    weight = np.where(density > 0, 2 * _weights(evidence.epsilon, density, 1) / allowed, 0.0)
+    weighted = J * np.repeat(weight, 2)[:, None]
+    slope, curvature = -offsets.offset.ravel() @ weighted, weighted.T @ J
     pull, stiffness = roll_prior(T, dof)
     slope[:6] += pull
     curvature[:6, :6] += stiffness
@@ -150,9 +149,14 @@ def _focal_equations(evidence: Evidence, T: FloatArray, tolerance_px: float, dof
 
 def _by_focal(evidence: Evidence, T: FloatArray) -> FloatArray:
     """∂e/∂ln f (M, 2): a longer focal length draws rays to the axis, ∂b/∂ln f = −(bx, by, 0) across the ray."""
-    along = np.einsum("mi,mi->m", (evidence.landmarks - T[:3, 3]) @ T[:3, :3], evidence.rays)
+    along = _dot((evidence.landmarks - T[:3, 3]) @ T[:3, :3], evidence.rays)
     drawn = np.einsum("mir,mi->mr", evidence.across, evidence.rays * (1.0, 1.0, 0.0))
     return np.asarray(along[:, None] * drawn)
+
+
+def _dot(a: FloatArray, b: FloatArray) -> FloatArray:
+    """a · b (M,) of vectors (M, 3)."""
+    return np.asarray(np.einsum("mi,mi->m", a, b))
 
 
 def sharpen(

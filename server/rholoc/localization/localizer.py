@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
+from itertools import islice
 
 import numpy as np
 
@@ -21,7 +22,7 @@ from rholoc.localization.map_uncertainty import with_map_error
 from rholoc.localization.matches import Matches, NearestLandmarks
 from rholoc.localization.ransac import lo_ransac
 from rholoc.localization.rivals import are_rivals, rival_seeds, sureness
-from rholoc.localization.seeds import Place, minimal_samples, place_of_prior, vote_for_places
+from rholoc.localization.seeds import Place, minimal_samples, place_of_prior, places_by_votes
 from rholoc.localization.types import Dof, Intrinsics, Localization, Prior, Query, Reason
 from rholoc.localization.verification import Verified, evidence_of, verify
 from rholoc.maps import Map
@@ -31,7 +32,8 @@ _FEW_FEATURES = 40
 _MAX_GRAVITY_ERROR_RAD = np.deg2rad(10.0)
 _MAX_UPRIGHT_ROLL_RAD = np.deg2rad(15.0)
 _TRACKED_OVER_CHANCE = 1.5
-_TRACKING_RADII_PX = (30.0, 5.0)  # around a prior: what a camera turns and moves in a twentieth of a second
+_TRACKED_CHANCE = 0.5  # of a match, on average: where a prior is wrong it is 0.3 to 0.4
+_TRACKING_RADII_PX = (14.0, 5.0)  # around a prior: as far as a tracker's are off. Pairs, and time, grow with the square
 
 
 @dataclass(frozen=True)
@@ -283,6 +285,10 @@ class Localizer:
         if search.everywhere is not None:
             in_place = np.isin(search.everywhere.landmarks, place.landmarks)
             yield self._glance(search.everywhere.take(np.flatnonzero(in_place)), query, rays, watch)
+        else:
+            near = self.index.match_within(query.features, place.landmarks, all_descriptors=False)
+            watch.lap("match")
+            yield self._glance(near, query, rays, watch)
         yield from self._look_closely(place, query, rays, watch)
 
     def _glance(self, matches: Matches, query: Query, rays: FloatArray, watch: _Stopwatch) -> _Found | None:
@@ -299,9 +305,11 @@ class Localizer:
         """The pose next to a prior; None, at little cost, where no more is found there than by chance."""
         T_map_camera = prior.pose.T_map_camera
         near, by_chance = self.index.match_near(query.features, query.camera, T_map_camera, _TRACKING_RADII_PX[0])
-        if len(near) < _TRACKED_OVER_CHANCE * by_chance.sum() + _MIN_FEATURES:
+        over_chance = len(near) >= _TRACKED_OVER_CHANCE * by_chance.sum() + _MIN_FEATURES
+        alike = len(near) >= 2 * _MIN_FEATURES and near.chances.mean() >= _TRACKED_CHANCE
+        if not (over_chance or alike):
             return None
-        return verify(self.index, query, rays, T_map_camera, _TRACKING_RADII_PX)
+        return verify(self.index, query, rays, T_map_camera, _TRACKING_RADII_PX, first=(near, by_chance))
 
     def _places(self, search: _Search) -> Iterator[Place]:
         """Where to look: about the prior, then where matches with the whole map point to."""
@@ -317,7 +325,8 @@ class Localizer:
         if len(everywhere) < _MIN_FEATURES:
             search.reason = Reason.NO_MATCHES
             return
-        yield from vote_for_places(self.index, everywhere, options.places, options.views_each, query.prior)
+        places = places_by_votes(self.index, everywhere, options.views_each, query.prior)
+        yield from islice(places, options.places)
 
     def _look_closely(self, place: Place, query: Query, rays: FloatArray, watch: _Stopwatch) -> Iterator[_Found | None]:
         """Poses that matches within one place lead to: from LO-RANSAC, then from samples scored by the density."""

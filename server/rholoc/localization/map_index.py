@@ -88,11 +88,19 @@ class MapIndex:
         """π_f: which features, or which of some ``landmarks`` (M,), may be seen from ``position`` (3,)."""
         return self.presence.take(landmarks).allows(self.landmarks[landmarks], position)
 
+    def seen_from(self, views: IntArray) -> IntArray:
+        """The features (P,) that some views (V,) saw, in their order."""
+        first = self.map.view_offsets
+        seen = np.zeros(len(self.map), dtype=bool)
+        for view in views.tolist():
+            seen[self.visibility.indices[first[view] : first[view + 1]]] = True
+        return np.flatnonzero(seen)
+
     def seen_alike(self, landmarks: IntArray, views: int) -> BoolArray:
         """Which features (F,) were seen by those ``views`` that saw most of some landmarks (M,): as from there."""
         votes = self._votes(landmarks)
         seen = np.zeros(len(self.map), dtype=bool)
-        seen[self.visibility[np.argsort(-votes, kind="stable")[:views]].indices] = True
+        seen[self.seen_from(np.argsort(-votes, kind="stable")[:views])] = True
         return seen
 
     def _votes(self, landmarks: IntArray) -> FloatArray:
@@ -107,9 +115,10 @@ class MapIndex:
         """Matches of a query's features with the whole map."""
         return self.nearest_everywhere(features).matches()
 
-    def match_within(self, features: FeatureSet, landmarks: IntArray) -> Matches:
-        """Matches with some of the map's features only, each the other's nearest."""
-        rows = self.descriptor_rows(landmarks)
+    def match_within(self, features: FeatureSet, landmarks: IntArray, all_descriptors: bool = True) -> Matches:
+        """Matches with some of the map's features only, each the other's nearest; by all descriptors of each, or, which
+        is quicker, by its first."""
+        rows = self.descriptor_rows(landmarks) if all_descriptors else self._medoids[landmarks]
         channels = self.map.channels[self.map.descriptor_features[rows]]
         index = DescriptorIndex(self.map.descriptors[rows], channels, self.metric)
         return self._nearest(index, rows, features).matches(mutual=True)

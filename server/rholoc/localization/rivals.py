@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from itertools import islice
 
 import numpy as np
 
@@ -16,7 +17,7 @@ from rholoc.geometry import FloatArray, pose_distances
 from rholoc.localization.map_index import MapIndex
 from rholoc.localization.matches import Matches, NearestLandmarks
 from rholoc.localization.ransac import lo_ransac
-from rholoc.localization.seeds import vote_for_places
+from rholoc.localization.seeds import places_by_votes
 from rholoc.localization.support import Support
 from rholoc.localization.types import Query
 from rholoc.localization.verification import Verified
@@ -37,8 +38,10 @@ def rival_seeds(
     """Poses (4, 4) that matches other than those of a pose agree with, the best place first."""
     fewest = max(_FEWEST_AGREEING, _FEWEST_OF_FOUND * found.inliers)
     pairs = _unexplained(index, nearest.pairs(), query, found)
-    for place in vote_for_places(index, pairs, _PLACES, _VIEWS_EACH, None):
-        some = pairs.take(np.flatnonzero(np.isin(pairs.landmarks, place.landmarks))).likeliest_first()
+    for place in islice(places_by_votes(index, pairs, _VIEWS_EACH), _PLACES):
+        there = np.zeros(len(index.map), dtype=bool)
+        there[place.landmarks] = True
+        some = pairs.take(np.flatnonzero(there[pairs.landmarks])).likeliest_first()
         if len(some) < fewest:
             continue
         seen = rays[some.detections]

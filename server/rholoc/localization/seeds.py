@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import islice
 
 import numpy as np
 import poselib
@@ -40,22 +42,24 @@ def vote_for_places(index: MapIndex, matches: Matches, most: int, views_each: in
     Each match votes with its chance for the views that its landmark was seen in (presence); a place is a view with
     those that share most features with it.
     """
+    return list(islice(places_by_votes(index, matches, views_each, prior), most))
+
+
+def places_by_votes(index: MapIndex, matches: Matches, views_each: int, prior: Prior | None = None) -> Iterator[Place]:
+    """As :func:`vote_for_places`, one after the other: mostly the first one is enough."""
     votes = view_votes(index, matches)
     if prior is not None:
         near = np.linalg.norm(index.view_positions - prior.pose.position, axis=1) < prior.radius_m + 1.0
         votes = np.where(near, votes, votes * 0.1)
-    places: list[Place] = []
     open_ = votes > 0
-    while open_.any() and len(places) < most:
+    while open_.any():
         view = int(np.argmax(np.where(open_, votes, -1)))
         shared = index.covisibility[view]
         companions = np.argsort(-shared, kind="stable")[:views_each]
         companions = companions[shared[companions] > 0]
-        seen = index.visibility[companions].indices
-        places.append(Place(view, np.unique(seen), float(votes[view])))
+        yield Place(view, index.seen_from(companions), float(votes[view]))
         open_[companions[: max(views_each // 2, 1)]] = False
         open_[view] = False
-    return places
 
 
 def view_votes(index: MapIndex, matches: Matches) -> FloatArray:
@@ -74,7 +78,7 @@ def place_of_prior(index: MapIndex, prior: Prior, views_each: int) -> Place | No
     chosen = nearest[within[nearest]][:views_each]
     if len(chosen) == 0:
         return None
-    return Place(int(chosen[0]), np.unique(index.visibility[chosen].indices), np.inf)
+    return Place(int(chosen[0]), index.seen_from(chosen), np.inf)
 
 
 def minimal_samples(

@@ -91,18 +91,24 @@ def verify(
     T_map_camera: FloatArray,
     radii_px: tuple[float, ...] = SEARCH_RADII_PX,
     focal_free: bool = False,
+    first: tuple[Matches, FloatArray] | None = None,
 ) -> Verified | None:
-    """Match again around a pose (4, 4) and ascend, within each radius in turn; None where too little is found."""
+    """Match again around a pose (4, 4) and ascend, within each radius in turn; None where too little is found.
+
+    ``first``: what :meth:`MapIndex.match_near` found within the first radius, where that is known already.
+    """
     T, wide = T_map_camera, None
     for radius in radii_px:
-        matches, by_chance = index.match_near(query.features, query.camera, T, radius)
+        near, first = first, None
+        matches, by_chance = near or index.match_near(query.features, query.camera, T, radius)
         if len(matches) < _MIN_MATCHES:
             return None
         wide = wide or matches
         evidence = evidence_of(index, matches, rays, query.camera)
         tolerances_px = (*(px for px in (radius, radius / 2) if px > FINAL_TOLERANCE_PX), FINAL_TOLERANCE_PX)
         optimum = ascend(index.map.densities, evidence, T, tolerances_px, query.dof)
-        optimum = settle(index, matches, evidence, optimum, query.dof)
+        if radius == radii_px[-1]:
+            optimum = settle(index, matches, evidence, optimum, query.dof)
         T = optimum.T_map_camera
     assert wide is not None
     pixels = query.features.pixels
