@@ -178,7 +178,7 @@ def survives(mutant: Mutant | None, tests: list[str], limit_s: int) -> bool:
 def is_noticed(mutant: Mutant, tests: list[str], limit_s: int) -> bool:
     """Whether some test fails on a mutant."""
     files = [
-        str(file) for test in tests for file in (sorted(Path(test).glob("test_*.py")) if test[-1] == "/" else [test])
+        str(file) for test in tests for file in (sorted(Path(test).rglob("test_*.py")) if test[-1] == "/" else [test])
     ]
     near = [file for file in files if mutant.module.stem in file]
     others = [file for file in files if file not in near]

@@ -17,9 +17,9 @@ from scipy.spatial.transform import Rotation
 
 from rholoc.geometry import FloatArray, umeyama
 from rholoc.recordings import read_recording
-from rholoc.trajectory.directions import PairDirection
-from rholoc.trajectory.gyroscope import calibrate_gyro
-from rholoc.trajectory.inertial_start import inertial_start
+from rholoc.trajectory.inertial.gyroscope import calibrate_gyro
+from rholoc.trajectory.initialization.inertial_start import inertial_start
+from rholoc.trajectory.visual.directions import PairDirection
 
 SHIFTS_S = (0.0, 0.02, 0.04, 0.06, 0.08)
 EVERY = 6  # poses taken for keyframes: 10 a second of 60

@@ -9,7 +9,7 @@ import numpy as np
 from rholoc.features import get_extractor
 from rholoc.mapping.frame_features import FrameFeatures
 from rholoc.recordings import look_at
-from rholoc.trajectory.keyframe_features import extract_keyframe_features
+from rholoc.trajectory.visual.keyframe_features import extract_keyframe_features
 
 IMAGES = np.random.default_rng(0).integers(0, 255, (6, 120, 160, 3), np.uint8)
 EXTRACTOR = get_extractor("gray")

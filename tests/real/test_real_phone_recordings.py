@@ -10,7 +10,7 @@ import pytest
 
 from rholoc.recordings import RecordingFormat, WarningKind, describe_recording, read_recording
 from rholoc.recordings.imu_normalisation import force_points_up
-from rholoc.trajectory.gyroscope import calibrate_gyro
+from rholoc.trajectory.inertial.gyroscope import calibrate_gyro
 
 pytestmark = pytest.mark.real
 

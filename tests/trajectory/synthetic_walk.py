@@ -1,7 +1,7 @@
 """A phone's simulated walk without pictures: points on a room's walls as the camera would follow and describe them.
 
-What stands in for the pictures is what the front end makes of them, a :class:`rholoc.trajectory.flow.Flow` and feature
-sets; everything behind it is the real thing.
+What stands in for the pictures is what the front end makes of them, a :class:`rholoc.trajectory.visual.flow.Flow` and
+feature sets; everything behind it is the real thing.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from rholoc.geometry import BoolArray, ByteArray, Camera, FloatArray, IntArray
 from rholoc.progress import ProgressListener, silent
 from rholoc.recordings import Imu, Recording, Waypoint
 from rholoc.simulation import PHONE_CAMERA, Walk, make_walk, measure_imu, measure_waypoints
-from rholoc.trajectory.flow import Flow
+from rholoc.trajectory.visual.flow import Flow
 
 DELAY_S = 0.03  # between the clocks of camera and IMU
 SECONDS = 30.0
@@ -134,13 +134,13 @@ class SyntheticWalk:
         return replace(whole, **changes)  # type: ignore[arg-type]
 
     def track_corners(self, frames: Frames, progress: ProgressListener = silent) -> Flow:
-        """Stands in for :func:`rholoc.trajectory.flow.track_corners`."""
+        """Stands in for :func:`rholoc.trajectory.visual.flow.track_corners`."""
         return self.flow
 
     def extract_keyframe_features(
         self, frames: Frames, rows: IntArray, progress: ProgressListener = silent
     ) -> list[FeatureSet]:
-        """Stands in for the function of :mod:`rholoc.trajectory.keyframe_features`."""
+        """Stands in for the function of :mod:`rholoc.trajectory.visual.keyframe_features`."""
         return [self.features[row] for row in rows.tolist()]
 
     def _twice(self, count: int) -> int:

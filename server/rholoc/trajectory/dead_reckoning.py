@@ -13,8 +13,8 @@ from rholoc.errors import MappingFailed
 from rholoc.geometry import FloatArray, pose_matrix
 from rholoc.recordings import GRAVITY, Imu, Waypoint, check_waypoints_fix_frame
 from rholoc.recordings.walk.stillness import pauses
-from rholoc.trajectory.gyroscope import orientations
-from rholoc.trajectory.upright import rotation_to_upright
+from rholoc.trajectory.frame.upright import rotation_to_upright
+from rholoc.trajectory.inertial.gyroscope import orientations
 
 _PAUSE_S = 0.6  # the camera rests this long around a waypoint
 _LEG_SIGMA_M = 0.3  # how far an integrated leg ends from its waypoint

@@ -12,19 +12,19 @@ from rholoc.geometry import Camera, FloatArray, IntArray
 from rholoc.progress import ProgressListener, Stage, silent
 from rholoc.recordings import Imu, Recording, Waypoint, check_waypoints_fix_frame
 from rholoc.reports import ImuReport, InertialComparison, TrajectoryReport
-from rholoc.trajectory.blame import LeftOut, explain
+from rholoc.trajectory.checks.blame import LeftOut, explain
+from rholoc.trajectory.checks.gaps import describe, missing_spans
 from rholoc.trajectory.child import run_in_child
 from rholoc.trajectory.dead_reckoning import integrate_between_waypoints
-from rholoc.trajectory.flow import Flow, track_corners
-from rholoc.trajectory.gaps import describe, missing_spans
-from rholoc.trajectory.keyframe_features import FrameListener, extract_keyframe_features
-from rholoc.trajectory.keyframes import choose_keyframes
+from rholoc.trajectory.frame.upright import up_without_roll
+from rholoc.trajectory.frame.waypoint_times import choices_of_pauses, find_pauses, times_are_known
 from rholoc.trajectory.reconstruction import Reconstruction, Sights, reconstruct
-from rholoc.trajectory.rolling_shutter import RollingShutter, measure_rolling_shutter
-from rholoc.trajectory.self_calibration import calibration_report
 from rholoc.trajectory.trajectory import PoseMethod, Scale, Trajectory
-from rholoc.trajectory.upright import up_without_roll
-from rholoc.trajectory.waypoint_times import choices_of_pauses, find_pauses, times_are_known
+from rholoc.trajectory.visual.flow import Flow, track_corners
+from rholoc.trajectory.visual.keyframe_features import FrameListener, extract_keyframe_features
+from rholoc.trajectory.visual.keyframes import choose_keyframes
+from rholoc.trajectory.visual.rolling_shutter import RollingShutter, measure_rolling_shutter
+from rholoc.trajectory.visual.self_calibration import calibration_report
 
 _FEWEST_GIVEN = 3
 _FEWEST_KEYFRAMES = 4

@@ -16,7 +16,22 @@ from rholoc.geometry import BoolArray, Camera, FloatArray, IntArray, Similarity,
 from rholoc.progress import ProgressListener, Stage, silent
 from rholoc.recordings import GRAVITY, Imu, Waypoint
 from rholoc.recordings.tables.waypoints import DEFAULT_SIGMA_M
-from rholoc.trajectory.adjustment import (
+from rholoc.trajectory.checks.agreement import Agreement, compare
+from rholoc.trajectory.checks.blame import LeftOut, leave_out, worst
+from rholoc.trajectory.frame.map_frame import (
+    MapFrame,
+    frame_of_first_camera,
+    frame_of_waypoints,
+    up_by_gravity,
+    up_by_pictures,
+)
+from rholoc.trajectory.frame.upright import rotation_to_upright
+from rholoc.trajectory.frame.waypoint_alignment import MAX_GAP_S
+from rholoc.trajectory.inertial.gyroscope import GyroCalibration, camera_rotations
+from rholoc.trajectory.initialization.global_positioning import global_positions
+from rholoc.trajectory.initialization.inertial_start import InertialStart, inertial_start
+from rholoc.trajectory.initialization.rotation_averaging import average_rotations
+from rholoc.trajectory.optimization.adjustment import (
     GIVEN,
     GUESSED,
     Adjusted,
@@ -29,29 +44,15 @@ from rholoc.trajectory.adjustment import (
     residuals_px,
     triangulate,
 )
-from rholoc.trajectory.agreement import Agreement, compare
-from rholoc.trajectory.blame import LeftOut, leave_out, worst
-from rholoc.trajectory.camera_guess import calibrate_by_flow, guess_camera
-from rholoc.trajectory.directions import PairDirection, direction_between
-from rholoc.trajectory.flow import Flow
-from rholoc.trajectory.global_positions import global_positions
-from rholoc.trajectory.gyroscope import GyroCalibration, camera_rotations
-from rholoc.trajectory.inertial_start import InertialStart, inertial_start
-from rholoc.trajectory.loop_closure import PlacedFeatures, loop_pose, loops_in_reach, place_features
-from rholoc.trajectory.map_frame import (
-    MapFrame,
-    frame_of_first_camera,
-    frame_of_waypoints,
-    up_by_gravity,
-    up_by_pictures,
-)
-from rholoc.trajectory.matching import VerifiedPair, match_keyframes
-from rholoc.trajectory.pose_graph import RelativePose, bend
-from rholoc.trajectory.rolling_shutter import RollingShutter
-from rholoc.trajectory.rotations import PairRotation, average_rotations
-from rholoc.trajectory.tracks import Observations, followed_corners, matched_features, pieces_of
-from rholoc.trajectory.upright import rotation_to_upright
-from rholoc.trajectory.waypoint_alignment import MAX_GAP_S
+from rholoc.trajectory.optimization.loop_closure import PlacedFeatures, loop_pose, loops_in_reach, place_features
+from rholoc.trajectory.optimization.pose_graph import RelativePose, bend
+from rholoc.trajectory.visual.camera_guess import calibrate_by_flow, guess_camera
+from rholoc.trajectory.visual.directions import PairDirection, direction_between
+from rholoc.trajectory.visual.flow import Flow
+from rholoc.trajectory.visual.matching import VerifiedPair, match_keyframes
+from rholoc.trajectory.visual.rolling_shutter import RollingShutter
+from rholoc.trajectory.visual.tracks import Observations, followed_corners, matched_features, pieces_of
+from rholoc.trajectory.visual.two_view import PairRotation
 
 _CORNERS_PER_KEYFRAME = 90
 _FEATURES_PER_KEYFRAME = 150

@@ -7,7 +7,7 @@ from enum import StrEnum
 
 from rholoc.geometry import Camera, FloatArray, IntArray
 from rholoc.reports import TrajectoryReport
-from rholoc.trajectory.rolling_shutter import RollingShutter
+from rholoc.trajectory.visual.rolling_shutter import RollingShutter
 
 
 class PoseMethod(StrEnum):

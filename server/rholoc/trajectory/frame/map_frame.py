@@ -1,0 +1,168 @@
+"""A reconstruction of its own frame → the map's frame, by what is trusted most."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from rholoc.errors import MappingFailed
+from rholoc.geometry import FloatArray, Similarity
+from rholoc.recordings import Waypoint
+from rholoc.trajectory.frame.upright import rotation_to_upright, up_without_roll
+from rholoc.trajectory.frame.waypoint_alignment import UpMeasurement, WaypointAlignment, align_to_waypoints
+from rholoc.trajectory.trajectory import Scale
+
+_GRAVITY_SIGMA_DEG = 0.3  # what the adjustment's own uncertainty does not see: the mounting, the model
+_NO_ROLL_SIGMA_DEG = 1.5
+_MAX_TILT_DEG = 15.0  # between the waypoints' z axis and the measured up, above which they are not the same
+_MAX_SCALE_SIGMA = 0.1  # relative; a scale less certain than this is no scale
+_MAX_SCALE_CONTRADICTION = 0.15  # between waypoints and accelerometer …
+_SIGMAS = 4.0  # … and as many of the accelerometer's uncertainties
+_CLEARER = 2.0  # times worse must the next best choice of pauses fit …
+_EXACT_M = 0.02  # … than the best, or than this where that fits better
+
+
+@dataclass(frozen=True, eq=False)
+class MapFrame:
+    """How a reconstruction comes to the map frame.
+
+    Attributes:
+        similarity: from its own frame to the map's.
+        scale: whether lengths are metres now.
+        upright: whether the z axis is known to point up.
+        why_up, why_scale: one line each on what fixes them.
+        waypoints: with the times at which the camera was at them.
+        tilt_deg: between the waypoints' z axis and the measured upward direction, or None.
+        doubts: why the trajectory is not to be trusted, one line each.
+    """
+
+    similarity: Similarity
+    scale: Scale
+    upright: bool
+    why_up: str
+    why_scale: str
+    waypoints: tuple[Waypoint, ...] = ()
+    tilt_deg: float | None = None
+    doubts: tuple[str, ...] = ()
+
+
+def up_by_gravity() -> tuple[UpMeasurement, str]:
+    """The z axis of a reconstruction that the accelerometer has levelled, and what to say about it."""
+    return UpMeasurement(np.array([0.0, 0.0, 1.0]), _GRAVITY_SIGMA_DEG), "The accelerometer measured gravity."
+
+
+def up_by_pictures(R_world_camera: FloatArray) -> tuple[UpMeasurement | None, str]:
+    """The upward direction by the no-roll prior, from rotations (K, 3, 3), and what to say about it."""
+    prior = up_without_roll(R_world_camera)
+    figures = f"the cameras' x axes are {prior.roll_deg:.1f}° off one plane and spread {prior.turn_deg:.0f}° in it"
+    if prior.holds:
+        return UpMeasurement(prior.direction, _NO_ROLL_SIGMA_DEG), f"By the no-roll prior: {figures}."
+    return None, f"Unknown; the no-roll prior does not hold: {figures}."
+
+
+def frame_of_first_camera(
+    T_world_camera: FloatArray, up: UpMeasurement | None, why_up: str, median_depth: float, scale_sigma: float | None
+) -> MapFrame:
+    """Origin at the first of the cameras (N, 4, 4), which looks along x; upright where ``up`` is known.
+
+    Args:
+        median_depth: of the landmarks; the unit of length where nothing measured fixes it.
+        scale_sigma: how well the accelerometer knows the scale, relative, of a reconstruction in metres; else None.
+    """
+    if scale_sigma is None:
+        scale, unit = Scale.ARBITRARY, 1 / median_depth
+        why = "Nothing measured fixes the scale; the unit is the median distance of the landmarks."
+    elif scale_sigma > _MAX_SCALE_SIGMA:
+        scale, unit = Scale.ARBITRARY, 1 / median_depth
+        why = (
+            f"The accelerometer leaves the scale open ({scale_sigma:.0%}): the camera hardly sped up or slowed down. "
+            "Start and stop more often."
+        )
+    else:
+        scale, unit, why = Scale.METRIC, 1.0, f"The accelerometer fixes the scale to {scale_sigma:.1%}."
+    similarity = _at_camera(T_world_camera[0], None if up is None else up.direction, unit)
+    return MapFrame(similarity, scale, up is not None, why_up, why)
+
+
+def frame_of_waypoints(
+    times: FloatArray,
+    T_world_camera: FloatArray,
+    choices: Iterable[tuple[Waypoint, ...]],
+    up: UpMeasurement | None,
+    why_up: str,
+    scale_sigma: float | None = None,
+) -> MapFrame:
+    """The waypoints' own frame, from cameras (N, 4, 4) at ``times`` (N,).
+
+    Args:
+        choices: the waypoints at their times; where those are not known, every way to tell them, the best of which is
+            taken.
+        up: the upward direction in the frame of the cameras, or None.
+        scale_sigma: how well the accelerometer knows the scale, relative, of a reconstruction in metres; else None.
+
+    Raises:
+        MappingFailed: the camera's path misses the waypoints, however they are taken.
+    """
+    waypoints, alignment, next_best_m = _best_choice(times, T_world_camera[:, :3, 3], choices)
+    doubts = []
+    tilt_deg = None
+    if up is not None:
+        tilt_deg = _tilt_deg(alignment.similarity, up)
+        if tilt_deg <= _MAX_TILT_DEG:
+            alignment = align_to_waypoints(times, T_world_camera[:, :3, 3], waypoints, up)
+        else:
+            why_up += f" The waypoints' z axis is {tilt_deg:.0f}° off it, and was left there."
+    if next_best_m < _CLEARER * max(alignment.worst_m, _EXACT_M):
+        doubts.append("Other pauses than those taken fit the waypoints nearly as well; give the waypoints their times.")
+    contradiction = _scale_contradiction(alignment.similarity.scale, scale_sigma)
+    if contradiction:
+        doubts.append(contradiction)
+    upright = tilt_deg is not None and tilt_deg <= _MAX_TILT_DEG
+    why_scale = " ".join(["The waypoints fix the scale.", contradiction]).strip()
+    return MapFrame(alignment.similarity, Scale.METRIC, upright, why_up, why_scale, waypoints, tilt_deg, tuple(doubts))
+
+
+def _best_choice(
+    times: FloatArray, positions: FloatArray, choices: Iterable[Sequence[Waypoint]]
+) -> tuple[tuple[Waypoint, ...], WaypointAlignment, float]:
+    """The choice whose worst waypoint is missed least, its alignment, and by how much the next best misses its own."""
+    found: list[tuple[float, tuple[Waypoint, ...], WaypointAlignment]] = []
+    failure: MappingFailed | None = None
+    for waypoints in choices:
+        try:
+            alignment = align_to_waypoints(times, positions, waypoints)
+        except MappingFailed as error:
+            failure = failure or error
+            continue
+        found.append((float(np.nanmax(alignment.residuals_m)), tuple(waypoints), alignment))
+    if not found:
+        raise failure or MappingFailed("No pauses fit the waypoints.", "Give the waypoints their times.")
+    found.sort(key=lambda one: one[0])
+    _, waypoints, alignment = found[0]
+    return waypoints, alignment, found[1][0] if len(found) > 1 else np.inf
+
+
+def _tilt_deg(similarity: Similarity, up: UpMeasurement) -> float:
+    return float(np.degrees(np.arccos(np.clip((similarity.rotation @ up.direction)[2], -1, 1))))
+
+
+def _scale_contradiction(scale: float, sigma: float | None) -> str:
+    if sigma is None or sigma > _MAX_SCALE_SIGMA:
+        return ""
+    ratio = 1 / scale
+    if abs(ratio - 1) <= max(_MAX_SCALE_CONTRADICTION, _SIGMAS * sigma):
+        return ""
+    return f"The accelerometer says that the walk is {ratio:.2f} times as large."
+
+
+def _at_camera(T_world_camera: FloatArray, up: FloatArray | None, unit: float) -> Similarity:
+    """The frame of a camera (4, 4): it stands at the origin and looks along x, upright where up is known."""
+    up = -T_world_camera[:3, 1] if up is None else up
+    R = rotation_to_upright(up)
+    heading = R @ T_world_camera[:3, 2]
+    length = float(np.hypot(heading[0], heading[1]))
+    c, s = (heading[0] / length, heading[1] / length) if length > 1e-6 else (1.0, 0.0)
+    R = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]) @ R
+    return Similarity(unit, R, -unit * R @ T_world_camera[:3, 3])

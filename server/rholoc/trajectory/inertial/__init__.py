@@ -1,0 +1,1 @@
+"""What the IMU measures against the cameras."""

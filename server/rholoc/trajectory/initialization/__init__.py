@@ -1,0 +1,1 @@
+"""Where an adjustment starts: all rotations, then all positions, from no guess."""

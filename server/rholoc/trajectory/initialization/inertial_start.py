@@ -1,0 +1,237 @@
+"""Positions of all keyframes, metric and upright, from the IMU and the directions between pairs of them.
+
+With all rotations known, the equations of motion between keyframes are linear in positions, velocities, gravity and the
+accelerometer's bias, and so is "the way from this keyframe to that one has this direction". One sparse least-squares
+problem holds both: no guess is needed to start from, the scale is the accelerometer's, and where pictures show nothing
+for a second or two the IMU alone carries the walk across.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import coo_matrix, csc_matrix, csr_matrix, diags_array
+from scipy.sparse.linalg import splu
+
+from rholoc.geometry import BoolArray, FloatArray, IntArray
+from rholoc.recordings import GRAVITY, Imu
+from rholoc.trajectory.inertial.gyroscope import GyroCalibration, longest_interval_s, orientations
+from rholoc.trajectory.visual.directions import PairDirection
+
+_BIAS_SIGMA = 0.3  # m/s²
+_GRAVITY_SIGMA = 0.05  # m/s², once its direction is known
+_NOISE = 0.03  # m/s² / √Hz, of the accelerometer and of all that the model leaves out
+_PLACE_SIGMA_M = 0.002
+_USUAL_SPEED_M_S = 0.3  # of a walker with a phone, until the way between two keyframes is known …
+_LONGEST_WAY_M = 1.0
+_LEAST_WAY_M = 0.02  # … and the shortest, for a direction's uncertainty to be a distance's
+_ROUNDS = 12
+_CAUCHY = 2.0
+_BACKWARD = 3.0  # sigmas, added where a way leads backward
+_UNCOVERED = 1e-3  # the weight of the equations of motion over a gap of the IMU's table
+_UNKNOWNS_APART = 6  # gravity and bias, before every keyframe's velocity and position
+
+
+@dataclass(frozen=True, eq=False)
+class InertialStart:
+    """A walk in metres, in the frame of its rotations.
+
+    Attributes:
+        up: (3,), unit.
+        positions: (K, 3) metres.
+        velocities: (K, 3) m/s.
+        accelerometer_bias: (3,) m/s².
+        residual: of the accelerations, the median, in units of the noise that is expected.
+    """
+
+    up: FloatArray
+    positions: FloatArray
+    velocities: FloatArray
+    accelerometer_bias: FloatArray
+    residual: float
+
+
+def inertial_start(
+    times: FloatArray, R: FloatArray, directions: Sequence[PairDirection], imu: Imu, gyro: GyroCalibration
+) -> InertialStart | None:
+    """Positions from the IMU and directions; None where the IMU covers too little of the walk.
+
+    Args:
+        times: (K,) seconds, of the keyframes.
+        R: (K, 3, 3) R_world_camera.
+        directions: between pairs of keyframes; wrong ones are outvoted.
+        imu: of the same recording.
+        gyro: how it relates to the camera.
+    """
+    t = times + gyro.time_offset_s
+    covered = _covered(t, imu)
+    if covered.sum() < len(covered) / 2 or not directions:
+        return None
+    motion = _equations_of_motion(t, R, imu, gyro, covered)
+    first, second = (np.array([getattr(one, end) for one in directions]) for end in ("first", "second"))
+    unit = np.array([one.direction for one in directions])
+    sigma = np.array([one.sigma_rad for one in directions])
+    count = len(times)
+    n = len(motion.sigmas)
+    way = np.minimum(_USUAL_SPEED_M_S * np.abs(t[second] - t[first]), _LONGEST_WAY_M)
+    toward, way_wanted = unit, np.zeros_like(unit)
+    robust = np.ones(n // 3 + len(unit))
+    unknowns = _UNKNOWNS_APART + 6 * count
+    prior, expected = np.full(unknowns, 1e-9), np.zeros(unknowns)
+    prior[3:6] = _BIAS_SIGMA**-2
+    prior[_UNKNOWNS_APART + 3 : _UNKNOWNS_APART + 6] = 1e6  # the first keyframe is the origin
+    x: FloatArray = expected
+    for _ in range(_ROUNDS):
+        A = _stacked(motion, _direction_rows(first, second, toward))
+        measured = np.concatenate([motion.measured, way_wanted.ravel()])
+        sigmas = np.concatenate([motion.sigmas, np.repeat(sigma * np.maximum(way, _LEAST_WAY_M), 3)])
+        weights = np.sqrt(np.repeat(robust, 3)) / sigmas
+        weighted = diags_array(weights) @ A
+        information = (weighted.T @ weighted).tocsc()
+        information.setdiag(information.diagonal() + prior)
+        x = _solved(information, weighted.T @ (weights * measured) + prior * expected)
+        off = (A @ x - measured) / sigmas
+        felt = np.linalg.norm(off[:n].reshape(-1, 3), axis=1)
+        positions = x[_UNKNOWNS_APART:].reshape(-1, 6)[:, 3:]
+        between = positions[second] - positions[first]
+        way = np.linalg.norm(between, axis=1)
+        along = np.sum(between * unit, axis=1)
+        across = np.linalg.norm(between - along[:, None] * unit, axis=1)
+        seen = across / (sigma * np.maximum(way, _LEAST_WAY_M)) + _BACKWARD * (along < 0)
+        robust = np.concatenate(
+            [
+                1 / (1 + (felt / (_CAUCHY * max(float(np.median(felt)), 1.0))) ** 2),
+                1 / (1 + (seen / _CAUCHY) ** 2) ** 2,
+            ]
+        )
+        expected[:3] = x[:3] * GRAVITY / max(float(np.linalg.norm(x[:3])), 1e-9)
+        prior[:3] = _GRAVITY_SIGMA**-2
+        # Ways without a part across their directions were the first aim; but so is no way at all. From here on a way
+        # is to turn to its direction, and its length is the IMU's alone.
+        ahead = (along > 0) & (way > _LEAST_WAY_M)
+        toward = np.where(ahead[:, None], between / np.maximum(way, 1e-9)[:, None], unit)
+        way_wanted = way[:, None] * (unit - np.sum(unit * toward, axis=1)[:, None] * toward)
+    return InertialStart(
+        -x[:3] / np.linalg.norm(x[:3]),
+        positions,
+        x[_UNKNOWNS_APART:].reshape(-1, 6)[:, :3],
+        x[3:6],
+        float(np.median(felt)),
+    )
+
+
+def _solved(information: csc_matrix, target: FloatArray) -> FloatArray:
+    """The solution of the normal equations: keyframes share rows with their neighbours alone, and with what is apart.
+
+    Without the unknowns apart the matrix is a band, which is factorized in time that grows with the walk.
+    """
+    n = _UNKNOWNS_APART
+    band, border = information[n:, n:].tocsc(), information[n:, :n].toarray()
+    factorized = splu(band, permc_spec="NATURAL", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+    by_border, alone = factorized.solve(border), factorized.solve(target[n:])
+    apart = np.linalg.solve(information[:n, :n].toarray() - border.T @ by_border, target[:n] - border.T @ alone)
+    return np.concatenate([apart, alone - by_border @ apart])
+
+
+@dataclass(frozen=True, eq=False)
+class _Motion:
+    """The equations of motion: entries of a sparse matrix, what was measured (6 (K - 1),), its deviations."""
+
+    rows: IntArray
+    columns: IntArray
+    entries: FloatArray
+    measured: FloatArray
+    sigmas: FloatArray
+
+
+def _covered(t: FloatArray, imu: Imu) -> BoolArray:
+    """Which intervals (K - 1,) between keyframes the IMU's table covers without a gap."""
+    inside = (t[:-1] >= imu.times[0]) & (t[1:] <= imu.times[-1])
+    gaps = np.flatnonzero(np.diff(imu.times) > longest_interval_s(imu))
+    for gap in gaps.tolist():
+        inside &= (t[1:] <= imu.times[gap]) | (t[:-1] >= imu.times[gap + 1])
+    return np.asarray(inside)
+
+
+def _equations_of_motion(t: FloatArray, R: FloatArray, imu: Imu, gyro: GyroCalibration, covered: BoolArray) -> _Motion:
+    """v_j - v_i - g dt - J_v b = Δv and p_j - p_i - v_i dt - g dt²/2 - J_p b = Δp for every interval, i to j."""
+    n, count = len(t) - 1, len(t)
+    dt = np.diff(t)
+    speed, way, by_bias_v, by_bias_p = _integrated(imu, gyro, t, R)
+    axes = np.arange(3)
+    of_speed = 3 * np.arange(n)[:, None] + axes
+    of_way = 3 * n + of_speed
+    velocity = _UNKNOWNS_APART + 6 * np.arange(count)[:, None] + axes
+    place = velocity + 3
+    ones, step = np.ones((n, 3)), np.repeat(dt[:, None], 3, axis=1)
+    gravity = np.broadcast_to(axes, (n, 3))
+    parts = [
+        (of_speed, velocity[1:], ones),
+        (of_speed, velocity[:-1], -ones),
+        (of_speed, gravity, -step),
+        (of_way, place[1:], ones),
+        (of_way, place[:-1], -ones),
+        (of_way, velocity[:-1], -step),
+        (of_way, gravity, -0.5 * step**2),
+    ]
+    for axis in range(3):
+        parts.append((of_speed, np.full((n, 3), 3 + axis), -by_bias_v[:, :, axis]))
+        parts.append((of_way, np.full((n, 3), 3 + axis), -by_bias_p[:, :, axis]))
+    rows, columns, entries = (np.concatenate([part[i].ravel() for part in parts]) for i in range(3))
+    sigma = np.concatenate([_NOISE * np.sqrt(dt), np.hypot(_NOISE * dt**1.5 / np.sqrt(3), _PLACE_SIGMA_M)])
+    sigma[~np.tile(covered, 2)] /= _UNCOVERED
+    return _Motion(rows, columns, entries, np.concatenate([speed.ravel(), way.ravel()]), np.repeat(sigma, 3))
+
+
+def _direction_rows(first: IntArray, second: IntArray, unit: FloatArray) -> tuple[IntArray, IntArray, FloatArray]:
+    """(I - d dᵀ) (p_second - p_first) = 0 for every direction d: entries of a sparse matrix."""
+    across = np.eye(3) - unit[:, :, None] * unit[:, None, :]
+    row = np.broadcast_to(3 * np.arange(len(unit))[:, None, None] + np.arange(3)[None, :, None], across.shape)
+    place = _UNKNOWNS_APART + 3 + np.arange(3)[None, None, :]
+    to = np.broadcast_to(place + 6 * second[:, None, None], across.shape)
+    start = np.broadcast_to(place + 6 * first[:, None, None], across.shape)
+    return (
+        np.concatenate([row.ravel(), row.ravel()]),
+        np.concatenate([to.ravel(), start.ravel()]),
+        np.concatenate([across.ravel(), -across.ravel()]),
+    )
+
+
+def _stacked(motion: _Motion, directions: tuple[IntArray, IntArray, FloatArray]) -> csr_matrix:
+    n = len(motion.measured)
+    rows = np.concatenate([motion.rows, n + directions[0]])
+    columns = np.concatenate([motion.columns, directions[1]])
+    entries = np.concatenate([motion.entries, directions[2]])
+    return coo_matrix((entries, (rows, columns))).tocsr()
+
+
+def _integrated(
+    imu: Imu, gyro: GyroCalibration, t: FloatArray, R: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """What the force felt between one keyframe and the next does: changes of velocity and displacements (K - 1, 3).
+
+    In the frame of the rotations; and their derivatives (K - 1, 3, 3) by the accelerometer's bias.
+    """
+    R_start_imu = orientations(imu, gyro.bias).as_matrix()
+    n = len(t) - 1
+    speed, way = np.zeros((n, 3)), np.zeros((n, 3))
+    by_v, by_p = np.zeros((n, 3, 3)), np.zeros((n, 3, 3))
+    last_row = len(imu.times) - 1
+    for k in range(n):
+        first = int(np.clip(np.searchsorted(imu.times, t[k], side="right") - 1, 0, last_row - 1))
+        last = int(np.clip(np.searchsorted(imu.times, t[k + 1]), first + 1, last_row))
+        spans = np.minimum(imu.times[first + 1 : last + 1], t[k + 1]) - np.maximum(imu.times[first:last], t[k])
+        R_world_start = R[k] @ gyro.R_camera_imu @ R_start_imu[first].T
+        turned = R_world_start @ R_start_imu[first:last]
+        force = 0.5 * (imu.acceleration[first:last] + imu.acceleration[first + 1 : last + 1])
+        felt = np.einsum("nij,nj->ni", turned, force)
+        v, p, w, q = np.zeros(3), np.zeros(3), np.zeros((3, 3)), np.zeros((3, 3))
+        for dt, f, Q in zip(np.maximum(spans, 0.0).tolist(), felt, turned, strict=True):
+            p += v * dt + 0.5 * f * dt * dt
+            q += w * dt - 0.5 * Q * dt * dt
+            v += f * dt
+            w -= Q * dt
+        speed[k], way[k], by_v[k], by_p[k] = v, p, w, q
+    return speed, way, by_v, by_p

@@ -1,0 +1,83 @@
+"""Rotations of all keyframes from rotations between some of them, and from the gyroscope: robust rotation averaging."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import gtsam
+import numpy as np
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import breadth_first_order, minimum_spanning_tree
+from scipy.spatial.transform import Rotation
+
+from rholoc.geometry import FloatArray, IntArray
+from rholoc.trajectory.visual.two_view import PairRotation
+
+_PAIR_SIGMA_RAD = np.radians(0.4)  # of a rotation between two views that see enough of the same
+_CAUCHY = 2.0  # sigmas, from which a pair is doubted
+_NEIGHBOURS = 12  # keyframes apart at most
+_GYRO_SIGMA_RAD = np.radians(0.02)  # of the gyroscope's rotation, at once …
+_GYRO_WALK_RAD = np.radians(0.05)  # … for the square root of every second …
+_GYRO_BIAS_RAD_S = 1e-3  # … and for every second, from what remains of its bias
+
+
+def average_rotations(
+    count: int, pairs: Sequence[PairRotation], times: FloatArray, felt: Rotation | None
+) -> tuple[FloatArray, IntArray]:
+    """R_world_camera (K, 3, 3) of ``count`` keyframes, the first's the identity, and what is connected (K,).
+
+    With a gyroscope all are. Without one, keyframes are numbered by the component of the graph of pairs in which they
+    are; every component has a frame of its own.
+
+    Args:
+        pairs: rotations between keyframes; wrong ones are outvoted (Cauchy's loss).
+        times: (K,) seconds.
+        felt: R_start_camera of the K keyframes by the gyroscope, or None.
+    """
+    start, component = _spread(count, pairs) if felt is None else (felt.as_matrix(), np.zeros(count, dtype=np.int64))
+    graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    for k in range(count):
+        values.insert(k, gtsam.Rot3(start[k]))
+    for first in np.unique(component, return_index=True)[1].tolist():
+        graph.add(gtsam.PriorFactorRot3(first, gtsam.Rot3(start[first]), gtsam.noiseModel.Isotropic.Sigma(3, 1e-6)))
+    cauchy = gtsam.noiseModel.mEstimator.Cauchy.Create(_CAUCHY)
+    seen = gtsam.noiseModel.Robust.Create(cauchy, gtsam.noiseModel.Isotropic.Sigma(3, _PAIR_SIGMA_RAD))
+    for pair in pairs:
+        graph.add(gtsam.BetweenFactorRot3(pair.first, pair.second, gtsam.Rot3(pair.R_second_first.T), seen))
+    if felt is not None:
+        turned = (felt[:-1].inv() * felt[1:]).as_matrix()
+        for k, (R, seconds) in enumerate(zip(turned, np.diff(times), strict=True)):
+            noise = gtsam.noiseModel.Isotropic.Sigma(3, _gyro_sigma_rad(float(seconds)))
+            graph.add(gtsam.BetweenFactorRot3(k, k + 1, gtsam.Rot3(R), noise))
+    found = gtsam.LevenbergMarquardtOptimizer(graph, values).optimize()
+    return np.array([found.atRot3(k).matrix() for k in range(count)]), component
+
+
+def _gyro_sigma_rad(seconds: float) -> float:
+    return float(np.sqrt(_GYRO_SIGMA_RAD**2 + _GYRO_WALK_RAD**2 * seconds + (_GYRO_BIAS_RAD_S * seconds) ** 2))
+
+
+def _spread(count: int, pairs: Sequence[PairRotation]) -> tuple[FloatArray, IntArray]:
+    """Rotations along the best supported tree of pairs, and the component (K,) of every keyframe.
+
+    Pairs of neighbours come before pairs that seem to show a place seen again: places may look alike.
+    """
+    R = np.tile(np.eye(3), (count, 1, 1))
+    component = np.full(count, -1, dtype=np.int64)
+    if not pairs:
+        return R, np.arange(count)
+    first, second = (np.array([getattr(pair, end) for pair in pairs]) for end in ("first", "second"))
+    cost = 1 / np.array([pair.support for pair in pairs], dtype=np.float64)
+    cost += np.abs(second - first) > _NEIGHBOURS
+    between = {(pair.first, pair.second): pair.R_second_first for pair in pairs}
+    between |= {(b, a): R_ba.T for (a, b), R_ba in between.items()}
+    tree = minimum_spanning_tree(coo_matrix((cost, (first, second)), shape=(count, count)).tocsr())
+    for root in range(count):
+        if component[root] >= 0:
+            continue
+        order, before = breadth_first_order(tree, root, directed=False)
+        component[order] = root
+        for node in order[1:].tolist():
+            parent = int(before[node])
+            R[node] = R[parent] @ between[parent, node].T
+    return R, component

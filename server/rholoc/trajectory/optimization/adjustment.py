@@ -1,0 +1,640 @@
+"""One least-squares problem over all that a walk measured: pictures, gyroscope, accelerometer, waypoints.
+
+The unknowns are the keyframes' poses and the points that they see; with an IMU its pose, velocity and biases at every
+keyframe, gravity, how it is mounted on the camera and how far apart their clocks are; and the intrinsics where they
+were not given. IMU readings between keyframes are preintegrated (Forster et al., 2017). Solved by gtsam, every kind of
+measurement with its own noise; sightings and waypoints under Cauchy's loss.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import itertools
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import gtsam
+import numpy as np
+from gtsam.symbol_shorthand import B, C, D, E, G, L, S, V, X
+
+from rholoc.errors import MappingFailed
+from rholoc.geometry import BoolArray, Camera, FloatArray, cross, pose_matrix
+from rholoc.recordings import GRAVITY, Imu
+from rholoc.trajectory.inertial.gyroscope import GyroCalibration, longest_interval_s
+from rholoc.trajectory.visual.tracks import Observations
+
+_PIXEL_SIGMA_PX = 0.7  # of a sighting, at first
+_CAUCHY_PIXELS = 2.0  # sigmas
+_CAUCHY_WAYPOINTS = 3.0
+_MIN_PARALLAX_DEG = 1.5  # between the rays to a point that is used
+_FEWEST_SIGHTINGS = 3
+_ACCELEROMETER_NOISE = 0.01  # m/s² / √Hz: a phone's, and what its rate leaves out of a hand's motion
+_GYROSCOPE_NOISE = 5e-4  # rad/s / √Hz
+_INTEGRATION_NOISE = 1e-4  # m / √s
+_ACCELEROMETER_WALK = 2e-3  # m/s² / √s
+_GYROSCOPE_WALK = 2e-4  # rad/s / √s
+_ACCELEROMETER_BIAS_SIGMA = 0.3  # m/s²
+_GYROSCOPE_BIAS_SIGMA = 0.02  # rad/s
+_MOUNTING_SIGMA_RAD = 0.02
+_LEVER_SIGMA_M = 0.03  # between camera and IMU: the size of a phone
+_CLOCK_SIGMA_S = 3e-3  # what remains of the time offset
+_IMU_COORDINATES = 9  # of a turn, a way and a change of speed, that one interval's readings are measured in
+_GRAVITY_SIGMA = 0.05  # m/s², of its length as accelerometers read it
+_LEVEL_SIGMA_RAD = np.radians(0.5)  # of the waypoints' z axis
+_GAUGE_SIGMA = 1e-4
+_TIE_SIGMA_RAD, _TIE_SIGMA_M = 2e-4, 5e-4
+_FIXED = 1e-9
+_COARSE, _FINE = 1e-3, 2e-4  # the share of the cost by which a step must lower it to be followed by another
+_FIRST_DAMPING = 10.0
+_SETTLING_STEPS = 6
+_HOLDS = (1e-2, 0.3, 10.0)  # how firmly points are held where a step fails with less
+
+
+@dataclass(frozen=True)
+class CameraSigmas:
+    """How well intrinsics are known before the walk has its say.
+
+    Attributes:
+        focal: of the focal length, relative.
+        centre: of the principal point, as a share of the image's width.
+        distortion: of k1 and k2.
+    """
+
+    focal: float
+    centre: float
+    distortion: float
+
+
+GUESSED = CameraSigmas(0.05, 0.01, 0.15)
+GIVEN = CameraSigmas(5e-4, 1e-5, 0.01)  # what most calibrations leave open is a little distortion
+
+
+@dataclass(frozen=True)
+class Fix:
+    """A measured point: the camera's place at a keyframe.
+
+    Attributes:
+        keyframe: its number.
+        position: metres in the map frame.
+        sigma_m: of each coordinate.
+    """
+
+    keyframe: int
+    position: tuple[float, float, float]
+    sigma_m: float
+
+
+@dataclass(frozen=True, eq=False)
+class InertialState:
+    """What is known of the IMU at K keyframes.
+
+    Attributes:
+        velocities: (K, 3) m/s in the map frame.
+        biases: (K, 6) of the accelerometer, m/s², and the gyroscope, rad/s.
+        T_imu_camera: (4, 4) how the camera is mounted.
+        clock_s: to be added to the calibrated time offset.
+        gravity: (3,) m/s² in the map frame, as the accelerometer measures it.
+    """
+
+    velocities: FloatArray
+    biases: FloatArray
+    T_imu_camera: FloatArray
+    clock_s: float
+    gravity: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """The unknowns.
+
+    Attributes:
+        T_map_camera: (K, 4, 4).
+        points: (M, 3) in the map frame.
+        camera: the intrinsics.
+        inertial: None without an IMU.
+    """
+
+    T_map_camera: FloatArray
+    points: FloatArray
+    camera: Camera
+    inertial: InertialState | None = None
+
+    @property
+    def R_map_camera(self) -> FloatArray:
+        """(K, 3, 3)."""
+        return self.T_map_camera[:, :3, :3]
+
+    @property
+    def positions(self) -> FloatArray:
+        """(K, 3)."""
+        return self.T_map_camera[:, :3, 3]
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """What was measured.
+
+    Attributes:
+        times: (K,) seconds, of the keyframes.
+        observations: of points by keyframes.
+        imu: None without one.
+        gyro: how the gyroscope relates to the camera; with an IMU.
+        fixes: waypoints.
+        level_sigma_rad: how well the fixes' z axis is level; None where it is not meant to be.
+        camera_sigmas: of the intrinsics; None where they are held.
+        pixel_sigma_px: of a sighting's coordinates.
+        imu_noise: of the IMU, as a multiple of what is usual.
+    """
+
+    times: FloatArray
+    observations: Observations
+    imu: Imu | None = None
+    gyro: GyroCalibration | None = None
+    fixes: tuple[Fix, ...] = ()
+    level_sigma_rad: float | None = _LEVEL_SIGMA_RAD
+    camera_sigmas: CameraSigmas | None = None
+    pixel_sigma_px: float = _PIXEL_SIGMA_PX
+    imu_noise: float = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class Adjusted:
+    """A solution.
+
+    Attributes:
+        state: the unknowns.
+        used: (N,) which sightings were used.
+        cost: half the sum of squares, robust.
+    """
+
+    state: State
+    used: BoolArray
+    cost: float
+    _graph: gtsam.NonlinearFactorGraph = field(repr=False)
+    _values: gtsam.Values = field(repr=False)
+    _ordering: gtsam.Ordering = field(repr=False)
+    _held: Callable[[float], gtsam.GaussianFactorGraph] = field(repr=False)
+
+    def covariances(self, keyframes: Sequence[int]) -> FloatArray:
+        """(N, 6, 6) of some keyframes' poses: x, y, z (m), then the rotation about the map's axes (rad).
+
+        Raises:
+            MappingFailed: the measurements leave them open.
+        """
+        tree = self._eliminated()
+        found = np.empty((len(keyframes), 6, 6))
+        for i, k in enumerate(keyframes):
+            R = self.state.R_map_camera[k]
+            to_map = np.zeros((6, 6))
+            to_map[:3, 3:], to_map[3:, :3] = R, R
+            found[i] = to_map @ tree.marginalCovariance(C(k)) @ to_map.T
+        return found
+
+    def camera_sigmas(self) -> FloatArray:
+        """(9,) of fx, fy, skew, cx, cy, k1, k2, p1, p2 where they were estimated."""
+        return np.asarray(np.sqrt(np.diag(self._eliminated().marginalCovariance(D(0)))))
+
+    def imu_misfit(self) -> float:
+        """By how many times its assumed noise the IMU disagrees with the walk (root mean square); 0 without one."""
+        factors = (self._graph.at(i) for i in range(self._graph.size()))
+        squares = [
+            2 * factor.error(self._values)
+            for factor in factors
+            if isinstance(factor, gtsam.CombinedImuFactorWithGravityVector)
+        ]
+        return float(np.sqrt(np.mean(squares) / _IMU_COORDINATES)) if squares else 0.0
+
+    def _eliminated(self) -> gtsam.GaussianBayesTree:
+        """The linear system at the solution; with points held as firmly as it needs, where some are hardly known."""
+        for system in _with_points_held(self._graph.linearize(self._values), self._held):
+            with contextlib.suppress(RuntimeError):  # gtsam's word for a singular system
+                return system.eliminateMultifrontal(self._ordering)
+        raise MappingFailed("What was measured leaves the shape of the walk open.", "Walk further, and in loops.")
+
+
+def adjust(
+    problem: Problem,
+    state: State,
+    iterations: int,
+    told: Callable[[float], None] = lambda fraction: None,
+    coarsely: bool = False,
+) -> Adjusted:
+    """Solve from a state near enough (Levenberg–Marquardt).
+
+    Points are triangulated anew from the state's poses; those with too little parallax and sightings far off are left
+    out of the problem, but are judged again by the next call.
+
+    Args:
+        iterations: at most so many.
+        told: hears the fraction of them that is done.
+        coarsely: end sooner, for sightings are judged anew by what comes out, and all is adjusted again.
+    """
+    points, used = _usable_points(problem.observations, state, problem.pixel_sigma_px)
+    state = replace(state, points=points)
+    graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    for k, T in enumerate(state.T_map_camera):
+        values.insert(C(k), gtsam.Pose3(T))
+    _add_sightings(graph, values, problem, state, used)
+    if problem.imu is not None and state.inertial is not None:
+        _add_imu(graph, values, problem, problem.imu, state, state.inertial)
+    _add_fixes(graph, problem.fixes)
+    if not problem.fixes:
+        _fix_gauge(graph, values, state, metric=state.inertial is not None)
+    ordering = _ordering(values, problem.observations, used)
+    held = functools.cache(lambda firmness: _held_points(problem.observations, state, used, firmness))
+    values, cost = _solve(graph, values, ordering, held, iterations, _COARSE if coarsely else _FINE, told)
+    return Adjusted(_state_of(values, problem, state, used), used, cost, graph, values, ordering, held)
+
+
+def triangulate(observations: Observations, state: State) -> tuple[FloatArray, FloatArray]:
+    """The points (M, 3) nearest to the rays that see them, and the widest angle (M,) at which they do, degrees."""
+    plane = state.camera.undistort(observations.pixels)
+    rays = np.einsum(
+        "nij,nj->ni",
+        state.R_map_camera[observations.keyframes],
+        np.column_stack([plane, np.ones(len(plane))]),
+    )
+    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    across = np.eye(3) - rays[:, :, None] * rays[:, None, :]
+    seen_from = np.einsum("nij,nj->ni", across, state.positions[observations.keyframes])
+    count = observations.points
+    information, target, middle = np.zeros((count, 3, 3)), np.zeros((count, 3)), np.zeros((count, 3))
+    np.add.at(information, observations.tracks, across)
+    np.add.at(target, observations.tracks, seen_from)
+    np.add.at(middle, observations.tracks, rays)
+    points = np.linalg.solve(information + 1e-9 * np.eye(3), target[..., None])[..., 0]
+    middle /= np.maximum(np.linalg.norm(middle, axis=1, keepdims=True), 1e-12)
+    off = np.arccos(np.clip(np.sum(rays * middle[observations.tracks], axis=1), -1, 1))
+    widest = np.zeros(count)
+    np.maximum.at(widest, observations.tracks, off)
+    return points, 2 * np.degrees(widest)
+
+
+def residuals_px(observations: Observations, state: State, points: FloatArray | None = None) -> FloatArray:
+    """How far each sighting (N,) is from where its point appears, in pixels; infinite behind the camera."""
+    points = state.points if points is None else points
+    T = state.T_map_camera[observations.keyframes]
+    seen = np.einsum("nji,nj->ni", T[:, :3, :3], points[observations.tracks] - T[:, :3, 3])
+    ahead = seen[:, 2] > 1e-6
+    off = np.full(len(observations), np.inf)
+    plane = seen[ahead, :2] / seen[ahead, 2:]
+    measured = state.camera.undistort(observations.pixels[ahead])
+    off[ahead] = np.linalg.norm(plane - measured, axis=1) * state.camera.focal
+    return off
+
+
+def _usable_points(observations: Observations, state: State, sigma_px: float) -> tuple[FloatArray, BoolArray]:
+    """Points (M, 3), and which sightings (N,) of them are to be used."""
+    points, parallax_deg = triangulate(observations, state)
+    off = residuals_px(observations, state, points)
+    near = off < max(20.0, 4 * float(np.median(off)))
+    often = np.bincount(observations.tracks[near], minlength=observations.points) >= _FEWEST_SIGHTINGS
+    good = (parallax_deg > _MIN_PARALLAX_DEG) & often
+    used = near & good[observations.tracks]
+    return _settled(points, observations, used, state, sigma_px), used
+
+
+def _settled(
+    points: FloatArray, observations: Observations, used: BoolArray, state: State, sigma_px: float
+) -> FloatArray:
+    """The points (M, 3) where their sightings fit best while all else is held (Gauss–Newton, Cauchy's weights).
+
+    The nearest point to the rays is not yet that; the joint problem would spend its first iterations on the way there.
+    """
+    tracks, T = observations.tracks[used], state.T_map_camera[observations.keyframes[used]]
+    measured = state.camera.undistort(observations.pixels[used])
+    scale = _CAUCHY_PIXELS * sigma_px / state.camera.focal
+    points = points.copy()
+    for _ in range(_SETTLING_STEPS):
+        seen = np.einsum("nji,nj->ni", T[:, :3, :3], points[tracks] - T[:, :3, 3])
+        depth = np.maximum(seen[:, 2], 1e-6)
+        plane = seen[:, :2] / depth[:, None]
+        off = measured - plane
+        weight = np.where(seen[:, 2] > 1e-6, 1 / (1 + np.sum(off**2, axis=1) / scale**2), 0.0)
+        slope = (T[:, :3, :2] - T[:, :3, 2:3] * plane[:, None, :]) / depth[:, None, None]  # (n, 3, 2)
+        weighted = weight[:, None, None] * slope
+        information, target = np.zeros((len(points), 3, 3)), np.zeros((len(points), 3))
+        np.add.at(information, tracks, weighted @ np.swapaxes(slope, 1, 2))
+        np.add.at(target, tracks, np.einsum("nij,nj->ni", weighted, off))
+        damping = 1e-3 * np.trace(information, axis1=1, axis2=2) + 1e-12
+        points += np.linalg.solve(information + damping[:, None, None] * np.eye(3), target[..., None])[..., 0]
+    return points
+
+
+def _add_sightings(
+    graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, problem: Problem, state: State, used: BoolArray
+) -> None:
+    observations, camera = problem.observations, state.camera
+    noise = _robust(_CAUCHY_PIXELS, gtsam.noiseModel.Isotropic.Sigma(2, problem.pixel_sigma_px))
+    for track in np.unique(observations.tracks[used]).tolist():
+        values.insert(L(track), state.points[track])
+    keyframes, tracks = observations.keyframes[used].tolist(), observations.tracks[used].tolist()
+    if problem.camera_sigmas is None:
+        ideal = gtsam.Cal3_S2(camera.focal, camera.focal, 0.0, 0.0, 0.0)
+        places = camera.undistort(observations.pixels[used]) * camera.focal
+        for keyframe, track, place in zip(keyframes, tracks, places, strict=True):
+            graph.add(gtsam.GenericProjectionFactorCal3_S2(place, noise, C(keyframe), L(track), ideal, False, False))
+        return
+    model = _to_gtsam(camera)
+    values.insert(D(0), model)
+    graph.add(gtsam.PriorFactorCal3DS2(D(0), model, _camera_prior(camera, problem.camera_sigmas)))
+    for keyframe, track, place in zip(keyframes, tracks, observations.pixels[used], strict=True):
+        graph.add(gtsam.GeneralSFMFactor2Cal3DS2(place, noise, C(keyframe), L(track), D(0)))
+
+
+def _camera_prior(camera: Camera, sigmas: CameraSigmas) -> gtsam.noiseModel.Base:
+    """fx and fy are one unknown, distortion is radial."""
+    focal, centre = sigmas.focal * camera.focal, sigmas.centre * camera.width
+    radial = [sigmas.distortion**2] * 2
+    covariance = np.diag([0.0, 0.0, _FIXED, centre**2, centre**2, *radial, _FIXED, _FIXED])
+    covariance[:2, :2] = focal**2
+    covariance[[0, 1], [0, 1]] += (1e-3 * focal) ** 2
+    return gtsam.noiseModel.Gaussian.Covariance(covariance)
+
+
+def _add_imu(
+    graph: gtsam.NonlinearFactorGraph,
+    values: gtsam.Values,
+    problem: Problem,
+    imu: Imu,
+    state: State,
+    inertial: InertialState,
+) -> None:
+    assert problem.gyro is not None
+    times = problem.times + problem.gyro.time_offset_s
+    covered = np.flatnonzero((times >= imu.times[0]) & (times <= imu.times[-1])).tolist()
+    T_imu_camera = gtsam.Pose3(inertial.T_imu_camera)
+    values.insert(E(0), T_imu_camera)
+    mounting = np.concatenate([np.full(3, _MOUNTING_SIGMA_RAD), np.full(3, _LEVER_SIGMA_M)])
+    nominal = gtsam.Pose3(pose_matrix(problem.gyro.R_camera_imu.T, np.zeros(3)))
+    graph.add(gtsam.PriorFactorPose3(E(0), nominal, gtsam.noiseModel.Diagonal.Sigmas(mounting)))
+    values.insert(S(0), np.array([inertial.clock_s]))
+    graph.add(gtsam.PriorFactorVector(S(0), np.zeros(1), gtsam.noiseModel.Isotropic.Sigma(1, _CLOCK_SIGMA_S)))
+    values.insert(G(0), inertial.gravity)
+    graph.add(gtsam.PriorFactorVector(G(0), np.array([0.0, 0.0, -GRAVITY]), _gravity_prior(problem)))
+    tie = gtsam.noiseModel.Diagonal.Sigmas(np.repeat([_TIE_SIGMA_RAD, _TIE_SIGMA_M], 3))
+    rates = np.column_stack([np.interp(times, imu.times, axis) for axis in imu.angular_velocity.T])
+    parameters, longest_s = _imu_noise(problem.imu_noise), longest_interval_s(imu)
+    walk = np.repeat([_ACCELEROMETER_WALK, _GYROSCOPE_WALK], 3)
+    for k in covered:
+        bias = gtsam.imuBias.ConstantBias(inertial.biases[k, :3], inertial.biases[k, 3:])
+        values.insert(X(k), gtsam.Pose3(state.T_map_camera[k]).compose(T_imu_camera.inverse()))
+        values.insert(V(k), inertial.velocities[k])
+        values.insert(B(k), bias)
+        graph.add(_tie(k, rates[k] - inertial.biases[k, 3:], tie))
+    for before, k in itertools.pairwise(covered):
+        bias = gtsam.imuBias.ConstantBias(inertial.biases[k, :3], inertial.biases[k, 3:])
+        summed = _preintegrated(imu, times[before], times[k], parameters, bias, longest_s)
+        if summed is not None:
+            graph.add(
+                gtsam.CombinedImuFactorWithGravityVector(
+                    X(before), V(before), X(k), V(k), B(before), B(k), G(0), summed
+                )
+            )
+        else:
+            sigmas = walk * np.sqrt(times[k] - times[before])
+            still = gtsam.imuBias.ConstantBias()
+            graph.add(gtsam.BetweenFactorConstantBias(B(before), B(k), still, gtsam.noiseModel.Diagonal.Sigmas(sigmas)))
+            loose = gtsam.noiseModel.Isotropic.Sigma(3, 10.0)
+            graph.add(gtsam.PriorFactorVector(V(k), np.zeros(3), loose))
+    first = covered[0]
+    prior = gtsam.imuBias.ConstantBias(np.zeros(3), problem.gyro.bias)
+    sigmas = np.repeat([_ACCELEROMETER_BIAS_SIGMA, _GYROSCOPE_BIAS_SIGMA], 3)
+    graph.add(gtsam.PriorFactorConstantBias(B(first), prior, gtsam.noiseModel.Diagonal.Sigmas(sigmas)))
+
+
+def _gravity_prior(problem: Problem) -> gtsam.noiseModel.Base:
+    """Of gravity's three components: the map's z axis is up by definition, or as far as the waypoints' is."""
+    if not problem.fixes:
+        level = _GAUGE_SIGMA
+    elif problem.level_sigma_rad is None:
+        level = GRAVITY
+    else:
+        level = GRAVITY * problem.level_sigma_rad
+    length = GRAVITY if problem.fixes and problem.level_sigma_rad is None else _GRAVITY_SIGMA
+    return gtsam.noiseModel.Diagonal.Sigmas(np.array([level, level, length]))
+
+
+def _imu_noise(times_usual: float) -> gtsam.PreintegrationCombinedParams:
+    parameters = gtsam.PreintegrationCombinedParams.MakeSharedU(GRAVITY)
+    parameters.setAccelerometerCovariance(np.eye(3) * (times_usual * _ACCELEROMETER_NOISE) ** 2)
+    parameters.setGyroscopeCovariance(np.eye(3) * (times_usual * _GYROSCOPE_NOISE) ** 2)
+    parameters.setIntegrationCovariance(np.eye(3) * (times_usual * _INTEGRATION_NOISE) ** 2)
+    parameters.setBiasAccCovariance(np.eye(3) * _ACCELEROMETER_WALK**2)
+    parameters.setBiasOmegaCovariance(np.eye(3) * _GYROSCOPE_WALK**2)
+    return parameters
+
+
+def _preintegrated(
+    imu: Imu,
+    start_s: float,
+    end_s: float,
+    parameters: gtsam.PreintegrationCombinedParams,
+    bias: gtsam.imuBias.ConstantBias,
+    longest_s: float,
+) -> gtsam.PreintegratedCombinedMeasurements | None:
+    """The readings between two times summed, trapezoids; None over a gap of more than ``longest_s``."""
+    first, last = np.searchsorted(imu.times, start_s, side="right"), np.searchsorted(imu.times, end_s, side="left")
+    knots = np.concatenate([[start_s], imu.times[first:last], [end_s]])
+    around = imu.times[max(first - 1, 0) : last + 1]
+    if np.diff(around).max(initial=0.0) > longest_s:
+        return None
+    acceleration = np.column_stack([np.interp(knots, imu.times, axis) for axis in imu.acceleration.T])
+    rate = np.column_stack([np.interp(knots, imu.times, axis) for axis in imu.angular_velocity.T])
+    summed = gtsam.PreintegratedCombinedMeasurements(parameters, bias)
+    steps = np.diff(knots)
+    for a, w, dt in zip(
+        0.5 * (acceleration[1:] + acceleration[:-1]), 0.5 * (rate[1:] + rate[:-1]), steps.tolist(), strict=True
+    ):
+        if dt > 0:
+            summed.integrateMeasurement(a, w, dt)
+    return summed
+
+
+def _tie(k: int, rate: FloatArray, noise: gtsam.noiseModel.Base) -> gtsam.CustomFactor:
+    """The camera is mounted on the IMU, their clocks differ: T_map_camera = T_map_imu Exp((ω, v) clock) T_imu_camera.
+
+    ``rate`` ω (3,) rad/s is the IMU's at the keyframe, v its velocity.
+    """
+
+    def error(factor: gtsam.CustomFactor, values: gtsam.Values, jacobians: Any) -> Any:
+        T_map_camera, T_map_imu = values.atPose3(C(k)), values.atPose3(X(k))
+        velocity, T_imu_camera = values.atVector(V(k)), values.atPose3(E(0))
+        clock_s = float(values.atVector(S(0))[0])
+        R_imu_map = T_map_imu.rotation().matrix().T
+        speed = R_imu_map @ velocity
+        twist = np.concatenate([rate, speed])
+        moved = gtsam.Pose3.Expmap(twist * clock_s)
+        expected = T_map_imu.compose(moved).compose(T_imu_camera)
+        if jacobians is not None:
+            to_camera = T_imu_camera.inverse().AdjointMap()
+            by_velocity, by_rotation = np.zeros((6, 3)), np.zeros((6, 6))
+            by_velocity[3:] = R_imu_map * clock_s
+            by_rotation[3:, :3] = cross(speed, np.eye(3)).T * clock_s
+            jacobians[0] = np.eye(6)
+            jacobians[1] = -moved.compose(T_imu_camera).inverse().AdjointMap() - to_camera @ by_rotation
+            jacobians[2] = -to_camera @ by_velocity
+            jacobians[3] = -np.eye(6)
+            jacobians[4] = -(to_camera @ twist)[:, None]
+        return np.asarray(gtsam.Pose3.Logmap(expected.between(T_map_camera)))
+
+    return gtsam.CustomFactor(noise, [C(k), X(k), V(k), E(0), S(0)], error)
+
+
+def _add_fixes(graph: gtsam.NonlinearFactorGraph, fixes: Sequence[Fix]) -> None:
+    for fix in fixes:
+        noise = _robust(_CAUCHY_WAYPOINTS, gtsam.noiseModel.Isotropic.Sigma(3, fix.sigma_m))
+        graph.add(gtsam.PoseTranslationPrior3D(C(fix.keyframe), np.array(fix.position), noise))
+
+
+def _fix_gauge(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, state: State, metric: bool) -> None:
+    """Hold what nothing measures: the first camera's place and heading; without an IMU its tilt, and the scale."""
+    first = values.atPose3(C(0))
+    if metric:
+        vertical = state.R_map_camera[0].T @ np.array([0.0, 0.0, 1.0])
+        information = np.zeros((6, 6))
+        information[:3, :3] = np.outer(vertical, vertical) + 1e-9 * np.eye(3)
+        information[3:, 3:] = np.eye(3)
+        noise = gtsam.noiseModel.Gaussian.Information(information / _GAUGE_SIGMA**2)
+        graph.add(gtsam.PriorFactorPose3(C(0), first, noise))
+        return
+    graph.add(gtsam.PriorFactorPose3(C(0), first, gtsam.noiseModel.Isotropic.Sigma(6, _GAUGE_SIGMA)))
+    away = np.linalg.norm(state.positions - state.positions[0], axis=1)
+    far = int(np.argmax(away))
+    noise = gtsam.noiseModel.Isotropic.Sigma(1, _GAUGE_SIGMA * max(float(away[far]), 1e-9))
+    graph.add(gtsam.RangeFactorPose3(C(0), C(far), float(away[far]), noise))
+
+
+def _solve(
+    graph: gtsam.NonlinearFactorGraph,
+    values: gtsam.Values,
+    ordering: gtsam.Ordering,
+    held: Callable[[float], gtsam.GaussianFactorGraph],
+    iterations: int,
+    tolerance: float,
+    told: Callable[[float], None],
+) -> tuple[gtsam.Values, float]:
+    cost = graph.error(values)
+    for done in range(iterations):
+        before = cost
+        values, cost = _stepped(graph, values, ordering, held, cost)
+        told((done + 1) / iterations)
+        if before - cost <= tolerance * before:
+            break
+    return values, cost
+
+
+def _stepped(
+    graph: gtsam.NonlinearFactorGraph,
+    values: gtsam.Values,
+    ordering: gtsam.Ordering,
+    held: Callable[[float], gtsam.GaussianFactorGraph],
+    cost: float,
+) -> tuple[gtsam.Values, float]:
+    """A step of Gauss and Newton; where it leads up, one of Levenberg and Marquardt, which takes thrice the time."""
+    for system in _with_points_held(graph.linearize(values), held):
+        try:
+            there = values.retract(system.optimize(ordering))
+        except RuntimeError:  # gtsam's word for a singular system
+            continue
+        lower = graph.error(there)
+        if lower < cost:
+            return there, lower
+    parameters = gtsam.LevenbergMarquardtParams()
+    parameters.setlambdaInitial(_FIRST_DAMPING)
+    parameters.setOrdering(ordering)
+    optimizer = gtsam.LevenbergMarquardtOptimizer(graph, values, parameters)
+    optimizer.iterate()
+    return optimizer.values(), optimizer.error()
+
+
+def _with_points_held(
+    linear: gtsam.GaussianFactorGraph, held: Callable[[float], gtsam.GaussianFactorGraph]
+) -> Iterator[gtsam.GaussianFactorGraph]:
+    """A linear system with its points held, more and more firmly."""
+    for firmness in _HOLDS:
+        system = gtsam.GaussianFactorGraph()
+        system.push_back(linear)
+        system.push_back(held(firmness))
+        yield system
+
+
+def _held_points(
+    observations: Observations, state: State, used: BoolArray, firmness: float
+) -> gtsam.GaussianFactorGraph:
+    """No point steps far beyond its distance: one that few see well would jump behind the cameras.
+
+    Not firmer than needed, for points that are held hold the walk's size.
+    """
+    tracks, count = observations.tracks[used], observations.points
+    away = np.zeros(count)
+    np.maximum.at(
+        away, tracks, np.linalg.norm(state.points[tracks] - state.positions[observations.keyframes[used]], axis=1)
+    )
+    held = gtsam.GaussianFactorGraph()
+    noise, nowhere = gtsam.noiseModel.Unit.Create(3), np.zeros(3)
+    for track in np.unique(tracks).tolist():
+        held.push_back(gtsam.JacobianFactor(L(track), firmness / max(away[track], 1e-9) * np.eye(3), nowhere, noise))
+    return held
+
+
+def _ordering(values: gtsam.Values, observations: Observations, used: BoolArray) -> gtsam.Ordering:
+    """In which order the unknowns are eliminated: points, keyframes by nested dissection, what all of them share.
+
+    An ordering of the whole would take longer to find than the step takes: nearly every factor holds the intrinsics.
+    """
+    by_track = np.lexsort((observations.keyframes[used], observations.tracks[used]))
+    tracks, keyframes = observations.tracks[used][by_track], observations.keyframes[used][by_track]
+    points, starts = np.unique(tracks, return_index=True)
+    together = {tuple(some.tolist()) for some in np.split(keyframes, starts[1:])}
+    inertial = [k for k in range(int(keyframes.max(initial=-1)) + 1) if values.exists(X(k))]
+    joined = [[C(k) for k in some] for some in sorted(together)]
+    joined += [[C(k), X(k), V(k), B(k)] for k in inertial]
+    joined += [[X(a), V(a), B(a), X(b), V(b), B(b)] for a, b in itertools.pairwise(inertial)]
+    graph = gtsam.SymbolicFactorGraph()
+    for keys in joined:
+        graph.push_back(gtsam.SymbolicFactor.FromKeys(keys))
+    dissected = gtsam.Ordering.MetisSymbolicFactorGraph(graph)
+    keys = [L(point) for point in points.tolist()]
+    keys += [dissected.at(i) for i in range(dissected.size())]
+    rest = set(values.keys()) - set(keys)
+    shared = [key for key in (G(0), S(0), E(0), D(0)) if key in rest]
+    ordering = gtsam.Ordering()
+    for key in [*keys, *sorted(rest - set(shared)), *shared]:
+        ordering.push_back(key)
+    return ordering
+
+
+def _state_of(values: gtsam.Values, problem: Problem, state: State, used: BoolArray) -> State:
+    T = np.array([values.atPose3(C(k)).matrix() for k in range(len(state.T_map_camera))])
+    points = state.points.copy()
+    for track in np.unique(problem.observations.tracks[used]).tolist():
+        points[track] = values.atPoint3(L(track))
+    camera = state.camera if problem.camera_sigmas is None else _from_gtsam(values.atCal3DS2(D(0)), state.camera)
+    inertial = state.inertial
+    if inertial is not None:
+        velocities, biases = inertial.velocities.copy(), inertial.biases.copy()
+        for k in range(len(T)):
+            if values.exists(V(k)):
+                bias = values.atConstantBias(B(k))
+                velocities[k] = values.atVector(V(k))
+                biases[k] = np.concatenate([bias.accelerometer(), bias.gyroscope()])
+        clock_s = float(values.atVector(S(0))[0])
+        inertial = InertialState(velocities, biases, values.atPose3(E(0)).matrix(), clock_s, values.atVector(G(0)))
+    return State(T, points, camera, inertial)
+
+
+def _to_gtsam(camera: Camera) -> gtsam.Cal3DS2:
+    k1, k2, p1, p2 = (*camera.distortion, 0.0, 0.0, 0.0, 0.0)[:4]
+    return gtsam.Cal3DS2(camera.fx, camera.fy, 0.0, camera.cx, camera.cy, k1, k2, p1, p2)
+
+
+def _from_gtsam(model: gtsam.Cal3DS2, camera: Camera) -> Camera:
+    fx, fy, _, cx, cy, k1, k2, p1, p2 = (float(value) for value in model.vector())
+    return replace(camera, fx=fx, fy=fy, cx=cx, cy=cy, distortion=(k1, k2, p1, p2))
+
+
+def _robust(sigmas: float, noise: gtsam.noiseModel.Base) -> gtsam.noiseModel.Base:
+    return gtsam.noiseModel.Robust.Create(gtsam.noiseModel.mEstimator.Cauchy.Create(sigmas), noise)

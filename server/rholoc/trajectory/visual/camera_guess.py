@@ -1,0 +1,108 @@
+"""A first guess of intrinsics that nobody gave: the focal length by the gyroscope, or by the pictures alone."""
+
+from __future__ import annotations
+
+import numpy as np
+import poselib
+
+from rholoc.geometry import Camera, FloatArray
+from rholoc.recordings import Imu
+from rholoc.trajectory.inertial.gyroscope import GyroCalibration, calibrate_gyro, spaced_rows
+from rholoc.trajectory.visual.flow import Flow
+from rholoc.trajectory.visual.two_view import relative_pose
+
+_FOCALS = np.arange(0.6, 1.31, 0.1)  # times the longer side of the image: phones and webcams have 0.7 to 1.25
+_FINE = np.array([-0.05, 0.05])
+_USUAL_FOCAL = 0.85
+_INTERVAL_S = 0.2
+_MOST_PAIRS = 200  # of frames, that the gyroscope is held against for one guess
+_TOLERANCE_PX = 1.5
+_FEWEST_SHARED = 15
+_CLEARLY = 0.9  # the best focal length's residual to the worst's, where the walk shows it
+_PICTURE_PAIRS = 60
+_PICTURE_MOTION = 0.08  # of the image's longer side: how far it has moved between the pictures of a pair
+_PLAUSIBLE = (0.5, 2.0)
+
+
+def centred_camera(size: tuple[int, int], focal_px: float) -> Camera:
+    """A camera without distortion, its principal point in the middle of its images (width, height)."""
+    width, height = size
+    return Camera(width, height, focal_px, focal_px, (width - 1) / 2, (height - 1) / 2)
+
+
+def calibrate_by_flow(flow: Flow, camera: Camera, imu: Imu, most_pairs: int | None = None) -> GyroCalibration | None:
+    """The gyroscope against the camera's rotations from frame to frame a fifth of a second apart."""
+    rows = spaced_rows(flow.times, _INTERVAL_S)
+    if most_pairs is not None and len(rows) > most_pairs:
+        first = (len(rows) - most_pairs) // 2
+        rows = rows[first : first + most_pairs]
+    R = np.tile(np.eye(3), (len(rows), 1, 1))
+    for k in range(1, len(rows)):
+        shared, a, b = flow.shared(int(rows[k - 1]), int(rows[k]))
+        R[k] = R[k - 1]
+        if len(shared) >= _FEWEST_SHARED:
+            view = relative_pose(camera.undistort(a), camera.undistort(b), _TOLERANCE_PX / camera.focal)
+            R[k] = R[k - 1] @ view.R_second_first.T
+    return calibrate_gyro(flow.times[rows], R, imu)
+
+
+def guess_camera(flow: Flow, imu: Imu | None) -> Camera:
+    """Where to start from: the focal length at which the image turns as the gyroscope does.
+
+    Without a gyroscope, or where the camera hardly turns, that which most pairs of pictures agree with.
+    """
+    longer = max(flow.size)
+    focal = None if imu is None else _focal_by_gyroscope(flow, imu)
+    return centred_camera(flow.size, longer * (focal or _focal_by_pictures(flow) or _USUAL_FOCAL))
+
+
+def _focal_by_gyroscope(flow: Flow, imu: Imu) -> float | None:
+    """As a share of the longer side, or None."""
+    residuals: dict[float, float] = {}
+
+    def residual(share: float) -> float:
+        share = round(float(share), 3)
+        if share not in residuals:
+            found = calibrate_by_flow(flow, centred_camera(flow.size, share * max(flow.size)), imu, _MOST_PAIRS)
+            residuals[share] = np.inf if found is None or not found.fits else found.residual_deg
+        return residuals[share]
+
+    for share in _FOCALS:
+        residual(share)
+    best = min(residuals, key=lambda share: residuals[share])
+    finite = [value for value in residuals.values() if np.isfinite(value)]
+    if not finite or residuals[best] > _CLEARLY * max(finite):
+        return None
+    for step in _FINE:
+        residual(best + step)
+    best = min(residuals, key=lambda share: residuals[share])
+    below, above = residual(best - abs(_FINE[0])), residual(best + abs(_FINE[0]))
+    bend = below + above - 2 * residuals[best]
+    if not np.isfinite(bend) or bend <= 0:
+        return best
+    return float(best + 0.5 * abs(_FINE[0]) * (below - above) / bend)
+
+
+def _focal_by_pictures(flow: Flow) -> float | None:
+    """The median over pairs of pictures of the focal length that explains most matches (six points, poselib)."""
+    path = np.cumsum(flow.motion)
+    starts = np.linspace(0, max(path[-1] - _PICTURE_MOTION, 0.0), _PICTURE_PAIRS)
+    first = np.searchsorted(path, starts)
+    second = np.minimum(np.searchsorted(path, starts + _PICTURE_MOTION), len(path) - 1)
+    centre = (np.array(flow.size, dtype=np.float64) - 1) / 2
+    found = []
+    for a, b in zip(first.tolist(), second.tolist(), strict=True):
+        shared, in_a, in_b = flow.shared(a, b)
+        if len(shared) < 2 * _FEWEST_SHARED:
+            continue
+        focal, agreeing = _shared_focal(in_a - centre, in_b - centre)
+        share = focal / max(flow.size)
+        if agreeing > 0.7 * len(shared) and _PLAUSIBLE[0] < share < _PLAUSIBLE[1]:
+            found.append(share)
+    return float(np.median(found)) if len(found) >= _PICTURE_PAIRS // 6 else None
+
+
+def _shared_focal(a: FloatArray, b: FloatArray) -> tuple[float, int]:
+    options = {"max_epipolar_error": _TOLERANCE_PX, "max_iterations": 500, "seed": 1}
+    pair, info = poselib.estimate_shared_focal_relative_pose(a, b, np.zeros(2), options, {})
+    return float(pair.camera1.focal()), int(np.sum(info["inliers"]))

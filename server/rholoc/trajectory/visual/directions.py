@@ -1,0 +1,82 @@
+"""Which way the camera went between two keyframes whose rotations are known."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from rholoc.geometry import FloatArray
+from rholoc.trajectory.visual.two_view import inliers_of_rotation, rays_of
+
+_FEWEST_INLIERS = 12
+_FEWEST_SHARE = 0.4  # of the matches must agree with the direction
+_CLEAR_SHARE = 0.7  # of these must lie before both cameras one way rather than the other
+_RAY_SIGMA_PX = 0.7
+_ROTATION_SIGMA_RAD = np.radians(0.1)  # of the rotation between the two
+_LEAST_SIGMA_RAD = np.radians(0.5)
+_ROUNDS = 4
+_CAUCHY = 2.0
+
+
+@dataclass(frozen=True, eq=False)
+class PairDirection:
+    """The direction from one keyframe's place to another's.
+
+    Attributes:
+        first, second: keyframe numbers.
+        direction: (3,), unit, in the frame of the rotations.
+        sigma_rad: its standard deviation: large where the camera hardly moved.
+    """
+
+    first: int
+    second: int
+    direction: FloatArray
+    sigma_rad: float
+
+
+def direction_between(
+    first: int,
+    second: int,
+    R_world_camera: FloatArray,
+    plane: tuple[FloatArray, FloatArray],
+    tolerance_px: float,
+    focal_px: float,
+) -> PairDirection | None:
+    """The direction that most matches agree with, or None where too few do or nothing tells forward from backward.
+
+    The rays of a match and the way between the cameras lie in one plane; the way is what all these planes share.
+
+    Args:
+        first, second: keyframe numbers.
+        R_world_camera: (K, 3, 3).
+        plane: the matched points, (M, 2) in either, on the plane z = 1 of the camera.
+        tolerance_px: how far from its plane a ray may be.
+        focal_px: of the camera.
+    """
+    R_a, R_b = R_world_camera[first], R_world_camera[second]
+    inliers = inliers_of_rotation(*plane, R_b.T @ R_a, tolerance_px / focal_px)
+    if inliers.sum() < max(_FEWEST_INLIERS, _FEWEST_SHARE * len(inliers)):
+        return None
+    a, b = rays_of(plane[0][inliers]) @ R_a.T, rays_of(plane[1][inliers]) @ R_b.T
+    normals = np.cross(a, b)
+    weights = np.ones(len(normals))
+    sigma_ray = _RAY_SIGMA_PX / focal_px
+    for _ in range(_ROUNDS):
+        information, axes = np.linalg.eigh((normals * weights[:, None]).T @ normals)
+        direction = axes[:, 0]
+        weights = 1 / (1 + (normals @ direction / (sigma_ray * _CAUCHY)) ** 2)
+    together = np.sum(a * b, axis=1)
+    depth_a = a @ direction - together * (b @ direction)  # but for a positive factor
+    depth_b = together * (a @ direction) - b @ direction
+    ahead = float(np.sum(weights * ((depth_a > 0) & (depth_b > 0))))
+    behind = float(np.sum(weights * ((depth_a < 0) & (depth_b < 0))))
+    if max(ahead, behind) < _CLEAR_SHARE * (ahead + behind) or ahead + behind == 0:
+        return None
+    parallax = float(np.median(np.linalg.norm(normals, axis=1)))
+    sigma = np.sqrt(
+        sigma_ray**2 / max(float(information[1]), 1e-12)
+        + (_ROTATION_SIGMA_RAD / max(parallax, 1e-6)) ** 2
+        + _LEAST_SIGMA_RAD**2
+    )
+    return PairDirection(first, second, direction if ahead >= behind else -direction, float(sigma))

@@ -1,0 +1,138 @@
+"""Features of keyframes → verified matches between pairs of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from rholoc.features import FeatureSet
+from rholoc.geometry import FloatArray, IntArray
+from rholoc.progress import ProgressListener, Stage, silent
+from rholoc.trajectory.inertial.gyroscope import allowed_apart
+from rholoc.trajectory.visual.loop_candidates import Pair, loop_candidates, sequential_pairs
+from rholoc.trajectory.visual.two_view import (
+    PairRotation,
+    angle_between,
+    inliers_of_rotation,
+    ratio_matches,
+    relative_pose,
+    unit_descriptors,
+)
+
+_THREADS = 2
+_TOLERANCE_PX = 2.5
+_FEWEST_SEQUENTIAL = 15
+_FEWEST_LOOP = 30
+_STRONG_LOOP = 80  # inliers, from which a loop is believed alone
+_BESIDE = 2  # keyframes, within which another loop supports one
+_LOOPS_EACH = 3
+_EXPLAINED = 0.8  # the share of matches that cameras turned as was felt must explain, where the images say otherwise
+_BESIDE_WALK = (1, 2, 4)  # keyframes further on, that each is matched with where corners were followed …
+_BESIDE_JUMPS = (1, 2, 3, 4, 5, 6, 8, 12)  # … and where pictures are too far apart for that
+
+
+@dataclass(frozen=True, eq=False)
+class VerifiedPair:
+    """Two keyframes whose matches agree with one relative pose.
+
+    Attributes:
+        first, second: keyframe numbers.
+        matches: (M, 2) feature numbers.
+        R_second_first: (3, 3).
+    """
+
+    first: int
+    second: int
+    matches: IntArray
+    R_second_first: FloatArray
+
+    @property
+    def rotation(self) -> PairRotation:
+        """What it says of the camera's rotation."""
+        return PairRotation(self.first, self.second, self.R_second_first, len(self.matches))
+
+
+def match_keyframes(
+    features: Sequence[FeatureSet],
+    planes: Sequence[FloatArray],
+    focal_px: float,
+    times: FloatArray,
+    felt: Rotation | None,
+    followed: bool,
+    progress: ProgressListener = silent,
+) -> tuple[list[VerifiedPair], list[VerifiedPair]]:
+    """Pairs of neighbours, and pairs that show a place seen again.
+
+    Args:
+        features: of K keyframes, in the order of time.
+        planes: their places on the plane z = 1 of the camera, (N, 2) each.
+        focal_px: of the camera.
+        times: (K,) seconds.
+        felt: R_start_camera of the keyframes by the gyroscope, or None. Pairs that it contradicts are left out.
+        followed: whether corners are followed from keyframe to keyframe, so that fewer pairs need matching.
+        progress: hears of :data:`Stage.POSES`, up to the fraction 0.4.
+    """
+    distances = _BESIDE_WALK if followed else _BESIDE_JUMPS
+    neighbours = sequential_pairs(len(features), distances)
+    again = loop_candidates(features, 2 * max(distances) + 1, _LOOPS_EACH) if len(features) > 3 else []
+    total, done = len(neighbours) + len(again), 0
+    descriptors = [unit_descriptors(some) for some in features]
+    beside = set(neighbours)
+
+    def verified(pair: Pair) -> VerifiedPair | None:
+        fewest = _FEWEST_SEQUENTIAL if pair in beside else _FEWEST_LOOP
+        return _verify(pair, descriptors, planes, _TOLERANCE_PX / focal_px, times, felt, fewest)
+
+    found: list[VerifiedPair] = []
+    with ThreadPoolExecutor(_THREADS) as pool:
+        for one in pool.map(verified, [*neighbours, *again]):
+            done += 1
+            progress(Stage.POSES, 0.4 * done / total, f"{done} of {total} pairs of keyframes matched")
+            if one is not None:
+                found.append(one)
+    sequential = [pair for pair in found if (pair.first, pair.second) in beside]
+    return sequential, supported_loops([pair for pair in found if (pair.first, pair.second) not in beside])
+
+
+def supported_loops(pairs: Sequence[VerifiedPair]) -> list[VerifiedPair]:
+    """The loop pairs with many inliers, or with another loop pair beside them: a chance likeness stands alone."""
+    places = np.array([(pair.first, pair.second) for pair in pairs]).reshape(-1, 2)
+    kept = []
+    for pair, place in zip(pairs, places, strict=True):
+        beside = np.abs(places - place).max(axis=1) <= _BESIDE
+        if len(pair.matches) >= _STRONG_LOOP or beside.sum() > 1:
+            kept.append(pair)
+    return kept
+
+
+def _verify(
+    pair: Pair,
+    descriptors: Sequence[FloatArray],
+    planes: Sequence[FloatArray],
+    tolerance: float,
+    times: FloatArray,
+    felt: Rotation | None,
+    fewest: int,
+) -> VerifiedPair | None:
+    """The matches that one relative pose explains, and that the gyroscope does not contradict."""
+    i, j = pair
+    matches = ratio_matches(descriptors[i], descriptors[j])
+    if len(matches) < fewest:
+        return None
+    first, second = planes[i][matches[:, 0]], planes[j][matches[:, 1]]
+    view = relative_pose(first, second, tolerance)
+    inliers, R = view.inliers, view.R_second_first
+    if felt is not None and inliers.any():
+        R_felt = (felt[j].inv() * felt[i]).as_matrix()
+        if angle_between(R, R_felt) > allowed_apart(times[j] - times[i]):
+            agreeing = inliers_of_rotation(first, second, R_felt, 2 * tolerance)
+            if agreeing.sum() < _EXPLAINED * inliers.sum():
+                return None
+            inliers, R = inliers & agreeing, R_felt
+    if inliers.sum() < fewest:
+        return None
+    return VerifiedPair(i, j, matches[inliers], R)

@@ -1,0 +1,145 @@
+"""What two images of a place tell about each other: which matches are right, and how the camera turned between."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import poselib
+from scipy.spatial.transform import Rotation
+
+from rholoc.features import FeatureSet
+from rholoc.geometry import BoolArray, FloatArray, IntArray, pose_matrix
+
+_RATIO = 0.8  # Lowe's ratio of the nearest to the second nearest distance
+_ROUNDING = 1e-6  # of a dot product of unit descriptors: twins differ by no more
+_ITERATIONS = (30, 1000)  # of RANSAC, at least and at most
+_UNIT_CAMERA = {"model": "PINHOLE", "width": 2, "height": 2, "params": [1.0, 1.0, 0.0, 0.0]}
+_HYPOTHESES = 300  # of the translation, where the rotation is known
+_LEAST_PARALLAX = 0.05  # radians, below which a ray says little about the translation
+_SEED = 1
+
+
+@dataclass(frozen=True, eq=False)
+class TwoView:
+    """The epipolar geometry of matches.
+
+    Attributes:
+        inliers: (M,) bool, the matches that agree with it.
+        R_second_first: (3, 3), the best match: where all lie on one plane, there are others.
+    """
+
+    inliers: BoolArray
+    R_second_first: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class PairRotation:
+    """How the camera turned between two keyframes.
+
+    Attributes:
+        first, second: keyframe numbers.
+        R_second_first: (3, 3).
+        support: how many matches agree with it.
+    """
+
+    first: int
+    second: int
+    R_second_first: FloatArray
+    support: int
+
+
+def relative_pose(first: FloatArray, second: FloatArray, tolerance: float) -> TwoView:
+    """The relative pose that most matches agree with (LO-RANSAC, poselib).
+
+    Args:
+        first, second: (M, 2) matched points on the plane z = 1 of either camera, M ≥ 5.
+        tolerance: how far from its epipolar line a point may be, on that plane.
+    """
+    options = {
+        "max_epipolar_error": tolerance,
+        "min_iterations": _ITERATIONS[0],
+        "max_iterations": _ITERATIONS[1],
+        "seed": _SEED,
+    }
+    pose, info = poselib.estimate_relative_pose(first, second, _UNIT_CAMERA, _UNIT_CAMERA, options, {})
+    inliers = np.array(info["inliers"], dtype=np.bool_)
+    return TwoView(inliers if len(inliers) == len(first) else np.zeros(len(first), np.bool_), np.asarray(pose.R))
+
+
+def absolute_pose(plane: FloatArray, points: FloatArray, tolerance: float) -> tuple[FloatArray, int]:
+    """The camera's pose T_map_camera (4, 4) that most matches agree with, and how many do (LO-RANSAC, poselib).
+
+    Args:
+        plane: (M, 2) detections on the plane z = 1 of the camera.
+        points: (M, 3) what they are of, in the map frame.
+        tolerance: how far off a detection may be, on that plane.
+    """
+    options = {
+        "max_reproj_error": tolerance,
+        "min_iterations": _ITERATIONS[0],
+        "max_iterations": _ITERATIONS[1],
+        "seed": _SEED,
+    }
+    pose, info = poselib.estimate_absolute_pose(plane, points, _UNIT_CAMERA, options, {})
+    R = np.asarray(pose.R)
+    return pose_matrix(R.T, -R.T @ np.asarray(pose.t)), int(info["num_inliers"])
+
+
+def inliers_of_rotation(
+    first: FloatArray, second: FloatArray, R_second_first: FloatArray, tolerance: float
+) -> BoolArray:
+    """Which matches (M,) agree with a rotation that is known, and with one translation, which two of them fix.
+
+    Args:
+        first, second: (M, 2) matched points on the plane z = 1 of either camera.
+        R_second_first: (3, 3).
+        tolerance: radians between a ray and its epipolar plane.
+    """
+    turned, seen = rays_of(first) @ R_second_first.T, rays_of(second)
+    normals = np.cross(turned, seen)
+    still = np.linalg.norm(normals, axis=1) < tolerance
+    if len(first) < 2:
+        return np.asarray(still)
+    i, j = np.random.default_rng(_SEED).integers(0, len(first), (2, _HYPOTHESES))
+    ways = np.cross(normals[i], normals[j])
+    lengths = np.linalg.norm(ways, axis=1)
+    ways = ways[lengths > 0] / lengths[lengths > 0, None]
+    if len(ways) == 0:
+        return np.asarray(still)
+    parallax = np.sqrt(np.maximum(1 - (ways @ turned.T) ** 2, _LEAST_PARALLAX**2))
+    agree = np.abs(ways @ normals.T) < tolerance * parallax
+    return np.asarray(agree[agree.sum(axis=1).argmax()] | still)
+
+
+def ratio_matches(a: FloatArray, b: FloatArray) -> IntArray:
+    """Mutual nearest neighbours that pass the ratio test: (M, 2) rows of ``a`` and ``b``, unit descriptors (N, D)."""
+    if len(a) < 2 or len(b) < 2:
+        return np.zeros((0, 2), np.int64)
+    alike = a @ b.T
+    rows = np.arange(len(a))
+    to_b = alike.argmax(1)
+    mutual = alike.argmax(0)[to_b] == rows
+    rows, to_b = rows[mutual], to_b[mutual]
+    best = alike[rows, to_b]
+    others = alike[rows]
+    others[np.arange(len(rows)), to_b] = -1
+    distinct = 1 - best + _ROUNDING < _RATIO**2 * (1 - others.max(1))
+    return np.column_stack([rows[distinct], to_b[distinct]])
+
+
+def angle_between(R_a: FloatArray, R_b: FloatArray) -> float:
+    """The angle between two rotations (3, 3), radians."""
+    return float(Rotation.from_matrix(R_a @ R_b.T).magnitude())
+
+
+def rays_of(plane: FloatArray) -> FloatArray:
+    """Points (N, 2) on the plane z = 1 → unit rays (N, 3)."""
+    rays = np.column_stack([plane, np.ones(len(plane))])
+    return np.asarray(rays / np.linalg.norm(rays, axis=1, keepdims=True))
+
+
+def unit_descriptors(features: FeatureSet) -> FloatArray:
+    """The features' descriptors (N, D) as unit vectors, float32."""
+    descriptors = features.descriptors.astype(np.float32)
+    return np.asarray(descriptors / np.maximum(np.linalg.norm(descriptors, axis=1, keepdims=True), 1e-9))

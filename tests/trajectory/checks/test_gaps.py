@@ -1,0 +1,71 @@
+"""Seconds without a place, and what they show."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from rholoc.geometry import BoolArray
+from rholoc.trajectory.checks.gaps import describe, missing_spans
+from rholoc.trajectory.visual.flow import Flow
+
+_SECONDS, _HZ, _START_S = 20, 10, 100.0
+
+
+def _flow(gap: BoolArray, corners: int = 200, sharpness: float = 100.0, brightness: float = 120.0) -> Flow:
+    """Twenty seconds of a room, and within ``gap`` so many corners of that sharpness and brightness."""
+    count = _SECONDS * _HZ
+    counts = np.where(gap, corners, 200)
+    return Flow(
+        _START_S + np.arange(count) / _HZ,
+        (640, 480),
+        np.concatenate([[0], np.cumsum(counts)]),
+        np.concatenate([np.arange(n) for n in counts]),
+        np.zeros((int(counts.sum()), 2)),
+        np.full(count, 0.01),
+        np.where(gap, sharpness, 100.0),
+        np.where(gap, brightness, 120.0),
+    )
+
+
+_ROWS = np.arange(0, _SECONDS * _HZ, 2)
+_GAP = (np.arange(_SECONDS * _HZ) >= 120) & (np.arange(_SECONDS * _HZ) < 150)
+
+
+@pytest.mark.parametrize(
+    ("gap", "why"),
+    [
+        ({"corners": 5}, "shows a blank wall"),
+        ({"corners": 5, "sharpness": 3.0}, "shows a blank wall"),
+        ({"corners": 80, "sharpness": 10.0}, "is blurred"),
+        ({"corners": 3, "sharpness": 1.0, "brightness": 8.0}, "is too dark"),
+        ({}, "shows nothing that links it to the rest of the walk"),
+    ],
+)
+def test_missing_seconds_say_what_they_show(gap: dict[str, float], why: str) -> None:
+    (span,) = missing_spans(_flow(_GAP, **gap), _ROWS, ~_GAP[_ROWS])
+    assert span.start_s == pytest.approx(12.0, abs=0.3)  # from the start of the recording, not of its clock
+    assert span.end_s == pytest.approx(15.0, abs=0.3)
+    assert span.why == why
+    assert describe((span,)) == f"0:12–0:15 {why}."
+
+
+def test_the_start_and_the_end_can_be_missing() -> None:
+    ends = (np.arange(200) < 30) | (np.arange(200) >= 170)
+    first, last = missing_spans(_flow(ends), _ROWS, ~ends[_ROWS])
+    assert (first.start_s, last.end_s) == pytest.approx((0.0, 19.9))
+
+
+def test_a_moment_is_not_missing() -> None:
+    flow = _flow(np.zeros(200, np.bool_))
+    placed = np.ones(len(_ROWS), np.bool_)
+    assert missing_spans(flow, _ROWS, placed) == ()
+    placed[50] = False
+    assert missing_spans(replace(flow, times=_START_S + np.arange(200) / 30), _ROWS, placed) == ()
+    assert describe(()) == ""
+
+
+def test_of_a_walk_without_any_place_nothing_is_listed() -> None:
+    assert missing_spans(_flow(_GAP), _ROWS, np.zeros(len(_ROWS), np.bool_)) == ()

@@ -1,0 +1,143 @@
+"""From a reconstruction's own frame to the map's: its origin, what is up, what fixes the scale, what is doubted."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from rholoc.errors import MappingFailed
+from rholoc.geometry import FloatArray, Pose, Similarity
+from rholoc.recordings import Waypoint
+from rholoc.trajectory import Scale
+from rholoc.trajectory.frame.map_frame import (
+    MapFrame,
+    frame_of_first_camera,
+    frame_of_waypoints,
+    up_by_gravity,
+    up_by_pictures,
+)
+from rholoc.trajectory.frame.waypoint_alignment import UpMeasurement
+
+TIMES = np.linspace(0.0, 30.0, 91)
+TURNED = Rotation.from_euler("xyz", [0.4, -0.3, 0.9]).as_matrix()
+UP = UpMeasurement(TURNED @ [0.0, 0.0, 1.0], 0.3)
+
+
+def true_walk() -> FloatArray:
+    """(N, 4, 4) of cameras that look about level along a bent path, upright and in metres."""
+    angle = TIMES / 6
+    positions = np.column_stack([3 * np.cos(angle), 2 * np.sin(angle), 1.4 + 0.2 * np.sin(3 * angle)])
+    headings = np.column_stack([np.cos(angle + 0.5), np.sin(angle + 0.5), 0.1 * np.sin(angle)])
+    headings /= np.linalg.norm(headings, axis=1)[:, None]
+    return np.array([Pose.from_heading(x, h, 0.0).T_map_camera for x, h in zip(positions, headings, strict=True)])
+
+
+def reconstructed(scale: float = 1.0) -> FloatArray:
+    """The same in a frame that is turned, shifted and scaled."""
+    return Similarity(scale, TURNED, np.array([1.0, -2.0, 0.5])).poses(true_walk())
+
+
+def waypoints(*rows: int, off: FloatArray | None = None) -> tuple[Waypoint, ...]:
+    places = true_walk()[list(rows), :3, 3] + (0.0 if off is None else off)
+    return tuple(Waypoint(f"W{row}", TIMES[row], tuple(place)) for row, place in zip(rows, places, strict=True))
+
+
+def first(up: UpMeasurement | None, sigma: float | None, scale: float = 1.0) -> MapFrame:
+    return frame_of_first_camera(reconstructed(scale), up, "why", 4.0, sigma)
+
+
+@pytest.mark.parametrize("sigma", [None, 0.02, 0.2])
+def test_the_first_camera_is_the_origin_and_looks_along_x(sigma: float | None) -> None:
+    found = first(UP, sigma)
+    T = found.similarity.poses(reconstructed())
+    np.testing.assert_allclose(T[0, :3, 3], 0, atol=1e-9)
+    assert T[0, 1, 2] == pytest.approx(0, abs=1e-9)
+    assert T[0, 0, 2] > 0.9
+    np.testing.assert_allclose(T[:, 2, 2], true_walk()[:, 2, 2], atol=1e-9)  # level is what was level
+    metric = sigma == 0.02
+    assert found.scale is (Scale.METRIC if metric else Scale.ARBITRARY)
+    assert found.similarity.scale == pytest.approx(1.0 if metric else 0.25)
+    assert found.upright
+    assert {None: "Nothing measured", 0.02: "to 2.0%", 0.2: "open (20%)"}[sigma] in found.why_scale
+
+
+def test_without_up_the_first_camera_is_held_level() -> None:
+    found = first(None, None)
+    assert not found.upright
+    R = found.similarity.rotation @ reconstructed()[0, :3, :3]
+    np.testing.assert_allclose(R[:, 1], [0, 0, -1], atol=1e-9)
+    np.testing.assert_allclose(R[:, 2], [1, 0, 0], atol=1e-9)
+
+
+def test_what_gravity_and_pictures_say_of_up() -> None:
+    gravity, why = up_by_gravity()
+    np.testing.assert_array_equal(gravity.direction, [0, 0, 1])
+    assert "gravity" in why
+    pictures, why = up_by_pictures(reconstructed()[:, :3, :3])
+    assert pictures is not None
+    np.testing.assert_allclose(pictures.direction, UP.direction, atol=1e-6)
+    assert why.startswith("By the no-roll prior")
+    assert gravity.sigma_deg < pictures.sigma_deg
+    none, why = up_by_pictures(Rotation.random(40, random_state=0).as_matrix())
+    assert none is None
+    assert "does not hold" in why
+
+
+@pytest.mark.parametrize("scale", [1.0, 0.3])
+def test_waypoints_fix_place_scale_and_up(scale: float) -> None:
+    found = frame_of_waypoints(TIMES, reconstructed(scale), [waypoints(0, 25, 50, 80)], UP, "Measured.")
+    np.testing.assert_allclose(found.similarity.poses(reconstructed(scale)), true_walk(), atol=1e-5)
+    assert (found.scale, found.upright, found.doubts) == (Scale.METRIC, True, ())
+    assert found.tilt_deg == pytest.approx(0, abs=1e-4)
+    assert found.why_scale == "The waypoints fix the scale."
+    assert [waypoint.name for waypoint in found.waypoints] == ["W0", "W25", "W50", "W80"]
+    unknown = frame_of_waypoints(TIMES, reconstructed(scale), [waypoints(0, 25, 50, 80)], None, "Unknown.")
+    assert (unknown.upright, unknown.tilt_deg) == (False, None)
+
+
+@pytest.mark.parametrize(("tilt_deg", "upright"), [(5, True), (40, False)])
+def test_up_and_the_waypoints_may_differ_by_a_little(tilt_deg: float, upright: bool) -> None:
+    tilted = UpMeasurement(TURNED @ Rotation.from_euler("x", tilt_deg, degrees=True).apply([0.0, 0, 1]), 0.3)
+    found = frame_of_waypoints(TIMES, reconstructed(), [waypoints(0, 25, 50, 80)], tilted, "Measured.")
+    assert found.tilt_deg == pytest.approx(tilt_deg, abs=0.1)
+    assert found.upright is upright
+    assert ("was left there" in found.why_up) is not upright
+
+
+@pytest.mark.parametrize(
+    ("scale", "sigma", "doubted"),
+    [
+        (1.0, 0.01, False),
+        (1.1, 0.01, False),
+        (1.3, 0.01, True),
+        (1.3, 0.09, False),
+        (1.3, 0.2, False),
+        (0.8, 0.01, True),
+    ],
+)
+def test_an_accelerometer_that_is_sure_of_another_scale_is_heard(scale: float, sigma: float, doubted: bool) -> None:
+    found = frame_of_waypoints(TIMES, reconstructed(scale), [waypoints(0, 25, 50, 80)], UP, "", sigma)
+    assert any(f"{scale:.2f} times as large" in doubt for doubt in found.doubts) is doubted
+    assert ("times as large" in found.why_scale) is doubted
+
+
+def test_of_several_choices_of_pauses_the_best_is_taken_and_a_close_second_is_doubted() -> None:
+    right = waypoints(0, 25, 50, 80)
+    wrong = tuple(replace(waypoint, time=TIMES[row]) for waypoint, row in zip(right, (0, 25, 60, 85), strict=True))
+    close = tuple(replace(waypoint, time=waypoint.time + 0.01) for waypoint in right)
+    clear = frame_of_waypoints(TIMES, reconstructed(), [wrong, right], None, "")
+    assert clear.waypoints == right
+    assert clear.doubts == ()
+    ambiguous = frame_of_waypoints(TIMES, reconstructed(), [close, right], None, "")
+    assert "Other pauses" in ambiguous.doubts[0]
+
+
+def test_waypoints_that_no_choice_fits_fail() -> None:
+    strange = waypoints(0, 25, 50, 80, off=5.0 * np.random.default_rng(0).normal(size=(4, 3)))
+    with pytest.raises(MappingFailed):
+        frame_of_waypoints(TIMES, reconstructed(), [strange], UP, "")
+    with pytest.raises(MappingFailed, match="No pauses"):
+        frame_of_waypoints(TIMES, reconstructed(), [], UP, "")

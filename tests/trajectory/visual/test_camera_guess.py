@@ -1,0 +1,46 @@
+"""A first guess of the focal length."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from synthetic_walk import DELAY_S, SyntheticWalk
+
+from rholoc.simulation import PHONE_CAMERA
+from rholoc.trajectory.visual.camera_guess import calibrate_by_flow, centred_camera, guess_camera
+
+
+@pytest.fixture(scope="module")
+def walk() -> SyntheticWalk:
+    """Twelve seconds of a walk."""
+    return SyntheticWalk(seed=2, times=np.arange(4.0, 16.0, 0.2))
+
+
+def test_the_principal_point_is_in_the_middle() -> None:
+    camera = centred_camera((640, 480), 500.0)
+    assert (camera.cx, camera.cy, camera.fx, camera.fy) == (319.5, 239.5, 500.0, 500.0)
+
+
+def test_the_gyroscope_is_calibrated_by_followed_corners(walk: SyntheticWalk) -> None:
+    found = calibrate_by_flow(walk.flow, PHONE_CAMERA, walk.imu)
+    assert found is not None
+    assert found.fits
+    assert found.time_offset_s == pytest.approx(DELAY_S, abs=0.006)
+
+
+def test_the_focal_length_is_that_at_which_pictures_turn_as_the_gyroscope_does(walk: SyntheticWalk) -> None:
+    found = guess_camera(walk.flow, replace(walk.imu, R_camera_imu=None))
+    assert found.focal == pytest.approx(PHONE_CAMERA.focal, rel=0.06)
+
+
+def test_without_a_gyroscope_the_pictures_give_one_that_is_plausible(walk: SyntheticWalk) -> None:
+    found = guess_camera(walk.flow, None)
+    assert found.focal == pytest.approx(PHONE_CAMERA.focal, rel=0.25)
+
+
+def test_a_camera_that_shows_nothing_gets_the_usual_one() -> None:
+    blank = SyntheticWalk(times=np.arange(0.0, 6.0, 0.2), blank=((0.0, 99.0),))
+    found = guess_camera(blank.flow, blank.imu)
+    assert 0.7 < found.focal / max(blank.flow.size) < 1.0

@@ -1,0 +1,71 @@
+"""The way between two cameras whose rotations are known."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from rholoc.geometry import FloatArray
+from rholoc.trajectory.visual.directions import direction_between
+
+_FOCAL_PX = 500.0
+_TOLERANCE_PX = 2.0
+
+
+def _seen(
+    way: FloatArray, noise_px: float = 0.0, wrong: float = 0.0, seed: int = 0
+) -> tuple[FloatArray, tuple[FloatArray, FloatArray]]:
+    """R_world_camera (2, 3, 3), and sixty points 2–6 m off on the plane z = 1 of cameras ``way`` (3,) metres apart."""
+    rng = np.random.default_rng(seed)
+    R = Rotation.from_rotvec([[0.1, -0.2, 0.05], [0.15, 0.1, -0.1]]).as_matrix()
+    ahead = rng.uniform([-1.5, -1.0, 2.0], [1.5, 1.0, 6.0], (60, 3)) @ R[0].T
+    plane = []
+    for k, at in enumerate((np.zeros(3), way)):
+        seen = (ahead - at) @ R[k]
+        plane.append(seen[:, :2] / seen[:, 2:] + rng.normal(0, noise_px / _FOCAL_PX, (60, 2)))
+    mismatched = rng.random(60) < wrong
+    plane[1][mismatched] = rng.permutation(plane[1][mismatched])
+    return R, (plane[0], plane[1])
+
+
+def _angle_deg(a: FloatArray, b: FloatArray) -> float:
+    return float(np.degrees(np.arccos(np.clip(a @ b / np.linalg.norm(a) / np.linalg.norm(b), -1, 1))))
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.tuples(*[st.floats(-1, 1)] * 3).filter(lambda way: np.linalg.norm(way) > 0.2))
+def test_the_direction_comes_back_with_its_sign(way: tuple[float, float, float]) -> None:
+    to = 0.3 * np.array(way) / np.linalg.norm(way)
+    R, plane = _seen(to)
+    found = direction_between(0, 1, R, plane, _TOLERANCE_PX, _FOCAL_PX)
+    assert found is not None
+    assert _angle_deg(found.direction, to) < 0.1
+
+
+def test_noise_and_mismatches_leave_it_within_its_sigma() -> None:
+    way = np.array([0.25, 0.1, 0.05])
+    for seed in range(10):
+        R, plane = _seen(way, noise_px=0.5, wrong=0.2, seed=seed)
+        found = direction_between(0, 1, R, plane, _TOLERANCE_PX, _FOCAL_PX)
+        assert found is not None
+        assert _angle_deg(found.direction, way) < np.degrees(3 * found.sigma_rad)
+
+
+def test_the_shorter_the_way_the_less_is_known() -> None:
+    sigmas = []
+    for length_m in (0.4, 0.1, 0.03):
+        R, plane = _seen(length_m * np.array([1.0, 0.0, 0.0]), noise_px=0.2)
+        found = direction_between(0, 1, R, plane, _TOLERANCE_PX, _FOCAL_PX)
+        assert found is not None
+        sigmas.append(found.sigma_rad)
+    assert sigmas == sorted(sigmas)
+    assert sigmas[-1] > 3 * sigmas[0]
+
+
+@pytest.mark.parametrize("wrong", [0.9, 1.0])
+def test_matches_that_agree_on_nothing_tell_no_direction(wrong: float) -> None:
+    R, plane = _seen(np.array([0.3, 0.0, 0.0]), wrong=wrong)
+    assert direction_between(0, 1, R, plane, 0.2, _FOCAL_PX) is None

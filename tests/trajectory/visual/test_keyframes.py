@@ -1,0 +1,68 @@
+"""Keyframes: sharp frames at even steps of image motion."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from rholoc.geometry import FloatArray
+from rholoc.trajectory.visual.keyframes import choose_keyframes
+
+
+def _times(count: int) -> FloatArray:
+    return np.arange(count) / 30
+
+
+def test_keyframes_are_sharp_and_evenly_spaced_in_motion() -> None:
+    rng = np.random.default_rng(0)
+    motion = rng.uniform(0.002, 0.012, 600)
+    sharpness = np.where(np.arange(600) % 3 == 0, 1.0, 0.1)
+    rows = choose_keyframes(_times(600), motion, sharpness)
+    assert np.all(np.diff(rows) > 0)
+    assert 60 <= len(rows) <= 160
+    assert np.mean(sharpness[rows] == 1.0) > 0.9
+    assert np.diff(np.cumsum(motion)[rows]).max() < 0.11
+
+
+def test_blurred_frames_are_no_keyframes() -> None:
+    """A hand shakes for a tenth of a second in every half: these frames are left out, the walk does not break."""
+    rng = np.random.default_rng(1)
+    blurred = np.arange(900) % 15 < 3
+    sharpness = np.where(blurred, 0.2, 1.0) * rng.uniform(0.8, 1.0, 900)
+    motion = np.where(blurred, 0.012, 0.006)
+    rows = choose_keyframes(_times(900), motion, sharpness)
+    assert not blurred[rows].any()
+    assert np.diff(np.cumsum(motion)[rows]).max() <= 0.2
+    assert len(rows) > 80
+
+
+def test_a_walk_does_not_break_where_all_of_it_is_blurred() -> None:
+    sharpness = np.where((np.arange(600) > 250) & (np.arange(600) < 350), 0.1, 1.0)
+    motion = np.full(600, 0.01)
+    rows = choose_keyframes(_times(600), motion, sharpness)
+    assert np.diff(np.cumsum(motion)[rows]).max() <= 0.2
+
+
+def test_at_rest_there_are_few() -> None:
+    """Ten seconds of rest between moves: about one keyframe in 1.4 s, so that the IMU is held by pictures."""
+    motion = np.concatenate([np.full(50, 0.03), np.zeros(300), np.full(50, 0.03)])
+    rows = choose_keyframes(_times(400), motion, np.ones(400))
+    resting = (rows >= 50) & (rows < 350)
+    assert 5 <= resting.sum() <= 9
+    assert np.diff(_times(400)[rows]).max() < 3.0
+
+
+def test_a_longer_walk_has_more_keyframes_without_end() -> None:
+    counts = [len(choose_keyframes(_times(n), np.full(n, 0.02), np.ones(n))) for n in (2_000, 20_000, 40_000)]
+    assert counts[1] > 5_000
+    assert abs(counts[2] - 2 * counts[1]) <= 2
+    assert abs(counts[1] - 10 * counts[0]) <= 10
+
+
+def test_a_fast_turn_does_not_take_every_frame() -> None:
+    motion = np.full(300, 0.2)
+    rows = choose_keyframes(_times(300), motion, np.ones(300))
+    assert np.diff(_times(300)[rows]).min() >= 0.08 - 1e-9
+
+
+def test_an_empty_recording_has_none() -> None:
+    assert len(choose_keyframes(np.zeros(0), np.zeros(0), np.zeros(0))) == 0

@@ -1,0 +1,93 @@
+"""Verified pairs of keyframes: neighbours, and places seen again."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scene import CAMERA, arc, cloud, descriptors_of, in_pixels, sift_like
+from scipy.spatial.transform import Rotation
+
+from rholoc.features import FeatureSet
+from rholoc.geometry import FloatArray
+from rholoc.trajectory.visual.loop_candidates import loop_candidates, sequential_pairs
+from rholoc.trajectory.visual.matching import VerifiedPair, match_keyframes, supported_loops
+from rholoc.trajectory.visual.two_view import angle_between
+
+
+def _seen(T_world_camera: FloatArray, points: FloatArray, descriptors: FloatArray) -> list[FeatureSet]:
+    return [sift_like(in_pixels(points, T), descriptors) for T in T_world_camera]
+
+
+def _planes(features: list[FeatureSet]) -> list[FloatArray]:
+    return [CAMERA.undistort(one.pixels.astype(np.float64)) for one in features]
+
+
+def test_sequential_pairs_skip_nothing() -> None:
+    pairs = sequential_pairs(10, (1, 2, 3, 6))
+    assert len(pairs) == len(set(pairs))
+    assert {(i, i + 1) for i in range(9)} <= set(pairs)
+    assert {j - i for i, j in pairs} == {1, 2, 3, 6}
+
+
+@pytest.mark.parametrize("gyroscope", [False, True])
+def test_neighbours_agree_and_say_how_the_camera_turned(gyroscope: bool) -> None:
+    T = arc(6)
+    features = _seen(T, cloud(120), descriptors_of(120))
+    felt = Rotation.from_matrix(T[:, :3, :3]) if gyroscope else None
+    sequential, loops = match_keyframes(features, _planes(features), CAMERA.focal, np.arange(6.0), felt, True)
+    assert {(pair.first, pair.second) for pair in sequential} >= {(k, k + 1) for k in range(5)}
+    assert not loops
+    for pair in sequential:
+        R = T[pair.second, :3, :3].T @ T[pair.first, :3, :3]
+        assert np.degrees(angle_between(pair.R_second_first, R)) < 0.5
+        assert len(pair.matches) > 100
+        np.testing.assert_array_equal(pair.matches[:, 0], pair.matches[:, 1])
+        assert pair.rotation.support == len(pair.matches)
+
+
+def _two_walls(turned_deg: float) -> tuple[list[FeatureSet], Rotation]:
+    """Six keyframes along a wall, ten of other things, six along a wall that looks just like the first.
+
+    And the rotations that the gyroscope felt: by then the camera has turned.
+    """
+    T = arc(6, 0.5)
+    points, descriptors = cloud(100), descriptors_of(100)
+    between = [sift_like(in_pixels(cloud(100, 50 + k), T[0]), descriptors_of(100, 50 + k)) for k in range(10)]
+    wall = _seen(T, points, descriptors)
+    R = Rotation.from_matrix(T[:, :3, :3])
+    after = Rotation.from_euler("y", turned_deg, degrees=True)
+    return [*wall, *between, *wall], Rotation.concatenate([R, Rotation.concatenate([R[5]] * 10), after * R])
+
+
+def test_a_place_seen_again_is_found() -> None:
+    features, felt = _two_walls(0.0)
+    _, loops = match_keyframes(features, _planes(features), CAMERA.focal, np.arange(22.0), felt, True)
+    assert len(loops) >= 6
+    assert all(pair.first < 6 and pair.second >= 16 for pair in loops)
+
+
+def test_a_wall_that_only_looks_alike_is_refused_because_the_gyroscope_contradicts_it() -> None:
+    features, felt = _two_walls(90.0)
+    _, loops = match_keyframes(features, _planes(features), CAMERA.focal, np.arange(22.0), felt, True)
+    assert not loops
+    _, believed = match_keyframes(features, _planes(features), CAMERA.focal, np.arange(22.0), None, True)
+    assert believed, "pictures alone cannot tell: the test would pass for nothing"
+
+
+def test_loop_candidates_are_far_apart_in_time_and_few() -> None:
+    features, _ = _two_walls(0.0)
+    pairs = loop_candidates(features, 9, 3)
+    assert all(j - i >= 9 for i, j in pairs)
+    assert len(pairs) <= 3 * len(features)
+    assert {i for i, j in pairs if i < 6 and j >= 16} == set(range(6))
+
+
+def _pair(first: int, second: int, matches: int) -> VerifiedPair:
+    return VerifiedPair(first, second, np.zeros((matches, 2), np.int64), np.eye(3))
+
+
+def test_a_loop_stands_alone_only_if_it_is_strong() -> None:
+    weak, strong, beside = _pair(0, 50, 40), _pair(10, 70, 90), _pair(1, 52, 35)
+    assert supported_loops([weak, strong]) == [strong]
+    assert supported_loops([weak, beside]) == [weak, beside]
+    assert supported_loops([]) == []

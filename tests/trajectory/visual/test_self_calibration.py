@@ -1,0 +1,16 @@
+"""What is said of a focal length that a walk was to show."""
+
+from __future__ import annotations
+
+import pytest
+
+from rholoc.trajectory.visual.camera_guess import centred_camera
+from rholoc.trajectory.visual.self_calibration import calibration_report
+
+
+@pytest.mark.parametrize(("sigma_px", "observable"), [(5.0, True), (14.9, True), (15.1, False), (200.0, False)])
+def test_a_focal_length_within_three_percent_counts_as_known(sigma_px: float, observable: bool) -> None:
+    report = calibration_report(centred_camera((640, 480), 500.0), sigma_px)
+    assert report.observable is observable
+    assert f"±{sigma_px / 500:.1%}" in report.why
+    assert ("turn and walk sideways" in report.why) is not observable
