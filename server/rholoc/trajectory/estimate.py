@@ -18,6 +18,7 @@ from rholoc.trajectory.child import run_in_child
 from rholoc.trajectory.dead_reckoning import integrate_between_waypoints
 from rholoc.trajectory.frame.upright import up_without_roll
 from rholoc.trajectory.frame.waypoint_times import choices_of_pauses, find_pauses, times_are_known
+from rholoc.trajectory.inertial_adjustment import adjust_between_waypoints
 from rholoc.trajectory.reconstruction import Reconstruction, Sights, reconstruct
 from rholoc.trajectory.trajectory import PoseMethod, Scale, Trajectory
 from rholoc.trajectory.visual.flow import Flow, track_corners
@@ -112,7 +113,7 @@ def _inertial(recording: Recording, progress: ProgressListener) -> Trajectory:
     rows, times = rows[between], times[between]
     if len(rows) < _FEWEST_KEYFRAMES:
         raise MappingFailed(f"{len(rows)} keyframes lie between the waypoints.", _MOVE)
-    poses = integrate_between_waypoints(recording.imu, waypoints, times)
+    poses = adjust_between_waypoints(recording.imu, waypoints, times)
     progress(Stage.POSES, 1.0, "the IMU was integrated")
     report = TrajectoryReport(
         PoseMethod.INERTIAL.value,

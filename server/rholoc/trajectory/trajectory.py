@@ -15,7 +15,7 @@ class PoseMethod(StrEnum):
 
     VISUAL_INERTIAL = "visual-inertial"  # structure from motion, made metric and upright by waypoints and IMU
     VISUAL = "visual"  # structure from motion and waypoints; the IMU is not used
-    INERTIAL = "inertial"  # the paper's own: the IMU integrated between waypoints
+    INERTIAL = "inertial"  # the paper's own: the IMU between waypoints, and no pictures
     GIVEN = "given"  # the recording's own poses
 
 

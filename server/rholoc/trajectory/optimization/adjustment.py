@@ -376,7 +376,7 @@ def _add_imu(
     graph.add(gtsam.PriorFactorVector(G(0), np.array([0.0, 0.0, -GRAVITY]), _gravity_prior(problem)))
     tie = gtsam.noiseModel.Diagonal.Sigmas(np.repeat([_TIE_SIGMA_RAD, _TIE_SIGMA_M], 3))
     rates = np.column_stack([np.interp(times, imu.times, axis) for axis in imu.angular_velocity.T])
-    parameters, longest_s = _imu_noise(problem.imu_noise), longest_interval_s(imu)
+    parameters, longest_s = imu_noise(problem.imu_noise), longest_interval_s(imu)
     walk = np.repeat([_ACCELEROMETER_WALK, _GYROSCOPE_WALK], 3)
     for k in covered:
         bias = gtsam.imuBias.ConstantBias(inertial.biases[k, :3], inertial.biases[k, 3:])
@@ -386,7 +386,7 @@ def _add_imu(
         graph.add(_tie(k, rates[k] - inertial.biases[k, 3:], tie))
     for before, k in itertools.pairwise(covered):
         bias = gtsam.imuBias.ConstantBias(inertial.biases[k, :3], inertial.biases[k, 3:])
-        summed = _preintegrated(imu, times[before], times[k], parameters, bias, longest_s)
+        summed = preintegrated(imu, times[before], times[k], parameters, bias, longest_s)
         if summed is not None:
             graph.add(
                 gtsam.CombinedImuFactorWithGravityVector(
@@ -417,7 +417,8 @@ def _gravity_prior(problem: Problem) -> gtsam.noiseModel.Base:
     return gtsam.noiseModel.Diagonal.Sigmas(np.array([level, level, length]))
 
 
-def _imu_noise(times_usual: float) -> gtsam.PreintegrationCombinedParams:
+def imu_noise(times_usual: float) -> gtsam.PreintegrationCombinedParams:
+    """What the readings of an IMU are worth whose noise is ``times_usual`` times the usual."""
     parameters = gtsam.PreintegrationCombinedParams.MakeSharedU(GRAVITY)
     parameters.setAccelerometerCovariance(np.eye(3) * (times_usual * _ACCELEROMETER_NOISE) ** 2)
     parameters.setGyroscopeCovariance(np.eye(3) * (times_usual * _GYROSCOPE_NOISE) ** 2)
@@ -427,7 +428,7 @@ def _imu_noise(times_usual: float) -> gtsam.PreintegrationCombinedParams:
     return parameters
 
 
-def _preintegrated(
+def preintegrated(
     imu: Imu,
     start_s: float,
     end_s: float,

@@ -1,0 +1,117 @@
+"""The IMU between waypoints, all of the walk in one least-squares problem: the joint adjustment without its pictures.
+
+The unknowns are the IMU's pose, velocity and biases at every time that is asked for and at every rest, and gravity. The
+readings between them are preintegrated; at a waypoint the place is measured, at every rest the velocity is zero. What
+:mod:`rholoc.trajectory.dead_reckoning` mends leg by leg, with biases that are constant, is here weighed by what each
+measurement is worth. It starts from that one's poses.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+
+import gtsam
+import numpy as np
+from gtsam.symbol_shorthand import B, G, V, X
+
+from rholoc.errors import MappingFailed
+from rholoc.geometry import FloatArray, IntArray, pose_matrix
+from rholoc.recordings import GRAVITY, Imu, Waypoint
+from rholoc.recordings.walk.stillness import pauses
+from rholoc.trajectory.dead_reckoning import integrate_between_waypoints
+from rholoc.trajectory.inertial.gyroscope import longest_interval_s
+from rholoc.trajectory.optimization.adjustment import imu_noise, preintegrated
+
+_REST_SIGMA_M_S = 0.01  # a hand at rest drifts and trembles
+_ACCELEROMETER_BIAS_SIGMA = 0.1  # m/s²
+_GYROSCOPE_BIAS_SIGMA = 0.02  # rad/s
+_LEVEL_SIGMA = GRAVITY * np.radians(0.5)  # m/s², of the waypoints' z axis
+_GRAVITY_SIGMA = 0.05  # m/s², of its length as accelerometers read it
+_LEVER_SIGMA_M = 0.02  # between camera and IMU, which nothing here tells apart
+_CAUCHY = 3.0
+_INSIDE_S = 0.3  # from the ends of a pause: there the camera rests
+_REST_STEP_S = 0.25
+_APART_S = 1e-3  # times nearer than this are one state
+_TIMES_USUAL = 1.0  # the noise of the IMU
+_ITERATIONS = 30
+
+
+def adjust_between_waypoints(imu: Imu, waypoints: Sequence[Waypoint], at: FloatArray) -> FloatArray:
+    """Poses T_map_camera (N, 4, 4) at times ``at`` (N,), all between the first and the last waypoint.
+
+    Raises:
+        InvalidWaypoints: they do not fix a frame.
+        MappingFailed: the IMU's axes are unknown to the camera, its acceleration is without gravity, it does not cover
+            the waypoints, or has a gap between them.
+    """
+    start = integrate_between_waypoints(imu, waypoints, at)
+    assert imu.R_camera_imu is not None
+    stops = np.sort([waypoint.time for waypoint in waypoints])
+    resting = _resting(imu, stops)
+    times = np.sort(np.concatenate([at, stops, resting]))
+    times = times[np.concatenate([[True], np.diff(times) > _APART_S])]
+    graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    first = integrate_between_waypoints(imu, waypoints, times)
+    R_map_imu, positions = first[:, :3, :3] @ imu.R_camera_imu, first[:, :3, 3]
+    velocities = np.gradient(positions, times, axis=0)
+    still = gtsam.imuBias.ConstantBias()
+    for k in range(len(times)):
+        values.insert(X(k), gtsam.Pose3(pose_matrix(R_map_imu[k], positions[k])))
+        values.insert(V(k), velocities[k])
+        values.insert(B(k), still)
+    values.insert(G(0), np.array([0.0, 0.0, -GRAVITY]))
+    _add_motion(graph, imu, times)
+    sigmas = np.repeat([_ACCELEROMETER_BIAS_SIGMA, _GYROSCOPE_BIAS_SIGMA], 3)
+    graph.add(gtsam.PriorFactorConstantBias(B(0), still, gtsam.noiseModel.Diagonal.Sigmas(sigmas)))
+    level = gtsam.noiseModel.Diagonal.Sigmas(np.array([_LEVEL_SIGMA, _LEVEL_SIGMA, _GRAVITY_SIGMA]))
+    graph.add(gtsam.PriorFactorVector(G(0), np.array([0.0, 0.0, -GRAVITY]), level))
+    rest = gtsam.noiseModel.Isotropic.Sigma(3, _REST_SIGMA_M_S)
+    for k in _nearest(times, np.concatenate([stops, resting])).tolist():
+        graph.add(gtsam.PriorFactorVector(V(k), np.zeros(3), rest))
+    for waypoint in waypoints:
+        sigma_m = float(np.hypot(waypoint.sigma_m, _LEVER_SIGMA_M))
+        noise = gtsam.noiseModel.Robust.Create(
+            gtsam.noiseModel.mEstimator.Cauchy.Create(_CAUCHY), gtsam.noiseModel.Isotropic.Sigma(3, sigma_m)
+        )
+        (k,) = _nearest(times, np.array([waypoint.time]))
+        graph.add(gtsam.PoseTranslationPrior3D(X(int(k)), np.array(waypoint.position), noise))
+    parameters = gtsam.LevenbergMarquardtParams()
+    parameters.setMaxIterations(_ITERATIONS)
+    try:
+        solved = gtsam.LevenbergMarquardtOptimizer(graph, values, parameters).optimize()
+    except RuntimeError:  # gtsam's word for a singular system
+        return start
+    found = np.array([solved.atPose3(X(int(k))).matrix() for k in _nearest(times, at)])
+    return pose_matrix(found[:, :3, :3] @ imu.R_camera_imu.T, found[:, :3, 3])
+
+
+def _add_motion(graph: gtsam.NonlinearFactorGraph, imu: Imu, times: FloatArray) -> None:
+    parameters, longest_s, still = imu_noise(_TIMES_USUAL), longest_interval_s(imu), gtsam.imuBias.ConstantBias()
+    for k, (before_s, after_s) in enumerate(pairwise(times.tolist())):
+        summed = preintegrated(imu, before_s, after_s, parameters, still, longest_s)
+        if summed is None:
+            raise MappingFailed(
+                f"The IMU's table has a gap between {before_s:.2f} and {after_s:.2f} s, and nothing else bridges it.",
+                "Choose poses 'visual-inertial'.",
+            )
+        graph.add(
+            gtsam.CombinedImuFactorWithGravityVector(X(k), V(k), X(k + 1), V(k + 1), B(k), B(k + 1), G(0), summed)
+        )
+
+
+def _resting(imu: Imu, stops: FloatArray) -> FloatArray:
+    """Times within pauses between the first and the last stop, away from where these begin and end."""
+    found = [
+        np.arange(start + _INSIDE_S, end - _INSIDE_S, _REST_STEP_S)
+        for start, end in pauses(imu)
+        if end - start > 2 * _INSIDE_S
+    ]
+    times = np.concatenate([np.zeros(0), *found])
+    return np.asarray(times[(times > stops[0]) & (times < stops[-1])])
+
+
+def _nearest(times: FloatArray, wanted: FloatArray) -> IntArray:
+    """The rows (N,) of increasing ``times`` that are nearest to those ``wanted`` (N,)."""
+    after = np.clip(np.searchsorted(times, wanted), 1, len(times) - 1)
+    return np.asarray(np.where(wanted - times[after - 1] < times[after] - wanted, after - 1, after))

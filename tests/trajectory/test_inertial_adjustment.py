@@ -1,0 +1,64 @@
+"""The IMU between waypoints in one least-squares problem: better than leg by leg."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from test_dead_reckoning import STOPS, walk, waypoints
+
+from rholoc.errors import MappingFailed
+from rholoc.geometry import FloatArray, pose_distances, pose_matrix
+from rholoc.recordings import Imu
+from rholoc.trajectory.dead_reckoning import integrate_between_waypoints
+from rholoc.trajectory.inertial_adjustment import adjust_between_waypoints
+
+
+def _biased(imu: Imu, seed: int) -> Imu:
+    """The readings of a worse IMU: biases and noise as a phone's."""
+    rng = np.random.default_rng(seed)
+    return replace(
+        imu,
+        acceleration=imu.acceleration + rng.normal(0, 0.05, 3) + rng.normal(0, 0.03, imu.acceleration.shape),
+        angular_velocity=imu.angular_velocity + rng.normal(0, 0.004, 3) + rng.normal(0, 0.003, (len(imu.times), 3)),
+    )
+
+
+def _errors(found: FloatArray, path: FloatArray, R: FloatArray) -> tuple[float, float]:
+    """Median errors, metres and degrees."""
+    moved, turned = pose_distances(found, pose_matrix(R, path))
+    return float(np.median(moved)), float(np.degrees(np.median(turned)))
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_all_of_the_walk_at_once_is_better_than_leg_by_leg(seed: int) -> None:
+    imu, path, R = walk()
+    rows = np.flatnonzero((imu.times >= STOPS[0]) & (imu.times <= STOPS[-1]))[::40]
+    at, measured = imu.times[rows], waypoints((0, 1, 2, 3))
+    worse = _biased(imu, seed)
+    adjusted = _errors(adjust_between_waypoints(worse, measured, at), path[rows], R[rows])
+    by_leg = _errors(integrate_between_waypoints(worse, measured, at), path[rows], R[rows])
+    assert adjusted[0] < min(0.03, 1.2 * by_leg[0])
+    assert adjusted[1] < 1.5
+
+
+def test_poses_come_in_the_order_of_their_times() -> None:
+    imu, path, _ = walk()
+    at = np.array([2.0, 3.0, 3.0004, 8.0, 15.0])
+    found = adjust_between_waypoints(imu, waypoints((0, 1, 2, 3)), at)
+    expected = np.column_stack([np.interp(at, imu.times, path[:, axis]) for axis in range(3)])
+    assert np.linalg.norm(found[:, :3, 3] - expected, axis=1).max() < 0.03
+
+
+def test_a_gap_is_said() -> None:
+    imu, _, _ = walk()
+    kept = (imu.times < 8.0) | (imu.times > 8.7)
+    broken = replace(
+        imu,
+        times=imu.times[kept],
+        acceleration=imu.acceleration[kept],
+        angular_velocity=imu.angular_velocity[kept],
+    )
+    with pytest.raises(MappingFailed, match="gap between"):
+        adjust_between_waypoints(broken, waypoints((0, 1, 2, 3)), np.array([2.0, 3.0]))
