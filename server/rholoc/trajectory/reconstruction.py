@@ -56,6 +56,7 @@ from rholoc.trajectory.visual.two_view import PairRotation
 
 _CORNERS_PER_KEYFRAME = 90
 _FEATURES_PER_KEYFRAME = 150
+_USUAL_KEYFRAMES = 1000
 _CORNERS_APART = (1, 2, 4, 8)  # keyframes, between which corners show the direction of the way
 _FEWEST_CORNERS = 15
 _DIRECTION_TOLERANCE_PX = 2.0
@@ -190,10 +191,12 @@ class _Evidence:
         return [*self.turned, *(pair.rotation for pair in (*self.sequential, *self.loops))]
 
     def observations(self, sights: Sights) -> Observations:
-        """Of the points that corners and matches are of."""
+        """Of the points that corners and matches are of; in long walks fewer of each keyframe."""
+        share = min(1.0, np.sqrt(_USUAL_KEYFRAMES / len(sights.rows)))
         places = [features.pixels.astype(np.float64) for features in sights.features]
-        matched = matched_features(places, [*self.sequential, *self.loops]).thinned(_FEATURES_PER_KEYFRAME)
-        found = self.corners.thinned(_CORNERS_PER_KEYFRAME).joined(matched)
+        matched = matched_features(places, [*self.sequential, *self.loops])
+        matched = matched.thinned(round(share * _FEATURES_PER_KEYFRAME))
+        found = self.corners.thinned(round(share * _CORNERS_PER_KEYFRAME)).joined(matched)
         if len(found) == 0:
             raise MappingFailed("The pictures show nothing that could be followed from one to the next.", _ADVICE)
         return found
