@@ -17,6 +17,7 @@ _MOST_WORDS = 64
 _FEWEST_TRAINING_DESCRIPTORS = 40  # of a word
 _TRAINING_DESCRIPTORS = 20_000
 _ITERATIONS = 12
+_PICTURES_AT_A_TIME = 100  # whose descriptors are in memory as floats
 _SEED = 1
 _TINY = 1e-9
 
@@ -29,9 +30,9 @@ class Vlad:
     """
 
     def __init__(self, descriptors: Sequence[ByteArray]) -> None:
-        pooled = np.concatenate(descriptors).astype(np.float32)
+        pooled = np.concatenate(descriptors)
         rng = np.random.default_rng(_SEED)
-        training = pooled[rng.permutation(len(pooled))[:_TRAINING_DESCRIPTORS]]
+        training = pooled[rng.permutation(len(pooled))[:_TRAINING_DESCRIPTORS]].astype(np.float32)
         words = min(_MOST_WORDS, max(1, len(training) // _FEWEST_TRAINING_DESCRIPTORS))
         kmeans = faiss.Kmeans(training.shape[1], words, niter=_ITERATIONS, seed=_SEED)
         kmeans.train(training)
@@ -47,6 +48,11 @@ class Vlad:
 
     def vectors(self, descriptors: Sequence[ByteArray]) -> FloatArray:
         """(P, W · D): :meth:`vector` of each of P pictures."""
+        starts = range(0, len(descriptors), _PICTURES_AT_A_TIME)
+        parts = [self._vectors(descriptors[start : start + _PICTURES_AT_A_TIME]) for start in starts]
+        return np.concatenate([np.zeros((0, self.words.size), np.float32), *parts])
+
+    def _vectors(self, descriptors: Sequence[ByteArray]) -> FloatArray:
         total = np.zeros((len(descriptors), *self.words.shape), np.float32)
         pooled = np.concatenate(descriptors).astype(np.float32)
         if len(pooled):

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -24,6 +25,7 @@ from rholoc.trajectory.visual.two_view import (
 )
 
 _THREADS = 2
+_REMEMBERED = 64  # keyframes whose descriptors are in memory as floats
 _TOLERANCE_PX = 2.5
 _FEWEST_SEQUENTIAL = 15
 _FEWEST_LOOP = 30
@@ -80,7 +82,7 @@ def match_keyframes(
     neighbours = sequential_pairs(len(features), distances)
     again = loop_candidates(features, 2 * max(distances) + 1, _LOOPS_EACH) if len(features) > 3 else []
     total, done = len(neighbours) + len(again), 0
-    descriptors = [unit_descriptors(some) for some in features]
+    descriptors = lru_cache(_REMEMBERED)(lambda keyframe: unit_descriptors(features[keyframe]))
     beside = set(neighbours)
 
     def verified(pair: Pair) -> VerifiedPair | None:
@@ -111,7 +113,7 @@ def supported_loops(pairs: Sequence[VerifiedPair]) -> list[VerifiedPair]:
 
 def _verify(
     pair: Pair,
-    descriptors: Sequence[FloatArray],
+    descriptors: Callable[[int], FloatArray],
     planes: Sequence[FloatArray],
     tolerance: float,
     times: FloatArray,
@@ -120,7 +122,7 @@ def _verify(
 ) -> VerifiedPair | None:
     """The matches that one relative pose explains, and that the gyroscope does not contradict."""
     i, j = pair
-    matches = ratio_matches(descriptors[i], descriptors[j])
+    matches = ratio_matches(descriptors(i), descriptors(j))
     if len(matches) < fewest:
         return None
     first, second = planes[i][matches[:, 0]], planes[j][matches[:, 1]]
