@@ -188,7 +188,7 @@ class Client:
         Args:
             name: the map.
             format: ``rho``; ``csv``, which can be uploaded again; ``observations``, ``trajectory``: tables; ``ply``,
-                ``vtp``: landmarks and views; ``surfaces``: where densities peak; ``png``: a picture.
+                ``vtp``, ``gltf``: landmarks and views; ``surfaces``: where densities peak; ``png``: a picture.
             degree: of ``csv``: tensor densities fitted with it; None: the map's own densities.
             features: of ``surfaces``: whose; None: of those seen most often.
         """

@@ -1,8 +1,10 @@
-"""PLY, VTP and the picture from above."""
+"""PLY, VTP, glTF and the picture from above."""
 
 from __future__ import annotations
 
 import io
+import json
+import struct
 import subprocess
 import sys
 from dataclasses import replace
@@ -11,8 +13,9 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 from PIL import Image
+from scipy.spatial.transform import Rotation
 
-from rholoc.maps import Map, landmark_sigmas, map_to_ply, map_to_scene, map_to_vtp
+from rholoc.maps import Map, MapNames, NamedPoint, landmark_sigmas, map_to_gltf, map_to_ply, map_to_scene, map_to_vtp
 from rholoc.pictures.map_preview import preview_png
 
 
@@ -104,3 +107,37 @@ def test_colours_are_in_the_ply_and_in_the_scene(room_map: Map) -> None:
     few = map_to_scene(coloured, 7)
     assert np.frombuffer(few, "<u4", 1)[0] == 7
     assert few.endswith(colours[np.arange(7) * len(room_map) // 7].tobytes())
+
+
+def test_gltf_holds_coloured_landmarks_and_each_walk(room_map: Map) -> None:
+    colours = np.random.default_rng(0).integers(0, 256, (len(room_map), 3), dtype=np.uint8)
+    names = MapNames(points=(NamedPoint("door", (1.0, 2.0, 0.5)),))
+    coloured = replace(room_map, colours=colours, info=replace(room_map.info, names=names))
+    content = map_to_gltf(coloured)
+    magic, version, length, text_length, kind = struct.unpack_from("<4s3I4s", content)
+    assert (magic, version, length, kind) == (b"glTF", 2, len(content), b"JSON")
+    document = json.loads(content[20 : 20 + text_length])
+    binary_length, binary_kind = struct.unpack_from("<I4s", content, 20 + text_length)
+    binary = content[28 + text_length :]
+    assert binary_kind == b"BIN\0"
+    assert len(binary) == binary_length == document["buffers"][0]["byteLength"]
+
+    def array(accessor: int, kind: str, columns: int) -> np.ndarray:
+        found = document["accessors"][accessor]
+        at = document["bufferViews"][found["bufferView"]]["byteOffset"]
+        return np.frombuffer(binary, kind, columns * found["count"], at).reshape(-1, columns)
+
+    landmarks, walk = (mesh["primitives"][0] for mesh in document["meshes"])
+    assert (landmarks["mode"], walk["mode"]) == (0, 3)
+    np.testing.assert_array_equal(array(landmarks["attributes"]["POSITION"], "<f4", 3), room_map.landmarks)
+    np.testing.assert_array_equal(array(landmarks["attributes"]["COLOR_0"], "u1", 4)[:, :3], colours)
+    np.testing.assert_allclose(array(walk["attributes"]["POSITION"], "<f4", 3), room_map.view_positions, rtol=1e-6)
+    root = document["nodes"][document["scenes"][0]["nodes"][0]]
+    up = Rotation.from_quat(root["rotation"]).apply([0, 0, 1])
+    np.testing.assert_allclose(up, [0, 1, 0], atol=1e-12)
+    assert "door" in {document["nodes"][child]["name"] for child in root["children"]}
+
+
+@pytest.mark.parametrize(("features", "views"), [(0, 0), (1, 1)])
+def test_a_map_of_nothing_is_gltf_too(make_map, features: int, views: int) -> None:
+    assert map_to_gltf(make_map(features=features, views=views))[:4] == b"glTF"

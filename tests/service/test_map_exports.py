@@ -31,6 +31,7 @@ def hall(serve, point_room):
         ("trajectory", "hall-trajectory.csv", "text/csv"),
         ("ply", "hall.ply", "application/octet-stream"),
         ("vtp", "hall.vtp", "application/xml"),
+        ("gltf", "hall.glb", "model/gltf-binary"),
         ("surfaces", "hall-surfaces.vtp", "application/xml"),
         ("png", "hall.png", "image/png"),
     ],

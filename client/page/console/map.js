@@ -20,6 +20,7 @@ const FORMATS = [
   ["trajectory", t`walk, Table 6 (.csv)`, "csv"],
   ["ply", t`landmarks (.ply)`, "ply"],
   ["vtp", t`landmarks (.vtp)`, "vtp"],
+  ["gltf", t`landmarks in colour, for Blender and the web (.glb)`, "glb"],
 ];
 
 export async function showMap(main, name, signal) {

@@ -150,6 +150,7 @@ export const GERMAN = {
   "walk, Table 6 (.csv)": "Gang, Tabelle 6 (.csv)",
   "landmarks (.ply)": "Landmarken (.ply)",
   "landmarks (.vtp)": "Landmarken (.vtp)",
+  "landmarks in colour, for Blender and the web (.glb)": "farbige Landmarken, für Blender und das Web (.glb)",
   Update: "Aktualisieren",
   Merge: "Vereinigen",
   Rename: "Umbenennen",

@@ -217,7 +217,7 @@ def export(
     to: Annotated[
         str,
         typer.Option(
-            metavar="rho|csv|observations|trajectory|ply|vtp|surfaces|png",
+            metavar="rho|csv|observations|trajectory|ply|vtp|gltf|surfaces|png",
             help="CSV, observations, trajectory: Tables 5, 4 and 6; PLY, VTP: points, and surfaces: where densities "
             "peak, for ParaView; PNG: a picture from above.",
         ),

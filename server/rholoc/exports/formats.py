@@ -19,6 +19,7 @@ from rholoc.maps import (
     coefficient_table,
     map_surfaces_vtp,
     map_to_bytes,
+    map_to_gltf,
     map_to_ply,
     map_to_vtp,
     observations_csv,
@@ -41,6 +42,7 @@ class ExportFormat(StrEnum):
     TRAJECTORY = "trajectory"  # Table 6: its views
     PLY = "ply"  # landmarks and views, for MeshLab, CloudCompare, ParaView
     VTP = "vtp"  # the same for ParaView, with the view path as a line
+    GLTF = "gltf"  # the same for the web, Blender and game engines, in one binary file
     SURFACES = "surfaces"  # where chosen densities peak, for ParaView
     PNG = "png"  # a picture from above
 
@@ -52,13 +54,15 @@ class ExportFormat(StrEnum):
                 return f"-{self.value}.csv"
             case ExportFormat.SURFACES:
                 return f"-{self.value}.vtp"
+            case ExportFormat.GLTF:
+                return ".glb"
             case _:
                 return f".{self.value}"
 
     @property
     def media_type(self) -> str:
         """What HTTP calls it."""
-        kinds = {".csv": "text/csv", ".png": "image/png", ".vtp": "application/xml"}
+        kinds = {".csv": "text/csv", ".png": "image/png", ".vtp": "application/xml", ".glb": "model/gltf-binary"}
         return kinds.get(self.ending[-4:], "application/octet-stream")
 
 
@@ -100,6 +104,8 @@ def export_map(
             return iter([map_to_ply(map_)])
         case ExportFormat.VTP:
             return iter([map_to_vtp(map_)])
+        case ExportFormat.GLTF:
+            return iter([map_to_gltf(map_)])
         case ExportFormat.SURFACES:
             return iter([map_surfaces_vtp(map_, _most_seen(map_) if features is None else features)])
         case ExportFormat.PNG:

@@ -7,6 +7,7 @@ from rholoc.maps.coefficient_table import coefficient_table, write_coefficient_t
 from rholoc.maps.corrections import Correction, CorrectionKind
 from rholoc.maps.coverage import Coverage, coverage_of
 from rholoc.maps.export import landmark_sigmas, map_to_ply, map_to_vtp
+from rholoc.maps.gltf import map_to_gltf
 from rholoc.maps.info import MapInfo, MapWaypoint, Source
 from rholoc.maps.library import MapLibrary, MapStat, check_map_name
 from rholoc.maps.map import Map
@@ -66,6 +67,7 @@ __all__ = [
     "load_map",
     "map_surfaces_vtp",
     "map_to_bytes",
+    "map_to_gltf",
     "map_to_ply",
     "map_to_scene",
     "map_to_vtp",

@@ -181,7 +181,8 @@ async def download_map(
     ] = None,
 ) -> Response:
     """`rho`: the map itself; `csv`: Table 5, which can be uploaded again; `observations`: Table 4; `trajectory`: its
-    views as Table 6; `ply`, `vtp`: landmarks and views; `surfaces`: where densities peak, as VTP; `png`: a picture."""
+    views as Table 6; `ply`, `vtp`, `gltf`: landmarks and views; `surfaces`: where densities peak, as VTP; `png`: a
+    picture."""
     service.library.stat(map_name)
     headers = {"Content-Disposition": f'attachment; filename="{map_name}{format.ending}"'}
     if format is ExportFormat.RHO and degree is None and features is None:
