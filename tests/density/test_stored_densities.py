@@ -85,6 +85,11 @@ def test_arrays_that_can_be_no_densities_are_found(change):
     assert replace(TENSORS, **change).problem(len(LANDMARKS))
 
 
+def test_a_landmark_may_be_near_its_place():
+    near = PLACES + 0.1 * (LANDMARKS[FEATURES] - PLACES)
+    assert replace(TENSORS, landmarks=near).problem(len(LANDMARKS)) == ""
+
+
 def test_table_5_has_rows_for_tensors_and_they_are_read_back():
     rows = TENSORS.rows(None, None)
     columns = coefficient_columns(2)

@@ -49,3 +49,9 @@ def test_without_a_step_before_all_are_decoded_once() -> None:
     frames = Frames()
     assert len(list(FrameFeatures(frames, EXTRACTOR).of([1, 4]))) == 2
     assert frames.decoded == [1, 4]
+
+
+def test_progress_is_the_share_of_keyframes_done() -> None:
+    heard: list[float] = []
+    extract_keyframe_features(Frames(), np.array([0, 2, 3, 5]), lambda _, share, __="": heard.append(share))
+    assert heard == [0.25, 0.5, 0.75, 1.0]
