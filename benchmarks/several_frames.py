@@ -3,8 +3,9 @@
     python benchmarks/several_frames.py MAP.rho POSED_WALK --camera fx,fy,cx,cy --frames 100:400 --every 12
 
 Asks a map in three ways, by frames of a walk whose poses are known: each by itself; five of them over a metre of the
-way, their relative poses the true ones with the noise of odometry (5 mm and 0.2° a step); and pairs that look at least 50°
-apart from nearly the same place, as a rig's two cameras do. Prints the share whose first frame is within 5 cm and 5°.
+way, their relative poses the true ones with the noise of odometry (5 mm and 0.2° a step); and pairs that look at least
+30° apart from nearly the same place, as a rig's two cameras do. Prints the share whose first frame is within
+5 cm and 5°.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from rholoc.recordings import Recording, read_recording
 FRAMES, WAY_M = 5, 1.0
 SIGMA_M, SIGMA_RAD = 0.005, np.deg2rad(0.2)
 NEAR_M, NEAR_RAD = 0.05, np.deg2rad(5.0)
-APART_RAD, BESIDE_M = np.deg2rad(50.0), 0.5
+APART_RAD, BESIDE_M = np.deg2rad(30.0), 0.5
 
 
 def over_a_metre(T: FloatArray, first: int) -> list[int]:
