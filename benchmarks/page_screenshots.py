@@ -8,6 +8,8 @@ Starts a service of its own with the shipped map, trusted and, under another nam
 from __future__ import annotations
 
 import json
+import math
+import random
 import shutil
 import socket
 import sys
@@ -19,11 +21,14 @@ from pathlib import Path
 
 import httpx
 import uvicorn
+from fastapi import FastAPI
 from playwright.sync_api import Browser, Page, sync_playwright
 
 from rholoc.mapping.report import map_statistics
 from rholoc.maps import load_map, save_map
 from rholoc.service import Settings, create_app
+from rholoc.service.live import ASKER
+from rholoc.service.schemas import LocalizationOut
 
 ROOT = Path(__file__).parents[1]
 OUT = ROOT / "docs" / "page"
@@ -33,12 +38,15 @@ PAGES = {
     "maps": "#/maps",
     "map": "#/maps/testsite",
     "map-in-doubt": "#/maps/hall",
+    "map-made-right": "#/maps/testsite/correct",
+    "live": "#/maps/testsite",
     "try": "#/try/testsite",
     "jobs": "#/jobs",
     "recordings": "#/recordings",
     "cameras": "#/cameras",
     "record": "record",
 }
+FAILING = 0.05  # of a robot's requests
 QUALITY = 70  # of the JPEG files
 TALLEST_PX = 1800
 WHY = (
@@ -77,13 +85,34 @@ def start(folder: Path) -> tuple[str, uvicorn.Server]:
     doubted = replace(report, trajectories=(replace(walk, trusted=False, why=WHY),))
     save_map(replace(map_, info=replace(map_.info, report=report)), maps / "testsite.rho")
     save_map(replace(map_, info=replace(map_.info, report=doubted)), maps / "hall.rho")
-    settings = Settings(maps_dir=maps, data_dir=folder / "data", worker=False)
-    server = uvicorn.Server(uvicorn.Config(create_app(settings), log_level="error"))
+    settings = Settings(maps_dir=maps, data_dir=folder / "data", worker=False, live=True, keep_failures=True)
+    app = create_app(settings)
+    server = uvicorn.Server(uvicorn.Config(app, log_level="error"))
     listener = socket.create_server(("127.0.0.1", 0))
     threading.Thread(target=server.run, kwargs={"sockets": [listener]}, daemon=True).start()
     while not server.started:
         time.sleep(0.05)
+    threading.Thread(target=ask, args=(app, server), daemon=True).start()
     return f"http://127.0.0.1:{listener.getsockname()[1]}", server
+
+
+def ask(app: FastAPI, server: uvicorn.Server) -> None:
+    """Three robots that are answered five times a second, one not found now and then; the answers are made up."""
+    live = app.state.rholoc.live
+    example = LocalizationOut.model_config["json_schema_extra"]["example"]
+    while not server.should_exit:
+        for robot, (x, y) in enumerate([(0.3, 1.2), (1.2, 2.4), (2.6, 2.5)]):
+            turn = 0.4 * robot + 0.2
+            c, s = math.cos(turn), math.sin(turn)
+            pose = {**example["pose"], "position": [x, y, 0], "heading": [c, s, 0]}
+            pose["T_map_camera"] = [[s, 0, c, x], [-c, 0, s, y], [0, -1, 0, 0], [0, 0, 0, 1]]
+            answer = {**example, "map": "testsite", "pose": pose, "confidence": 0.98 - 0.03 * robot}
+            ASKER.set(f"robot-{robot + 1}")
+            live.note(LocalizationOut.model_validate(answer))
+            if robot == 1 and random.random() < FAILING:
+                lost = {**answer, "pose": None, "localized": False, "reason": "no_agreement", "confidence": 0.1}
+                live.note(LocalizationOut.model_validate(lost))
+        time.sleep(0.2)
 
 
 def fill(url: str) -> None:
@@ -104,6 +133,16 @@ def take_all(browser: Browser, url: str, device: str, scheme: str, out: Path) ->
         page.goto(f"{url}/{address}")
         page.locator("main h1").first.wait_for()
         page.locator("main [aria-busy]").first.wait_for(state="detached")
+        if name == "live":
+            page.get_by_role("button", name="Live").click()
+            page.locator("section tbody tr").nth(2).wait_for()
+        if name == "map-made-right":
+            page.get_by_label("What is to be corrected?").select_option(label="Axis along a wall")
+            box = page.locator(".plan-view").bounding_box()
+            page.mouse.move(box["x"] + 0.24 * box["width"], box["y"] + 0.7 * box["height"])
+            page.mouse.down()
+            page.mouse.move(box["x"] + 0.22 * box["width"], box["y"] + 0.25 * box["height"])
+            page.mouse.up()
         if name == "try":
             page.get_by_label("Picture or trajectory").set_input_files(ROOT / "maps" / "queries" / "1.jpg")
             page.locator(".answer .badge").wait_for()

@@ -23,7 +23,7 @@ const NEAR_M = 0.5; // within which places count together, standard deviation
 const GLOW_M = 0.4; // around the place of a request that failed
 const GLOW_PX = 10; // at the least
 const GLOW_TOTAL = 20; // failures that are drawn at full strength; more of them, each fainter
-const GLOW_ALPHA = 0.25;
+const GLOW_ALPHA = 0.12;
 const LEAST_GLOW = 0.1;
 const BARS_M = [0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50, 100];
 
