@@ -55,6 +55,7 @@ def followed(times: FloatArray, size: tuple[int, int], pixels: FloatArray, seen:
         motion,
         np.where(blank, 1.0, 100.0),
         np.full(frames, 120.0),
+        np.where(blank, 2.0, 50.0),
     )
 
 

@@ -14,8 +14,10 @@ from rholoc.trajectory.visual.flow import Flow
 _SECONDS, _HZ, _START_S = 20, 10, 100.0
 
 
-def _flow(gap: BoolArray, corners: int = 200, sharpness: float = 100.0, brightness: float = 120.0) -> Flow:
-    """Twenty seconds of a room, and within ``gap`` so many corners of that sharpness and brightness."""
+def _flow(
+    gap: BoolArray, corners: int = 200, sharpness: float = 100.0, brightness: float = 120.0, contrast: float = 50.0
+) -> Flow:
+    """Twenty seconds of a room, and within ``gap`` so many corners of that sharpness, brightness and contrast."""
     count = _SECONDS * _HZ
     counts = np.where(gap, corners, 200)
     return Flow(
@@ -27,6 +29,7 @@ def _flow(gap: BoolArray, corners: int = 200, sharpness: float = 100.0, brightne
         np.full(count, 0.01),
         np.where(gap, sharpness, 100.0),
         np.where(gap, brightness, 120.0),
+        np.where(gap, contrast, 50.0),
     )
 
 
@@ -38,7 +41,8 @@ _GAP = (np.arange(_SECONDS * _HZ) >= 120) & (np.arange(_SECONDS * _HZ) < 150)
     ("gap", "why"),
     [
         ({"corners": 5}, "shows a blank wall"),
-        ({"corners": 5, "sharpness": 3.0}, "shows a blank wall"),
+        ({"corners": 5, "sharpness": 3.0, "contrast": 4.0}, "shows a blank wall"),
+        ({"corners": 300, "sharpness": 20.0, "contrast": 1.0}, "shows a blank wall"),  # the corners are noise
         ({"corners": 80, "sharpness": 10.0}, "is blurred"),
         ({"corners": 3, "sharpness": 1.0, "brightness": 8.0}, "is too dark"),
         ({}, "shows nothing that links it to the rest of the walk"),

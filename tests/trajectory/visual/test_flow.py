@@ -80,3 +80,13 @@ def test_sharpness_shows_motion_blur() -> None:
 
 def test_dark_pictures_are_seen_to_be_dark() -> None:
     assert track_corners(MemoryFrames([np.full((240, 320, 3), 9, np.uint8)] * 2)).brightness == pytest.approx([9, 9])
+
+
+def test_contrast_tells_a_wall_with_noise_from_a_blurred_room() -> None:
+    rng = np.random.default_rng(4)
+    wall = np.clip(225 + rng.normal(0, 4, (240, 320, 3)), 0, 255).astype(np.uint8)
+    room = np.repeat(np.repeat(rng.integers(0, 255, (6, 8, 1), dtype=np.uint8), 40, axis=0), 40, axis=1)
+    blurred = cv2.blur(np.repeat(room, 3, axis=2), (61, 61))
+    contrast = track_corners(MemoryFrames([wall, blurred])).contrast
+    assert contrast[0] < 3
+    assert contrast[1] > 15

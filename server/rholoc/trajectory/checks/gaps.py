@@ -13,6 +13,7 @@ from rholoc.trajectory.visual.flow import Flow
 _SHORTEST_S = 0.4
 _DARK = 25.0  # grey value
 _BLURRED = 0.25  # of the walk's usual sharpness
+_PLAIN = 10.0  # grey values, the contrast of a wall that is lit from one side
 _FEW_CORNERS = 60
 
 
@@ -47,16 +48,13 @@ def _reason(flow: Flow, frames: IntArray) -> str:
     corners = np.diff(flow.starts)[frames]
     if float(np.median(flow.brightness[frames])) < _DARK:
         return "is too dark"
+    if float(np.median(flow.contrast[frames])) < _PLAIN:
+        return "shows a blank wall"  # where corners of noise come and go
     if float(np.median(flow.sharpness[frames])) < _BLURRED * float(np.median(flow.sharpness)):
-        return "shows a blank wall" if _even(flow, frames) else "is blurred"
+        return "is blurred"
     if float(np.median(corners)) < _FEW_CORNERS:
         return "shows a blank wall"
     return "shows nothing that links it to the rest of the walk"
-
-
-def _even(flow: Flow, frames: IntArray) -> bool:
-    """Whether frames without sharpness are so because there is nothing to see: a blurred room still has corners."""
-    return float(np.median(np.diff(flow.starts)[frames])) < _FEW_CORNERS / 3
 
 
 def _clock(seconds: float) -> str:

@@ -15,6 +15,7 @@ from rholoc.recordings import FrameSource
 
 _LONGER_SIDE_PX = 640  # larger images are reduced to this: corners are tracked no better in more pixels
 _SHARPNESS_SIDE_PX = 320
+_CONTRAST_SIDE_PX = 64
 _CORNERS = 350  # that are followed at a time …
 _REFILLED_BELOW = 0.8  # … as soon as so many of them are left
 _CORNER_QUALITY = 0.005
@@ -44,6 +45,7 @@ class Flow:
         motion: (N,) how far the image moved since the frame before, as a share of its longer side.
         sharpness: (N,) the variance of the Laplacian.
         brightness: (N,) the mean grey value, 0..255.
+        contrast: (N,) the standard deviation of the grey values, blurred: of noise nothing is left.
     """
 
     times: FloatArray
@@ -54,6 +56,7 @@ class Flow:
     motion: FloatArray
     sharpness: FloatArray
     brightness: FloatArray
+    contrast: FloatArray
 
     def of_frame(self, row: int) -> tuple[IntArray, FloatArray]:
         """The corners (K,) seen in a frame, and where (K, 2)."""
@@ -74,13 +77,14 @@ def track_corners(frames: FrameSource, progress: ProgressListener = silent) -> F
         InvalidRecording: a frame cannot be decoded.
     """
     count = len(frames.times)
-    motion, sharpness, brightness = np.zeros(count), np.zeros(count), np.zeros(count)
+    motion, sharpness, brightness, contrast = np.zeros((4, count))
     tracks: list[IntArray] = []
     pixels: list[FloatArray] = []
     corners, numbers, next_number = np.zeros((0, 2), np.float32), np.zeros(0, np.int64), 0
     before: ByteArray | None = None
     for row, (image, factor, sharpness[row]) in enumerate(_looked_at(frames)):
         brightness[row] = float(image.mean())
+        contrast[row] = float(_reduced(image, _CONTRAST_SIDE_PX).std())
         if before is not None:
             corners, kept, motion[row] = _followed(before, image, corners)
             numbers = numbers[kept]
@@ -103,6 +107,7 @@ def track_corners(frames: FrameSource, progress: ProgressListener = silent) -> F
         motion,
         sharpness,
         brightness,
+        contrast,
     )
 
 
