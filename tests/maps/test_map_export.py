@@ -15,6 +15,7 @@ import pytest
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
+from rholoc.mapping.report import map_statistics
 from rholoc.maps import Map, MapNames, NamedPoint, landmark_sigmas, map_to_gltf, map_to_ply, map_to_scene, map_to_vtp
 from rholoc.pictures.map_preview import preview_png
 
@@ -141,3 +142,12 @@ def test_gltf_holds_coloured_landmarks_and_each_walk(room_map: Map) -> None:
 @pytest.mark.parametrize(("features", "views"), [(0, 0), (1, 1)])
 def test_a_map_of_nothing_is_gltf_too(make_map, features: int, views: int) -> None:
     assert map_to_gltf(make_map(features=features, views=views))[:4] == b"glTF"
+
+
+def test_there_is_one_figure_for_how_uncertain_landmarks_are(room_map: Map) -> None:
+    shown = np.frombuffer(map_to_scene(room_map), "<f4", 4 * len(room_map), 8).reshape(-1, 4)[:, 3]
+    assert map_statistics(room_map).landmark_sigma_median_m == pytest.approx(float(np.median(shown)), rel=1e-6)
+    header, _, body = map_to_ply(room_map).decode().partition("end_header\n")
+    column = [line.split()[-1] for line in header.splitlines() if line.startswith("property")].index("sigma_m")
+    written = [float(line.split()[column]) for line in body.splitlines()[: len(room_map)]]
+    np.testing.assert_allclose(written, shown, atol=1e-5)

@@ -22,9 +22,8 @@ const BAR_SHARE = 0.25; // of the width at most
 const NEAR_M = 0.5; // within which places count together, standard deviation
 const GLOW_M = 0.4; // around the place of a request that failed
 const GLOW_PX = 10; // at the least
-const GLOW_TOTAL = 20; // failures that are drawn at full strength; more of them, each fainter
 const GLOW_ALPHA = 0.12;
-const LEAST_GLOW = 0.1;
+const MOST_GLOW = 0.6;
 const BARS_M = [0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50, 100];
 
 /**
@@ -262,21 +261,29 @@ export function sayFailures(failures) {
   return t`In the last day ${none} requests found no pose and ${failures.length - none} an unsure one: where the drawing glows.`;
 }
 
-/** A glow where requests failed: the more, the stronger. */
+/** A glow where requests failed: the more, the stronger, but what is below stays to be seen. */
 function drawFailures(context, { axes, step }, place, failures, token) {
+  if (!failures.length) return;
+  const { width, height } = context.canvas;
+  const glow = Object.assign(document.createElement("canvas"), { width, height });
+  const layer = glow.getContext("2d");
+  layer.setTransform(context.getTransform());
+  layer.fillStyle = token("--bad");
+  layer.globalAlpha = GLOW_ALPHA;
   const reach = Math.max(GLOW_PX, (GLOW_M / step) * place.pixels);
-  const strength = Math.max(LEAST_GLOW, Math.min(1, GLOW_TOTAL / Math.max(1, failures.length)));
-  context.fillStyle = token("--bad");
   for (const { position } of failures) {
     const [x, y] = place.point(dot(position, axes[0]), dot(position, axes[1]));
     for (const share of [1, 0.66, 0.33]) {
-      context.globalAlpha = strength * GLOW_ALPHA;
-      context.beginPath();
-      context.arc(x, y, share * reach, 0, 2 * Math.PI);
-      context.fill();
+      layer.beginPath();
+      layer.arc(x, y, share * reach, 0, 2 * Math.PI);
+      layer.fill();
     }
   }
-  context.globalAlpha = 1;
+  context.save();
+  context.resetTransform();
+  context.globalAlpha = MOST_GLOW;
+  context.drawImage(glow, 0, 0);
+  context.restore();
 }
 
 function drawChosen(context, coverage, place, { cell, heading }, ink) {
