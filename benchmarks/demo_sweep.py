@@ -19,7 +19,8 @@ from __future__ import annotations
 import argparse
 import json
 import time
-from collections.abc import Iterator, Sequence
+import zlib
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
@@ -33,8 +34,9 @@ from scipy.spatial.transform import Rotation
 from rholoc.errors import RholocError
 from rholoc.evaluation import PoseErrors, evaluate, read_frame_poses, trajectory_errors
 from rholoc.features import FeatureSet
-from rholoc.features.extractors import _orb, sift
-from rholoc.geometry import FloatArray, umeyama
+from rholoc.features.extractors._orb import OrbExtractor
+from rholoc.features.extractors._sift import SiftExtractor
+from rholoc.geometry import ByteArray, FloatArray, umeyama
 from rholoc.localization import Localization, Localizer, Query
 from rholoc.mapping import BuildOptions, build_map
 from rholoc.maps import Map, expected_error_m, load_map, save_map, trust_of
@@ -120,21 +122,24 @@ def moved_features(sigma_px: float, seed: int) -> Iterator[None]:
     if sigma_px == 0:
         yield
         return
-    rng = np.random.default_rng([seed, 17])
-    original = _orb.to_feature_set
+    originals = {kind: kind.extract for kind in (SiftExtractor, OrbExtractor)}
 
-    def moved(*arguments: Any) -> FeatureSet:
-        found = original(*arguments)
-        noise = np.random.default_rng(rng.integers(2**32)).normal(0, sigma_px, found.pixels.shape)
-        return replace(found, pixels=(found.pixels + noise).astype(np.float32))
+    def moving(extract: Callable[[Any, ByteArray], FeatureSet]) -> Callable[[Any, ByteArray], FeatureSet]:
+        def moved(self: Any, image: ByteArray) -> FeatureSet:
+            found = extract(self, image)
+            rng = np.random.default_rng([seed, 17, zlib.crc32(found.pixels.tobytes())])  # the same in any thread
+            noise = rng.normal(0, sigma_px, found.pixels.shape)
+            return replace(found, pixels=(found.pixels + noise).astype(np.float32))
 
-    for module in (_orb, sift):
-        module.to_feature_set = moved  # type: ignore[assignment]
+        return moved
+
+    for kind, extract in originals.items():
+        kind.extract = moving(extract)  # type: ignore[method-assign]
     try:
         yield
     finally:
-        for module in (_orb, sift):
-            module.to_feature_set = original
+        for kind, extract in originals.items():
+            kind.extract = extract  # type: ignore[method-assign]
 
 
 def run(cache: Path, seed: int, draw: int, noise_px: float, maps: Path | None) -> Figures:
