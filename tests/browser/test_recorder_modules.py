@@ -275,7 +275,7 @@ def test_all_that_the_recorder_is_made_of_is_kept_for_use_without_a_connection()
     modules = [path for path in made_of if path.suffix == ".js"]
     while modules:
         module = modules.pop()
-        imports = re.findall(r'from "(\.[^"]+)"', module.read_text(encoding="utf-8"))
+        imports = re.findall(r'(?:from |new URL\()"(\.[^"]+\.js)"', module.read_text(encoding="utf-8"))  # and workers
         found = {(module.parent / name).resolve() for name in imports} - made_of
         made_of |= found
         modules += found
