@@ -34,6 +34,7 @@ CASES_PER_ROUND = 20  # of one route
 TIMEOUT_S = 300.0
 SERVED = "testsite"
 NOT_FOUND = 404
+INTERNAL = 500  # a busy service answers 503, which its schema knows
 SAID_PROBLEMS = 5  # of one client
 FORK = multiprocessing.get_context("fork")
 
@@ -172,7 +173,7 @@ def send(url: str, first_seed: int, cases: int, last_s: float) -> Sent:
     schemathesis.serializer.alias("application/offset+octet-stream", "application/octet-stream")
     schema = schemathesis.openapi.from_url(url + "/openapi.json", timeout=TIMEOUT_S)
     operations = [found.ok() for found in schema.get_all_operations()]
-    checks = CHECKS.get_by_names(["not_a_server_error", "status_code_conformance", "response_schema_conformance"])
+    checks = CHECKS.get_by_names(["status_code_conformance", "response_schema_conformance"])
     bounded = settings(
         max_examples=CASES_PER_ROUND,
         deadline=None,
@@ -202,6 +203,8 @@ def send(url: str, first_seed: int, cases: int, last_s: float) -> Sent:
                 problems.append(f"{operation.label}: {error}")
                 return
             answers[str(answer.status_code)] += 1
+            if answer.status_code == INTERNAL:
+                problems.append(f"{operation.label}: {answer.text}\n{case.as_curl_command()}")
             try:
                 case.validate_response(answer, checks=checks)
             except BaseExceptionGroup as failures:
@@ -213,6 +216,8 @@ def send(url: str, first_seed: int, cases: int, last_s: float) -> Sent:
     round_seed = first_seed
     while not over():
         for operation in operations:
+            if over():
+                break
             restore(url)
             probe(operation, round_seed)
         round_seed += 1

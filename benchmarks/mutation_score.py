@@ -33,7 +33,7 @@ TESTS = {
     "density": ["tests/density/", "tests/mapping/test_tensor_fit.py", "tests/localization/test_tensor_ascent.py"],
     "localization": ["tests/localization/"],
     "trajectory": ["tests/trajectory/"],
-    "service": ["tests/service/test_guard.py", "tests/service/test_access.py"],
+    "service": ["tests/service/test_guard.py", "tests/service/test_access.py", "tests/service/test_streams.py"],
 }
 THIRD_PARTY = (
     "numpy", "scipy.spatial.transform", "scipy.stats", "cv2", "faiss", "poselib", "gtsam", "pycolmap", "fastapi",
