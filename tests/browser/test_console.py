@@ -106,7 +106,9 @@ def test_a_map_that_was_deleted_while_it_was_open(desk_browser, named, picture_w
 
 def test_a_map_is_renamed_and_deleted_by_keyboard(desk_browser, named, picture_world, opened, settled):
     (named.settings.maps_dir / "first.rho").write_bytes(picture_world.rho())
-    with opened(desk_browser, named.url, "maps/first") as page:
+    with opened(
+        desk_browser, named.url, "maps/first", failures=-1
+    ) as page:  # what is asked as a name goes is not found
         settled(page).get_by_role("button", name="Rename").focus()
         page.keyboard.press("Enter")
         page.get_by_label("Name", exact=True).press("ControlOrMeta+a")

@@ -36,7 +36,7 @@ def test_a_stopped_program_leaves_nothing_behind(arguments: tuple[str, ...]) -> 
     with running_program(_PROGRAM, *arguments, grace_s=0.5, stdout=subprocess.PIPE) as program:
         other = _started_by(program)
         assert program.running
-        assert other in descendants(program.pid)
+        until(lambda: other in descendants(program.pid))
     assert not program.running
     until(lambda: not alive(other))
 

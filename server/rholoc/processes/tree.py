@@ -45,7 +45,8 @@ def kill(pids: Iterable[int]) -> None:
 
 
 def _processes() -> Iterator[_Process]:
-    for file in Path("/proc").glob("[0-9]*/stat"):
+    for name in filter(str.isdigit, os.listdir("/proc")):
         with suppress(OSError):  # it has ended
-            fields = file.read_text(encoding="utf-8", errors="replace").rsplit(")", 1)[1].split()
-            yield _Process(int(file.parent.name), int(fields[_PARENT]), int(fields[_GROUP]), int(fields[_PAGES]))
+            text = Path("/proc", name, "stat").read_text(encoding="utf-8", errors="replace")
+            fields = text.rsplit(")", 1)[1].split()
+            yield _Process(int(name), int(fields[_PARENT]), int(fields[_GROUP]), int(fields[_PAGES]))
