@@ -45,8 +45,10 @@ def kill(pids: Iterable[int]) -> None:
 
 
 def _processes() -> Iterator[_Process]:
-    for name in filter(str.isdigit, os.listdir("/proc")):
+    for folder in Path("/proc").iterdir():
+        if not folder.name.isdigit():
+            continue
         with suppress(OSError):  # it has ended
-            text = Path("/proc", name, "stat").read_text(encoding="utf-8", errors="replace")
+            text = (folder / "stat").read_text(encoding="utf-8", errors="replace")
             fields = text.rsplit(")", 1)[1].split()
-            yield _Process(int(name), int(fields[_PARENT]), int(fields[_GROUP]), int(fields[_PAGES]))
+            yield _Process(int(folder.name), int(fields[_PARENT]), int(fields[_GROUP]), int(fields[_PAGES]))
