@@ -16,7 +16,7 @@ if __name__ == "__main__":
     )
     sys.stdout.write(f"{other.pid}\n")
     sys.stdout.flush()
-    if "deaf" in sys.argv:
+    if "deaf" in sys.argv or "idle" in sys.argv:
         time.sleep(60)
     for line in sys.stdin:
         sys.stdout.write(json.dumps(json.loads(line)) + "\n")
