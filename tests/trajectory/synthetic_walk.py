@@ -139,7 +139,7 @@ class SyntheticWalk:
         return self.flow
 
     def extract_keyframe_features(
-        self, frames: Frames, rows: IntArray, progress: ProgressListener = silent
+        self, frames: Frames, rows: IntArray, progress: ProgressListener = silent, show: object = None
     ) -> list[FeatureSet]:
         """Stands in for the function of :mod:`rholoc.trajectory.visual.keyframe_features`."""
         return [self.features[row] for row in rows.tolist()]
