@@ -18,17 +18,14 @@ import argparse
 import json
 import multiprocessing
 import sys
-import tempfile
 import time
 from collections import Counter
 from dataclasses import asdict, dataclass
-from pathlib import Path
 from typing import Any
 
 import httpx
 
-from hostile import JPEG, LOCALIZE, MAPS, MOST_HEALTH_MS, MOST_MEMORY_MIB, Watched, watch
-from rholoc.cli.server_process import running_server
+from hostile import JPEG, LOCALIZE, MAPS, MOST_HEALTH_MS, MOST_MEMORY_MIB, Watched, shipped_service, watch
 
 CASES_PER_ROUND = 20  # of one route
 TIMEOUT_S = 300.0
@@ -91,14 +88,10 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=0, help="of the first client's first round")
     parser.add_argument("--json", action="store_true", help="print the figures as JSON")
     options = parser.parse_args()
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        (folder / "maps").mkdir()
-        (folder / "maps" / "testsite.rho").write_bytes((MAPS / "testsite.rho").read_bytes())
-        with running_server(folder / "maps", folder / "data", folder / "log") as server:
-            found = sent_to(server.url, options)
-            restore(server.url)
-            localizes = localizes_a_frame(server.url)
+    with shipped_service() as server:
+        found = sent_to(server.url, options)
+        restore(server.url)
+        localizes = localizes_a_frame(server.url)
     if options.json:
         print(json.dumps({**asdict(found), "localizes": localizes}, indent=2))
     else:

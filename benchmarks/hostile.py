@@ -31,7 +31,7 @@ import time
 import zipfile
 from collections import Counter
 from collections.abc import Callable, Iterator
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -41,7 +41,7 @@ import httpx
 import numpy as np
 from PIL import Image
 
-from rholoc.cli.server_process import running_server
+from rholoc.cli.server_process import RunningServer, running_server
 from rholoc.service import Settings
 
 MAPS = Path(__file__).parents[1] / "maps"
@@ -222,6 +222,17 @@ def attacks(url: str) -> dict[str, Attack]:
     }
 
 
+@contextmanager
+def shipped_service() -> Iterator[RunningServer]:
+    """A service of its own, with the shipped map."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        (folder / "maps").mkdir()
+        (folder / "maps" / "testsite.rho").write_bytes((MAPS / "testsite.rho").read_bytes())
+        with running_server(folder / "maps", folder / "data", folder / "log") as server:
+            yield server
+
+
 def main() -> int:
     """Measure and print; the exit status."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -231,16 +242,12 @@ def main() -> int:
     parser.add_argument("--only", help="the name of one attack")
     parser.add_argument("--json", action="store_true", help="print the figures as JSON")
     options = parser.parse_args()
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        (folder / "maps").mkdir()
-        (folder / "maps" / "testsite.rho").write_bytes((MAPS / "testsite.rho").read_bytes())
-        with running_server(folder / "maps", folder / "data", folder / "log") as server:
-            found = []
-            for one in measured(server.url, options):
-                found.append(one)
-                if not options.json:
-                    print(row(one), flush=True)
+    with shipped_service() as server:
+        found = []
+        for one in measured(server.url, options):
+            found.append(one)
+            if not options.json:
+                print(row(one), flush=True)
     if options.json:
         print(json.dumps([{**asdict(one), "missed": one.missed()} for one in found], indent=2))
     missed = [f"{one.attack}: {bound}" for one in found for bound in one.missed()]

@@ -4,21 +4,30 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable
+from functools import partial
+from pathlib import Path
 from typing import Any
 
 import pytest
 
 from rholoc.cli import main
+from rholoc.maps import Map, save_map
 
 Run = Callable[..., tuple[int, str, str]]
 
 
 @pytest.fixture
-def rholoc(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Run:
+def rholoc(command: Run) -> Run:
     """Runs ``rholoc map``: arguments → (exit status, standard output, standard error)."""
+    return partial(command, "map")
+
+
+@pytest.fixture
+def command(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Run:
+    """Runs ``rholoc``: arguments → (exit status, standard output, standard error)."""
 
     def run(*arguments: object) -> tuple[int, str, str]:
-        monkeypatch.setattr(sys, "argv", ["rholoc", "map", *map(str, arguments)])
+        monkeypatch.setattr(sys, "argv", ["rholoc", *map(str, arguments)])
         try:
             main()
             status: Any = 0
@@ -28,3 +37,11 @@ def rholoc(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) 
         return int(status), printed.out, printed.err
 
     return run
+
+
+@pytest.fixture
+def file(hall: Map, tmp_path: Path) -> Path:
+    """The module's own ``hall``, as a file."""
+    path = tmp_path / "hall.rho"
+    save_map(hall, path)
+    return path

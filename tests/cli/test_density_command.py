@@ -15,7 +15,7 @@ import pytest
 from rholoc.density import DensityKind
 from rholoc.localization.landscape import Grid, Look, over_headings, over_picture, over_positions, seen_from
 from rholoc.mapping.fitting import fit_densities
-from rholoc.maps import Map, load_map, save_map
+from rholoc.maps import Map, load_map
 
 Run = Callable[..., tuple[int, str, str]]
 SHIPPED = Path(__file__).parents[2] / "maps"
@@ -25,13 +25,6 @@ SHIPPED = Path(__file__).parents[2] / "maps"
 def hall(point_room: Any) -> Map:
     map_: Map = point_room.map_of(point_room.walk(150)[:20], "walk")
     return map_
-
-
-@pytest.fixture
-def file(hall: Map, tmp_path: Path) -> Path:
-    path = tmp_path / "hall.rho"
-    save_map(hall, path)
-    return path
 
 
 def _most_seen(map_: Map) -> int:

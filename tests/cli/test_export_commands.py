@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from rholoc.localization import Dof, Localizer, Query
-from rholoc.maps import DensityKind, Map, load_map, read_trajectory_csv, save_map
+from rholoc.maps import DensityKind, Map, load_map, read_trajectory_csv
 from rholoc.reports import report_to_json
 
 Run = Callable[..., tuple[int, str, str]]
@@ -23,13 +23,6 @@ def hall(point_room: Any) -> Map:
     """A small map that remembers its observations."""
     map_: Map = point_room.map_of(point_room.walk(60)[:12], "walk")
     return map_
-
-
-@pytest.fixture
-def file(hall: Map, tmp_path: Path) -> Path:
-    path = tmp_path / "hall.rho"
-    save_map(hall, path)
-    return path
 
 
 @pytest.mark.parametrize(

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import json
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from rholoc.cli import main
 from rholoc.mapping import observation_table
 from rholoc.maps import load_map, observations_csv, read_trajectory_csv
 from rholoc.recordings import CameraFile, write_camera_json
@@ -20,20 +18,9 @@ Run = Callable[..., tuple[int, str, str]]
 
 
 @pytest.fixture
-def rholoc(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Run:
+def rholoc(command: Run) -> Run:
     """Runs ``rholoc``: arguments → (exit status, standard output, standard error)."""
-
-    def run(*arguments: object) -> tuple[int, str, str]:
-        monkeypatch.setattr(sys, "argv", ["rholoc", *map(str, arguments)])
-        try:
-            main()
-            status: Any = 0
-        except SystemExit as ended:
-            status = ended.code or 0
-        printed = capsys.readouterr()
-        return int(status), printed.out, printed.err
-
-    return run
+    return command
 
 
 @pytest.fixture

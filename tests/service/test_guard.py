@@ -15,13 +15,6 @@ from rholoc_client import Client, Forbidden, Unauthorized
 
 
 @pytest.fixture(scope="module")
-def locked(serve, picture_world):
-    running = serve(keys=KeyPolicy.ALWAYS)
-    (running.settings.maps_dir / "room.rho").write_bytes(picture_world.rho())
-    return running
-
-
-@pytest.fixture(scope="module")
 def keys(locked):
     return KeyStore(locked.settings.data_dir)
 

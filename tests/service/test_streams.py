@@ -13,7 +13,6 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
 from rholoc.service.access import STREAM_KEY_PREFIX, STREAM_PROTOCOL
-from rholoc.service.guard import KeyPolicy
 from rholoc.service.keys import KeyStore, Scope
 
 HERE = {"position": [0, 0, 0], "quaternion_xyzw": [0, 0, 0, 1]}
@@ -157,13 +156,6 @@ def test_a_message_too_long_ends_the_stream(service):
         with pytest.raises(ConnectionClosed):
             frame(socket, 0.0, bytes(9 * 2**20))
     assert httpx.get(service.url + "/healthz").status_code == 200
-
-
-@pytest.fixture(scope="module")
-def locked(serve, picture_world):
-    running = serve(keys=KeyPolicy.ALWAYS)
-    (running.settings.maps_dir / "room.rho").write_bytes(picture_world.rho())
-    return running
 
 
 @pytest.fixture(scope="module")

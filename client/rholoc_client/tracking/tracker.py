@@ -6,7 +6,7 @@ import asyncio
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 
@@ -31,7 +31,10 @@ _PASSING = (Busy, ConnectionFailed, DeadlineExceeded, Internal, RequestTimeout, 
 _JPEG_QUALITY = 92
 
 
-class _Tracking:
+_Pending = TypeVar("_Pending", Future[Localization], asyncio.Task[Localization])
+
+
+class _Tracking(Generic[_Pending]):
     """What both trackers share: a track, and how answers come into it."""
 
     def __init__(self, map_name: str, camera: Camera | None, options: TrackOptions | None) -> None:
@@ -40,6 +43,7 @@ class _Tracking:
         """Why the last question was not answered, should that pass by itself: the service is busy, or not reached."""
         self._camera = camera
         self._track = FollowedTrack(options, camera)
+        self._pending: _Pending | None = None
 
     def imu(self, time_s: float, acceleration_m_s2: FloatArray, rate_rad_s: FloatArray) -> None:
         """Take in a reading of an IMU, in the camera's axes (x right, y down, z forward), on the frames' clock.
@@ -61,6 +65,18 @@ class _Tracking:
         """What is asked with a question."""
         return {"camera": self._camera, "prior": question.prior, "with_matches": self._track.follows_pictures}
 
+    def _collect(self) -> None:
+        """Take in the answer to what is being asked, if it is there."""
+        pending = self._pending
+        if pending is None or not pending.done():
+            return
+        self._pending = None
+        failed = pending.exception()
+        if failed is not None and not isinstance(failed, RholocClientError):
+            self._track.unanswered()
+            raise failed
+        self._came(None if failed is not None else pending.result(), failed)
+
     def _came(self, answer: Localization | None, error: RholocClientError | None) -> None:
         """Take in what a question came to.
 
@@ -79,7 +95,7 @@ class _Tracking:
         )
 
 
-class Tracker(_Tracking):
+class Tracker(_Tracking[Future[Localization]]):
     """Keeps track of a camera in a map: give it every frame, it asks the service when that pays.
 
     ::
@@ -106,7 +122,6 @@ class Tracker(_Tracking):
         super().__init__(map_name, camera, options)
         self._client = client
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="rholoc-tracker")
-        self._pending: Future[Localization] | None = None
 
     def __enter__(self) -> Tracker:
         return self
@@ -154,19 +169,8 @@ class Tracker(_Tracking):
         self._collect()
         return self._track.now()
 
-    def _collect(self) -> None:
-        pending = self._pending
-        if pending is None or not pending.done():
-            return
-        self._pending = None
-        failed = pending.exception()
-        if failed is not None and not isinstance(failed, RholocClientError):
-            self._track.unanswered()
-            raise failed
-        self._came(None if failed else pending.result(), failed)
 
-
-class AsyncTracker(_Tracking):
+class AsyncTracker(_Tracking[asyncio.Task[Localization]]):
     """As :class:`Tracker`, for programs on asyncio."""
 
     def __init__(
@@ -174,7 +178,6 @@ class AsyncTracker(_Tracking):
     ) -> None:
         super().__init__(map_name, camera, options)
         self._client = client
-        self._pending: asyncio.Task[Localization] | None = None
 
     async def __aenter__(self) -> AsyncTracker:
         return self
@@ -207,17 +210,6 @@ class AsyncTracker(_Tracking):
                 raise TimeoutError
         self._collect()
         return self._track.now()
-
-    def _collect(self) -> None:
-        pending = self._pending
-        if pending is None or not pending.done():
-            return
-        self._pending = None
-        failed = pending.exception()
-        if failed is not None and not isinstance(failed, RholocClientError):
-            self._track.unanswered()
-            raise failed
-        self._came(None if isinstance(failed, RholocClientError) else pending.result(), failed)
 
 
 def _decoded(picture: ImageLike | None) -> Any:

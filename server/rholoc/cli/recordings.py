@@ -66,7 +66,7 @@ def flow(
     from rholoc.maps.files import replace_file
     from rholoc.pictures.flow import dense_png, tracks_png
     from rholoc.recordings import read_recording
-    from rholoc.trajectory.visual.dense_flow import DenseMethod, corners_moved, dense_flow, off_tracks
+    from rholoc.trajectory.visual.dense_flow import DenseMethod, dense_flow, off_tracks
     from rholoc.trajectory.visual.flow import track_corners
 
     method = options.choice(DenseMethod, dense, "--dense")
@@ -86,7 +86,7 @@ def flow(
     for row in chosen:
         before, after = read.frames.images([row - 1, row])
         field = dense_flow(before, after, method)
-        was, now = corners_moved(found, row)
+        _, was, now = found.shared(row - 1, row)
         apart_px += off_tracks(field, was, now).tolist()
         replace_file(out / f"tracks-{numbers[row]:06d}.png", tracks_png(after, was, now))
         replace_file(out / f"dense-{numbers[row]:06d}.png", dense_png(field))

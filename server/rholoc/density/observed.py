@@ -89,22 +89,6 @@ class ObservedDensities(TensorDensities):
         """(T,) metres at ``distances`` (T,): r is an angle."""
         return np.asarray(TARGET_RADIUS * distances)
 
-    def take(self, rows: IntArray) -> ObservedDensities:
-        """The densities at ``rows``, in that order."""
-        taken = ObservedDensities(
-            self.degree,
-            self.coefficients[rows],
-            self.features[rows],
-            self.landmarks[rows],
-            self.places[rows],
-            self.radii[rows],
-            self.middles[rows],
-            self.moments[rows],
-            self.counts[rows],
-        )
-        taken.__dict__["R_local_map"] = self.R_local_map[rows]
-        return taken
-
     def problem(self, features: int) -> str:
         """Why these cannot be the densities of a map of so many ``features``; empty where they can."""
         count, size = len(self.features), len(kept_powers(self.degree)[1])

@@ -29,9 +29,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cache, cached_property
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -105,16 +105,10 @@ class TensorDensities:
         """(T, 3, 3): turns the direction into the diagonal (1, 1, 0) / √2, upright."""
         return local_frames(self.directions)
 
-    def take(self, rows: IntArray) -> TensorDensities:
+    def take(self, rows: IntArray) -> Self:
         """The densities at ``rows``, in that order."""
-        taken = TensorDensities(
-            self.degree,
-            self.coefficients[rows],
-            self.features[rows],
-            self.landmarks[rows],
-            self.places[rows],
-            self.radii[rows],
-        )
+        each = [field.name for field in fields(self) if field.name != "degree"]
+        taken = replace(self, **{name: getattr(self, name)[rows] for name in each})
         taken.__dict__["R_local_map"] = self.R_local_map[rows]
         return taken
 

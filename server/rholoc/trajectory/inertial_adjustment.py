@@ -17,11 +17,11 @@ from gtsam.symbol_shorthand import B, G, V, X
 
 from rholoc.errors import MappingFailed
 from rholoc.geometry import FloatArray, IntArray, pose_matrix
-from rholoc.recordings import GRAVITY, Imu, Waypoint
+from rholoc.recordings import GRAVITY, Imu, Waypoint, check_waypoints_fix_frame
 from rholoc.recordings.walk.stillness import pauses
 from rholoc.trajectory.dead_reckoning import integrate_between_waypoints
 from rholoc.trajectory.inertial.gyroscope import longest_interval_s
-from rholoc.trajectory.optimization.adjustment import imu_noise, preintegrated
+from rholoc.trajectory.optimization.adjustment import imu_noise, preintegrated, robust
 
 _REST_SIGMA_M_S = 0.01  # a hand at rest drifts and trembles
 _ACCELEROMETER_BIAS_SIGMA = 0.1  # m/s²
@@ -45,14 +45,14 @@ def adjust_between_waypoints(imu: Imu, waypoints: Sequence[Waypoint], at: FloatA
         MappingFailed: the IMU's axes are unknown to the camera, its acceleration is without gravity, it does not cover
             the waypoints, or has a gap between them.
     """
-    start = integrate_between_waypoints(imu, waypoints, at)
-    assert imu.R_camera_imu is not None
+    check_waypoints_fix_frame(waypoints)
     stops = np.sort([waypoint.time for waypoint in waypoints])
     resting = _resting(imu, stops)
     times = np.sort(np.concatenate([at, stops, resting]))
     times = times[np.concatenate([[True], np.diff(times) > _APART_S])]
     graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
     first = integrate_between_waypoints(imu, waypoints, times)
+    assert imu.R_camera_imu is not None
     R_map_imu, positions = first[:, :3, :3] @ imu.R_camera_imu, first[:, :3, 3]
     velocities = np.gradient(positions, times, axis=0)
     still = gtsam.imuBias.ConstantBias()
@@ -71,9 +71,7 @@ def adjust_between_waypoints(imu: Imu, waypoints: Sequence[Waypoint], at: FloatA
         graph.add(gtsam.PriorFactorVector(V(k), np.zeros(3), rest))
     for waypoint in waypoints:
         sigma_m = float(np.hypot(waypoint.sigma_m, _LEVER_SIGMA_M))
-        noise = gtsam.noiseModel.Robust.Create(
-            gtsam.noiseModel.mEstimator.Cauchy.Create(_CAUCHY), gtsam.noiseModel.Isotropic.Sigma(3, sigma_m)
-        )
+        noise = robust(_CAUCHY, gtsam.noiseModel.Isotropic.Sigma(3, sigma_m))
         (k,) = _nearest(times, np.array([waypoint.time]))
         graph.add(gtsam.PoseTranslationPrior3D(X(int(k)), np.array(waypoint.position), noise))
     parameters = gtsam.LevenbergMarquardtParams()
@@ -81,7 +79,7 @@ def adjust_between_waypoints(imu: Imu, waypoints: Sequence[Waypoint], at: FloatA
     try:
         solved = gtsam.LevenbergMarquardtOptimizer(graph, values, parameters).optimize()
     except RuntimeError:  # gtsam's word for a singular system
-        return start
+        return integrate_between_waypoints(imu, waypoints, at)
     found = np.array([solved.atPose3(X(int(k))).matrix() for k in _nearest(times, at)])
     return pose_matrix(found[:, :3, :3] @ imu.R_camera_imu.T, found[:, :3, 3])
 

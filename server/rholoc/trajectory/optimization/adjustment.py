@@ -327,7 +327,7 @@ def _add_sightings(
     graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, problem: Problem, state: State, used: BoolArray
 ) -> None:
     observations, camera = problem.observations, state.camera
-    noise = _robust(_CAUCHY_PIXELS, gtsam.noiseModel.Isotropic.Sigma(2, problem.pixel_sigma_px))
+    noise = robust(_CAUCHY_PIXELS, gtsam.noiseModel.Isotropic.Sigma(2, problem.pixel_sigma_px))
     for track in np.unique(observations.tracks[used]).tolist():
         values.insert(L(track), state.points[track])
     keyframes, tracks = observations.keyframes[used].tolist(), observations.tracks[used].tolist()
@@ -486,7 +486,7 @@ def _tie(k: int, rate: FloatArray, noise: gtsam.noiseModel.Base) -> gtsam.Custom
 
 def _add_fixes(graph: gtsam.NonlinearFactorGraph, fixes: Sequence[Fix]) -> None:
     for fix in fixes:
-        noise = _robust(_CAUCHY_WAYPOINTS, gtsam.noiseModel.Isotropic.Sigma(3, fix.sigma_m))
+        noise = robust(_CAUCHY_WAYPOINTS, gtsam.noiseModel.Isotropic.Sigma(3, fix.sigma_m))
         graph.add(gtsam.PoseTranslationPrior3D(C(fix.keyframe), np.array(fix.position), noise))
 
 
@@ -637,5 +637,6 @@ def _from_gtsam(model: gtsam.Cal3DS2, camera: Camera) -> Camera:
     return replace(camera, fx=fx, fy=fy, cx=cx, cy=cy, distortion=(k1, k2, p1, p2))
 
 
-def _robust(sigmas: float, noise: gtsam.noiseModel.Base) -> gtsam.noiseModel.Base:
+def robust(sigmas: float, noise: gtsam.noiseModel.Base) -> gtsam.noiseModel.Base:
+    """A measurement's noise under Cauchy's loss, which doubts it from so many ``sigmas`` on."""
     return gtsam.noiseModel.Robust.Create(gtsam.noiseModel.mEstimator.Cauchy.Create(sigmas), noise)

@@ -14,7 +14,7 @@ import numpy as np
 from gtsam.symbol_shorthand import C
 
 from rholoc.geometry import FloatArray
-from rholoc.trajectory.optimization.adjustment import Fix, State
+from rholoc.trajectory.optimization.adjustment import Fix, State, robust
 
 _TILT_SIGMA_RAD = np.radians(0.02)  # of a step between keyframes: gravity holds it …
 _HEADING_SIGMA_RAD = np.radians(0.1)  # … and not the heading
@@ -64,20 +64,16 @@ def bend(state: State, loops: Sequence[RelativePose], fixes: Sequence[Fix] = ())
     for k in range(1, len(T)):
         step = np.linalg.inv(T[k - 1]) @ T[k]
         graph.add(gtsam.BetweenFactorPose3(C(k - 1), C(k), gtsam.Pose3(step), _step_noise(T[k], step)))
-    meeting = _robust(gtsam.noiseModel.Diagonal.Sigmas(np.repeat([_LOOP_SIGMA_RAD, _LOOP_SIGMA_M], 3)))
+    meeting = robust(_CAUCHY, gtsam.noiseModel.Diagonal.Sigmas(np.repeat([_LOOP_SIGMA_RAD, _LOOP_SIGMA_M], 3)))
     for loop in loops:
         graph.add(gtsam.BetweenFactorPose3(C(loop.first), C(loop.second), gtsam.Pose3(loop.T_first_second), meeting))
-    met = _robust(gtsam.noiseModel.Isotropic.Sigma(3, _FIX_SIGMA_M))
+    met = robust(_CAUCHY, gtsam.noiseModel.Isotropic.Sigma(3, _FIX_SIGMA_M))
     for fix in fixes:
         graph.add(gtsam.PoseTranslationPrior3D(C(fix.keyframe), np.array(fix.position), met))
     parameters = gtsam.LevenbergMarquardtParams()
     parameters.setMaxIterations(_ITERATIONS)
     solved = gtsam.LevenbergMarquardtOptimizer(graph, values, parameters).optimize()
     return _bent(state, np.array([solved.atPose3(C(k)).matrix() for k in range(len(T))]))
-
-
-def _robust(noise: gtsam.noiseModel.Base) -> gtsam.noiseModel.Base:
-    return gtsam.noiseModel.Robust.Create(gtsam.noiseModel.mEstimator.Cauchy.Create(_CAUCHY), noise)
 
 
 def _step_noise(T_map_camera: FloatArray, step: FloatArray) -> gtsam.noiseModel.Base:

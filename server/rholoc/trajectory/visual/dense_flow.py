@@ -8,7 +8,6 @@ import cv2
 import numpy as np
 
 from rholoc.geometry import ByteArray, FloatArray
-from rholoc.trajectory.visual.flow import Flow
 
 
 class DenseMethod(StrEnum):
@@ -31,13 +30,6 @@ def dense_flow(before: ByteArray, after: ByteArray, method: DenseMethod) -> Floa
 def _grey(image: ByteArray) -> ByteArray:
     grey = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) if image.ndim == 3 else image
     return np.ascontiguousarray(grey, dtype=np.uint8)
-
-
-def corners_moved(flow: Flow, row: int) -> tuple[FloatArray, FloatArray]:
-    """Where corners were (N, 2) in the frame before ``row``, and are (N, 2) in that: those that both show, pixels."""
-    before, now = (slice(int(flow.starts[one]), int(flow.starts[one + 1])) for one in (row - 1, row))
-    _, i, j = np.intersect1d(flow.tracks[before], flow.tracks[now], return_indices=True)
-    return flow.pixels[before][i], flow.pixels[now][j]
 
 
 def off_tracks(field: FloatArray, before: FloatArray, now: FloatArray) -> FloatArray:

@@ -1,0 +1,15 @@
+"""What tests of routes and streams share."""
+
+from __future__ import annotations
+
+import pytest
+
+from rholoc.service.guard import KeyPolicy
+
+
+@pytest.fixture(scope="module")
+def locked(serve, picture_world):
+    """A service that wants a key for everything."""
+    running = serve(keys=KeyPolicy.ALWAYS)
+    (running.settings.maps_dir / "room.rho").write_bytes(picture_world.rho())
+    return running
