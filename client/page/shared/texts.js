@@ -20,21 +20,21 @@ export const GERMAN = {
   "API key": "API-Schlüssel",
   Key: "Schlüssel",
   "It is kept in this browser. Whoever runs the server makes keys with rholoc key create.":
-    "Er bleibt in diesem Browser. Wer den Server betreibt, macht Schlüssel mit rholoc key create.",
+    "Er bleibt in diesem Browser. Wer den Server betreibt, erstellt Schlüssel mit rholoc key create.",
   "Use this key": "Diesen Schlüssel verwenden",
   "This browser uses the key {0}": "Dieser Browser verwendet den Schlüssel {0}",
   "Another key": "Anderer Schlüssel",
   "Remove the key": "Schlüssel entfernen",
-  "Type a key, or remove the one that is stored.": "Einen Schlüssel eingeben, oder den gespeicherten entfernen.",
+  "Type a key, or remove the one that is stored.": "Einen Schlüssel eingeben oder den gespeicherten entfernen.",
   "The server does not answer.": "Der Server antwortet nicht.",
-  "Check the connection and try again.": "Die Verbindung prüfen und es noch einmal versuchen.",
-  "The server answered with {0}.": "Der Server antwortete mit {0}.",
-  "This page continues by itself when it is back.": "Diese Seite macht von selbst weiter, sobald er wieder da ist.",
-  "Try again": "Noch einmal",
+  "Check the connection and try again.": "Bitte die Verbindung prüfen und es noch einmal versuchen.",
+  "The server answered with {0}.": "Der Server hat mit {0} geantwortet.",
+  "This page continues by itself when it is back.": "Sobald er wieder erreichbar ist, geht es hier von selbst weiter.",
+  "Try again": "Erneut versuchen",
   Cancel: "Abbrechen",
   Back: "Zurück",
   Done: "Fertig",
-  "Something went wrong.": "Etwas ging schief.",
+  "Something went wrong.": "Etwas ist schiefgegangen.",
   "by name": "nach Name",
   "by file name": "nach Dateiname",
   "the newest first": "die neuesten zuerst",
@@ -44,38 +44,39 @@ export const GERMAN = {
   Order: "Reihenfolge",
 
   // Trust
-  trusted: "geprüft",
+  trusted: "vertrauenswürdig",
   "not trusted": "nicht vertrauenswürdig",
   "not checked": "nicht geprüft",
   "published, not trusted": "fertig, nicht vertrauenswürdig",
   "{0} (not trusted)": "{0} (nicht vertrauenswürdig)",
   Trust: "Vertrauen",
   "This map passed its checks.": "Diese Karte hat ihre Prüfungen bestanden.",
-  "Its poses came with the recording.": "Ihre Posen kamen mit der Aufnahme.",
+  "Its poses came with the recording.": "Ihre Posen stammen aus der Aufnahme.",
   "Nothing else has checked this map: it is as right as they are.":
-    "Nichts sonst hat diese Karte geprüft: Sie ist so richtig wie diese.",
+    "Sonst wurde diese Karte durch nichts geprüft: Sie ist so genau wie diese Posen.",
   "Do not rely on this map.": "Auf diese Karte ist kein Verlass.",
-  "Nothing has checked this map.": "Niemand hat diese Karte geprüft.",
+  "Nothing has checked this map.": "Diese Karte wurde nicht geprüft.",
   "What to do:": "Was zu tun ist:",
   "In figures": "In Zahlen",
   "Reconstructed twice from different pictures, the walk came out in two different shapes: somewhere the map is wrong.":
-    "Zweimal aus verschiedenen Bildern rekonstruiert, hat der Gang zwei verschiedene Formen: Irgendwo ist die Karte falsch.",
+    "Zwei Rekonstruktionen aus verschiedenen Bildern ergeben zwei verschiedene Rundgänge: Irgendwo ist die Karte falsch.",
   "Reconstructed twice from different pictures, the walk came out in the same shape.":
-    "Zweimal aus verschiedenen Bildern rekonstruiert, hat der Gang dieselbe Form.",
+    "Zwei Rekonstruktionen aus verschiedenen Bildern ergeben denselben Rundgang.",
   "Too little of the walk could be reconstructed a second time to check its shape.":
-    "Zu wenig vom Gang ließ sich ein zweites Mal rekonstruieren, um die Form zu prüfen.",
+    "Vom Rundgang ließ sich zu wenig ein zweites Mal rekonstruieren, um seine Form zu prüfen.",
   "Measure that point again, correct it, and map the recording again.":
-    "Diesen Punkt neu messen, berichtigen, und die Aufnahme noch einmal kartieren.",
+    "Diesen Punkt neu messen, seine Koordinaten berichtigen und aus der Aufnahme noch einmal eine Karte erstellen.",
   "Record the walk again: slowly, sideways rather than turning on the spot, and back to where you began. Measured points let the map check itself.":
-    "Den Gang noch einmal aufnehmen: langsam, eher seitwärts als auf der Stelle gedreht, und zurück zum Anfang. Mit gemessenen Punkten prüft sich die Karte selbst.",
-  "Build it again with this version to have it checked.": "Mit dieser Version neu bauen, damit sie geprüft wird.",
+    "Den Rundgang noch einmal aufnehmen: langsam, eher seitwärts gehend als auf der Stelle drehend, und zurück zum Anfang. Mit gemessenen Punkten prüft sich die Karte selbst.",
+  "Build it again with this version to have it checked.": "Mit dieser Version neu erstellen, damit sie geprüft wird.",
 
   // Maps
   "Upload a map": "Karte hochladen",
-  "Record a walk": "Gang aufnehmen",
+  "Record a walk": "Rundgang aufnehmen",
   "Upload a recording": "Aufnahme hochladen",
   "No maps yet": "Noch keine Karten",
-  "One walk through a room with a phone makes a map.": "Ein Gang durch einen Raum mit einem Telefon ergibt eine Karte.",
+  "One walk through a room with a phone makes a map.":
+    "Ein Rundgang mit dem Telefon durch einen Raum ergibt eine Karte.",
   "No map has such a name.": "Keine Karte heißt so.",
   "{0} from above": "{0} von oben",
   "no unit of length": "ohne Längeneinheit",
@@ -84,11 +85,11 @@ export const GERMAN = {
   unknown: "unbekannt",
   Size: "Größe",
   "{0} landmarks, {1}": "{0} Landmarken, {1}",
-  Made: "Gemacht",
+  Made: "Erstellt",
   Version: "Version",
   "File (.rho or .csv)": "Datei (.rho oder .csv)",
   Upload: "Hochladen",
-  "The map is uploaded.": "Die Karte ist hochgeladen.",
+  "The map is uploaded.": "Die Karte wurde hochgeladen.",
 
   // A name that a map has already
   "Name of the map": "Name der Karte",
@@ -102,12 +103,12 @@ export const GERMAN = {
     "Buchstaben, Ziffern, . _ und -, zuerst ein Buchstabe, eine Ziffer oder _",
 
   // One map
-  "Landmarks and walk of the map {0}": "Landmarken und Gang der Karte {0}",
+  "Landmarks and walk of the map {0}": "Landmarken und Rundgang der Karte {0}",
   "Where it works": "Wo sie funktioniert",
   "The room": "Der Raum",
   "No measurement fixed this map's unit of length: positions are not metres.":
     "Keine Messung bestimmt die Längeneinheit dieser Karte: Positionen sind keine Meter.",
-  "On the next walk": "Beim nächsten Gang",
+  "On the next walk": "Beim nächsten Rundgang",
   Details: "Einzelheiten",
   Landmarks: "Landmarken",
   Views: "Ansichten",
@@ -124,20 +125,20 @@ export const GERMAN = {
   "Held out": "Zurückgehalten",
   "{0} of {1} frames localized": "{0} von {1} Bildern lokalisiert",
   Median: "Median",
-  "Median turn": "Median der Drehung",
-  "90 % within": "90 % innerhalb",
+  "Median turn": "Median des Winkels",
+  "90 % within": "90 % innerhalb von",
   "Frames of the walk that the map was not made from. If the walk as a whole is bent, they do not show it.":
-    "Bilder des Gangs, aus denen die Karte nicht gemacht ist. Ist der Gang als Ganzes verbogen, zeigen sie es nicht.",
+    "Bilder des Rundgangs, aus denen die Karte nicht erstellt wurde. Ist der Rundgang als Ganzes verbogen, zeigen sie das nicht.",
   "No frames were held out of it.": "Keine Bilder wurden zurückgehalten.",
-  "Against measured points": "Gegen gemessene Punkte",
+  "Against measured points": "Vergleich mit gemessenen Punkten",
   Points: "Punkte",
   Worst: "Größte Abweichung",
   "No measured point checks it.": "Kein gemessener Punkt prüft sie.",
-  "Replaced the map of {0}, version {1}": "Ersetzte die Karte vom {0}, Version {1}",
+  "Replaced the map of {0}, version {1}": "Ersetzt die Karte vom {0}, Version {1}",
   "Restore it": "Wiederherstellen",
   "Restore the previous map?": "Vorige Karte wiederherstellen?",
   "It comes back under this name. The present one is kept in its place, and can be restored in turn.":
-    "Sie kommt unter diesem Namen zurück. Die jetzige bleibt an ihrer Stelle erhalten und lässt sich ebenso wiederherstellen.",
+    "Sie ist dann wieder unter diesem Namen da. Die jetzige bleibt dafür erhalten und lässt sich ebenso wiederherstellen.",
   Restore: "Wiederherstellen",
   "{0} frames": "{0} Bilder",
   "poses {0}": "Posen {0}",
@@ -147,12 +148,12 @@ export const GERMAN = {
   "the map itself (.rho)": "die Karte selbst (.rho)",
   "densities, Table 5 (.csv)": "Dichten, Tabelle 5 (.csv)",
   "observations, Table 4 (.csv)": "Beobachtungen, Tabelle 4 (.csv)",
-  "walk, Table 6 (.csv)": "Gang, Tabelle 6 (.csv)",
+  "walk, Table 6 (.csv)": "Rundgang, Tabelle 6 (.csv)",
   "landmarks (.ply)": "Landmarken (.ply)",
   "landmarks (.vtp)": "Landmarken (.vtp)",
   "landmarks in colour, for Blender and the web (.glb)": "farbige Landmarken, für Blender und das Web (.glb)",
   Update: "Aktualisieren",
-  Merge: "Vereinigen",
+  Merge: "Zusammenführen",
   Rename: "Umbenennen",
   Delete: "Löschen",
   Forget: "Vergessen",
@@ -160,31 +161,31 @@ export const GERMAN = {
   "Delete the map?": "Karte löschen?",
   "The map {0} is deleted for good. Recordings are kept.":
     "Die Karte {0} wird endgültig gelöscht. Aufnahmen bleiben erhalten.",
-  "There is no other map to merge with.": "Es gibt keine andere Karte zum Vereinigen.",
-  "Merge with another map": "Mit einer anderen Karte vereinigen",
+  "There is no other map to merge with.": "Es gibt keine andere Karte zum Zusammenführen.",
+  "Merge with another map": "Mit einer anderen Karte zusammenführen",
   "The other map comes into this one's frame. They must overlap.":
-    "Die andere Karte kommt in das Koordinatensystem dieser. Sie müssen sich überlappen.",
+    "Die andere Karte wird in das Koordinatensystem dieser Karte übertragen. Beide müssen sich überlappen.",
   "Other map": "Andere Karte",
   "There is no recording yet. Upload one, and choose to update this map.":
-    "Es gibt noch keine Aufnahme. Eine hochladen und wählen, dass diese Karte sie lernt.",
-  "Learn a further recording": "Weitere Aufnahme lernen",
+    "Es gibt noch keine Aufnahme. Bitte eine hochladen und dabei wählen, dass diese Karte sie dazulernt.",
+  "Learn a further recording": "Weitere Aufnahme dazulernen",
   Recording: "Aufnahme",
   "Forget a recording?": "Aufnahme vergessen?",
   "What the map learned from {0} is taken out of it.": "Was die Karte aus {0} gelernt hat, wird entfernt.",
 
   // Where it works
   "The map has no views, so it is unknown where it works.":
-    "Die Karte hat keine Ansichten; niemand weiß, wo sie funktioniert.",
+    "Die Karte hat keine Ansichten; deshalb ist nicht bekannt, wo sie funktioniert.",
   "Point at a place, or use the arrow keys; a click shows it in the room.":
-    "Auf einen Ort zeigen, oder Pfeiltasten; ein Klick zeigt ihn im Raum.",
+    "Auf einen Ort zeigen oder die Pfeiltasten benutzen; ein Klick zeigt ihn im Raum.",
   "Near the walk, a camera sees {0} landmarks or more in {1} % of all places and directions, and in at least one direction at {2} % of the places.":
-    "Nahe beim Gang sieht eine Kamera {0} oder mehr Landmarken in {1} % aller Orte und Richtungen, und in wenigstens einer Richtung an {2} % der Orte.",
-  "it works": "es geht",
-  "it may fail": "es kann misslingen",
-  "it will fail": "es misslingt",
+    "In der Nähe des Rundgangs sieht eine Kamera {0} oder mehr Landmarken in {1} % aller Orte und Richtungen, und in wenigstens einer Richtung an {2} % der Orte.",
+  "it works": "es funktioniert",
+  "it may fail": "es kann fehlschlagen",
+  "it will fail": "es schlägt fehl",
   "At {0}, {1} {2}, looking {3}°: {4} landmarks in view; {5}.":
     "Bei {0}, {1} {2}, Blick nach {3}°: {4} Landmarken im Bild; {5}.",
-  "Walk here next:": "Als Nächstes hier gehen:",
+  "Walk here next:": "Als Nächstes hier entlanggehen:",
   "around {0}, {1} {2}, looking to {3}° (the arrow).": "um {0}, {1} {2}, Blick nach {3}° (der Pfeil).",
   "Record it": "Aufnehmen",
   fewer: "weniger",
@@ -203,24 +204,24 @@ export const GERMAN = {
   "Colour by uncertainty": "Nach Unsicherheit färben",
   "Colours of the pictures": "Farben der Bilder",
   "Landmark at {0} {1}, known to {2}": "Landmarke bei {0} {1}, auf {2} bekannt",
-  "Picture {0} of the walk, from {1} {2}, looking {3}°": "Bild {0} des Gangs, von {1} {2}, Blick nach {3}°",
+  "Picture {0} of the walk, from {1} {2}, looking {3}°": "Bild {0} des Rundgangs, von {1} {2}, Blick nach {3}°",
 
   // Jobs
   "No jobs yet": "Noch keine Aufträge",
   "A job makes a map of each recording that is uploaded.":
-    "Ein Auftrag macht aus jeder hochgeladenen Aufnahme eine Karte.",
+    "Aus jeder hochgeladenen Aufnahme erstellt ein Auftrag eine Karte.",
   "Progress of {0}": "Fortschritt von {0}",
   "Map {0}": "Karte {0}",
   "To the map": "Zur Karte",
   Queued: "Eingereiht",
-  Took: "Dauerte",
+  Took: "Dauer",
   Attempts: "Versuche",
   Log: "Protokoll",
   "Nothing yet.": "Noch nichts.",
   queued: "wartet",
   running: "läuft",
   published: "fertig",
-  failed: "misslungen",
+  failed: "fehlgeschlagen",
   cancelled: "abgebrochen",
   received: "empfangen",
   read: "gelesen",
@@ -233,13 +234,13 @@ export const GERMAN = {
 
   // Recordings
   "Stored recordings": "Gespeicherte Aufnahmen",
-  "A video, or a recording as a ZIP file.": "Ein Video, oder eine Aufnahme als ZIP-Datei.",
+  "A video, or a recording as a ZIP file.": "Ein Video oder eine Aufnahme als ZIP-Datei.",
   "{0} of {1}": "{0} von {1}",
   "{0} It continues by itself.": "{0} Es geht von selbst weiter.",
-  "Upload a walk": "Gang hochladen",
+  "Upload a walk": "Rundgang hochladen",
   "No recordings yet": "Noch keine Aufnahmen",
   "They are kept after their map is made, so that a job can be tried again and other maps can learn them.":
-    "Sie bleiben erhalten, wenn ihre Karte gemacht ist, damit ein Auftrag wiederholt werden kann und andere Karten sie lernen können.",
+    "Sie bleiben erhalten, auch wenn ihre Karte fertig ist: So lässt sich ein Auftrag wiederholen, und andere Karten können sie dazulernen.",
   Files: "Dateien",
   "Map and job": "Karte und Auftrag",
   Uploaded: "Hochgeladen",
@@ -247,16 +248,17 @@ export const GERMAN = {
   " and {0} more": " und {0} weitere",
   "{0} and {1} more": "{0} und {1} weitere",
   "Delete the recording?": "Aufnahme löschen?",
-  "{0}, {1}. Maps made of it stay.": "{0}, {1}. Karten daraus bleiben.",
+  "{0}, {1}. Maps made of it stay.": "{0}, {1}. Daraus erstellte Karten bleiben erhalten.",
 
   // Cameras
   "Width, px": "Breite, px",
   "Height, px": "Höhe, px",
   "Add a camera": "Kamera hinzufügen",
   "A camera's intrinsics under a name. The command rholoc camera calibrate finds them from a filmed board.":
-    "Die inneren Parameter einer Kamera unter einem Namen. Der Befehl rholoc camera calibrate findet sie aus einer gefilmten Tafel.",
+    "Die intrinsischen Parameter einer Kamera unter einem Namen. Der Befehl rholoc camera calibrate bestimmt sie aus einem Film einer Kalibriertafel.",
   "No cameras yet": "Noch keine Kameras",
-  "Frames of the map's own camera need none.": "Bilder der Kamera, mit der die Karte gemacht ist, brauchen keine.",
+  "Frames of the map's own camera need none.":
+    "Bilder der Kamera, mit der die Karte aufgenommen wurde, brauchen keine.",
   "distortion {0}": "Verzeichnung {0}",
   "no distortion": "keine Verzeichnung",
   " · off by {0} px": " · Abweichung {0} px",
@@ -266,18 +268,18 @@ export const GERMAN = {
   "empty: none": "leer: keine",
   Store: "Speichern",
   "Delete the camera?": "Kamera löschen?",
-  "{0}. Maps that were made with it keep it.": "{0}. Karten, die mit ihr gemacht sind, behalten sie.",
+  "{0}. Maps that were made with it keep it.": "{0}. Karten, die mit ihr aufgenommen wurden, behalten sie.",
 
   // Try it
   "No map to try": "Keine Karte zum Ausprobieren",
-  "Make one of a walk first.": "Zuerst eine aus einem Gang machen.",
+  "Make one of a walk first.": "Zuerst aus einem Rundgang eine Karte erstellen.",
   "The map {0} and the pose that was found": "Die Karte {0} und die gefundene Pose",
   "No picture yet": "Noch kein Bild",
   "The pose appears here.": "Hier erscheint die Pose.",
   "such as 65": "etwa 65",
   "Localizing …": "Wird lokalisiert …",
   "Type the picture's horizontal field of view, or choose a camera.":
-    "Das waagrechte Blickfeld des Bildes eingeben, oder eine Kamera wählen.",
+    "Das waagrechte Blickfeld des Bildes eingeben oder eine Kamera wählen.",
   "The picture; it has no pose": "Das Bild; es hat keine Pose",
   "The picture with {0} features that the map recognised":
     "Das Bild mit {0} Merkmalen, die die Karte wiedererkannt hat",
@@ -285,28 +287,28 @@ export const GERMAN = {
   "no pose": "keine Pose",
   Position: "Position",
   Heading: "Blickrichtung",
-  "Off by about": "Etwa daneben um",
+  "Off by about": "Abweichung etwa",
   "Focal length": "Brennweite",
   "{0} px, estimated to {1} px": "{0} px, auf {1} px geschätzt",
   Matches: "Zuordnungen",
   "{0} of {1} agree": "{0} von {1} stimmen überein",
-  "confidence unknown": "Zuversicht unbekannt",
-  "confidence over {0} %": "Zuversicht über {0} %",
-  "confidence {0} %": "Zuversicht {0} %",
+  "confidence unknown": "Konfidenz unbekannt",
+  "confidence over {0} %": "Konfidenz über {0} %",
+  "confidence {0} %": "Konfidenz {0} %",
   "The picture is too blank, dark or blurred.": "Das Bild ist zu leer, zu dunkel oder zu unscharf.",
-  "Too little in the picture looks like anything in the map.": "Zu wenig im Bild sieht aus wie etwas in der Karte.",
+  "Too little in the picture looks like anything in the map.": "Zu wenig im Bild gleicht dem, was die Karte kennt.",
   "No place explains what the picture shows.": "Kein Ort erklärt, was das Bild zeigt.",
   "A place was found, but it is too uncertain to rely on.":
     "Ein Ort wurde gefunden, ist aber zu unsicher, um sich darauf zu verlassen.",
-  "The server took too long.": "Der Server brauchte zu lange.",
+  "The server took too long.": "Der Server hat zu lange gebraucht.",
   "The map itself is not trusted: the pose may be wrong by more than is said here.":
-    "Die Karte selbst ist nicht vertrauenswürdig: Die Pose kann weiter daneben liegen, als hier steht.",
+    "Die Karte selbst ist nicht vertrauenswürdig: Die Pose kann weiter danebenliegen, als hier angegeben ist.",
   "The field of view was typed, not measured: a few degrees off put the pose decimetres off. Calibrate the camera to know.":
-    "Das Blickfeld ist eingegeben, nicht gemessen: Wenige Grad daneben verschieben die Pose um Dezimeter. Eine kalibrierte Kamera gibt Gewissheit.",
+    "Das Blickfeld wurde eingegeben, nicht gemessen: Schon wenige Grad Abweichung verschieben die Pose um Dezimeter. Gewissheit gibt eine kalibrierte Kamera.",
   "The camera is not known; its focal length was estimated from this picture alone. A stored camera is more reliable.":
-    "Die Kamera ist nicht bekannt; ihre Brennweite wurde allein aus diesem Bild geschätzt. Eine gespeicherte Kamera ist sicherer.",
+    "Die Kamera ist nicht bekannt; ihre Brennweite wurde allein aus diesem Bild geschätzt. Eine gespeicherte Kamera ist zuverlässiger.",
   "The picture has another shape than the camera's. It is taken to be the same camera, turned or cropped; if it is not, the pose is wrong.":
-    "Das Bild hat eine andere Form als die der Kamera. Angenommen wird dieselbe Kamera, gedreht oder beschnitten; stimmt das nicht, ist die Pose falsch.",
+    "Das Bild hat ein anderes Seitenverhältnis als die der Kamera. Angenommen wird dieselbe Kamera, gedreht oder beschnitten; stimmt das nicht, ist die Pose falsch.",
   "The request as a program": "Die Anfrage als Programm",
   "Copy as {0}": "Als {0} kopieren",
   "Copied.": "Kopiert.",
@@ -317,11 +319,11 @@ export const GERMAN = {
   "of the picture, from its left to its right edge": "des Bildes, von seinem linken zu seinem rechten Rand",
   "Which camera took it?": "Welche Kamera hat es aufgenommen?",
   "not specified: the map's if the shape matches, otherwise estimated":
-    "keine Angabe: die der Karte bei gleicher Form, sonst geschätzt",
-  "the camera that made the map": "die Kamera, mit der die Karte gemacht ist",
-  "unknown: estimate its focal length": "unbekannt: ihre Brennweite schätzen",
+    "keine Angabe: die der Karte bei gleichem Seitenverhältnis, sonst geschätzt",
+  "the camera that made the map": "die Kamera, mit der die Karte aufgenommen wurde",
+  "unknown: estimate its focal length": "unbekannt: Brennweite schätzen",
   "another, by its field of view": "eine andere, nach ihrem Blickfeld",
-  "hand-held: the camera may roll": "in der Hand: Die Kamera kann verkippt sein",
+  "hand-held: the camera may roll": "in der Hand: Die Kamera kann zur Seite geneigt sein",
   "Drop a picture or a trajectory (CSV) here": "Ein Bild oder eine Trajektorie (CSV) hierher ziehen",
   "Picture or trajectory": "Bild oder Trajektorie",
   "Use the camera": "Kamera verwenden",
@@ -332,7 +334,7 @@ export const GERMAN = {
   "The camera needs HTTPS: start the server with rholoc serve --tls.":
     "Die Kamera braucht HTTPS: den Server mit rholoc serve --tls starten.",
   "The camera was refused. Allow it in the browser's settings for this page.":
-    "Die Kamera wurde verweigert. In den Einstellungen des Browsers für diese Seite erlauben.",
+    "Der Zugriff auf die Kamera wurde verweigert. Bitte in den Einstellungen des Browsers für diese Seite erlauben.",
   "No camera was found.": "Es wurde keine Kamera gefunden.",
   Trajectory: "Trajektorie",
   "{0} poses": "{0} Posen",
@@ -341,30 +343,30 @@ export const GERMAN = {
   Pause: "Pause",
   Play: "Abspielen",
   "This is not a trajectory: it has no column {0}.": "Das ist keine Trajektorie: Die Spalte {0} fehlt.",
-  "Line {0} contains something other than numbers: {1}": "Zeile {0} besteht nicht aus Zahlen: {1}",
+  "Line {0} contains something other than numbers: {1}": "Zeile {0} enthält etwas anderes als Zahlen: {1}",
   "The trajectory has no rows.": "Die Trajektorie hat keine Zeilen.",
 
   // The recorder: before the walk
   "New recording": "Neue Aufnahme",
   "Measured points": "Gemessene Punkte",
-  "Before the first walk": "Vor dem ersten Gang",
+  "Before the first walk": "Vor dem ersten Rundgang",
   "Got it": "Verstanden",
   "For the map {0}: begin where it works, walk to about {1}, {2}, look to {3}°, and come back. Before sending, choose that the map learns it.":
-    "Für die Karte {0}: beginnen, wo sie funktioniert, bis etwa {1}, {2} gehen, nach {3}° blicken, und zurückkommen. Vor dem Senden wählen, dass die Karte sie lernt.",
+    "Für die Karte {0}: dort beginnen, wo sie funktioniert, bis etwa {1}, {2} gehen, in Richtung {3}° blicken und zurückkommen. Vor dem Senden wählen, dass die Karte die Aufnahme dazulernt.",
   "Measure three points or more, not on one line, and where they are: with a tape, from a corner of the room.":
     "Drei oder mehr Punkte, die nicht auf einer Geraden liegen, ausmessen: mit dem Maßband, von einer Ecke des Raums aus.",
   "At each point stand still for two seconds, the phone upright, and mark it.":
-    "An jedem Punkt zwei Sekunden still stehen, das Telefon aufrecht, und ihn markieren.",
+    "An jedem Punkt zwei Sekunden still stehen, das Telefon aufrecht halten und den Punkt markieren.",
   "Walk slowly, and sideways where you can; do not turn on the spot. Keep things in view: furniture, posters, shelves, no bare walls.":
     "Langsam und eher seitwärts gehen, nicht auf der Stelle drehen. Dinge im Bild behalten: Möbel, Plakate, Regale, keine kahlen Wände.",
   "Come back to where you began, and look at it again as you did then: the loop shows the map its own errors.":
     "Zum Anfang zurückkommen und ihn wieder so ansehen wie zu Beginn: Die Schleife zeigt der Karte ihre eigenen Fehler.",
   "Open the camera": "Kamera öffnen",
   "Walk slowly, keep texture in view, and come back to where you began.":
-    "Langsam gehen, Strukturen im Bild behalten, und zum Anfang zurückkommen.",
+    "Langsam gehen, Strukturen im Bild behalten und zum Anfang zurückkommen.",
   "On this phone": "Auf diesem Telefon",
   "This phone's storage is almost full: {0} left. A minute takes about 60 MB.":
-    "Dieses Telefon hat wenig Platz: {0}. Eine Minute braucht etwa 60 MB.",
+    "Der Speicher dieses Telefons ist fast voll: {0} frei. Eine Minute braucht etwa 60 MB.",
   "broken off": "abgebrochen",
   "not sent": "nicht gesendet",
   "not sent yet": "noch nicht gesendet",
@@ -375,25 +377,26 @@ export const GERMAN = {
   "Remove from the list": "Aus der Liste entfernen",
   "Delete this recording?": "Diese Aufnahme löschen?",
   "It is only on this phone.": "Sie ist nur auf diesem Telefon.",
-  "The camera was refused.": "Die Kamera wurde verweigert.",
+  "The camera was refused.": "Der Zugriff auf die Kamera wurde verweigert.",
   "Allow it for this page in the browser's settings, then try again.":
-    "In den Einstellungen des Browsers für diese Seite erlauben, dann noch einmal versuchen.",
+    "Bitte in den Einstellungen des Browsers für diese Seite erlauben und es noch einmal versuchen.",
   "There is no camera.": "Es gibt keine Kamera.",
   "Open this page on a phone.": "Diese Seite auf einem Telefon öffnen.",
   "Another program has the camera.": "Ein anderes Programm verwendet die Kamera.",
-  "Close it and try again.": "Es schließen und noch einmal versuchen.",
+  "Close it and try again.": "Bitte dieses schließen und es noch einmal versuchen.",
   "The camera does not start.": "Die Kamera startet nicht.",
   "This browser stores nothing for this page.": "Dieser Browser speichert nichts für diese Seite.",
-  "Leave private browsing and try again.": "Den privaten Modus verlassen und noch einmal versuchen.",
-  "Leave private browsing and try again. ({0})": "Den privaten Modus verlassen und noch einmal versuchen. ({0})",
-  "Browsers give the camera to pages over HTTPS only.": "Browser geben die Kamera nur Seiten über HTTPS.",
+  "Leave private browsing and try again.": "Bitte den privaten Modus verlassen und es noch einmal versuchen.",
+  "Leave private browsing and try again. ({0})":
+    "Bitte den privaten Modus verlassen und es noch einmal versuchen. ({0})",
+  "Browsers give the camera to pages over HTTPS only.": "Browser geben die Kamera nur für Seiten über HTTPS frei.",
   "Start the server with rholoc serve --tls, and open the address that it prints.":
     "Den Server mit rholoc serve --tls starten und die Adresse öffnen, die er ausgibt.",
   "This browser cannot record video.": "Dieser Browser kann kein Video aufnehmen.",
-  "Use a recent Chrome, Safari or Firefox.": "Einen neueren Chrome, Safari oder Firefox verwenden.",
-  "The motion sensors were refused.": "Die Bewegungssensoren wurden verweigert.",
+  "Use a recent Chrome, Safari or Firefox.": "Bitte eine aktuelle Version von Chrome, Safari oder Firefox verwenden.",
+  "The motion sensors were refused.": "Der Zugriff auf die Bewegungssensoren wurde verweigert.",
   "With them the map knows its size and what is up. Allow motion and orientation for this page, or record video alone.":
-    "Mit ihnen kennt die Karte ihre Größe und weiß, was oben ist. Bewegung und Ausrichtung für diese Seite erlauben, oder nur Video aufnehmen.",
+    "Mit ihnen kennt die Karte ihre Größe und weiß, was oben ist. Bitte Bewegung und Ausrichtung für diese Seite erlauben oder nur Video aufnehmen.",
   "Record video alone": "Nur Video aufnehmen",
 
   // The recorder: while walking
@@ -415,21 +418,21 @@ export const GERMAN = {
   Calm: "Ruhe",
   "Too fast. Turn more slowly.": "Zu schnell. Langsamer drehen.",
   "Too dark. Turn on a light.": "Zu dunkel. Licht einschalten.",
-  "Blurred. Slow down, or wipe the lens.": "Unscharf. Langsamer, oder die Linse abwischen.",
+  "Blurred. Slow down, or wipe the lens.": "Unscharf. Langsamer gehen oder die Linse abwischen.",
   "Nothing to recognise here. Turn to something with texture, or step back.":
-    "Hier ist nichts zu erkennen. Zu etwas mit Struktur wenden, oder zurücktreten.",
+    "Hier ist nichts zu erkennen. Die Kamera auf etwas mit Struktur richten oder zurücktreten.",
   "Hold the phone upright.": "Das Telefon aufrecht halten.",
   "The motion sensors report {0} times a second; {1} are needed.":
-    "Die Bewegungssensoren melden {0}-mal in der Sekunde; {1} sind nötig.",
+    "Die Bewegungssensoren melden {0} Werte in der Sekunde; {1} sind nötig.",
   "Recording ended when you left this page: a phone shuts the camera off then. What came before is kept.":
     "Die Aufnahme endete mit dem Verlassen der Seite: Ein Telefon schaltet die Kamera dann ab. Was vorher kam, ist erhalten.",
   "Recording ended when the phone was turned: a recording has one shape. What came before is kept.":
-    "Die Aufnahme endete, als das Telefon gedreht wurde: Eine Aufnahme hat eine Form. Was vorher kam, ist erhalten.",
+    "Die Aufnahme endete, als das Telefon gedreht wurde: Hoch- und Querformat gehen nicht in einer Aufnahme. Was vorher kam, ist erhalten.",
   "Recording ended because this phone has no space left. What came before is kept.":
-    "Die Aufnahme endete, weil dieses Telefon keinen Platz mehr hat. Was vorher kam, ist erhalten.",
-  "Recording broke off. What came before is kept.": "Die Aufnahme brach ab. Was vorher kam, ist erhalten.",
+    "Die Aufnahme endete, weil der Speicher dieses Telefons voll ist. Was vorher kam, ist erhalten.",
+  "Recording broke off. What came before is kept.": "Die Aufnahme wurde unterbrochen. Was vorher kam, ist erhalten.",
   "Recording ended because the camera went away. What came before is kept.":
-    "Die Aufnahme endete, weil die Kamera wegfiel. Was vorher kam, ist erhalten.",
+    "Die Aufnahme endete, weil die Kamera nicht mehr verfügbar war. Was vorher kam, ist erhalten.",
 
   // The recorder: measured points
   "Name of point {0}": "Name von Punkt {0}",
@@ -443,34 +446,35 @@ export const GERMAN = {
   "Add a point": "Punkt hinzufügen",
   "Two waypoints are called {0}.": "Zwei Wegpunkte heißen {0}.",
   "No waypoint is both marked and measured. The map gets a frame of its own.":
-    "Kein Wegpunkt ist markiert und gemessen. Die Karte bekommt ein eigenes Koordinatensystem.",
+    "Kein Wegpunkt ist zugleich markiert und gemessen. Die Karte bekommt ein eigenes Koordinatensystem.",
   "{0} of at least {1} waypoints are marked and measured. Without more the map gets a frame of its own.":
-    "{0} von mindestens {1} Wegpunkten sind markiert und gemessen. Ohne mehr bekommt die Karte ein eigenes Koordinatensystem.",
+    "{0} von mindestens {1} Wegpunkten sind markiert und gemessen. Mit so wenigen bekommt die Karte ein eigenes Koordinatensystem.",
   "The waypoints lie on one line, so the rotation about it is not determined. Measure one more off that line, or clear their coordinates.":
-    "Die Wegpunkte liegen auf einer Geraden; die Drehung um sie bleibt offen. Einen weiteren abseits davon messen, oder ihre Koordinaten löschen.",
+    "Die Wegpunkte liegen auf einer Geraden; die Drehung um sie bleibt offen. Bitte einen weiteren abseits davon messen oder ihre Koordinaten löschen.",
 
   // The recorder: before sending
   "Your recording": "Ihre Aufnahme",
   "The recording": "Die Aufnahme",
   "{0} s is too short for a map: walk for at least {1} s, half a minute or more for a room.":
     "{0} s sind zu kurz für eine Karte: wenigstens {1} s gehen, für einen Raum eine halbe Minute oder mehr.",
-  "Seconds that will fail": "Sekunden, die misslingen werden",
-  "They are {0} of the walk: better walk again.": "Das sind {0} des Gangs: besser noch einmal gehen.",
+  "Seconds that will fail": "Sekunden, die nicht brauchbar sind",
+  "They are {0} of the walk: better walk again.": "Das sind {0} des Rundgangs: besser noch einmal gehen.",
   "turned too fast": "zu schnell gedreht",
   "too dark": "zu dunkel",
   blurred: "unscharf",
   "nothing to recognise": "nichts zu erkennen",
   "No motion sensors: the map's scale comes from measured points alone.":
-    "Keine Bewegungssensoren: Der Maßstab der Karte kommt allein von gemessenen Punkten.",
+    "Keine Bewegungssensoren: Den Maßstab der Karte bestimmen allein gemessene Punkte.",
   "The motion sensors reported {0} times a second; {1} are needed.":
-    "Die Bewegungssensoren meldeten {0}-mal in der Sekunde; {1} sind nötig.",
-  "Parts of it are dark. The map may have gaps there.": "Teile sind dunkel. Dort kann die Karte Lücken haben.",
+    "Die Bewegungssensoren meldeten {0} Werte in der Sekunde; {1} sind nötig.",
+  "Parts of it are dark. The map may have gaps there.":
+    "Teile der Aufnahme sind dunkel. Dort kann die Karte Lücken haben.",
   Recorded: "Aufgenommen",
   Length: "Länge",
   Sensors: "Sensoren",
   none: "keine",
   "Darkest light": "Dunkelstes Licht",
-  "Unknown: estimated while mapping": "Unbekannt: wird beim Kartieren ermittelt",
+  "Unknown: estimated while mapping": "Unbekannt: wird beim Erstellen der Karte geschätzt",
   Send: "Senden",
   "Record again": "Noch einmal aufnehmen",
   "Save as a file": "Als Datei speichern",
@@ -487,27 +491,27 @@ export const GERMAN = {
   "The server cannot be reached.": "Der Server ist nicht erreichbar.",
   "Nothing is lost: sending continues by itself when it can.":
     "Nichts ist verloren: Das Senden geht von selbst weiter.",
-  "The page continues by itself when it can.": "Die Seite macht von selbst weiter, sobald sie kann.",
+  "The page continues by itself when it can.": "Sobald es möglich ist, geht es von selbst weiter.",
   "Not started yet.": "Noch nicht begonnen.",
-  "The server makes the map": "Der Server macht die Karte",
+  "The server makes the map": "Der Server erstellt die Karte",
   "Sent. It is no longer needed on this phone.": "Gesendet. Auf diesem Telefon wird sie nicht mehr gebraucht.",
-  "Waiting for a worker": "Wartet auf einen Arbeiter",
+  "Waiting for a worker": "Wartet auf einen freien Worker",
   Received: "Empfangen",
   "Reading the recording": "Aufnahme lesen",
   "Choosing keyframes": "Schlüsselbilder wählen",
-  "Finding features": "Merkmale finden",
-  "Finding where each frame was taken": "Finden, wo jedes Bild aufgenommen wurde",
-  "Linking observations": "Beobachtungen verbinden",
+  "Finding features": "Merkmale suchen",
+  "Finding where each frame was taken": "Aufnahmeort jedes Bildes bestimmen",
+  "Linking observations": "Beobachtungen verknüpfen",
   "Fitting densities": "Dichten anpassen",
   "Testing the map": "Karte prüfen",
   Published: "Fertig",
   "The map is ready": "Die Karte ist fertig",
-  "The map is made, but do not rely on it": "Die Karte ist gemacht, aber auf sie ist kein Verlass",
+  "The map is made, but do not rely on it": "Die Karte ist fertig, aber auf sie ist kein Verlass",
   "See the map": "Karte ansehen",
   "Walk again": "Noch einmal gehen",
   "Record another": "Weitere aufnehmen",
   "The job was cancelled": "Der Auftrag wurde abgebrochen",
-  "Mapping failed": "Das Kartieren misslang",
+  "Mapping failed": "Die Karte konnte nicht erstellt werden",
   "The server keeps the recording.": "Der Server behält die Aufnahme.",
   "All jobs": "Alle Aufträge",
   "It could not be sent": "Sie konnte nicht gesendet werden",
@@ -515,8 +519,8 @@ export const GERMAN = {
   "Change it": "Ändern",
 
   // A map made right
-  "Make it right": "Richtigstellen",
-  "Make {0} right": "{0} richtigstellen",
+  "Make it right": "Berichtigen",
+  "Make {0} right": "{0} berichtigen",
   "From the south": "Von Süden",
   "From the east": "Von Osten",
   Origin: "Ursprung",
@@ -540,10 +544,10 @@ export const GERMAN = {
   "Open a plan, then click a point of the map and the same point of the plan, twice.":
     "Einen Grundriss öffnen, dann einen Punkt der Karte und denselben Punkt des Grundrisses anklicken, zweimal.",
   "Crop or delete a region": "Zuschneiden oder Bereich löschen",
-  "Drag a rectangle, or click corner after corner.": "Ein Rechteck aufziehen, oder Ecke für Ecke anklicken.",
+  "Drag a rectangle, or click corner after corner.": "Ein Rechteck aufziehen oder Ecke für Ecke anklicken.",
   "delete what is inside": "löschen, was darin liegt",
   "keep only what is inside": "nur behalten, was darin liegt",
-  Do: "Was geschieht",
+  Do: "Aktion",
   "Only above z =": "Nur oberhalb von z =",
   "Only below z =": "Nur unterhalb von z =",
   "Delete a piece of the walk": "Ein Stück des Rundgangs löschen",
@@ -552,7 +556,7 @@ export const GERMAN = {
   "Click the point, and type its name.": "Den Punkt anklicken und seinen Namen eintippen.",
   "Name an area": "Einen Bereich benennen",
   "Drag a rectangle, or click corner after corner, and type its name.":
-    "Ein Rechteck aufziehen, oder Ecke für Ecke anklicken, und den Namen eintippen.",
+    "Ein Rechteck aufziehen oder Ecke für Ecke anklicken und den Namen eintippen.",
   origin: "Ursprung",
   north: "Norden",
   "axis along a wall": "Achse an einer Wand",
@@ -564,7 +568,7 @@ export const GERMAN = {
   names: "Namen",
   "The map {0}, to draw on. Arrow keys move, plus and minus zoom, Home shows all of it.":
     "Die Karte {0} zum Zeichnen. Pfeiltasten verschieben, Plus und Minus vergrößern und verkleinern, Pos1 zeigt alles.",
-  "What is to be corrected?": "Was soll richtiggestellt werden?",
+  "What is to be corrected?": "Was soll berichtigt werden?",
   Apply: "Anwenden",
   Clear: "Verwerfen",
   "{0} on the map": "{0} auf der Karte",
@@ -577,23 +581,23 @@ export const GERMAN = {
   "Corners: x y, x y, …": "Ecken: x y, x y, …",
   "First picture": "Erstes Bild",
   "Last picture": "Letztes Bild",
-  "Done. The version before can be restored.": "Erledigt. Die vorige Fassung lässt sich wiederherstellen.",
+  "Done. The version before can be restored.": "Erledigt. Die vorige Version lässt sich wiederherstellen.",
   Names: "Namen",
   point: "Punkt",
   area: "Bereich",
   "Restored. The version before can be restored in turn.":
-    "Wiederhergestellt. Die Fassung davor lässt sich ebenso wiederherstellen.",
-  Versions: "Fassungen",
-  "Now: version {0}": "Jetzt: Fassung {0}",
-  "No earlier version is kept.": "Keine frühere Fassung ist aufgehoben.",
-  "Version {0}, of {1}": "Fassung {0}, vom {1}",
-  "What was corrected": "Was richtiggestellt wurde",
-  "Version {0}: {1}, {2}": "Fassung {0}: {1}, {2}",
+    "Wiederhergestellt. Die Version davor lässt sich ebenso wiederherstellen.",
+  Versions: "Versionen",
+  "Now: version {0}": "Jetzt: Version {0}",
+  "No earlier version is kept.": "Es gibt keine frühere Version.",
+  "Version {0}, of {1}": "Version {0}, vom {1}",
+  "What was corrected": "Was berichtigt wurde",
+  "Version {0}: {1}, {2}": "Version {0}: {1}, {2}",
   ", off by {0}": ", um {0} daneben",
   "{0} is neither a picture nor GeoJSON.": "{0} ist weder ein Bild noch GeoJSON.",
   "The file is not JSON.": "Die Datei ist kein JSON.",
   "The GeoJSON has no lines or areas.": "Das GeoJSON enthält keine Linien oder Flächen.",
-  "GeoJSON has degrees: longitude and latitude.": "GeoJSON hat Grad: Länge und Breite.",
+  "GeoJSON has degrees: longitude and latitude.": "GeoJSON enthält Grad: Länge und Breite.",
   "Picture or GeoJSON": "Bild oder GeoJSON",
   "It stays on this device.": "Es bleibt auf diesem Gerät.",
   "Width of the plan, m": "Breite des Grundrisses, m",
@@ -611,9 +615,9 @@ export const GERMAN = {
   "{0} s ago": "vor {0} s",
   "{0} a second": "{0} pro Sekunde",
   "No request failed here in the last day, as far as this server knows.":
-    "Im letzten Tag schlug hier keine Anfrage fehl, soweit dieser Server weiß.",
+    "In den letzten 24 Stunden schlug hier keine Anfrage fehl, soweit dieser Server weiß.",
   "In the last day {0} requests found no pose and {1} an unsure one: where the drawing glows.":
-    "Im letzten Tag fanden {0} Anfragen keine Pose und {1} eine unsichere: wo die Zeichnung leuchtet.",
+    "In den letzten 24 Stunden fanden {0} Anfragen keine Pose und {1} eine unsichere: dort, wo die Zeichnung leuchtet.",
 
   // Links with a key
   Share: "Teilen",
@@ -630,11 +634,11 @@ export const GERMAN = {
   "This server asks for no key: the link is good for ever.":
     "Dieser Server verlangt keinen Schlüssel: Der Link gilt unbegrenzt.",
   "This address leads others nowhere: the server listens on this machine alone.":
-    "Diese Adresse führt andere nirgendwohin: Der Server hört nur auf diesem Rechner.",
+    "Unter dieser Adresse erreicht ihn sonst niemand: Der Server ist nur auf diesem Rechner erreichbar.",
   "QR code of the link": "QR-Code des Links",
   "Go on with a phone": "Mit einem Telefon weitermachen",
   "A walk is recorded with a phone: this computer's camera does not walk.":
-    "Ein Rundgang wird mit einem Telefon aufgenommen: Die Kamera dieses Rechners geht nicht herum.",
+    "Ein Rundgang wird mit einem Telefon aufgenommen: Mit diesem Rechner geht niemand herum.",
   "Show a QR code": "QR-Code zeigen",
   "Point the phone's camera at it.": "Die Kamera des Telefons darauf richten.",
   "Point the phone's camera at it. The key in it is good for two hours.":
@@ -645,7 +649,7 @@ export const GERMAN = {
   // While walking
   "{0} of {1} directions seen, {2} different views, {3} loops closed":
     "{0} von {1} Richtungen gesehen, {2} verschiedene Ansichten, {3} Schleifen geschlossen",
-  "You have been here: hold on for two seconds.": "Hier warst du schon: zwei Sekunden innehalten.",
+  "You have been here: hold on for two seconds.": "Hier waren Sie schon: zwei Sekunden stehen bleiben.",
   "No loop was seen: the walk did not come back to where it had been, or not long enough. The map will not know its own errors.":
     "Keine Schleife gesehen: Der Rundgang kam nicht dorthin zurück, wo er schon war, oder nicht lange genug. Die Karte kennt dann ihre eigenen Fehler nicht.",
 };
