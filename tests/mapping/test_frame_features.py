@@ -9,7 +9,7 @@ import numpy as np
 from rholoc.features import get_extractor
 from rholoc.mapping.frame_features import FrameFeatures
 from rholoc.recordings import look_at
-from rholoc.trajectory.visual.keyframe_features import extract_keyframe_features
+from rholoc.trajectory.visual.keyframe_features import KeyframeFeatures
 
 IMAGES = np.random.default_rng(0).integers(0, 255, (6, 120, 160, 3), np.uint8)
 EXTRACTOR = get_extractor("gray")
@@ -34,7 +34,8 @@ class Frames:
 def test_shown_frames_are_not_decoded_again() -> None:
     frames = Frames()
     features = FrameFeatures(frames, EXTRACTOR)
-    extract_keyframe_features(frames, np.array([0, 2, 3]), show=features.show)
+    with KeyframeFeatures(frames, show=features.show) as keyframes:
+        keyframes.of(np.array([0, 2, 3]))
     assert frames.decoded == [0, 2, 3]
     found = list(features.of([0, 1, 3, 5]))
     assert frames.decoded == [0, 2, 3, 1, 5]
@@ -49,9 +50,3 @@ def test_without_a_step_before_all_are_decoded_once() -> None:
     frames = Frames()
     assert len(list(FrameFeatures(frames, EXTRACTOR).of([1, 4]))) == 2
     assert frames.decoded == [1, 4]
-
-
-def test_progress_is_the_share_of_keyframes_done() -> None:
-    heard: list[float] = []
-    extract_keyframe_features(Frames(), np.array([0, 2, 3, 5]), lambda _, share, __="": heard.append(share))
-    assert heard == [0.25, 0.5, 0.75, 1.0]

@@ -134,15 +134,13 @@ class SyntheticWalk:
         whole = Recording("walk", Path("walk"), frames, self.camera, self.imu, self.waypoints)
         return replace(whole, **changes)  # type: ignore[arg-type]
 
-    def track_corners(self, frames: Frames, progress: ProgressListener = silent) -> Flow:
+    def track_corners(self, frames: Frames, progress: ProgressListener = silent, show: object = None) -> Flow:
         """Stands in for :func:`rholoc.trajectory.visual.flow.track_corners`."""
         return self.flow
 
-    def extract_keyframe_features(
-        self, frames: Frames, rows: IntArray, progress: ProgressListener = silent, show: object = None
-    ) -> list[FeatureSet]:
-        """Stands in for the function of :mod:`rholoc.trajectory.visual.keyframe_features`."""
-        return [self.features[row] for row in rows.tolist()]
+    def keyframe_features(self, *_: object) -> SyntheticFeatures:
+        """Stands in for the class of :mod:`rholoc.trajectory.visual.keyframe_features`."""
+        return SyntheticFeatures(self.features)
 
     def _twice(self, count: int) -> int:
         """As many points, and as many again for the other room."""
@@ -160,6 +158,26 @@ class SyntheticWalk:
             here |= np.isinf(self.other_room_from_s)
             seen[n] = (inside[:, 2] > 0.2) & self.camera.contains(pixels[n]) & here & (not dark)
         return pixels, seen
+
+
+@dataclass(frozen=True, eq=False)
+class SyntheticFeatures:
+    """The features of all frames of a walk."""
+
+    every: list[FeatureSet]
+
+    def __enter__(self) -> SyntheticFeatures:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        pass
+
+    def foresee(self, row: int, image: object, motion: float, sharpness: float) -> None:
+        """Nothing is extracted."""
+
+    def of(self, rows: IntArray, progress: ProgressListener = silent) -> list[FeatureSet]:
+        """Of some."""
+        return [self.every[row] for row in rows.tolist()]
 
 
 def _points(count: int, seed: int) -> FloatArray:

@@ -44,7 +44,7 @@ def _estimated(
 
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(estimate, "track_corners", walk.track_corners)
-        patched.setattr(estimate, "extract_keyframe_features", walk.extract_keyframe_features)
+        patched.setattr(estimate, "KeyframeFeatures", walk.keyframe_features)
         patched.setattr(estimate, "run_in_child", call)
         return estimate.estimate_trajectory(recording, method)
 

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from rholoc.errors import InvalidCamera, InvalidRecording, InvalidWaypoints, MappingFailed, RholocError
+from rholoc.features import FeatureSet
 from rholoc.geometry import Camera, FloatArray, IntArray
 from rholoc.progress import ProgressListener, Stage, silent
 from rholoc.recordings import Imu, Recording, Waypoint, check_waypoints_fix_frame
@@ -22,7 +23,7 @@ from rholoc.trajectory.inertial_adjustment import adjust_between_waypoints
 from rholoc.trajectory.reconstruction import Reconstruction, Sights, reconstruct
 from rholoc.trajectory.trajectory import PoseMethod, Scale, Trajectory
 from rholoc.trajectory.visual.flow import Flow, track_corners
-from rholoc.trajectory.visual.keyframe_features import FrameListener, extract_keyframe_features
+from rholoc.trajectory.visual.keyframe_features import ImageListener, KeyframeFeatures
 from rholoc.trajectory.visual.keyframes import choose_keyframes
 from rholoc.trajectory.visual.rolling_shutter import RollingShutter, measure_rolling_shutter
 from rholoc.trajectory.visual.self_calibration import calibration_report
@@ -46,7 +47,7 @@ def estimate_trajectory(
     recording: Recording,
     method: PoseMethod,
     progress: ProgressListener = silent,
-    show: FrameListener | None = None,
+    show: ImageListener | None = None,
 ) -> Trajectory:
     """The poses of a recording's frames, metric and upright where something measured makes them so.
 
@@ -126,12 +127,13 @@ def _inertial(recording: Recording, progress: ProgressListener) -> Trajectory:
 
 
 def _visual(
-    recording: Recording, method: PoseMethod, progress: ProgressListener, show: FrameListener | None
+    recording: Recording, method: PoseMethod, progress: ProgressListener, show: ImageListener | None
 ) -> Trajectory:
     imu = recording.imu if method is PoseMethod.VISUAL_INERTIAL else None
-    flow = track_corners(recording.frames, progress)
-    rows, choices = _keyframes(recording, imu, flow)
-    sights = _look(recording, flow, rows, progress, show)
+    with KeyframeFeatures(recording.frames, _rows_at(recording.frames.times, recording.waypoints), show) as features:
+        flow = track_corners(recording.frames, progress, features.foresee)
+        rows, choices = _keyframes(recording, imu, flow)
+        sights = _sights(recording, flow, rows, features.of(rows, progress))
     found = run_in_child(
         reconstruct, sights, imu, choices if recording.waypoints else [], progress=progress, stage=Stage.POSES
     )
@@ -162,11 +164,8 @@ def _visual(
     )
 
 
-def _look(
-    recording: Recording, flow: Flow, rows: IntArray, progress: ProgressListener, show: FrameListener | None
-) -> Sights:
-    """The keyframes' features, corrected for the rolling shutter where its read-out is known."""
-    features = extract_keyframe_features(recording.frames, rows, progress, show)
+def _sights(recording: Recording, flow: Flow, rows: IntArray, features: list[FeatureSet]) -> Sights:
+    """What the keyframes see, corrected for the rolling shutter where its read-out is known."""
     shutter: RollingShutter | None = None
     if recording.readout_s is not None:
         shutter = measure_rolling_shutter(flow, rows, recording.readout_s)
@@ -182,13 +181,17 @@ def _keyframes(recording: Recording, imu: Imu | None, flow: Flow) -> tuple[IntAr
     choices = [recording.waypoints]
     if not times_are_known(recording.waypoints):
         choices = list(choices_of_pauses(recording.waypoints, find_pauses(flow.times, flow.motion, imu)))
-    stops = {waypoint.time for waypoints in choices for waypoint in waypoints}
-    near_stops = [int(np.abs(flow.times - stop).argmin()) for stop in stops]
+    stops = set().union(*(_rows_at(flow.times, waypoints) for waypoints in choices))
     rows = choose_keyframes(flow.times, flow.motion, flow.sharpness)
-    rows = np.union1d(rows, np.array(near_stops, dtype=np.int64))
+    rows = np.union1d(rows, np.array(sorted(stops), dtype=np.int64))
     if len(rows) < _FEWEST_KEYFRAMES:
         raise MappingFailed("The camera hardly moves in this recording.", _MOVE)
     return rows, choices
+
+
+def _rows_at(times: FloatArray, waypoints: Sequence[Waypoint]) -> set[int]:
+    """The frames (times (N,)) that are nearest to waypoints, of those whose time is known."""
+    return {int(np.abs(times - at.time).argmin()) for at in waypoints if not np.isnan(at.time)}
 
 
 def _known_camera(recording: Recording) -> Camera:

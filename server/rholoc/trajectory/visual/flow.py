@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 
@@ -70,8 +70,12 @@ class Flow:
         return shared, pixels_a[in_a], pixels_b[in_b]
 
 
-def track_corners(frames: FrameSource, progress: ProgressListener = silent) -> Flow:
-    """Follow corners through all frames, each of which is decoded once.
+FrameListener = Callable[[int, ByteArray, float, float], None]
+"""Is shown a frame: its row, its image (H, W, 3) BGR, its motion and its sharpness."""
+
+
+def track_corners(frames: FrameSource, progress: ProgressListener = silent, show: FrameListener | None = None) -> Flow:
+    """Follow corners through all frames, each of which is decoded once, and shown to ``show``.
 
     Raises:
         InvalidRecording: a frame cannot be decoded.
@@ -82,7 +86,7 @@ def track_corners(frames: FrameSource, progress: ProgressListener = silent) -> F
     pixels: list[FloatArray] = []
     corners, numbers, next_number = np.zeros((0, 2), np.float32), np.zeros(0, np.int64), 0
     before: ByteArray | None = None
-    for row, (image, factor, sharpness[row]) in enumerate(_looked_at(frames)):
+    for row, (whole, image, factor, sharpness[row]) in enumerate(_looked_at(frames)):
         brightness[row] = float(image.mean())
         contrast[row] = float(_reduced(image, _CONTRAST_SIDE_PX).std())
         if before is not None:
@@ -96,6 +100,8 @@ def track_corners(frames: FrameSource, progress: ProgressListener = silent) -> F
         tracks.append(numbers)
         pixels.append((corners.astype(np.float64) + 0.5) * factor - 0.5)
         before = image
+        if show is not None:
+            show(row, whole, float(motion[row]), float(sharpness[row]))
         progress(Stage.KEYFRAMES, (row + 1) / count, f"{row + 1} of {count} frames looked at")
     starts = np.concatenate([[0], np.cumsum([len(some) for some in tracks])])
     return Flow(
@@ -111,13 +117,16 @@ def track_corners(frames: FrameSource, progress: ProgressListener = silent) -> F
     )
 
 
-def _looked_at(frames: FrameSource) -> Iterator[tuple[ByteArray, FloatArray, float]]:
-    """Every frame in grey and reduced, the factors (2,) from its pixels to the full image's, and its sharpness.
+_Seen = tuple[ByteArray, ByteArray, FloatArray, float]
+
+
+def _looked_at(frames: FrameSource) -> Iterator[_Seen]:
+    """Every frame, in grey and reduced, the factors (2,) from those pixels to the full image's, and its sharpness.
 
     A thread prepares the next frames while this one's corners are followed.
     """
     with ThreadPoolExecutor(1) as pool:
-        waiting: list[Future[tuple[ByteArray, FloatArray, float]]] = []
+        waiting: list[Future[_Seen]] = []
         for image in frames.images(range(len(frames.times))):
             waiting.append(pool.submit(_look, image))
             if len(waiting) > _IN_FLIGHT:
@@ -126,12 +135,12 @@ def _looked_at(frames: FrameSource) -> Iterator[tuple[ByteArray, FloatArray, flo
             yield future.result()
 
 
-def _look(image: ByteArray) -> tuple[ByteArray, FloatArray, float]:
+def _look(image: ByteArray) -> _Seen:
     gray = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) if image.ndim == 3 else image, dtype=np.uint8)
     small = _reduced(gray, _LONGER_SIDE_PX)
     factor = np.array([gray.shape[1] / small.shape[1], gray.shape[0] / small.shape[0]])
     sharpness = float(cv2.Laplacian(_reduced(gray, _SHARPNESS_SIDE_PX), cv2.CV_32F).var())
-    return small, factor, sharpness
+    return image, small, factor, sharpness
 
 
 def _reduced(gray: ByteArray, longer_side_px: int) -> ByteArray:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections import deque
+from collections.abc import Callable, Container
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
+from typing import Self
 
 import cv2
 import numpy as np
@@ -14,44 +16,89 @@ from rholoc.features.extractors._sift import SiftExtractor
 from rholoc.geometry import ByteArray, IntArray
 from rholoc.progress import ProgressListener, Stage, silent
 from rholoc.recordings import FrameSource
+from rholoc.trajectory.visual.keyframes import KeyframeSteps
 
 _LONGER_SIDE_PX = 960  # larger images are reduced to this: more pixels cost time and place no frame more
 _THREADS = 2
 _EXTRACTOR = SiftExtractor(features=1000)
 
-FrameListener = Callable[[int, ByteArray], None]
-"""Is shown a frame: its row and its image (H, W, 3) BGR."""
+_MOST_WAITING = 2 * _THREADS  # images in memory at a time
+
+ImageListener = Callable[[int, ByteArray], None]
+"""Is shown an image (H, W, 3) BGR: the row of its frame, and the image."""
 
 
-def extract_keyframe_features(
-    frames: FrameSource, rows: IntArray, progress: ProgressListener = silent, show: FrameListener | None = None
-) -> list[FeatureSet]:
-    """The features of the frames in ``rows`` (K,), increasing; ``show`` is shown each of them too, in a thread."""
-    features: list[FeatureSet] = []
-    with ThreadPoolExecutor(_THREADS) as pool:
-        for found in _in_order(pool, rows.tolist(), frames.images(rows.tolist()), show):
-            features.append(found)
+class KeyframeFeatures:
+    """Features of a recording's keyframes, most of them taken while all frames are decoded for their motion.
+
+    Which frames are keyframes shows as the walk goes on, except that short walks take smaller steps, and that pauses
+    show afterwards. What was not foreseen is decoded when it is asked for. A context: threads extract within it.
+    """
+
+    def __init__(self, frames: FrameSource, certain: Container[int] = (), show: ImageListener | None = None) -> None:
+        """Begin with no frame.
+
+        Args:
+            frames: of the recording.
+            certain: rows of frames that will be keyframes, whatever the motion.
+            show: is shown each frame whose features are extracted, in a thread.
+        """
+        self._frames = frames
+        self._certain = certain
+        self._show = show
+        self._steps = KeyframeSteps()
+        self._sharpest: ByteArray | None = None
+        self._found: dict[int, Future[FeatureSet]] = {}
+        self._waiting: deque[Future[FeatureSet]] = deque()
+        self._pool = ThreadPoolExecutor(_THREADS)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._pool.shutdown(cancel_futures=True)
+
+    def foresee(self, row: int, image: ByteArray, motion: float, sharpness: float) -> None:
+        """Take the next frame of the walk, and extract the features of the keyframe of a step that has ended."""
+        ended = self._steps.add(row, float(self._frames.times[row]), motion, sharpness)
+        if ended is not None and self._sharpest is not None:
+            self._extract(ended, self._sharpest)
+        if self._steps.sharpest == row:
+            self._sharpest = image
+        if row in self._certain:
+            self._extract(row, image)
+
+    def of(self, rows: IntArray, progress: ProgressListener = silent) -> list[FeatureSet]:
+        """The features of the keyframes ``rows`` (K,), which increase.
+
+        Raises:
+            InvalidRecording: a frame cannot be decoded.
+        """
+        last = self._steps.end()
+        if last is not None and self._sharpest is not None:
+            self._extract(last, self._sharpest)
+        missing = [row for row in rows.tolist() if row not in self._found]
+        for row, image in zip(missing, self._frames.images(missing), strict=True):
+            self._extract(row, image)
+        features = []
+        for row in rows.tolist():
+            features.append(self._found[row].result())
             progress(Stage.FEATURES, len(features) / len(rows), f"{len(features)} of {len(rows)} keyframes")
-    return features
+        return features
 
+    def _extract(self, row: int, image: ByteArray) -> None:
+        """Begin, once few enough others wait."""
+        if row in self._found:
+            return
+        while len(self._waiting) >= _MOST_WAITING:
+            self._waiting.popleft().result()
+        self._found[row] = self._pool.submit(self._extracted, row, image)
+        self._waiting.append(self._found[row])
 
-def _in_order(
-    pool: ThreadPoolExecutor, rows: list[int], images: Iterator[ByteArray], show: FrameListener | None
-) -> Iterator[FeatureSet]:
-    """Extract with a few images in flight, not all of them in memory."""
-    waiting: list[Future[FeatureSet]] = []
-
-    def extract(row: int, image: ByteArray) -> FeatureSet:
-        if show is not None:
-            show(row, image)
+    def _extracted(self, row: int, image: ByteArray) -> FeatureSet:
+        if self._show is not None:
+            self._show(row, image)
         return _extract(image)
-
-    for row, image in zip(rows, images, strict=True):
-        waiting.append(pool.submit(extract, row, image))
-        if len(waiting) > 2 * _THREADS:
-            yield waiting.pop(0).result()
-    for future in waiting:
-        yield future.result()
 
 
 def _extract(image: ByteArray) -> FeatureSet:

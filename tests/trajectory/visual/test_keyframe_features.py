@@ -1,0 +1,79 @@
+"""Features of keyframes are extracted while the walk is looked at: what was foreseen is not decoded again."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+import pytest
+
+from rholoc.geometry import ByteArray, FloatArray
+from rholoc.trajectory.visual.flow import track_corners
+from rholoc.trajectory.visual.keyframe_features import KeyframeFeatures
+from rholoc.trajectory.visual.keyframes import choose_keyframes
+
+WALL = np.random.default_rng(0).integers(0, 255, (60, 900, 3), np.uint8).repeat(2, 0).repeat(2, 1)
+
+
+class Walk:
+    """Frames that slide along a wall of noise, four pixels a frame; what is decoded is counted."""
+
+    size = (160, 120)
+
+    def __init__(self, count: int, step_px: int = 4) -> None:
+        self.times: FloatArray = np.arange(count) / 30
+        self.numbers = np.arange(count)
+        self.decoded: list[int] = []
+        self._step_px = step_px
+
+    def images(self, rows: Sequence[int]) -> Iterator[ByteArray]:
+        for row in rows:
+            self.decoded.append(row)
+            yield np.ascontiguousarray(WALL[:, self._step_px * row : self._step_px * row + 160])
+
+
+def _foreseen(walk: Walk, certain: Sequence[int] = ()) -> tuple[list[int], list[int]]:
+    """Which keyframes there are, and what was decoded for their features once all had been looked at."""
+    heard: list[float] = []
+    shown: set[int] = set()
+    with KeyframeFeatures(walk, certain, lambda row, _: shown.add(row)) as features:
+        flow = track_corners(walk, show=features.foresee)
+        assert walk.decoded == list(range(len(walk.times)))
+        rows = np.union1d(choose_keyframes(flow.times, flow.motion, flow.sharpness), np.array(certain, np.int64))
+        found = features.of(rows, lambda _, share, __="": heard.append(share))
+    assert heard == pytest.approx(np.arange(1, len(rows) + 1) / len(rows))
+    assert shown >= set(rows.tolist())
+    with KeyframeFeatures(walk) as anew:
+        for one, other in zip(found, anew.of(rows), strict=True):
+            np.testing.assert_array_equal(one.descriptors, other.descriptors)
+            np.testing.assert_array_equal(one.pixels, other.pixels)
+    return rows.tolist(), walk.decoded[len(walk.times) : -len(rows)]
+
+
+def test_of_a_walk_of_some_length_every_frame_is_decoded_once() -> None:
+    rows, again = _foreseen(Walk(400))
+    assert len(rows) >= 60
+    assert again == []
+
+
+def test_a_certain_keyframe_is_extracted_whatever_the_motion() -> None:
+    rows, again = _foreseen(Walk(400), [0, 7, 133, 399])
+    assert {0, 7, 133, 399} <= set(rows)
+    assert again == []
+
+
+def test_a_short_walk_takes_smaller_steps_that_are_decoded_again() -> None:
+    rows, again = _foreseen(Walk(90))
+    assert len(rows) > 20
+    assert set(again) < set(rows)
+    assert again == sorted(again)
+
+
+def test_few_images_wait_at_a_time() -> None:
+    """All frames of a walk that jumps are keyframes: they are not all kept until there is time for them."""
+    walk = Walk(40)
+    with KeyframeFeatures(walk, range(40)) as features:
+        for row, image in enumerate(walk.images(range(40))):
+            features.foresee(row, image, 0.1, 1.0)
+            assert sum(not future.done() for future in features._found.values()) <= 4
+        assert len(features.of(np.arange(40))) == 40
