@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from rholoc.geometry import direction_angles, pose_distances, pose_matrix, rotation_angles
+from rholoc.geometry import UP, angles_between, direction_angles, pose_distances, pose_matrix, rotation_angles
 
 
 @given(angle=st.floats(0, np.pi), seed=st.integers(0, 1000))
@@ -30,6 +30,14 @@ def test_directions_are_compared_each_with_each() -> None:
     axes = np.eye(3)
     np.testing.assert_allclose(direction_angles(axes, axes[:2])[2], [np.pi / 2, np.pi / 2])
     np.testing.assert_allclose(direction_angles(axes[:1], -axes[:1]), [[np.pi]])
+
+
+def test_directions_are_compared_pair_by_pair() -> None:
+    rng = np.random.default_rng(0)
+    a, b = (some / np.linalg.norm(some, axis=1, keepdims=True) for some in rng.normal(size=(2, 20, 3)))
+    np.testing.assert_allclose(angles_between(a, b), np.diag(direction_angles(a, b)))
+    assert angles_between(a[0], UP) == pytest.approx(np.arccos(a[0, 2]))
+    assert angles_between(UP * (1 + 1e-9), UP) == 0
 
 
 def test_poses_are_metres_and_radians_apart() -> None:

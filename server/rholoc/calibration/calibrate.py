@@ -12,10 +12,11 @@ import numpy as np
 from rholoc.calibration.boards import Board, BoardKind, Sighting
 from rholoc.calibration.views import BoardViews, find_views
 from rholoc.errors import InvalidCamera, InvalidRecording
-from rholoc.geometry import BoolArray, Camera, FloatArray
+from rholoc.geometry import BoolArray, Camera, FloatArray, angles_between
 from rholoc.recordings import FrameSource
 
 _MIN_VIEWS = 8
+_OPTICAL_AXIS = np.array([0.0, 0.0, 1.0])
 _MAX_RMS_PX = 2.0  # at a width of 1000 px: beyond, the board is another one, bent, or smeared
 _MAX_FOCAL_SIGMA = 0.01  # relative
 _LEAST_TILT_DEG = 6.0
@@ -70,8 +71,9 @@ class Calibration:
     @property
     def tilt_deg(self) -> float:
         """How far the board was turned out of the image plane, the root mean square of the views."""
-        away = np.array([view.T_camera_board[2, 2] for view in self.views])
-        return float(np.degrees(np.sqrt(np.mean(np.arccos(np.clip(np.abs(away), 0, 1)) ** 2))))
+        normals = np.array([view.T_camera_board[:3, 2] for view in self.views])
+        turned = angles_between(normals * np.sign(normals[:, 2:]), _OPTICAL_AXIS)
+        return float(np.degrees(np.sqrt(np.mean(turned**2))))
 
     @property
     def covered(self) -> BoolArray:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rholoc.geometry import BoolArray, FloatArray, IntArray
+from rholoc.geometry import BoolArray, FloatArray, IntArray, angles_between
 
 _EXTRA_ANGLE_RAD = np.deg2rad(35.0)
 _DISTANCE_RATIO = 2.0
@@ -47,7 +47,7 @@ class Presence:
         unit = away / np.maximum(distance, 1e-9)[:, None]
         total = group_sums(features, unit, count)
         mean = total / np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-9)
-        angle = np.arccos(np.clip(np.einsum("ni,ni->n", unit, mean[features]), -1, 1))
+        angle = angles_between(unit, mean[features])
         spread, farthest, nearest = np.zeros(count), np.zeros(count), np.full(count, np.inf)
         np.maximum.at(spread, features, angle)
         np.maximum.at(farthest, features, distance)

@@ -8,13 +8,14 @@ from rholoc.geometry.alignment import (
     posed_alignment,
     umeyama,
 )
-from rholoc.geometry.angles import direction_angles, pose_distances, rotation_angles
+from rholoc.geometry.angles import angles_between, direction_angles, pose_distances, rotation_angles
 from rholoc.geometry.arrays import BoolArray, ByteArray, FloatArray, IntArray
 from rholoc.geometry.camera import Camera
 from rholoc.geometry.pose import Pose, is_rotation, pose_matrix, poses_from_rows, rotation_from_heading, rows_from_poses
-from rholoc.geometry.vectors import basis_across, cross
+from rholoc.geometry.vectors import UP, basis_across, cross
 
 __all__ = [
+    "UP",
     "BoolArray",
     "ByteArray",
     "Camera",
@@ -24,6 +25,7 @@ __all__ = [
     "Similarity",
     "align_poses",
     "aligning_rotation",
+    "angles_between",
     "basis_across",
     "cross",
     "direction_angles",

@@ -15,8 +15,13 @@ def rotation_angles(R_a: FloatArray, R_b: FloatArray) -> FloatArray:
     return np.asarray(np.reshape(angles, relative.shape[:-2]))
 
 
+def angles_between(a: FloatArray, b: FloatArray) -> FloatArray:
+    """The angles (...) in radians between the unit vectors (..., 3) of two arrays, pair by pair."""
+    return np.asarray(np.arccos(np.clip(np.sum(a * b, axis=-1), -1, 1)))
+
+
 def direction_angles(a: FloatArray, b: FloatArray) -> FloatArray:
-    """The angles (N, M) in radians between unit vectors (N, 3) and (M, 3)."""
+    """The angles (N, M) in radians between unit vectors (N, 3) and (M, 3), each with each."""
     return np.asarray(np.arccos(np.clip(a @ b.T, -1, 1)))
 
 

@@ -1,10 +1,13 @@
-"""Vectors of three."""
+"""Vectors of three; ``UP`` is the map's z axis."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from rholoc.geometry.arrays import FloatArray
+
+UP: FloatArray = np.array([0.0, 0.0, 1.0])
+UP.flags.writeable = False
 
 
 def cross(a: FloatArray, b: FloatArray) -> FloatArray:

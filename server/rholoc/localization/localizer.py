@@ -12,7 +12,7 @@ import numpy as np
 from rholoc.density import Evidence
 from rholoc.errors import InvalidDescriptors
 from rholoc.features import Extractor, get_extractor
-from rholoc.geometry import Camera, FloatArray, Pose, pose_distances
+from rholoc.geometry import UP, Camera, FloatArray, Pose, angles_between, pose_distances
 from rholoc.localization.ascent import Optimum, ascend, upright
 from rholoc.localization.confidence import MIN_CONFIDENCE, confidence_of
 from rholoc.localization.diagnosis import TOO_LITTLE_TIME, Cause, Diagnosis, diagnose_picture, wrong_camera
@@ -492,7 +492,7 @@ def _near_prior(T_map_camera: FloatArray, prior: Prior | None) -> bool:
     if prior is None:
         return True
     apart = float(np.linalg.norm(T_map_camera[:3, 3] - prior.pose.position))
-    turned = float(np.arccos(np.clip(T_map_camera[:3, 2] @ prior.pose.heading, -1, 1)))
+    turned = float(angles_between(T_map_camera[:3, 2], prior.pose.heading))
     return apart <= prior.radius_m and turned <= prior.radius_rad
 
 
@@ -500,7 +500,7 @@ def _true_to_gravity(T_map_camera: FloatArray, gravity: FloatArray | None) -> bo
     if gravity is None:
         return True
     down = T_map_camera[:3, :3] @ (gravity / np.linalg.norm(gravity))
-    return bool(np.arccos(np.clip(-down[2], -1, 1)) <= _MAX_GRAVITY_ERROR_RAD)
+    return bool(angles_between(-down, UP) <= _MAX_GRAVITY_ERROR_RAD)
 
 
 def _refusal(reason: Reason, matches: int, watch: _Stopwatch) -> Localization:

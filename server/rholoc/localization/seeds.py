@@ -10,7 +10,7 @@ import numpy as np
 import poselib
 
 from rholoc.density import Evidence
-from rholoc.geometry import FloatArray, IntArray, pose_matrix
+from rholoc.geometry import FloatArray, IntArray, angles_between, pose_matrix
 from rholoc.localization.ascent import gains
 from rholoc.localization.map_index import MapIndex
 from rholoc.localization.matches import Matches
@@ -72,7 +72,7 @@ def view_votes(index: MapIndex, matches: Matches) -> FloatArray:
 def place_of_prior(index: MapIndex, prior: Prior, views_each: int) -> Place | None:
     """The part of the map that is seen from about a prior: by the views that stand and look most like it."""
     apart_m = np.linalg.norm(index.view_positions - prior.pose.position, axis=1)
-    turned = np.arccos(np.clip(index.view_headings @ prior.pose.heading, -1, 1))
+    turned = angles_between(index.view_headings, prior.pose.heading)
     within = (apart_m < prior.radius_m + _BESIDE_M) & (turned < prior.radius_rad + _ASIDE_RAD)
     nearest = np.argsort(apart_m + turned, kind="stable")
     chosen = nearest[within[nearest]][:views_each]

@@ -6,10 +6,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from rholoc.errors import InvalidInput
-from rholoc.geometry import FloatArray, Similarity
+from rholoc.geometry import UP, FloatArray, Similarity, angles_between
 from rholoc.maps import Map
 
-_Z = np.array([0.0, 0.0, 1.0])
 _SHORTEST = 1e-6  # of a direction or a distance, in the map's unit
 _MIN_LEVEL = 0.05  # of a direction, as a share of its length: the sine of the least angle against the vertical
 _SCALES = (1e-4, 1e4)  # what a map may be stretched by at once
@@ -43,11 +42,11 @@ def upward(direction: FloatArray) -> Similarity:
     if length < _SHORTEST:
         raise InvalidInput("The upward direction points nowhere.", "Give a longer one.")
     up = direction / length
-    axis, cosine = np.cross(up, _Z), float(np.clip(up @ _Z, -1, 1))
+    axis = np.cross(up, UP)
     sine = float(np.linalg.norm(axis))
     if sine < 1e-12:
         axis, sine = np.array([1.0, 0.0, 0.0]), 1.0
-    turn = Rotation.from_rotvec(axis / sine * np.arccos(cosine))
+    turn = Rotation.from_rotvec(axis / sine * angles_between(up, UP))
     return Similarity(1.0, turn.as_matrix(), np.zeros(3))
 
 

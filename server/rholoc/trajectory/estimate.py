@@ -9,7 +9,7 @@ import numpy as np
 
 from rholoc.errors import InvalidCamera, InvalidRecording, InvalidWaypoints, MappingFailed, RholocError
 from rholoc.features import FeatureSet
-from rholoc.geometry import Camera, FloatArray, IntArray
+from rholoc.geometry import UP, Camera, FloatArray, IntArray, angles_between
 from rholoc.progress import ProgressListener, Stage, silent
 from rholoc.recordings import Imu, Recording, Waypoint, check_waypoints_fix_frame
 from rholoc.reports import ImuReport, InertialComparison, TrajectoryReport
@@ -96,7 +96,7 @@ def _is_upright(R_map_camera: FloatArray) -> tuple[bool, str]:
     prior = up_without_roll(R_map_camera)
     if not prior.holds:
         return False, f"Unknown; the cameras roll by {prior.roll_deg:.1f}°, so nothing shows whether z is up."
-    tilt_deg = float(np.degrees(np.arccos(np.clip(prior.direction[2], -1, 1))))
+    tilt_deg = float(np.degrees(angles_between(prior.direction, UP)))
     return tilt_deg <= _MAX_GIVEN_TILT_DEG, f"By the no-roll prior, z is {tilt_deg:.1f}° off the upward direction."
 
 

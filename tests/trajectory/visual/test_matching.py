@@ -8,10 +8,9 @@ from scene import CAMERA, arc, cloud, descriptors_of, in_pixels, sift_like
 from scipy.spatial.transform import Rotation
 
 from rholoc.features import FeatureSet
-from rholoc.geometry import FloatArray
+from rholoc.geometry import FloatArray, rotation_angles
 from rholoc.trajectory.visual.loop_candidates import loop_candidates, sequential_pairs
 from rholoc.trajectory.visual.matching import VerifiedPair, match_keyframes, supported_loops
-from rholoc.trajectory.visual.two_view import angle_between
 
 
 def _seen(T_world_camera: FloatArray, points: FloatArray, descriptors: FloatArray) -> list[FeatureSet]:
@@ -39,7 +38,7 @@ def test_neighbours_agree_and_say_how_the_camera_turned(gyroscope: bool) -> None
     assert not loops
     for pair in sequential:
         R = T[pair.second, :3, :3].T @ T[pair.first, :3, :3]
-        assert np.degrees(angle_between(pair.R_second_first, R)) < 0.5
+        assert np.degrees(rotation_angles(pair.R_second_first, R)) < 0.5
         assert len(pair.matches) > 100
         np.testing.assert_array_equal(pair.matches[:, 0], pair.matches[:, 1])
         assert pair.rotation.support == len(pair.matches)

@@ -9,10 +9,9 @@ from scene import CAMERA, arc, cloud, in_pixels
 from scipy.spatial.transform import Rotation
 from synthetic_walk import followed
 
-from rholoc.geometry import FloatArray
+from rholoc.geometry import FloatArray, rotation_angles
 from rholoc.trajectory.visual.matching import VerifiedPair
 from rholoc.trajectory.visual.tracks import Observations, followed_corners, matched_features, pieces_of
-from rholoc.trajectory.visual.two_view import angle_between
 
 
 @st.composite
@@ -80,7 +79,7 @@ def _following(jump_px: float) -> tuple[FloatArray, Observations, list[float], F
     pixels[5:, 7] += [0.0, jump_px]  # an edge behind another: the corner slides on
     flow = followed(np.arange(10.0), (640, 480), pixels, np.ones((10, 80), np.bool_))
     found, rotations = followed_corners(flow, np.arange(10), CAMERA, None, None)
-    off = [angle_between(pair.R_second_first, T[pair.second, :3, :3].T @ T[pair.first, :3, :3]) for pair in rotations]
+    off = [rotation_angles(pair.R_second_first, T[pair.second, :3, :3].T @ T[pair.first, :3, :3]) for pair in rotations]
     return pixels, found, off, np.array([pair.second - pair.first for pair in rotations])
 
 

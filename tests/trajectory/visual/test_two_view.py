@@ -6,9 +6,8 @@ import numpy as np
 from scene import CAMERA, arc, cloud, descriptors_of, on_plane, sift_like
 from scipy.spatial.transform import Rotation
 
-from rholoc.geometry import FloatArray
+from rholoc.geometry import FloatArray, rotation_angles
 from rholoc.trajectory.visual.two_view import (
-    angle_between,
     inliers_of_rotation,
     ratio_matches,
     relative_pose,
@@ -31,7 +30,7 @@ def _matches(points: FloatArray, seed: int = 0) -> tuple[FloatArray, FloatArray,
 def test_a_relative_pose_outvotes_wrong_matches() -> None:
     first, second, R = _matches(cloud(160))
     view = relative_pose(first, second, _TOLERANCE)
-    assert np.degrees(angle_between(view.R_second_first, R)) < 0.5
+    assert np.degrees(rotation_angles(view.R_second_first, R)) < 0.5
     assert view.inliers[:-_WRONG].mean() > 0.97
     assert view.inliers[-_WRONG:].mean() < 0.3
 

@@ -7,9 +7,8 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from scipy.spatial.transform import Rotation
 
-from rholoc.geometry import ByteArray, FloatArray
+from rholoc.geometry import ByteArray, FloatArray, rotation_angles
 from rholoc.recordings.recording import FrameSource, Imu, Recording, Waypoint
 from rholoc.recordings.walk.stillness import pauses
 from rholoc.reports import WalkFigures
@@ -107,8 +106,8 @@ def _turn_of_poses(times: FloatArray, T_map_camera: FloatArray) -> float | None:
     rows = np.flatnonzero(later < len(times))
     if len(rows) == 0:
         return None
-    R = Rotation.from_matrix(T_map_camera[:, :3, :3])
-    turned = (R[rows].inv() * R[later[rows]]).magnitude()
+    R = T_map_camera[:, :3, :3]
+    turned = rotation_angles(R[rows], R[later[rows]])
     return float(np.degrees(np.percentile(turned / (times[later[rows]] - times[rows]), _TURN_PERCENTILE)))
 
 

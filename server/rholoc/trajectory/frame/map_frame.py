@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rholoc.errors import MappingFailed
-from rholoc.geometry import FloatArray, Similarity
+from rholoc.geometry import UP, FloatArray, Similarity, angles_between
 from rholoc.recordings import Waypoint
 from rholoc.trajectory.frame.upright import rotation_to_upright, up_without_roll
 from rholoc.trajectory.frame.waypoint_alignment import UpMeasurement, WaypointAlignment, align_to_waypoints
@@ -145,7 +145,7 @@ def _best_choice(
 
 
 def _tilt_deg(similarity: Similarity, up: UpMeasurement) -> float:
-    return float(np.degrees(np.arccos(np.clip((similarity.rotation @ up.direction)[2], -1, 1))))
+    return float(np.degrees(angles_between(similarity.rotation @ up.direction, UP)))
 
 
 def _scale_contradiction(scale: float, sigma: float | None) -> str:

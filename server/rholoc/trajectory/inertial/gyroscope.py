@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
-from rholoc.geometry import FloatArray, aligning_rotation
+from rholoc.geometry import FloatArray, aligning_rotation, rotation_angles
 from rholoc.recordings import Imu
 
 _NARROW_OFFSETS_S = np.arange(-0.25, 0.2501, 0.01)  # between clocks that are meant to be one …
@@ -88,7 +88,7 @@ def calibrate_gyro(times: FloatArray, R_world_camera: FloatArray, imu: Imu) -> G
     found = _fit(times, R_world_camera, replace(imu, R_camera_imu=None))
     if found is None or found.mounting_sigma_deg > _MAX_MOUNTING_SIGMA_DEG:
         return stated
-    apart_rad = Rotation.from_matrix(found.R_camera_imu.T @ imu.R_camera_imu).magnitude()
+    apart_rad = float(rotation_angles(found.R_camera_imu, imu.R_camera_imu))
     if apart_rad < _OTHER_MOUNTING_RAD or _CLEARLY_BETTER * found.residual_deg > stated.residual_deg:
         return stated
     return replace(found, contradicts_recording=True)

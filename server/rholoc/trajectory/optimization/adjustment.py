@@ -20,7 +20,7 @@ import numpy as np
 from gtsam.symbol_shorthand import B, C, D, E, G, L, S, V, X
 
 from rholoc.errors import MappingFailed
-from rholoc.geometry import BoolArray, Camera, FloatArray, cross, pose_matrix
+from rholoc.geometry import BoolArray, Camera, FloatArray, angles_between, cross, pose_matrix
 from rholoc.recordings import GRAVITY, Imu
 from rholoc.trajectory.inertial.gyroscope import GyroCalibration, longest_interval_s
 from rholoc.trajectory.visual.tracks import Observations
@@ -266,7 +266,7 @@ def triangulate(observations: Observations, state: State) -> tuple[FloatArray, F
     np.add.at(middle, observations.tracks, rays)
     points = np.linalg.solve(information + 1e-9 * np.eye(3), target[..., None])[..., 0]
     middle /= np.maximum(np.linalg.norm(middle, axis=1, keepdims=True), 1e-12)
-    off = np.arccos(np.clip(np.sum(rays * middle[observations.tracks], axis=1), -1, 1))
+    off = angles_between(rays, middle[observations.tracks])
     widest = np.zeros(count)
     np.maximum.at(widest, observations.tracks, off)
     return points, 2 * np.degrees(widest)

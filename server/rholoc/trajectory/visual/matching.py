@@ -11,13 +11,12 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from rholoc.features import FeatureSet
-from rholoc.geometry import FloatArray, IntArray
+from rholoc.geometry import FloatArray, IntArray, rotation_angles
 from rholoc.progress import ProgressListener, Stage, silent
 from rholoc.trajectory.inertial.gyroscope import allowed_apart
 from rholoc.trajectory.visual.loop_candidates import Pair, loop_candidates, sequential_pairs
 from rholoc.trajectory.visual.two_view import (
     PairRotation,
-    angle_between,
     inliers_of_rotation,
     ratio_matches,
     relative_pose,
@@ -130,7 +129,7 @@ def _verify(
     inliers, R = view.inliers, view.R_second_first
     if felt is not None and inliers.any():
         R_felt = (felt[j].inv() * felt[i]).as_matrix()
-        if angle_between(R, R_felt) > allowed_apart(times[j] - times[i]):
+        if rotation_angles(R, R_felt) > allowed_apart(times[j] - times[i]):
             agreeing = inliers_of_rotation(first, second, R_felt, 2 * tolerance)
             if agreeing.sum() < _EXPLAINED * inliers.sum():
                 return None

@@ -10,12 +10,12 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial.transform import Rotation
 
-from rholoc.geometry import BoolArray, Camera, FloatArray, IntArray
+from rholoc.geometry import BoolArray, Camera, FloatArray, IntArray, rotation_angles
 from rholoc.trajectory.inertial.gyroscope import allowed_apart
 from rholoc.trajectory.visual.flow import Flow
 from rholoc.trajectory.visual.matching import VerifiedPair
 from rholoc.trajectory.visual.rolling_shutter import RollingShutter
-from rholoc.trajectory.visual.two_view import PairRotation, angle_between, inliers_of_rotation, relative_pose
+from rholoc.trajectory.visual.two_view import PairRotation, inliers_of_rotation, relative_pose
 
 _TOLERANCE_PX = 2.0
 _FEWEST_SHARED = 12  # corners, for a relative pose
@@ -139,7 +139,7 @@ def _neighbours(
     inliers = view.inliers
     if felt is not None:
         R_felt = (felt[b].inv() * felt[a]).as_matrix()
-        apart = angle_between(view.R_second_first, R_felt)
+        apart = rotation_angles(view.R_second_first, R_felt)
         if apart > _MAX_FELT_APART_RAD and b - a == 1:
             inliers = inliers_of_rotation(first, second, R_felt, tolerance)
         if apart > float(allowed_apart(flow.times[rows[b]] - flow.times[rows[a]])):

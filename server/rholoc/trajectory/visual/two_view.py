@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import poselib
-from scipy.spatial.transform import Rotation
 
 from rholoc.features import FeatureSet
 from rholoc.geometry import BoolArray, FloatArray, IntArray, pose_matrix
@@ -126,11 +125,6 @@ def ratio_matches(a: FloatArray, b: FloatArray) -> IntArray:
     others[np.arange(len(rows)), to_b] = -1
     distinct = 1 - best + _ROUNDING < _RATIO**2 * (1 - others.max(1))
     return np.column_stack([rows[distinct], to_b[distinct]])
-
-
-def angle_between(R_a: FloatArray, R_b: FloatArray) -> float:
-    """The angle between two rotations (3, 3), radians."""
-    return float(Rotation.from_matrix(R_a @ R_b.T).magnitude())
 
 
 def rays_of(plane: FloatArray) -> FloatArray:

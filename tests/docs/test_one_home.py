@@ -1,0 +1,37 @@
+"""What is written once stays in one place: who needs it imports it."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+PACKAGE = Path(__file__).parents[2] / "server" / "rholoc"
+
+
+@pytest.mark.parametrize(
+    ("what", "pattern", "homes"),
+    [
+        ("angles between directions", r"\barccos\(", {"geometry/angles.py"}),
+        ("angles between rotations", r"\.magnitude\(\)|\btrace\(.*- 1", {"geometry/angles.py"}),
+        ("alignments of points", r"align_vectors|def (kabsch|umeyama|align_poses)", {"geometry/alignment.py"}),
+        ("visual words", r"\bKmeans\b", {"features/vlad.py"}),
+        ("a full disk's errors", r"\bENOSPC\b|\bEDQUOT\b", {"disk.py"}),
+        ("VTK's PolyData", r'VTKFile type="PolyData"', {"maps/vtp.py"}),
+        ("VTK's ImageData", r'VTKFile type="ImageData"', {"maps/vti.py"}),
+        (
+            "starting and killing processes",
+            r"\bPopen\(|\bget_context\(|create_subprocess_|\bos\.(kill|killpg|fork)\(|subprocess\.run\(",
+            {"processes/async_program.py", "processes/child.py", "processes/program.py", "processes/tree.py"},
+        ),
+        ("opening videos", r"\bcv2\.VideoCapture\(", {"recordings/frames/video.py"}),
+    ],
+)
+def test_it_has_one_home(what: str, pattern: str, homes: set[str]) -> None:
+    found = {
+        str(file.relative_to(PACKAGE))
+        for file in PACKAGE.rglob("*.py")
+        if any(re.search(pattern, line) for line in file.read_text(encoding="utf-8").splitlines())
+    }
+    assert found == homes, what
