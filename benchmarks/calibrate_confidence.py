@@ -151,10 +151,10 @@ def all_cases(args: argparse.Namespace) -> Iterator[Case]:
 
 def fit(cases: list[Case]) -> FloatArray:
     """The logistic's intercept and weights (5,), by likelihood with a little ridge; what speaks against cannot help."""
-    told = [case for case in cases if case.inputs is not None]
-    X = np.array([[1.0, *case.inputs] for case in told])  # type: ignore[misc]
-    sign = np.where([case.right for case in told], 1.0, -1.0)
-    weight = np.array([case.weight for case in told])
+    usable = [case for case in cases if case.inputs is not None]
+    X = np.array([[1.0, *case.inputs] for case in usable])  # type: ignore[misc]
+    sign = np.where([case.right for case in usable], 1.0, -1.0)
+    weight = np.array([case.weight for case in usable])
     bounds = [(None, None), (0, None), *[(None, 0)] * (X.shape[1] - 2)]
     found = minimize(
         lambda w: (weight * np.logaddexp(0, -sign * (X @ w))).sum() + RIDGE * (w @ w),

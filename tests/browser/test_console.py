@@ -69,9 +69,9 @@ def test_the_page_asks_once_for_a_key_that_is_good(desk_browser, serve, picture_
     keys = KeyStore(locked.settings.data_dir)
     expired, good = keys.create("old", Scope.READ, lifetime_s=0), keys.create("new", Scope.READ)
     with opened(desk_browser, locked.url, failures=-1) as page:
-        for secret, told in ((expired, "requires an API key"), (good, "expired")):
+        for secret, reply in ((expired, "requires an API key"), (good, "expired")):
             dialog = page.get_by_role("dialog", name="API key")
-            expect(dialog).to_contain_text(told)
+            expect(dialog).to_contain_text(reply)
             dialog.get_by_label("Key").fill(secret)
             dialog.get_by_role("button", name="Use this key").click()
         expect(page.get_by_role("link", name="room")).to_be_visible()
@@ -181,7 +181,7 @@ def test_the_camera_is_localized_frame_by_frame(fake_camera, named, picture_worl
     browser.close()
 
 
-def test_a_camera_that_is_refused_is_told(desk_browser, named, opened, settled):
+def test_a_camera_that_is_refused_is_reported(desk_browser, named, opened, settled):
     with opened(desk_browser, named.url, "try/room") as page:
         settled(page).get_by_role("button", name="Use the camera").click()
         expect(page.get_by_role("alert")).to_contain_text(re.compile("camera was (refused|found)|No camera"))
@@ -208,7 +208,7 @@ def test_a_recording_is_uploaded(desk_browser, named, tmp_path, opened, settled)
     assert [5_000_012, ["stairs.mp4"]] in [[one["size_bytes"], one["files"]] for one in listed]
 
 
-def test_a_server_that_is_gone_is_told_and_tried_again(desk_browser, named, opened, settled):
+def test_a_server_that_is_gone_is_reported_and_tried_again(desk_browser, named, opened, settled):
     with opened(desk_browser, named.url, "cameras", failures=-1) as page:
         settled(page)
         page.route("**/v1/**", lambda route: route.abort())

@@ -133,7 +133,7 @@ def test_an_upload_onto_a_map_asks_and_what_it_replaced_is_restored(
     assert httpx.get(f"{running.url}/v1/maps/taken").json()["version"] == 1
 
 
-def test_a_recording_for_a_map_that_exists_learns_or_replaces_only_when_told(
+def test_a_recording_for_a_map_that_exists_learns_or_replaces_only_when_asked(
     desk_browser, running, opened, settled, tmp_path
 ):
     (tmp_path / "room.mp4").write_bytes(b"\0\0\0\x18ftypmp42" + b"\1" * 5000)

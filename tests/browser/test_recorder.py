@@ -120,9 +120,9 @@ def test_a_recording_arrives_whole_through_a_lost_connection_and_a_reload(runnin
     assert digest(came) == digest(tmp_path / "saved.zip")
     assert line.sent - sent < 0.8 * came.stat().st_size  # it went on, and did not begin again
 
-    told = CliRunner().invoke(app, ["recording", "info", str(came), "--json"])
-    assert told.exit_code == 0
-    assert json.loads(told.stdout)["format"] == "rholoc"
+    info = CliRunner().invoke(app, ["recording", "info", str(came), "--json"])
+    assert info.exit_code == 0
+    assert json.loads(info.stdout)["format"] == "rholoc"
     walk = read_recording(came)
     assert [one.name for one in walk.waypoints] == ["W1", "W2", "W3", "E"]
     assert walk.waypoints[2].position == (2.0, 3.5, 1.5)
@@ -240,7 +240,7 @@ def test_refused_sensors_leave_video_alone(running, phone):
     expect(page.get_by_text("No motion sensors: video only")).to_be_visible()
 
 
-def test_a_missing_gyroscope_and_slow_sensors_are_told(running, phone):
+def test_a_missing_gyroscope_and_slow_sensors_are_reported(running, phone):
     page = phone(running.url)
     open_camera(page)
     move(page, alpha=None, beta=None, gamma=None)

@@ -216,8 +216,8 @@ GOOD = {"turnDegS": 10, "light": 0.5, "rollDeg": 3, "imuHz": 60}
     ],
 )
 def test_advice_is_given_where_something_is_wrong(run, changes, code):
-    told = run("coaching", "m.advice(args[0])", {**GOOD, **changes})
-    assert (told and told["code"]) == code
+    advised = run("coaching", "m.advice(args[0])", {**GOOD, **changes})
+    assert (advised and advised["code"]) == code
 
 
 def test_brightness_and_turning_are_measured(run):
@@ -258,13 +258,13 @@ SQUARE = [[0, 0, 1.5], [2, 0, 1.5], [2, 3, 1.5], [0, 3, 1.5]]
         ([*SQUARE, [None, 1, 1]], None),
     ],
 )
-def test_waypoints_that_do_not_fix_a_frame_are_told(run, positions, words):
+def test_waypoints_that_do_not_fix_a_frame_are_reported(run, positions, words):
     points = [{"name": f"W{i}", "time": float(i), "position": p} for i, p in enumerate(positions)]
     problem = run("waypoints", "m.problem(args[0])", points)
     assert problem is None if words is None else words in problem
 
 
-def test_two_waypoints_of_one_name_are_told(run):
+def test_two_waypoints_of_one_name_are_reported(run):
     points = [{"name": "W1", "time": float(i), "position": p} for i, p in enumerate(SQUARE)]
     assert "called W1" in run("waypoints", "m.problem(args[0])", points)
 

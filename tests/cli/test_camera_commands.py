@@ -67,7 +67,7 @@ def test_cameras_are_added_listed_shown_and_removed(run, tmp_path):
         (("calibrate", ".", "--board", "9x6", "--square-mm", "25", "--name", "a/b"), "not a valid camera name"),
     ],
 )
-def test_bad_input_is_told_in_one_line(run, words, said):
+def test_bad_input_is_reported_in_one_line(run, words, said):
     status, out, error = run("camera", *words)
     assert (status, out) == (1, "")
     assert said in error

@@ -75,7 +75,7 @@ def test_a_foreign_file_is_no_map(rholoc: Run, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("command", ["map build walk.mp4", "localize map.rho walk.mp4"])
-def test_an_output_folder_that_is_not_there_is_told_before_the_work(rholoc: Run, command: str, tmp_path: Path) -> None:
+def test_a_missing_output_folder_is_reported_before_the_work(rholoc: Run, command: str, tmp_path: Path) -> None:
     status, _, err = rholoc(*command.split(), "-o", tmp_path / "absent" / "out")
     assert status == 1
     assert "absent" in err

@@ -45,20 +45,20 @@ def test_it_tells_all_of_a_recording(
     picture = tmp_path / "walk.png"
     assert run(monkeypatch, walk, "--json", "-o", picture) == 0
     printed = capsys.readouterr()
-    told = json.loads(printed.out)
-    assert told["format"] == "rholoc"
-    assert told["frames"] | {"start_s": 0.0, "end_s": 1.95} == told["frames"]
-    assert (told["frames"]["count"], told["frames"]["width"], told["frames"]["height"]) == (40, 64, 48)
-    assert told["frames"]["rate_hz"] == pytest.approx(20)
-    assert told["imu"]["rate_hz"] == pytest.approx(100)
-    assert told["imu"]["longest_interval_s"] == pytest.approx(0.5)
-    assert told["imu"]["force_median_m_s2"] == pytest.approx(9.8, abs=0.2)
-    assert told["imu"]["pauses_s"] == []
-    assert [waypoint["name"] for waypoint in told["waypoints"]] == ["A", "B", "C"]
-    assert (told["camera"], told["poses"], told["frame_intrinsics"], told["readout_ms"]) == (None, None, None, None)
-    assert {warning["kind"] for warning in told["warnings"]} == {"acceleration_unit", "imu_gap"}
+    shown = json.loads(printed.out)
+    assert shown["format"] == "rholoc"
+    assert shown["frames"] | {"start_s": 0.0, "end_s": 1.95} == shown["frames"]
+    assert (shown["frames"]["count"], shown["frames"]["width"], shown["frames"]["height"]) == (40, 64, 48)
+    assert shown["frames"]["rate_hz"] == pytest.approx(20)
+    assert shown["imu"]["rate_hz"] == pytest.approx(100)
+    assert shown["imu"]["longest_interval_s"] == pytest.approx(0.5)
+    assert shown["imu"]["force_median_m_s2"] == pytest.approx(9.8, abs=0.2)
+    assert shown["imu"]["pauses_s"] == []
+    assert [waypoint["name"] for waypoint in shown["waypoints"]] == ["A", "B", "C"]
+    assert (shown["camera"], shown["poses"], shown["frame_intrinsics"], shown["readout_ms"]) == (None, None, None, None)
+    assert {warning["kind"] for warning in shown["warnings"]} == {"acceleration_unit", "imu_gap"}
     expected = {"too_fast", "too_dark", "too_little_texture", "pauses_missing"}
-    assert {advice["kind"] for advice in told["advice"]} == expected
+    assert {advice["kind"] for advice in shown["advice"]} == expected
     assert str(picture) in printed.err
     drawn = cv2.imread(str(picture))
     assert drawn is not None

@@ -55,7 +55,7 @@ def test_sigterm_stops_the_server_too(tmp_path: Path) -> None:
     assert signal.getsignal(signal.SIGTERM) is before
 
 
-def test_a_server_that_cannot_start_is_told_with_its_log(tmp_path: Path) -> None:
+def test_a_server_that_cannot_start_is_reported_with_its_log(tmp_path: Path) -> None:
     (tmp_path / "maps").write_text("a file where a folder should be")
     with (
         pytest.raises(RholocError, match="log"),

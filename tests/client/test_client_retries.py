@@ -164,7 +164,7 @@ def test_codes_that_are_not_known_yet_are_service_errors():
 @pytest.mark.parametrize(
     "answer", [httpx.Response(200, text="<html>"), httpx.Response(200, json={}), httpx.Response(200, json=[])]
 )
-def test_what_is_not_the_service_is_told(answer):
+def test_what_is_not_the_service_is_reported(answer):
     with pytest.raises(InvalidAnswer):
         client(Script(answer)).maps()
 

@@ -116,7 +116,7 @@ def test_the_readmes_python_runs_on_the_client() -> None:
         assert name in rholoc_client.Pose.__dataclass_fields__
 
 
-def test_defaults_are_told_as_they_are() -> None:
+def test_defaults_are_documented_as_they_are() -> None:
     text = section(("map", "build"))
     options = BuildOptions()
     for value in (options.features, options.density.value, options.poses.value):

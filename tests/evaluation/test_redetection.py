@@ -85,7 +85,7 @@ def test_every_extractor_is_compared_on_every_scene(tmp_path: Path) -> None:
             assert pair.stereo_precision == pytest.approx(1, abs=0.02)
 
 
-def test_a_folder_without_scenes_or_calibration_is_told(tmp_path: Path) -> None:
+def test_a_folder_without_scenes_or_calibration_is_reported(tmp_path: Path) -> None:
     with pytest.raises(InvalidInput, match="no lighting pairs"):
         compare_lighting_pairs(tmp_path)
     write_scene(tmp_path / "b", stereo=True)

@@ -40,7 +40,7 @@ def run(localizer, still, motion, **options):
     return run_tracker(localizer, still, still.camera, motion, truth=truth, latency_s=0.1, **options)
 
 
-def test_odometry_drifts_by_as_much_as_it_is_told():
+def test_odometry_drifts_by_as_much_as_it_is_reported():
     truth = np.repeat(np.eye(4)[None], 100, axis=0)
     truth[:, 0, 3] = np.arange(100) / 10
     found = drifting_odometry(truth, 0.02, seed=0)

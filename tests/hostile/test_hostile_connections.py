@@ -110,7 +110,7 @@ def test_of_too_many_connections_the_one_that_waits_longest_makes_room(crowded):
         assert idle[-1].recv(5000).startswith(b"HTTP/1.1 200")
 
 
-def test_a_connection_beyond_those_that_are_busy_is_told_so(crowded):
+def test_a_connection_beyond_those_that_are_busy_is_refused_with_a_reason(crowded):
     with ExitStack() as stack:
         busy = [stack.enter_context(socket.create_connection(crowded, timeout=60)) for _ in range(5)]
         for connection in busy:  # a request whose body is on its way is not given up for another

@@ -160,12 +160,12 @@ def test_ordinary_frames_wait_for_no_large_ones(serve, picture_world, monkeypatc
         assert [one.result().json()["code"] for one in held] == ["invalid_image"] * 2
 
 
-def test_large_sets_are_told_by_their_length():
+def test_large_sets_are_recognised_by_their_length():
     assert effort_of_set(json.dumps({"pixels": [[1, 2]] * 2000}).encode()) is Effort.ORDINARY
     assert effort_of_set(json.dumps({"pixels": [[1, 2]] * 5000}).encode()) is Effort.LARGE
 
 
-def test_the_pixels_that_a_decoder_visits_are_told_by_the_header():
+def test_the_pixels_that_a_decoder_visits_are_known_from_the_header():
     assert visited_pixels(encoded("PNG", (640, 480))) == 640 * 480
     assert visited_pixels(with_more_scans(30)) > 5 * visited_pixels(encoded("JPEG"))
     assert visited_pixels(b"") == visited_pixels(b"\xff\xd8\xff") == visited_pixels(encoded("BMP")) == 0

@@ -103,7 +103,7 @@ def test_many_threads_may_submit(site: Site) -> None:
     assert {job.map_name for job in site.queue.list()} == {f"room-{number}" for number in range(8)}
 
 
-def test_a_full_database_is_told(tmp_path: Path) -> None:
+def test_a_full_database_is_reported(tmp_path: Path) -> None:
     engine = sa.create_engine(f"sqlite:///{tmp_path / 'full.sqlite'}")
     with engine.begin() as connection:
         connection.execute(sa.text("CREATE TABLE t (x)"))

@@ -108,7 +108,7 @@ def test_what_is_being_published_cannot_be_cancelled(busy_site: Site) -> None:
     assert busy_site.wait_for(job, JobState.PUBLISHED, JobState.CANCELLED).state is JobState.PUBLISHED
 
 
-def test_doubts_about_a_map_are_told(busy_site: Site) -> None:
+def test_doubts_about_a_map_are_reported(busy_site: Site) -> None:
     job = busy_site.wait_for(busy_site.submit(b"a doubtful walk", "doubtful"), JobState.PUBLISHED, JobState.FAILED)
     assert job.warnings == ("The frame poses are not trusted: Two reconstructions disagree.",)
     assert [line.split(" ", 1)[1] for line in job.log[-2:]] == [f"warning: {job.warnings[0]}", "published"]

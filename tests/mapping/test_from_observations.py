@@ -121,7 +121,7 @@ def test_every_tenth_view_is_held_out_for_the_report(table: ObservationTable, po
     assert map_.info.report.held_out.frames == 2
 
 
-def test_features_are_told_by_their_channels(table: ObservationTable) -> None:
+def test_features_are_recognised_by_their_channels(table: ObservationTable) -> None:
     assert features_of(table) == "gray"
     assert features_of(replace(table, channels=np.where(np.arange(len(table)) % 2, 1, 2).astype(np.uint8))) == "lab"
     with pytest.raises(InvalidInput, match="descriptors of 20 bytes"):

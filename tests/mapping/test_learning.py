@@ -212,7 +212,7 @@ def test_a_camera_at_rest_adds_nothing_new_and_fails_nothing(walks: Walks, monke
     assert len(updated) == len(walks.map_)
 
 
-def test_a_trajectory_of_wrong_scale_is_refused_and_told_by_how_much(walks: Walks) -> None:
+def test_a_trajectory_of_wrong_scale_is_refused_saying_by_how_much(walks: Walks) -> None:
     stretched = with_poses(walks.recording, walks.poses, Similarity(1.5, np.eye(3), np.zeros(3)))
     with pytest.raises(MappingFailed, match=r"disagree: \d+ cm .* units of length differ by 3\d%"):
         update_map(walks.map_, stretched)

@@ -39,7 +39,7 @@ def test_a_section_holds_what_was_measured_and_advised(dark: Path) -> None:
     assert advice_line([replace(section, advice=())]) == ""
 
 
-def test_a_walk_that_gives_no_map_is_told_what_it_lacked(dark: Path) -> None:
+def test_a_walk_that_gives_no_map_says_what_it_lacked(dark: Path) -> None:
     rows = [f"{900 + t / 100},0,9.81,0,0,0,0" for t in range(50)]
     (dark / "imu.csv").write_text("\n".join(["timestamp,ax,ay,az,gx,gy,gz", *rows]))
     with pytest.raises(MappingFailed) as caught:

@@ -49,7 +49,7 @@ def test_what_is_no_name_is_refused(cameras: CameraLibrary, name: str) -> None:
             act(name)
 
 
-def test_an_unknown_camera_is_told_with_those_there_are(cameras: CameraLibrary) -> None:
+def test_an_unknown_camera_is_reported_with_those_there_are(cameras: CameraLibrary) -> None:
     with pytest.raises(UnknownCamera, match=r"no camera pixel-7.*none yet"):
         cameras.get("pixel-7")
     cameras.put("axis", CameraProfile(_CAMERA))
@@ -59,7 +59,7 @@ def test_an_unknown_camera_is_told_with_those_there_are(cameras: CameraLibrary) 
 
 
 @pytest.mark.parametrize("text", ["", "[]", "{}", '{"width": 640}', "\x00", '{"width": "a"}', "[" * 100_000])
-def test_a_broken_file_is_told(cameras: CameraLibrary, text: str) -> None:
+def test_a_broken_file_is_reported(cameras: CameraLibrary, text: str) -> None:
     cameras.put("axis", CameraProfile(_CAMERA))
     cameras.path("axis").write_text(text)
     with pytest.raises(InvalidCamera, match="axis is broken"):

@@ -118,7 +118,7 @@ def test_a_full_disk_replaces_nothing(library: MapLibrary, room_map: Map, monkey
     assert [path.name for path in library.folder.iterdir()] == ["kitchen.rho"]
 
 
-def test_a_file_that_became_broken_is_told_and_heals(library: MapLibrary, room_map: Map) -> None:
+def test_a_file_that_became_broken_is_reported_and_heals(library: MapLibrary, room_map: Map) -> None:
     library.put("kitchen", room_map)
     library.get("kitchen")
     library.path("kitchen").write_bytes(b"broken")

@@ -123,7 +123,7 @@ def test_whatever_follows_the_header_gives_a_table_or_our_error(tmp_path: Path, 
         assert np.isfinite(read_trajectory_csv(tmp_path / "t.csv").T_map_camera).all()
 
 
-def test_a_trajectory_into_a_missing_folder_is_told(tmp_path: Path) -> None:
+def test_a_trajectory_into_a_missing_folder_is_reported(tmp_path: Path) -> None:
     with pytest.raises(InvalidInput):
         write_trajectory_csv(tmp_path / "none" / "t.csv", random_trajectory(1))
 

@@ -306,7 +306,7 @@ def test_a_missing_file_is_an_unknown_map(tmp_path: Path) -> None:
         load_map(tmp_path / "none.rho")
 
 
-def test_a_missing_folder_is_told(room_map: Map, tmp_path: Path) -> None:
+def test_a_missing_folder_is_reported(room_map: Map, tmp_path: Path) -> None:
     with pytest.raises(InvalidInput, match="cannot be written"):
         save_map(room_map, tmp_path / "none" / "room.rho")
 

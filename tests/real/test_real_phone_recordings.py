@@ -83,9 +83,9 @@ def test_an_iphones_tables_without_its_video(real_data: Path) -> None:
 
 
 def test_the_kitchen_is_our_own_layout(real_data: Path) -> None:
-    told = describe_recording(read_recording(real_data / "redkitchen", frames="400:1000"))
-    assert told["format"] == "rholoc"
-    assert told["warnings"] == []
-    assert told["poses"]["known"] == 600
-    assert told["imu"] is None
-    assert told["figures"]["turn_deg_s"] == pytest.approx(20, abs=5)
+    info = describe_recording(read_recording(real_data / "redkitchen", frames="400:1000"))
+    assert info["format"] == "rholoc"
+    assert info["warnings"] == []
+    assert info["poses"]["known"] == 600
+    assert info["imu"] is None
+    assert info["figures"]["turn_deg_s"] == pytest.approx(20, abs=5)

@@ -124,7 +124,7 @@ def test_sensors_with_times_of_their_own_come_to_the_gyroscopes() -> None:
     assert warnings == ()
 
 
-def test_a_slow_sensor_is_told_and_what_suffers() -> None:
+def test_a_slow_sensor_is_reported_and_what_suffers() -> None:
     _, warnings = normalised(TIMES[::5], FELT[::5], RATE[::5])
     assert kinds(warnings) == [WarningKind.LOW_IMU_RATE]
     assert "20.0 Hz" in warnings[0].text
@@ -133,14 +133,14 @@ def test_a_slow_sensor_is_told_and_what_suffers() -> None:
     assert warnings == ()
 
 
-def test_gaps_are_told_with_the_longest() -> None:
+def test_gaps_are_reported_with_the_longest() -> None:
     kept = np.r_[0:100, 115:200, 260:400]
     _, warnings = normalised(TIMES[kept], FELT[kept], RATE[kept])
     assert kinds(warnings) == [WarningKind.IMU_GAP]
     assert "2 gaps, the longest 0.61 s" in warnings[0].text
 
 
-def test_repeated_and_backward_times_are_left_out_and_told() -> None:
+def test_repeated_and_backward_times_are_left_out_and_reported() -> None:
     times = TIMES.copy()
     times[50] = times[49]
     times[100] = times[97]

@@ -263,7 +263,7 @@ def test_what_cannot_be_used_is_refused_in_one_line(
 
 
 @pytest.mark.parametrize(("feed", "kind"), [row[1:] for row in READ], ids=[row[0] for row in READ])
-def test_what_can_be_used_all_the_same_is_read_and_told(
+def test_what_can_be_used_all_the_same_is_read_and_reported(
     feed: Callable[[Path], Path], kind: WarningKind, tmp_path: Path
 ) -> None:
     recording = read_recording(feed(tmp_path))

@@ -209,7 +209,7 @@ def test_waypoints_and_intrinsics_may_be_added_to_any_format(tmp_path: Path) -> 
     assert recording.readout_s == 0.02
 
 
-def test_fisheye_intrinsics_are_left_aside_and_told(tmp_path: Path) -> None:
+def test_fisheye_intrinsics_are_left_aside_and_reported(tmp_path: Path) -> None:
     edits = {
         "spectacular": ("calibration.json", '"pinhole"', '"kannala-brandt4"'),
         "euroc": ("mav0/cam0/sensor.yaml", "radial-tangential", "equidistant"),

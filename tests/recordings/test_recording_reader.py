@@ -100,7 +100,7 @@ def test_numbers_with_gaps_are_chosen_by_number(make_images, tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize("text", ["", "5", "a:b", "1:2:3:4", "3:1", "100:200", "-3:", "::0", "1.5:3"])
-def test_a_choice_that_is_none_is_told(make_images, tmp_path: Path, text: str) -> None:
+def test_a_choice_that_is_none_is_reported(make_images, tmp_path: Path, text: str) -> None:
     with pytest.raises(InvalidRecording):
         read_recording(make_images(tmp_path / "walk"), frames=text)
 
@@ -125,14 +125,14 @@ def test_poses_belong_to_frames_by_number_or_by_time(make_images, tmp_path: Path
     assert np.isnan(given.T_map_camera[~given.known]).all()
 
 
-def test_poses_of_another_recording_are_told(make_images, tmp_path: Path) -> None:
+def test_poses_of_another_recording_are_reported(make_images, tmp_path: Path) -> None:
     folder = make_images(tmp_path / "walk")
     (folder / "poses.csv").write_text(poses([100.5, 101.5]))
     with pytest.raises(InvalidTrajectory, match="No pose belongs"):
         read_recording(folder)
 
 
-def test_broken_image_folders_are_told(make_images, tmp_path: Path) -> None:
+def test_broken_image_folders_are_reported(make_images, tmp_path: Path) -> None:
     (tmp_path / "empty").mkdir()
     with pytest.raises(InvalidRecording, match="is empty"):
         read_recording(tmp_path / "empty")
@@ -165,7 +165,7 @@ def test_broken_image_folders_are_told(make_images, tmp_path: Path) -> None:
         read_recording(folder)
 
 
-def test_a_truncated_image_is_told_when_it_is_read(make_images, tmp_path: Path) -> None:
+def test_a_truncated_image_is_reported_when_it_is_read(make_images, tmp_path: Path) -> None:
     folder = make_images(tmp_path / "walk")
     path = folder / "frame-000003.png"
     path.write_bytes(path.read_bytes()[:-40])
@@ -185,7 +185,7 @@ def test_a_bare_video(make_video, tmp_path: Path, suffix: str) -> None:
     np.testing.assert_allclose(shades(recording, [0, 3]), [30, 120], atol=4)
 
 
-def test_an_image_that_changed_after_it_was_listed_is_told(make_images, tmp_path: Path) -> None:
+def test_an_image_that_changed_after_it_was_listed_is_reported(make_images, tmp_path: Path) -> None:
     recording = read_recording(make_images(tmp_path / "walk"))
     cv2.imwrite(str(tmp_path / "walk" / "frame-000002.png"), np.zeros((10, 10, 3), np.uint8))
     with pytest.raises(InvalidRecording, match=r"frame-000002\.png"):
@@ -203,7 +203,7 @@ def test_any_rows_of_a_video_are_the_same_as_all_rows(make_video, tmp_path: Path
         list(frames.images([3, 3]))
 
 
-def test_broken_videos_are_told(make_video, tmp_path: Path) -> None:
+def test_broken_videos_are_reported(make_video, tmp_path: Path) -> None:
     whole = make_video(tmp_path / "whole.mp4").read_bytes()
     for name, data in {"empty": b"", "text": b"not a video" * 50, "cut": whole[: len(whole) // 2]}.items():
         (tmp_path / f"{name}.mp4").write_bytes(data)
@@ -213,7 +213,7 @@ def test_broken_videos_are_told(make_video, tmp_path: Path) -> None:
         read_recording(make_video(tmp_path / "frameless.mp4", frames=0))
 
 
-def test_a_broken_video_is_told_in_one_line(capfd: pytest.CaptureFixture[str], make_video, tmp_path: Path) -> None:
+def test_a_broken_video_is_reported_in_one_line(capfd: pytest.CaptureFixture[str], make_video, tmp_path: Path) -> None:
     whole = make_video(tmp_path / "whole.mp4", frames=60).read_bytes()
     (tmp_path / "cut.mp4").write_bytes(whole[: len(whole) // 2])
     codec = whole.index(b"\x20\x11", whole.index(b"esds"))  # MPEG-4 by its number, beside its name
@@ -226,7 +226,7 @@ def test_a_broken_video_is_told_in_one_line(capfd: pytest.CaptureFixture[str], m
         assert capfd.readouterr() == ("", "")
 
 
-def test_a_video_that_shrinks_after_it_was_read_is_told(make_video, tmp_path: Path) -> None:
+def test_a_video_that_shrinks_after_it_was_read_is_reported(make_video, tmp_path: Path) -> None:
     frames = read_recording(make_video(tmp_path / "clip.avi")).frames
     make_video(tmp_path / "clip.avi", frames=5)
     with pytest.raises(InvalidRecording, match="Frame 8"):
@@ -330,7 +330,7 @@ def test_the_table_of_times_must_agree_with_the_video(own: Path, count: int, fit
             read_recording(own)
 
 
-def test_several_videos_are_told(own: Path, make_video) -> None:
+def test_several_videos_are_reported(own: Path, make_video) -> None:
     make_video(own / "second.mp4")
     check_whole(read_recording(own))  # video.mp4 is the one
     (own / "video.mp4").rename(own / "first.mp4")
@@ -414,7 +414,7 @@ def test_a_full_disk_leaves_nothing_unpacked(own: Path, tmp_path: Path, monkeypa
     assert list(workdir.iterdir()) == []
 
 
-def test_damaged_zip_files_are_told(own: Path, tmp_path: Path) -> None:
+def test_damaged_zip_files_are_reported(own: Path, tmp_path: Path) -> None:
     whole = zipped(own).read_bytes()
     rng = np.random.default_rng(5)
     path = tmp_path / "damaged.zip"

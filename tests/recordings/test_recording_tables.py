@@ -67,14 +67,14 @@ def test_columns_may_come_in_another_order_with_others_between_and_a_byte_order_
         (f"{IMU_HEADER}\n1,0,0,0,0,0,0\n1,0,0,0,0,0,0\n", "does not come after"),
     ],
 )
-def test_a_broken_imu_table_is_told(tmp_path: Path, text: str, complaint: str) -> None:
+def test_a_broken_imu_table_is_reported(tmp_path: Path, text: str, complaint: str) -> None:
     (tmp_path / "imu.csv").write_text(text)
     with pytest.raises(InvalidRecording, match=complaint) as caught:
         read_imu_csv(tmp_path / "imu.csv")
     assert "imu.csv" in caught.value.message
 
 
-def test_a_table_that_is_not_text_is_told(tmp_path: Path) -> None:
+def test_a_table_that_is_not_text_is_reported(tmp_path: Path) -> None:
     (tmp_path / "imu.csv").write_bytes(b"\x89PNG\xff\xfe")
     with pytest.raises(InvalidRecording, match="not a text file"):
         read_imu_csv(tmp_path / "imu.csv")
@@ -101,7 +101,7 @@ def test_a_frame_table_comes_back(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("rows", ["0,0\n0,1\n", "1,0\n0,1\n", "0.5,0\n", "0,1\n1,1\n", "0,1\n1,0.5\n", "1e30,0\n"])
-def test_a_broken_frame_table_is_told(tmp_path: Path, rows: str) -> None:
+def test_a_broken_frame_table_is_reported(tmp_path: Path, rows: str) -> None:
     (tmp_path / "frames.csv").write_text("frame,timestamp\n" + rows)
     with pytest.raises(InvalidRecording):
         read_frames_csv(tmp_path / "frames.csv")
@@ -154,7 +154,7 @@ WHOLE = {"width": 640, "height": 480, "fx": 500, "fy": 500, "cx": 320, "cy": 240
         json.dumps({"fps": "30"}),
     ],
 )
-def test_a_broken_camera_file_is_told(tmp_path: Path, text: str) -> None:
+def test_a_broken_camera_file_is_reported(tmp_path: Path, text: str) -> None:
     (tmp_path / "camera.json").write_text(text)
     with pytest.raises(InvalidCamera):
         read_camera_json(tmp_path / "camera.json")
@@ -197,7 +197,7 @@ def test_a_pose_table_is_read_with_blanks_or_commas_comments_or_a_header(
         "0 0 0 0 0 0 0 1\nx 0 0 0 0 0 0 1\n",
     ],
 )
-def test_a_broken_pose_table_is_told(tmp_path: Path, text: str) -> None:
+def test_a_broken_pose_table_is_reported(tmp_path: Path, text: str) -> None:
     (tmp_path / "poses.txt").write_text(text)
     with pytest.raises(InvalidTrajectory):
         read_pose_table(tmp_path / "poses.txt")

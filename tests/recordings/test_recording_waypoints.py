@@ -83,7 +83,7 @@ def test_waypoints_may_come_in_order_alone(tmp_path: Path) -> None:
         ("name,frame,x,y,z\nhalf,100.5,1,1,1\n", "half is at frame 100.5"),
     ],
 )
-def test_broken_waypoints_are_told(tmp_path: Path, text: str, complaint: str) -> None:
+def test_broken_waypoints_are_reported(tmp_path: Path, text: str, complaint: str) -> None:
     with pytest.raises(InvalidWaypoints, match=complaint):
         read_waypoints_csv(written(tmp_path, text), FRAMES)
 
@@ -94,7 +94,7 @@ def test_wrong_columns_tell_the_right_ones(tmp_path: Path) -> None:
     assert "name,time,x,y,z or name,frame,x,y,z" in caught.value.hint
 
 
-def test_a_missing_file_is_told(tmp_path: Path) -> None:
+def test_a_missing_file_is_reported(tmp_path: Path) -> None:
     with pytest.raises(InvalidWaypoints, match="does not exist"):
         read_waypoints_csv(tmp_path / "none.csv", FRAMES)
 

@@ -61,8 +61,8 @@ def test_unknown_members_are_left_out() -> None:
 
 
 def test_numbers_of_numpy_become_plain_and_what_is_not_finite_becomes_null() -> None:
-    told = report_to_json({"a": np.float32(0.5), "b": [math.nan, np.inf], "c": np.arange(2)})
-    assert json.dumps(told) == '{"a": 0.5, "b": [null, null], "c": [0, 1]}'
+    plain = report_to_json({"a": np.float32(0.5), "b": [math.nan, np.inf], "c": np.arange(2)})
+    assert json.dumps(plain) == '{"a": 0.5, "b": [null, null], "c": [0, 1]}'
 
 
 @pytest.mark.parametrize("broken", [{}, {"method": 3}, {"method": "given", "frames": "many"}, [1], None])

@@ -54,7 +54,7 @@ def test_it_lives_no_longer_than_browsers_allow_and_is_renewed_in_time(
 
 
 @pytest.mark.parametrize("name", ["server.pem", "authority.pem", "authority.key"])
-def test_a_damaged_file_is_told(tmp_path: Path, name: str) -> None:
+def test_a_damaged_file_is_reported(tmp_path: Path, name: str) -> None:
     server_certificate(tmp_path, NAMES)
     (tmp_path / "tls" / name).write_bytes(b"-----BEGIN CERTIFICATE-----\nnone\n")
     with pytest.raises(InvalidInput, match="damaged"):

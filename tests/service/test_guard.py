@@ -112,7 +112,7 @@ def test_only_a_bearers_key_counts(locked, keys, request, authorization):
     assert httpx.get(locked.url + "/v1/maps", headers={"Authorization": f"bEARER {secret}"}).status_code == 200
 
 
-def test_without_a_good_key_nothing_is_told(locked, keys):
+def test_without_a_good_key_nothing_is_reported(locked, keys):
     expired = keys.create("expired", Scope.ADMIN, lifetime_s=0)
     for headers in ({}, bearer("rho_guess"), bearer(expired), {"Authorization": "Basic eDp5"}):
         answer = httpx.get(f"{locked.url}/v1/maps", headers=headers)

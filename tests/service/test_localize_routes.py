@@ -207,7 +207,7 @@ def test_an_error_of_the_services_own_shows_no_traceback(service, picture_world,
     assert "Traceback" not in answer.text
 
 
-def test_the_agreeing_matches_are_told_on_request(service, picture_world):
+def test_the_agreeing_matches_are_reported_on_request(service, picture_world):
     def ask(**options):
         return httpx.post(
             f"{service.url}/v1/maps/room/localize",

@@ -66,7 +66,7 @@ def test_jobs_are_kept_in_postgres_and_worked_on(postgres_url, serve, tmp_path):
     queue.close()
 
 
-def test_a_database_that_is_not_there_is_told_in_one_line(tmp_path):
+def test_a_database_that_is_not_there_is_reported_in_one_line(tmp_path):
     with pytest.raises(InvalidInput) as caught:
         JobQueue(tmp_path, f"postgresql://jobs:secret@/jobs?host={tmp_path}")
     assert "cannot be reached" in caught.value.message

@@ -25,8 +25,8 @@ def b64(value) -> str:
 
 def create(service, length, filename="walk.mp4", headers=None, **fields):
     metadata = {"filename": filename, "map": "hall", "filetype": "video/mp4", **fields}
-    told = ",".join(f"{key} {b64(value)}" for key, value in metadata.items())
-    headers = {**TUS, "Upload-Length": str(length), "Upload-Metadata": told, **(headers or {})}
+    encoded = ",".join(f"{key} {b64(value)}" for key, value in metadata.items())
+    headers = {**TUS, "Upload-Length": str(length), "Upload-Metadata": encoded, **(headers or {})}
     return httpx.post(service.url + "/v1/recordings", headers=headers)
 
 

@@ -36,7 +36,7 @@ def test_ready_says_what_is_not(serve):
     running.settings.maps_dir.mkdir()
 
 
-def test_workers_elsewhere_are_told_of(serve):
+def test_workers_elsewhere_are_reported(serve):
     running = serve()
     workers = WorkerTable(open_database(running.settings.data_dir))
     workers.beat("elsewhere-1")
@@ -68,10 +68,10 @@ def test_metrics_count_requests_frames_and_jobs(service, picture_world):
         )
     httpx.get(service.url + "/v1/maps/attic")
     lines = httpx.get(service.url + "/metrics").text.splitlines()
-    told = {name: float(value) for name, _, value in (line.rpartition(" ") for line in lines if line[0] != "#")}
+    values = {name: float(value) for name, _, value in (line.rpartition(" ") for line in lines if line[0] != "#")}
     route = 'method="POST",route="/v1/maps/{map_name}/localize",status="200"'
-    assert told[f"rholoc_request_seconds_count{{{route}}}"] >= 2
-    assert told['rholoc_request_seconds_count{method="GET",route="/v1/maps/{map_name}",status="404"}'] >= 1
-    assert told['rholoc_localizations_total{outcome="localized"}'] >= 2
-    assert told['rholoc_jobs{state="queued"}'] == 0
-    assert told['rholoc_frames{at="now"}'] == 0
+    assert values[f"rholoc_request_seconds_count{{{route}}}"] >= 2
+    assert values['rholoc_request_seconds_count{method="GET",route="/v1/maps/{map_name}",status="404"}'] >= 1
+    assert values['rholoc_localizations_total{outcome="localized"}'] >= 2
+    assert values['rholoc_jobs{state="queued"}'] == 0
+    assert values['rholoc_frames{at="now"}'] == 0

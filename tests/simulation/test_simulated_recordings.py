@@ -67,7 +67,7 @@ def test_the_same_arguments_give_the_same_recording(folder: Path, tmp_path: Path
         assert (tmp_path / "again" / name).read_bytes() == (folder / name).read_bytes(), name
 
 
-def test_progress_is_told_and_may_stop_the_work(tmp_path: Path) -> None:
+def test_progress_is_reported_and_may_stop_the_work(tmp_path: Path) -> None:
     heard: list[float] = []
 
     def listen(fraction: float) -> None:

@@ -143,7 +143,7 @@ def run_tracker(
         localizer: of the map; it answers the tracker's questions.
         recording: the frames, and the IMU.
         camera: the frames'.
-        motion: what the tracker is told of motion.
+        motion: what the tracker knows of motion.
         options: how the track is kept.
         odometry: (N, 4, 4) the frames' poses by odometry, NaN where it does not know; with ``Motion.ODOMETRY``.
         truth: (N, 4, 4) their true poses in the map, NaN where unknown.

@@ -186,7 +186,7 @@ class _ServedTrack:
         Raises:
             InvalidInput: times go backward, a pose is not a rigid motion, a reading is not finite.
         """
-        with _told():
+        with _as_service_errors():
             if self._track is None:
                 self._track = FollowedTrack(self._options, None if image is None else self._camera(image))
             for time_s, *values in message.imu:
@@ -223,7 +223,7 @@ class _ServedTrack:
         assert self._track is not None
         found = parse_localization(answer.model_dump(mode="json"))
         matches = found.agreeing
-        with _told():
+        with _as_service_errors():
             self._track.answered(
                 Answer.of(found), None if matches is None else AnsweredMatches(matches.pixels, matches.landmarks)
             )
@@ -251,7 +251,7 @@ def _lists(values: dict[str, Any]) -> dict[str, Any]:
 
 
 @contextmanager
-def _told() -> Iterator[None]:
+def _as_service_errors() -> Iterator[None]:
     """The track's own errors as the service's."""
     try:
         yield

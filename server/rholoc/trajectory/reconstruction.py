@@ -230,14 +230,14 @@ def _reconstruct(
     gyro, reason = (None, "") if imu is None else _calibrated(sights, camera, imu)
     felt = None if imu is None or gyro is None else camera_rotations(imu, gyro, sights.times)
     evidence = _look(sights, camera, felt, progress)
-    told = _Progress(progress)
+    steps = _Steps(progress)
     if imu is not None and gyro is not None and felt is not None:
         start = _start_with_imu(sights, camera, evidence, imu, gyro, felt)
         if start is not None:
-            return _solve_with_imu(sights, imu, gyro, evidence, start, waypoints, told)
+            return _solve_with_imu(sights, imu, gyro, evidence, start, waypoints, steps)
         reason = "The pictures do not show enough of the walk for the accelerometer to measure it."
-    found = _solve_from_pictures(sights, camera, evidence, waypoints, reason, told)
-    told.step(0.95, 0.99, "checked by a second reconstruction")
+    found = _solve_from_pictures(sights, camera, evidence, waypoints, reason, steps)
+    steps.step(0.95, 0.99, "checked by a second reconstruction")
     return replace(found, agreement=_agreement(found, sights))
 
 
@@ -247,15 +247,15 @@ def _agreement(found: Reconstruction, sights: Sights) -> Agreement:
     half = sights.take(some)
     try:
         other = _solve_from_pictures(
-            half, found.camera, _look(half, found.camera, None, silent), (), "", _Progress(silent)
+            half, found.camera, _look(half, found.camera, None, silent), (), "", _Steps(silent)
         )
     except MappingFailed:
         return Agreement(np.nan, np.nan, np.nan, 0, len(some))
     return compare(found.T_map_camera, found.placed, some, other.T_map_camera, other.placed, found.median_depth)
 
 
-class _Progress:
-    """Tells how far a chain of adjustments is."""
+class _Steps:
+    """Reports how far a chain of adjustments is."""
 
     def __init__(self, progress: ProgressListener) -> None:
         self._progress = progress
@@ -367,23 +367,23 @@ def _solve_with_imu(
     evidence: _Evidence,
     start: tuple[State, InertialStart],
     waypoints: Sequence[tuple[Waypoint, ...]],
-    told: _Progress,
+    steps: _Steps,
 ) -> Reconstruction:
     state, began = start
     steady = replace(evidence, loops=[])
     problem = Problem(sights.times, steady.observations(sights), imu, gyro, camera_sigmas=_camera_sigmas(sights.camera))
-    problem, adjusted = _adjusted_in_rounds(problem, state, told, (0.45, 0.6))
+    problem, adjusted = _adjusted_in_rounds(problem, state, steps, (0.45, 0.6))
     misfit = adjusted.imu_misfit()
     if misfit > 1:
         problem = replace(problem, imu_noise=misfit)
-        adjusted = adjust(problem, adjusted.state, _ITERATIONS, told)
-    evidence, problem, adjusted = _closed_loops(sights, evidence, problem, adjusted, told)
+        adjusted = adjust(problem, adjusted.state, _ITERATIONS, steps)
+    evidence, problem, adjusted = _closed_loops(sights, evidence, problem, adjusted, steps)
     assert adjusted.state.inertial is not None
     read = float(np.linalg.norm(adjusted.state.inertial.gravity)) / GRAVITY
     if abs(read - 1) > _ACCELEROMETER_SCALE:
         imu = replace(imu, acceleration=imu.acceleration / read)
         problem = replace(problem, imu=imu)
-        adjusted = adjust(problem, _of_corrected_scale(adjusted.state, read), _LAST_ITERATIONS, told)
+        adjusted = adjust(problem, _of_corrected_scale(adjusted.state, read), _LAST_ITERATIONS, steps)
     else:
         read = 1.0
     scale_sigma = _scale_sigma(adjusted)
@@ -395,7 +395,7 @@ def _solve_with_imu(
         level = None if not frame.upright else problem.level_sigma_rad
         problem = replace(problem, level_sigma_rad=level)
         problem, adjusted, left_out, mistaken = _held_by_waypoints(
-            problem, adjusted.state, sights.times, frame, evidence.loops, told
+            problem, adjusted.state, sights.times, frame, evidence.loops, steps
         )
     else:
         depth = _median_depth(problem.observations, adjusted)
@@ -418,9 +418,9 @@ def _solve_with_imu(
 
 
 def _closed_loops(
-    sights: Sights, evidence: _Evidence, problem: Problem, adjusted: Adjusted, told: _Progress
+    sights: Sights, evidence: _Evidence, problem: Problem, adjusted: Adjusted, steps: _Steps
 ) -> tuple[_Evidence, Problem, Adjusted]:
-    """Adjust with the loops that the walk without them allows; judged again once they have told how it drifted."""
+    """Adjust with the loops that the walk without them allows; judged again once they have shown how it drifted."""
     if not evidence.loops:
         return evidence, problem, adjusted
     pixels = [features.pixels.astype(np.float64) for features in sights.features]
@@ -430,7 +430,7 @@ def _closed_loops(
         in_reach = loops_in_reach(evidence.loops, placed, sigmas_m)
         kept = [pair for pair, keep in zip(evidence.loops, in_reach, strict=True) if keep]
         problem = replace(problem, observations=replace(evidence, loops=kept).observations(sights))
-        problem, adjusted = _adjusted_in_rounds(problem, _with_loops_met(kept, placed), told, span, rounds)
+        problem, adjusted = _adjusted_in_rounds(problem, _with_loops_met(kept, placed), steps, span, rounds)
     return replace(evidence, loops=kept), problem, adjusted
 
 
@@ -466,7 +466,7 @@ def _solve_from_pictures(
     evidence: _Evidence,
     waypoints: Sequence[tuple[Waypoint, ...]],
     reason: str,
-    told: _Progress,
+    steps: _Steps,
 ) -> Reconstruction:
     whole = evidence.observations(sights)
     state, members = _start_from_pictures(sights, camera, evidence.rotations, whole)
@@ -476,14 +476,16 @@ def _solve_from_pictures(
     numbered = Observations(number[whole.keyframes], whole.tracks, whole.pixels)
     observations = numbered.take(numbered.keyframes >= 0)
     problem = Problem(some.times, observations, camera_sigmas=_camera_sigmas(sights.camera))
-    problem, adjusted = _adjusted_in_rounds(problem, state, told, (0.45, 0.75), _ROUNDS_OF_PICTURES)
+    problem, adjusted = _adjusted_in_rounds(problem, state, steps, (0.45, 0.75), _ROUNDS_OF_PICTURES)
     left_out: dict[str, LeftOut] = {}
     mistaken: tuple[str, ...] = ()
     depth = _median_depth(problem.observations, adjusted)
     up, why_up = up_by_pictures(adjusted.state.R_map_camera)
     if waypoints:
         frame = frame_of_waypoints(some.times, adjusted.state.T_map_camera, waypoints, up, why_up)
-        problem, adjusted, left_out, mistaken = _held_by_waypoints(problem, adjusted.state, some.times, frame, (), told)
+        problem, adjusted, left_out, mistaken = _held_by_waypoints(
+            problem, adjusted.state, some.times, frame, (), steps
+        )
     else:
         frame = frame_of_first_camera(adjusted.state.T_map_camera, up, why_up, depth, None)
     part = _finished(some, evidence, problem, adjusted, frame, waypoints, None, reason, left_out, mistaken)
@@ -515,17 +517,17 @@ def _start_from_pictures(
 
 
 def _adjusted_in_rounds(
-    problem: Problem, state: State, told: _Progress, span: tuple[float, float], rounds: int = _ROUNDS
+    problem: Problem, state: State, steps: _Steps, span: tuple[float, float], rounds: int = _ROUNDS
 ) -> tuple[Problem, Adjusted]:
     """Adjust, and judge all sightings anew by what comes out; the problem with those that are right."""
     everything = problem.observations
     edges = np.linspace(*span, rounds + 1).tolist()
-    step = told.step(edges[0], edges[1], "all measurements adjusted together")
+    step = steps.step(edges[0], edges[1], "all measurements adjusted together")
     adjusted = adjust(problem, state, _ITERATIONS, step, coarsely=True)
     for start, end in itertools.pairwise(edges[1:]):
         off = residuals_px(everything, adjusted.state, triangulate(everything, adjusted.state)[0])
         problem = _cleaned(problem, everything, off)
-        again = told.step(start, end, "adjusted anew")
+        again = steps.step(start, end, "adjusted anew")
         adjusted = adjust(problem, adjusted.state, _ITERATIONS, again, coarsely=end < span[1])
     return problem, adjusted
 
@@ -543,7 +545,7 @@ def _held_by_waypoints(
     times: FloatArray,
     frame: MapFrame,
     loops: Sequence[VerifiedPair],
-    told: _Progress,
+    steps: _Steps,
 ) -> tuple[Problem, Adjusted, dict[str, LeftOut], tuple[str, ...]]:
     """Adjust with the waypoints; those that all else contradicts are taken out, the furthest off first."""
     state = _moved(state, frame.similarity)
@@ -558,7 +560,7 @@ def _held_by_waypoints(
         trusted = [name for name in names if name not in mistaken]
         fixes = tuple(Fix(nearest[name], measured[name].position, measured[name].sigma_m) for name in trusted)
         problem = replace(problem, fixes=fixes)
-        step = told.step(0.75 + 0.05 * min(attempt, 2), 0.8 + 0.05 * min(attempt, 2), "adjusted to the waypoints")
+        step = steps.step(0.75 + 0.05 * min(attempt, 2), 0.8 + 0.05 * min(attempt, 2), "adjusted to the waypoints")
         adjusted = adjust(problem, state, _ITERATIONS, step)
         state = adjusted.state
         covariances = adjusted.covariances([nearest[name] for name in names])[:, :3, :3]
@@ -579,7 +581,7 @@ def _held_by_waypoints(
         replace(fix, sigma_m=factor * fix.sigma_m) if fix.sigma_m == DEFAULT_SIGMA_M else fix for fix in problem.fixes
     )
     problem = replace(problem, fixes=fixes)
-    adjusted = adjust(problem, state, _LAST_ITERATIONS, told.step(0.9, 0.95, "adjusted to the waypoints"))
+    adjusted = adjust(problem, state, _LAST_ITERATIONS, steps.step(0.9, 0.95, "adjusted to the waypoints"))
     return problem, adjusted, outs, tuple(mistaken)
 
 

@@ -57,7 +57,7 @@ def test_as_many_pauses_as_waypoints_leave_no_choice() -> None:
     assert [waypoint.name for waypoint in chosen] == ["W0", "W1", "W2", "W3", "W4"]
 
 
-def test_too_few_pauses_are_told() -> None:
+def test_too_few_pauses_are_reported() -> None:
     with pytest.raises(InvalidWaypoints, match=r"2 pauses .* but there are 3 waypoints"):
         list(choices_of_pauses(_unnamed(0, 1, 2), _RESTS[:2]))
 

@@ -24,7 +24,7 @@ def _observations(draw: st.DrawFn) -> Observations:
 
 
 def _names(observations: Observations) -> list[set[tuple[int, int]]]:
-    """Each point as the set of its sightings, told by their pixels; these are never changed."""
+    """Each point as the set of its sightings, known by their pixels; these are never changed."""
     return [set(map(tuple, observations.pixels[observations.tracks == t].tolist())) for t in range(observations.points)]
 
 

@@ -12,7 +12,7 @@ from rholoc.geometry import FloatArray
 _CAUCHY = 3.0  # sigmas, as in the adjustment
 _MISTAKEN_SIGMAS = 4.5  # off what all else says
 _MISTAKEN_M = 0.08
-_LEAST_SAY = 1e-3  # of all else in a waypoint's place, as a share of its own: less is not told from rounding
+_LEAST_SAY = 1e-3  # of all else in a waypoint's place, as a share of its own: less may be rounding
 _ONE_AXIS = 0.9  # the share of the error that lies along the coordinate that is named
 
 

@@ -218,7 +218,7 @@ def adjust(
     problem: Problem,
     state: State,
     iterations: int,
-    told: Callable[[float], None] = lambda fraction: None,
+    progress: Callable[[float], None] = lambda fraction: None,
     coarsely: bool = False,
 ) -> Adjusted:
     """Solve from a state near enough (Levenberg–Marquardt).
@@ -228,7 +228,7 @@ def adjust(
 
     Args:
         iterations: at most so many.
-        told: hears the fraction of them that is done.
+        progress: is called with the fraction of them that is done.
         coarsely: end sooner, for sightings are judged anew by what comes out, and all is adjusted again.
     """
     points, used = _usable_points(problem.observations, state, problem.pixel_sigma_px)
@@ -244,7 +244,7 @@ def adjust(
         _fix_gauge(graph, values, state, metric=state.inertial is not None)
     ordering = _ordering(values, problem.observations, used)
     held = functools.cache(lambda firmness: _held_points(problem.observations, state, used, firmness))
-    values, cost = _solve(graph, values, ordering, held, iterations, _COARSE if coarsely else _FINE, told)
+    values, cost = _solve(graph, values, ordering, held, iterations, _COARSE if coarsely else _FINE, progress)
     return Adjusted(_state_of(values, problem, state, used), used, cost, graph, values, ordering, held)
 
 
@@ -515,13 +515,13 @@ def _solve(
     held: Callable[[float], gtsam.GaussianFactorGraph],
     iterations: int,
     tolerance: float,
-    told: Callable[[float], None],
+    progress: Callable[[float], None],
 ) -> tuple[gtsam.Values, float]:
     cost = graph.error(values)
     for done in range(iterations):
         before = cost
         values, cost = _stepped(graph, values, ordering, held, cost)
-        told((done + 1) / iterations)
+        progress((done + 1) / iterations)
         if before - cost <= tolerance * before:
             break
     return values, cost
