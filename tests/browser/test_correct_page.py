@@ -135,7 +135,7 @@ def test_what_the_server_refuses_is_said(desk_browser, service, hall, opened, se
         httpx.post(f"{service.url}/v1/maps/hall/corrections", json={"kind": "origin", "at": [1, 0, 0]})
         page.get_by_label("x", exact=True).fill("2")
         page.get_by_role("button", name="Apply").click()
-        expect(page.locator(".toast.bad")).to_contain_text("version 2 by now")
+        expect(page.locator(".toast.bad")).to_contain_text("now at version 2")
         choose(page, "Floor plan")
         (tmp_path / "plan.json").write_text("[1, 2")
         page.get_by_label("Picture or GeoJSON").set_input_files(tmp_path / "plan.json")

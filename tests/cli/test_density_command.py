@@ -122,8 +122,8 @@ def test_a_localization_is_shown(rholoc: Run, ending: str, tmp_path: Path) -> No
         (("--feature", "0", "--view", "999"), "has no view 999"),
         (("--feature", "0", "--pixel", "here"), "'here' is not a pixel"),
         (("--feature", "0", "--pixel", "nan,2"), "is not a pixel"),
-        (("--feature", "0", "-o", "x.bmp"), "ends in none of .png"),
-        (("--feature", "0", "--sharpening", "-o", "x.gif"), "ends in none of .png"),
+        (("--feature", "0", "-o", "x.bmp"), "does not end in .png"),
+        (("--feature", "0", "--sharpening", "-o", "x.gif"), "does not end in .png"),
         (("--picture", "nowhere.jpg"), "nowhere.jpg"),
     ],
 )

@@ -192,7 +192,7 @@ def test_what_makes_no_sense_is_refused(room):
         set_north(room, np.array([0.0, 0, 1]))
     with pytest.raises(InvalidInput, match="nowhere"):
         set_up(room, zero)
-    with pytest.raises(InvalidInput, match="two points are one"):
+    with pytest.raises(InvalidInput, match="two points are the same"):
         set_distance(room, x, x, 1.0)
     with pytest.raises(InvalidInput, match="stretched"):
         set_distance(room, zero, x, 1e9)
@@ -200,7 +200,7 @@ def test_what_makes_no_sense_is_refused(room):
         set_origin(room, np.array([1e5, 0, 0]))
     with pytest.raises(InvalidInput, match="pairs"):
         lay_over_plan(room, zero[None], np.zeros((1, 2)), scaled=False)
-    with pytest.raises(InvalidInput, match="above each other"):
+    with pytest.raises(InvalidInput, match="on one vertical line"):
         lay_over_plan(room, np.array([zero, [0, 0, 1]]), np.array([[0.0, 0], [1, 0]]), scaled=True)
     with pytest.raises(InvalidInput, match="encloses nothing"):
         remove_region(room, np.array([[0.0, 0], [1, 1], [2, 2]]), None, None, keep_inside=True)

@@ -63,7 +63,7 @@ class FollowedTrack:
             InvalidTrack: as :meth:`Track.frame`.
         """
         if T_odom_camera is not None and self._motion is not None:
-            raise InvalidTrack("There was no odometry at first, and now there is: begin another track.")
+            raise InvalidTrack("This track began without odometry. Begin another to use it.")
         self._with_odometry = self._with_odometry or T_odom_camera is not None
         if picture is not None and self._camera is not None and not self._with_odometry:
             if self._motion is None:
@@ -133,7 +133,7 @@ def fitted(camera: Camera, width: int, height: int) -> Camera:
     """
     own_width, own_height = camera.width or width, camera.height or height
     if abs(own_width * height / (own_height * width) - 1) > _SAME_SHAPE:
-        raise InvalidTrack(f"The camera is of pictures of {own_width}×{own_height}, not {width}×{height}.")
+        raise InvalidTrack(f"The camera is for images of {own_width}×{own_height} pixels, not {width}×{height}.")
     x, y = width / own_width, height / own_height
     return replace(
         camera,

@@ -26,7 +26,7 @@ def rigid(values: ArrayLike) -> FloatArray:
         raise ValueError("A pose is a finite 4×4 matrix whose last row is 0, 0, 0, 1.")
     R = T[:3, :3]
     if np.abs(R @ R.T - np.eye(3)).max() > _RIGID_TOLERANCE or np.linalg.det(R) < 0:
-        raise ValueError("The rotation of a pose is not orthonormal, or a reflection.")
+        raise ValueError("The rotation of a pose is not orthonormal, or it is a reflection.")
     U, _, V = np.linalg.svd(R)
     return pose(U @ V, T[:3, 3])
 
@@ -49,7 +49,7 @@ def from_quaternion(position: Sequence[float], quaternion_xyzw: Sequence[float])
         raise ValueError("A pose is a position of three finite numbers and a quaternion of four.")
     length = float(np.linalg.norm(q))
     if length < 1e-9:
-        raise ValueError("A quaternion of length 0 is no rotation.")
+        raise ValueError("A quaternion of length 0 is not a rotation.")
     x, y, z, w = q / length
     R = np.array(
         [

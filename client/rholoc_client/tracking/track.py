@@ -251,7 +251,7 @@ class Track:
         _check_time(time_s, self._imu_s, "reading")
         acceleration, rate = (np.asarray(one, dtype=np.float64) for one in (acceleration_m_s2, rate_rad_s))
         if not all(one.shape == (3,) and np.isfinite(one).all() for one in (acceleration, rate)):
-            raise InvalidTrack("An IMU's reading is not of three finite numbers for each sensor.")
+            raise InvalidTrack("An IMU reading must have three finite numbers for each sensor.")
         self._imu_s = time_s
         self._readings.append((time_s, acceleration, rate))
         if len(self._readings) > _MOST_READINGS:
@@ -370,7 +370,7 @@ class Track:
             return
         if not answer.metric and (self._has_odometry or self._imu_s is not None):
             self._question = None
-            raise InvalidTrack("The map's unit of length is not the metre, so odometry in metres does not fit it.")
+            raise InvalidTrack("The map's scale is unknown, so odometry in metres cannot be used with it.")
         before = None if self._main is None else moved(self._main.belief.T_map_camera, self._offset)
         steps: list[Step | ImuReading] = self._since if since is None else [*since]
         if since is not None:

@@ -58,7 +58,7 @@ def density(
     target = out or map_file.with_name(f"{map_file.stem}-density.png")
     ending = target.suffix.lower()
     if ending not in endings:
-        raise InvalidInput(f"'{target.name}' ends in none of {', '.join(endings)}.", "Name the file accordingly.")
+        raise InvalidInput(f"'{target.name}' does not end in {' or '.join(endings)}.", "Rename the file.")
     map_ = load_map(map_file)
     if picture is not None:
         content = _picture(map_, picture, camera, starts, ending)
@@ -127,9 +127,7 @@ def _look(map_: Map, feature: int, view: int, pixel: str | None) -> Look:
             raise InvalidInput(f"'{pixel}' is not a pixel.", "Give it as 320,240.")
         return replace(look, pixel=np.array([u, v]))
     if not np.isfinite(look.pixel).all():
-        raise InvalidInput(
-            f"Feature {feature} is behind the camera of view {view}.", "Leave --view away, or give --pixel."
-        )
+        raise InvalidInput(f"Feature {feature} is behind the camera of view {view}.", "Omit --view, or give --pixel.")
     return look
 
 

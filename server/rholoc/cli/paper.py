@@ -215,7 +215,7 @@ def _camera(table: Path, camera: str | None, size: str | None) -> GeometryCamera
     if camera is None:
         if not beside.is_file():
             raise InvalidCamera(
-                f"Nothing says which camera {table.name} has its pixels from.",
+                f"The camera of {table.name} is not known.",
                 f"Give --camera fx,fy,cx,cy, or {beside.name} beside the table.",
             )
         known = read_camera_json(beside).camera
@@ -232,7 +232,7 @@ def _camera(table: Path, camera: str | None, size: str | None) -> GeometryCamera
             (int(part) for part in size.lower().split("x")) if size else (round(2 * one + 1) for one in centre)
         )
     except ValueError:
-        raise InvalidCamera(f"'{size or camera}' is no size of pictures.", "Give --size as 640x480.") from None
+        raise InvalidCamera(f"'{size or camera}' is not an image size.", "Give --size as 640x480.") from None
     return Camera.parse(str(named), width, height)
 
 

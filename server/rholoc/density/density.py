@@ -38,7 +38,7 @@ class Sightings:
         landmarks: (F, 3) metres, map frame.
         features: (V,) which landmark was seen.
         positions: (V, 3) metres, from where.
-        bearings: (V, 3) unit vectors in the map frame, at which pixel; None where nobody remembers.
+        bearings: (V, 3) unit vectors in the map frame, at which pixel; None where they were not kept.
     """
 
     landmarks: FloatArray

@@ -223,7 +223,7 @@ class ObservedDensities(TensorDensities):
         """One for each place that a feature was seen from.
 
         Raises:
-            ValueError: nobody remembers at which bearings the features were seen.
+            ValueError: the bearings at which the features were seen were not kept.
         """
         return fit_observed(sightings, degree, progress)
 
@@ -272,7 +272,7 @@ def fit_observed(
     """The loss (5) over all pixels of the views that saw a feature, minimized.
 
     Raises:
-        ValueError: nobody remembers at which bearings the features were seen.
+        ValueError: the bearings at which the features were seen were not kept.
     """
 
     def fit(local: FloatArray, s: FloatArray, radius_m: float) -> tuple[FloatArray, FloatArray]:
@@ -291,7 +291,7 @@ def fit_seen(
     Of the polynomials that minimize it, the one with the smallest coefficients. It has next to no peaks.
 
     Raises:
-        ValueError: nobody remembers at which bearings the features were seen.
+        ValueError: the bearings at which the features were seen were not kept.
     """
 
     def fit(local: FloatArray, s: FloatArray, radius_m: float) -> tuple[FloatArray, FloatArray]:
@@ -318,7 +318,7 @@ def _fitted(
     Fitted to what is stored, so that a map read back is the one that was fitted.
     """
     if sightings.bearings is None:
-        raise ValueError("nobody remembers at which bearings the features were seen")
+        raise ValueError("the bearings at which the features were seen were not kept")
     places = Places.of(sightings)
     count, sizes = len(places.features), [len(powers) for powers in kept_powers(degree)]
     u, x, h = sizes

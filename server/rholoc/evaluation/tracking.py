@@ -268,11 +268,11 @@ def client_camera(camera: Camera) -> ClientCamera:
 def _readings(imu: Imu | None) -> Iterator[tuple[float, FloatArray, FloatArray]]:
     """Times, accelerations and rates in the camera's axes."""
     if imu is None:
-        raise InvalidRecording("The recording has no IMU.", "Track it by --motion pictures.")
+        raise InvalidRecording("The recording has no IMU.", "Use --motion pictures.")
     if imu.R_camera_imu is None or not imu.includes_gravity:
         raise InvalidRecording(
             "The IMU's axes in the camera are not known, or it leaves gravity out.",
-            "Give R_camera_imu in camera.json, or track it by --motion pictures.",
+            "Give R_camera_imu in camera.json, or use --motion pictures.",
         )
     acceleration, rate = imu.acceleration @ imu.R_camera_imu.T, imu.angular_velocity @ imu.R_camera_imu.T
     yield from zip(imu.times.tolist(), acceleration, rate, strict=True)

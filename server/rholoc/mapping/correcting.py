@@ -63,7 +63,7 @@ def set_distance(map_: Map, start: FloatArray, end: FloatArray, length_m: float)
     """Two points (3,) of the present frame are ``length_m`` apart: the map takes that scale, and is metric.
 
     Raises:
-        InvalidInput: the points are one, or the length is absurd.
+        InvalidInput: the points are the same, or the length is absurd.
     """
     return _moved(map_, frames.measured(start, end, length_m), CorrectionKind.SCALE, metric=True)
 

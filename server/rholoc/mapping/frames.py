@@ -71,7 +71,7 @@ def measured(start: FloatArray, end: FloatArray, length_m: float) -> Similarity:
     """
     distance = float(np.linalg.norm(end - start))
     if distance < _SHORTEST:
-        raise InvalidInput("The two points are one.", "Choose points that lie further apart.")
+        raise InvalidInput("The two points are the same.", "Choose points that lie further apart.")
     return Similarity(_sensible(length_m / distance), np.eye(3), np.zeros(3))
 
 
@@ -96,7 +96,7 @@ def laid_over(points: FloatArray, plan: FloatArray, scaled: bool) -> tuple[Simil
     spread = float((np.abs(from_middle) ** 2).sum())
     turn = (to_middle * from_middle.conj()).sum()
     if spread < _SHORTEST**2 or abs(turn) < _SHORTEST**2:
-        raise InvalidInput("The points lie above each other.", "Choose points that lie further apart.")
+        raise InvalidInput("The two points lie on one vertical line.", "Choose points that lie further apart.")
     scale = _sensible(float(abs(turn)) / spread) if scaled else 1.0
     spin = scale * turn / abs(turn)
     shift = b.mean() - spin * a.mean()

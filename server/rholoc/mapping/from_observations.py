@@ -74,7 +74,7 @@ def map_from_observations(
     if options.degree not in DEGREES:
         raise InvalidInput(f"A density of degree {options.degree} cannot be fitted.", "Use 1, 2 or 3.")
     if options.seen_only and options.density is not DensityKind.OBSERVED:
-        raise InvalidInput(f"A '{options.density}' density is not fitted by loss (5).", "Leave the form away.")
+        raise InvalidInput(f"A '{options.density}' density is not fitted by loss (5).", "Omit --density.")
     extractor = get_extractor(options.features or features_of(table))
     _check(table, camera, extractor)
     views, held_out = _views(table, camera, hold_out=options.report)

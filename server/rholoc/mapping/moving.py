@@ -60,7 +60,7 @@ def _check_near(*positions: FloatArray) -> None:
     if any(len(one) and np.abs(one).max() > _FARTHEST_M for one in positions):
         raise InvalidInput(
             f"Some of the map would lie more than {_FARTHEST_M / 1000:g} km from the origin.",
-            "Choose an origin nearby: far away, positions lose their millimetres.",
+            "Choose an origin nearby: far from it, positions are not exact to a millimetre.",
         )
 
 

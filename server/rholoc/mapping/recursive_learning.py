@@ -23,11 +23,11 @@ def check_forgetting(map_: Map, forgetting: float) -> None:
         InvalidInput: they do not, or it is not above 0 and at most 1.
     """
     if not 0 < forgetting <= 1:
-        raise InvalidInput(f"A forgetting of {forgetting:g} is not possible.", "It is above 0 and at most 1.")
+        raise InvalidInput(f"{forgetting:g} is not a valid forgetting factor.", "Give a number above 0, at most 1.")
     if map_.info.density is not DensityKind.OBSERVED:
         raise InvalidInput(
-            f"The map's densities are '{map_.info.density}', which do not forget observation by observation.",
-            "Leave forgetting away, or make a map of 'observed' densities.",
+            f"The map's densities are '{map_.info.density}', which are not learned one observation at a time.",
+            "Omit --forgetting, or build a map with 'observed' densities.",
         )
 
 

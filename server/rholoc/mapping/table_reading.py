@@ -65,11 +65,13 @@ def _descriptor(text: str, path: Path, line: int, length: int) -> bytes:
     if len(data) < 2:
         raise InvalidInput(f"{path.name}, row {line}: '{shortened(text[:40])}' is not a descriptor.", hint)
     if data[0] not in _CHANNELS:
-        raise InvalidInput(f"{path.name}, row {line}: a descriptor begins with {data[0]:02x}, no channel.", hint)
+        raise InvalidInput(
+            f"{path.name}, row {line}: a descriptor begins with {data[0]:02x}, which is not a channel.", hint
+        )
     if length and len(data) != length:
         raise InvalidInput(
-            f"{path.name}, row {line}: a descriptor of {len(data) - 1} bytes after one of {length - 1}.",
-            "All descriptors of a table come from one kind of features.",
+            f"{path.name}, row {line}: a descriptor has {len(data) - 1} bytes, the ones before {length - 1}.",
+            "All descriptors of a table must be of one kind of features.",
         )
     return data
 

@@ -278,7 +278,7 @@ def _on_clock(what: str, sensors: list[Samples], says: str, warnings: list[Recor
     unit = time_unit(times)
     if unit is None and len(times) >= _MIN_TO_MEASURE:
         raise InvalidRecording(
-            f"The times of the {what} are implausible in s, ms, µs and ns.",
+            f"The times of the {what} are implausible in seconds, ms, µs and ns.",
             "They must advance by the time between two samples.",
         )
     unit = unit or says

@@ -79,7 +79,7 @@ class HeldBodies:
             length += len(piece)
             more = max(0, length - self._free_bytes) - taken
             if more > self._left:
-                raise Busy("Too many large bodies are on their way.", "Try again after Retry-After.", _RETRY_AFTER_S)
+                raise Busy("Too many large requests are in progress.", "Try again after Retry-After.", _RETRY_AFTER_S)
             self._left -= more
             taken += more
 

@@ -33,8 +33,8 @@ def corrected_map(map_: Map, wanted: CorrectionIn) -> Map:
     """
     if wanted.version not in (None, map_.info.version):
         raise Conflict(
-            f"The map is version {map_.info.version} by now, not {wanted.version}.",
-            "Look at it again, and correct it.",
+            f"The map is now at version {map_.info.version}, not {wanted.version}.",
+            "Fetch it again and repeat the correction.",
         )
     match wanted:
         case OriginIn():

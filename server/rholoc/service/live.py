@@ -132,7 +132,7 @@ class Live:
             Conflict: this server does not show it.
         """
         if not self._shown:
-            raise Conflict("This server does not show who asks for poses.", "It does with RHOLOC_LIVE=true.")
+            raise Conflict("This server does not show who asks for poses.", "Set RHOLOC_LIVE=true to enable it.")
         since = time.time() - LIVE_S
         found = self._latest.values()
         return [one for one in found if one.map == map_name and one.number > number and one.time >= since]
@@ -144,7 +144,9 @@ class Live:
             Conflict: this server does not keep them.
         """
         if not self._keeps_failures:
-            raise Conflict("This server does not keep where requests fail.", "It does with RHOLOC_KEEP_FAILURES=true.")
+            raise Conflict(
+                "This server does not record where requests fail.", "Set RHOLOC_KEEP_FAILURES=true to enable it."
+            )
         since = time.time() - DAY_S
         return [one for one in self._failures if one.map == map_name and one.time >= since]
 

@@ -199,9 +199,9 @@ def _descriptors(given: list[str] | str, n: int, extractor: Extractor) -> ByteAr
         try:
             blob = bytes.fromhex("".join(given))
         except ValueError as error:
-            raise InvalidDescriptors("A descriptor has characters other than hex digits.", hint) from error
+            raise InvalidDescriptors("A descriptor contains characters other than hex digits.", hint) from error
         if len(blob) != n * length:
-            raise InvalidDescriptors("A descriptor has characters other than hex digits.", hint)
+            raise InvalidDescriptors("A descriptor contains characters other than hex digits.", hint)
     return np.frombuffer(blob, dtype=np.uint8).reshape(n, length)
 
 

@@ -140,7 +140,7 @@ def _relative_pose(number: int, one: FrameIn) -> np.ndarray:
     quaternion = finite(f"frames[{number}].quaternion_xyzw", one.quaternion_xyzw)
     if abs(float(np.linalg.norm(quaternion)) - 1) > _UNIT_TOLERANCE:
         raise InvalidInput(
-            f"The quaternion of frame {number} is no rotation: its length is {np.linalg.norm(quaternion):.3g}.",
+            f"The quaternion of frame {number} is not a rotation: its length is {np.linalg.norm(quaternion):.3g}.",
             "Send a unit quaternion, x, y, z, w.",
         )
     return Pose.from_quaternion(position, direction("quaternion_xyzw", quaternion.tolist())).T_map_camera

@@ -25,7 +25,7 @@ class OpenStreams:
             Busy: as many are open as may be.
         """
         if self.count >= self._most:
-            raise Busy(f"{self._most} streams are open, as many as may be.", "Try again later.", _RETRY_AFTER_S)
+            raise Busy(f"{self._most} streams are open, the most allowed.", "Try again later.", _RETRY_AFTER_S)
         self.count += 1
         try:
             yield

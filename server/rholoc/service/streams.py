@@ -141,7 +141,7 @@ class Stream:
         message = await self._next_message()
         text = message.get("text")
         if text is None:
-            raise InvalidRequest("A picture came that no frame announced.", "Send a frame with picture true first.")
+            raise InvalidRequest("A picture arrived that no frame announced.", "Send a frame with picture: true first.")
         limits = JsonLimits.of_options(self._service.settings.max_json_bytes)
         body = text.encode()
         check_json(body, limits)
@@ -150,7 +150,9 @@ class Stream:
     async def _receive_picture(self) -> bytes:
         content = (await self._next_message()).get("bytes")
         if content is None:
-            raise InvalidRequest("A frame announced a picture, and text came.", "Send the picture as a binary message.")
+            raise InvalidRequest(
+                "A frame announced a picture, but text followed.", "Send the picture as a binary message."
+            )
         return bytes(content)
 
     async def _next_message(self) -> dict[str, Any]:

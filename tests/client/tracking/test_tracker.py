@@ -114,7 +114,7 @@ def test_a_picture_that_is_none_is_refused(client):
 def test_odometry_cannot_begin_midway(picture_world):
     track = FollowedTrack(camera=CAMERA)
     track.frame(0.0, None, picture_world.image)
-    with pytest.raises(InvalidTrack, match="odometry at first"):
+    with pytest.raises(InvalidTrack, match="without odometry"):
         track.frame(0.1, np.eye(4), picture_world.image)
 
 

@@ -89,7 +89,7 @@ def _hand_on(store: KeyStore, wanted: KeyIn, lifetime_s: float) -> HandedKeyOut:
         if key.expired:
             store.revoke(key.name)
     if sum(not key.expired for key in handed) >= _MAX_HANDED:
-        raise Busy("Too many keys are handed on at the moment.", "Revoke some, or wait until they expire.")
+        raise Busy("Too many temporary keys exist at the moment.", "Revoke some, or wait until they expire.")
     name = HANDED_PREFIX + secrets.token_hex(_NAME_BYTES)
     secret = store.create(name, wanted.scope, lifetime_s)
     return HandedKeyOut(key=secret, name=name, scope=wanted.scope, expires=time.time() + lifetime_s)

@@ -210,7 +210,7 @@ async def find_places(
     with service.held_bodies.hold() as look:
         frame = await _sent(request, options.options(), service, look)
         if not isinstance(frame, Frame):
-            raise InvalidRequest("Several frames cannot be asked for their place.", "Send one picture.")
+            raise InvalidRequest("Places are found for one picture at a time.", "Send one picture.")
         for name in [] if every else names:
             service.library.stat(name)
         settings = service.settings
