@@ -3,14 +3,16 @@
     python benchmarks/building.py [--seconds 30 120 300 600] [--seed 0] [--fps 15] [--cache DIR] [--json]
         [--only waypoints imu] [--query-fps 1]
 
-For each length of the walk: the map is built of video, IMU and waypoints; a second walk, through the same rooms in
-another order, looking elsewhere, is localized in it; printed for each room and in all: the share localized, median and
-95 % of the errors, a failure counting as wrong; and apart, for where a view of the map stands within 1.5 m and looks
-within 35° of the same way, for the second walk goes around many rooms the other way. What mapping took, by the
-recording's length, and its largest memory; how far its views are from the truth. ``imu``: once more without waypoints,
-as drift: how far the walk's end is from the true one when its start is laid on the truth, in % of the way, and the
-errors after a similarity. The simulated recordings stay in ``--cache`` and are used again. Below the table, the slope:
-how many seconds of mapping a further second of recording costs, from one length to the next.
+For each length of the walk: the map is built of video, IMU and waypoints; two other walks, through the same rooms in
+another order, higher or lower, at other speeds and looking elsewhere, are localized in it. In the whole building walk 3
+goes around the rooms as the map's walk did and walk 2 the other way, so that half of what it sees was never mapped.
+Printed for each of the two: the share localized, median and 95 % of the errors, a failure counting as wrong; the same
+for pictures that show anything (200 features), for where a view of the map stands within 1.5 m and looks within 35° of
+the same way, and for the rest; how many answers of which confidence are right to 15 cm; and a table of its rooms. What
+mapping took, by the recording's length, and its largest memory; how far its views are from the truth. ``imu``: once
+more without waypoints, as drift: how far the walk's end is from the true one when its start is laid on the truth, in %
+of the way, and the errors after a similarity. The simulated recordings stay in ``--cache`` and are used again. Below
+the table, the slope: how many seconds of mapping a further second of recording costs, from one length to the next.
 """
 
 from __future__ import annotations
@@ -49,6 +51,10 @@ from rholoc.simulation import Building, Site, make_site, simulate_recording
 from rholoc.trajectory import PoseMethod, estimate_trajectory
 
 ALIKE_M, ALIKE_DEG = 1.5, 35.0  # within which a query and a view may show the same things
+SHOWS_FEATURES = 200  # fewer are a white wall
+RIGHT_M = 0.15
+CONFIDENCES = (0.6, 0.8, 0.9, 1.0)
+ASKED_WALKS = (2, 3)
 START_S = 3.0  # of the walk, whose poses are laid on the truth to see how far its end has drifted
 
 
@@ -108,14 +114,17 @@ def mapped(folder: Path) -> tuple[Map | None, dict[str, Any]]:
 
 
 def localized(map_: Map, folder: Path, building: Building) -> dict[str, Any]:
-    """The second walk's frames in the map, by room."""
+    """Another walk's frames in the map, by what they show and by room."""
     recording = read_recording(folder)
     assert recording.camera is not None
     localizer = Localizer(map_)
     truth = nearest_truth(folder, recording.frames.times)
     found = np.full(truth.shape, np.nan)
+    confidence, features = np.zeros(len(truth)), np.zeros(len(truth), int)
     for i, image in enumerate(recording.frames.images(range(len(truth)))):
-        answer = localizer.localize(Query(localizer.extractor.extract(image), recording.camera))
+        frame = localizer.extractor.extract(image)
+        answer = localizer.localize(Query(frame, recording.camera))
+        features[i], confidence[i] = len(frame.pixels), answer.confidence
         if answer.localized and answer.pose is not None:
             found[i] = answer.pose.T_map_camera
     errors = trajectory_errors(found, truth)
@@ -136,13 +145,25 @@ def localized(map_: Map, folder: Path, building: Building) -> dict[str, Any]:
     by_room = {name: figures(rooms == name) for name in sorted(set(rooms)) if not name.startswith("door")}
     halls = {name: values for name, values in by_room.items() if name.startswith("room")}
     looked_at = seen_alike(map_, truth)
+    shows = features >= SHOWS_FEATURES
+    chosen = {
+        "all": np.ones(len(rooms), bool),
+        "where the map's walk looked": looked_at,
+        "the same, showing anything": looked_at & shows,
+        "where it did not": ~looked_at,
+    }
     return {
-        "all": figures(np.ones(len(rooms), bool)),
-        "where the map's walk looked": figures(looked_at),
-        "where it did not": figures(~looked_at),
+        **{name: figures(rows) for name, rows in chosen.items() if rows.any()},
+        "right": reliability(confidence[errors.localized], errors.position_m[errors.localized] < RIGHT_M),
         "rooms_found": f"{sum(values['localized_percent'] > 0 for values in halls.values())}/{len(halls)}",
         "by room": by_room,
     }
+
+
+def reliability(confidence: FloatArray, right: BoolArray) -> dict[str, str]:
+    """Of the answers whose confidence lies between two figures, how many are right."""
+    within = [(a, b, (confidence >= a) & ((confidence < b) | (b == 1))) for a, b in pairwise(CONFIDENCES)]
+    return {f"confidence {a:g}-{b:g}": f"{int(right[rows].sum())}/{int(rows.sum())}" for a, b, rows in within}
 
 
 def seen_alike(map_: Map, T_map_camera: FloatArray) -> BoolArray:
@@ -196,25 +217,25 @@ def main() -> None:
     building = make_site(Site.BUILDING, arguments.seed)
     assert isinstance(building, Building)
     found: dict[str, Any] = {}
-    with tempfile.TemporaryDirectory() as folder:
-        cache = arguments.cache or Path(folder)
+    with tempfile.TemporaryDirectory() as temporary:
+        cache = arguments.cache or Path(temporary)
         for seconds in arguments.seconds:
             options = seconds, arguments.seed
             walk = simulated(cache, 1, *options, arguments.fps, arguments.readout_ms)
-            asked = simulated(cache, 2, *options, arguments.query_fps, arguments.readout_ms)
+            asked = {n: simulated(cache, n, *options, arguments.query_fps, arguments.readout_ms) for n in ASKED_WALKS}
             figures: dict[str, Any] = {}
             if "waypoints" in arguments.only:
                 map_, figures = mapped(walk)
                 if map_ is not None:
-                    figures["localized"] = localized(map_, asked, building)
+                    figures |= {f"walk {n}": localized(map_, folder, building) for n, folder in asked.items()}
             if "imu" in arguments.only:
                 figures["imu alone"] = drift(walk)
             found[f"{seconds:.0f} s"] = figures
             if not arguments.json:
-                rooms = figures.get("localized", {}).pop("by room", {})
+                by_room = {n: figures[n].pop("by room") for n in map("walk {}".format, ASKED_WALKS) if n in figures}
                 print_figures(f"{seconds:.0f} s", figures)
-                if rooms:
-                    rows = [{"room": name, **values} for name, values in rooms.items()]
+                for name, rooms in by_room.items():
+                    rows = [{name: room, **values} for room, values in rooms.items()]
                     print_table(rows, list(rows[0]))
     costs = [(s, found[f"{s:.0f} s"].get("mapping_s")) for s in arguments.seconds]
     slopes = {
