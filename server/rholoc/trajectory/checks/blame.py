@@ -50,8 +50,13 @@ def leave_out(measured: FloatArray, estimated: FloatArray, covariance: FloatArra
     information = np.linalg.inv(covariance) - weight * np.eye(3)
     values, axes = np.linalg.eigh(information)
     without = (axes / np.maximum(values, _LEAST_SAY * weight)) @ axes.T
-    off = off + weight * without @ off
-    expected = without + sigma_m**2 * np.eye(3)
+    return held_against(off + weight * without @ off, np.zeros(3), without, sigma_m)
+
+
+def held_against(measured: FloatArray, estimated: FloatArray, covariance: FloatArray, sigma_m: float) -> LeftOut:
+    """Hold a waypoint against an estimate that it took no part in; arguments as in :func:`leave_out`."""
+    off = measured - estimated
+    expected = covariance + sigma_m**2 * np.eye(3)
     return LeftOut(off, float(np.sqrt(off @ np.linalg.solve(expected, off))))
 
 

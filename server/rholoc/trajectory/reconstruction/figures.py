@@ -1,0 +1,35 @@
+"""What an adjustment says of a walk: how sure its places are, its size, and how far away it looks."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from rholoc.geometry import FloatArray
+from rholoc.trajectory.optimization.adjustment import Adjusted
+from rholoc.trajectory.visual.tracks import Observations
+
+
+def spread_covariances(adjusted: Adjusted, count: int, computed: int) -> FloatArray:
+    """(K, 6, 6): of so many keyframes, and interpolated between them; a mixture of covariances is one."""
+    some = np.unique(np.linspace(0, count - 1, min(computed, count)).round().astype(np.int64))
+    found = adjusted.covariances(some.tolist())
+    after = np.clip(np.searchsorted(some, np.arange(count)), 1, len(some) - 1)
+    share = ((np.arange(count) - some[after - 1]) / (some[after] - some[after - 1]))[:, None, None]
+    return np.asarray((1 - share) * found[after - 1] + share * found[after])
+
+
+def scale_sigma_of(adjusted: Adjusted) -> float:
+    """How well the walk's size is known, relative: by the place of the keyframe that is furthest from the first."""
+    away = adjusted.state.positions - adjusted.state.positions[0]
+    far = int(np.argmax(np.linalg.norm(away, axis=1)))
+    length = max(float(np.linalg.norm(away[far])), 1e-9)
+    covariance = adjusted.covariances([far])[0, :3, :3]
+    along = away[far] / length
+    return float(np.sqrt(along @ covariance @ along)) / length
+
+
+def median_depth_of(observations: Observations, adjusted: Adjusted) -> float:
+    state, used = adjusted.state, adjusted.used
+    points, T = state.points[observations.tracks[used]], state.T_map_camera[observations.keyframes[used]]
+    depths = np.einsum("ni,ni->n", points - T[:, :3, 3], T[:, :3, 2])
+    return float(np.median(depths[depths > 0]))

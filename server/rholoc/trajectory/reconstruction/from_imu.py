@@ -1,0 +1,177 @@
+"""Pictures and IMU → the walk, metric and upright."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from rholoc.geometry import Camera, FloatArray, pose_matrix
+from rholoc.recordings import GRAVITY, Imu, Waypoint
+from rholoc.trajectory.frame.map_frame import frame_of_first_camera, frame_of_waypoints, up_by_gravity
+from rholoc.trajectory.frame.upright import rotation_to_upright
+from rholoc.trajectory.inertial.gyroscope import GyroCalibration
+from rholoc.trajectory.initialization.inertial_start import InertialStart, inertial_start
+from rholoc.trajectory.initialization.rotation_averaging import average_rotations
+from rholoc.trajectory.optimization.adjustment import Adjusted, InertialState, Problem, State, adjust
+from rholoc.trajectory.reconstruction.figures import median_depth_of, scale_sigma_of
+from rholoc.trajectory.reconstruction.loops import with_loops_closed
+from rholoc.trajectory.reconstruction.outcome import InertialFigures, Reconstruction, Solved, finished
+from rholoc.trajectory.reconstruction.rounds import (
+    ITERATIONS,
+    LAST_ITERATIONS,
+    AdjustmentProgress,
+    adjusted_in_rounds,
+    camera_sigmas,
+)
+from rholoc.trajectory.reconstruction.sights import Evidence, Sights
+from rholoc.trajectory.reconstruction.waypoints import held_by_waypoints
+from rholoc.trajectory.visual.camera_guess import calibrate_by_flow
+from rholoc.trajectory.visual.directions import PairDirection, direction_between
+from rholoc.trajectory.visual.matching import VerifiedPair
+
+_CORNERS_APART = (1, 2, 4, 8)  # keyframes, between which corners show the direction of the way
+_FEWEST_CORNERS = 15
+_DIRECTION_TOLERANCE_PX = 2.0
+_ACCELEROMETER_SCALE = 0.01  # from which it is corrected
+
+
+def calibrated(sights: Sights, camera: Camera, imu: Imu) -> tuple[GyroCalibration | None, str]:
+    """The gyroscope against the pictures, or why it is of no use."""
+    gyro = calibrate_by_flow(sights.flow, camera, imu)
+    if gyro is None:
+        return None, "IMU and video hardly overlap; the poses are from the pictures alone."
+    if not gyro.fits:
+        return None, (
+            f"The gyroscope contradicts the pictures: moment by moment they turn {gyro.residual_deg:.1f}° apart. "
+            "The poses are from the pictures alone."
+        )
+    if not gyro.mounting_is_known:
+        return None, (
+            "How the IMU is mounted is not known, and the camera hardly turns about two axes, which would show it. "
+            "The poses are from the pictures alone."
+        )
+    if not imu.includes_gravity:
+        return None, "The recorder took gravity out of the acceleration. The poses are from the pictures alone."
+    return gyro, ""
+
+
+def start_with_imu(
+    sights: Sights, camera: Camera, evidence: Evidence, imu: Imu, gyro: GyroCalibration, felt: Rotation
+) -> tuple[State, InertialStart] | None:
+    """A metric, upright start from rotations, directions between neighbours, and the IMU."""
+    count, times = len(sights.rows), sights.times
+    R, _ = average_rotations(count, replace(evidence, loops=[]).rotations, times, felt)
+    along = _directions(sights, camera, R, evidence.sequential)
+    start = inertial_start(times, R, along, imu, gyro)
+    if start is None:
+        return None
+    upright = rotation_to_upright(start.up)
+    T_imu_camera = pose_matrix(gyro.R_camera_imu.T, np.zeros(3))
+    biases = np.tile(np.concatenate([start.accelerometer_bias, gyro.bias]), (count, 1))
+    inertial = InertialState(start.velocities @ upright.T, biases, T_imu_camera, 0.0, np.array([0.0, 0.0, -GRAVITY]))
+    T = pose_matrix(upright @ R, start.positions @ upright.T)
+    return State(T, np.zeros((0, 3)), camera, inertial), start
+
+
+def _directions(sights: Sights, camera: Camera, R: FloatArray, pairs: Sequence[VerifiedPair]) -> list[PairDirection]:
+    """Between keyframes a few apart, by followed corners, and between pairs whose features match."""
+    found: list[PairDirection | None] = []
+    rows = sights.rows.tolist()
+    for apart in _CORNERS_APART:
+        for k in range(len(rows) - apart):
+            shared, a, b = sights.flow.shared(rows[k], rows[k + apart])
+            if len(shared) >= _FEWEST_CORNERS:
+                plane = camera.undistort(a), camera.undistort(b)
+                found.append(direction_between(k, k + apart, R, plane, _DIRECTION_TOLERANCE_PX, camera.focal))
+    found += [_direction_of(sights, camera, R, pair) for pair in pairs]
+    return [one for one in found if one is not None]
+
+
+def _direction_of(sights: Sights, camera: Camera, R: FloatArray, pair: VerifiedPair) -> PairDirection | None:
+    a, b = (
+        camera.undistort(sights.features[keyframe].pixels[pair.matches[:, side]].astype(np.float64))
+        for side, keyframe in enumerate((pair.first, pair.second))
+    )
+    return direction_between(pair.first, pair.second, R, (a, b), _DIRECTION_TOLERANCE_PX, camera.focal)
+
+
+def solve_with_imu(
+    sights: Sights,
+    imu: Imu,
+    gyro: GyroCalibration,
+    evidence: Evidence,
+    start: tuple[State, InertialStart],
+    waypoints: Sequence[tuple[Waypoint, ...]],
+    progress: AdjustmentProgress,
+) -> Reconstruction:
+    """All measurements adjusted together: first without places seen again, at last with the waypoints."""
+    state, began = start
+    observations = replace(evidence, loops=[]).observations(sights)
+    problem = Problem(sights.times, observations, imu, gyro, camera_sigmas=camera_sigmas(sights.camera))
+    problem, adjusted = adjusted_in_rounds(problem, state, progress, (0.45, 0.6))
+    misfit = adjusted.imu_misfit()
+    if misfit > 1:
+        problem = replace(problem, imu_noise=misfit)
+        adjusted = adjust(problem, adjusted.state, ITERATIONS, progress)
+    evidence, problem, adjusted = with_loops_closed(sights, evidence, problem, adjusted, progress)
+    problem, adjusted, accelerometer_scale = _accelerometer_corrected(problem, adjusted, progress)
+    scale_sigma = scale_sigma_of(adjusted)
+    solved = _in_map_frame(problem, adjusted, waypoints, scale_sigma, evidence, progress)
+    inertial = solved.adjusted.state.inertial
+    assert inertial is not None
+    figures = InertialFigures(
+        gyro,
+        scale_sigma,
+        inertial.biases[len(inertial.biases) // 2, :3],
+        -inertial.T_imu_camera[:3, :3].T @ inertial.T_imu_camera[:3, 3],
+        inertial.clock_s,
+        accelerometer_scale,
+        began.residual,
+        misfit,
+    )
+    return finished(solved, len(evidence.loops), sights.camera is not None, figures, "")
+
+
+def _accelerometer_corrected(
+    problem: Problem, adjusted: Adjusted, progress: AdjustmentProgress
+) -> tuple[Problem, Adjusted, float]:
+    """The walk once the accelerometer reads gravity right, and what it read for one m/s² before."""
+    assert adjusted.state.inertial is not None
+    assert problem.imu is not None
+    read = float(np.linalg.norm(adjusted.state.inertial.gravity)) / GRAVITY
+    if abs(read - 1) <= _ACCELEROMETER_SCALE:
+        return problem, adjusted, 1.0
+    problem = replace(problem, imu=replace(problem.imu, acceleration=problem.imu.acceleration / read))
+    return problem, adjust(problem, _of_corrected_scale(adjusted.state, read), LAST_ITERATIONS, progress), read
+
+
+def _in_map_frame(
+    problem: Problem,
+    adjusted: Adjusted,
+    waypoints: Sequence[tuple[Waypoint, ...]],
+    scale_sigma: float,
+    evidence: Evidence,
+    progress: AdjustmentProgress,
+) -> Solved:
+    """Held by the waypoints, where there are any; else the frame is the first camera's, upright."""
+    T, (up, why_up) = adjusted.state.T_map_camera, up_by_gravity()
+    if not waypoints:
+        depth = median_depth_of(problem.observations, adjusted)
+        return Solved(problem, adjusted, frame_of_first_camera(T, up, why_up, depth, scale_sigma))
+    frame = frame_of_waypoints(problem.times, T, waypoints, up, why_up, scale_sigma)
+    problem = replace(problem, level_sigma_rad=problem.level_sigma_rad if frame.upright else None)
+    return held_by_waypoints(problem, adjusted.state, frame, evidence.loops, progress)
+
+
+def _of_corrected_scale(state: State, read: float) -> State:
+    """The state of a walk whose accelerometer read ``read`` times too much."""
+    assert state.inertial is not None
+    T = state.T_map_camera.copy()
+    T[:, :3, 3] /= read
+    inertial = replace(
+        state.inertial, velocities=state.inertial.velocities / read, gravity=state.inertial.gravity / read
+    )
+    return replace(state, T_map_camera=T, points=state.points / read, inertial=inertial)

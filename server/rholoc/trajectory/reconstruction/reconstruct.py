@@ -1,0 +1,73 @@
+"""What keyframes see, and what the IMU and waypoints measured → the keyframes' poses. Runs in a child process."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from rholoc.errors import MappingFailed
+from rholoc.progress import ProgressListener, silent
+from rholoc.recordings import Imu, Waypoint
+from rholoc.trajectory.checks.agreement import Agreement, compare
+from rholoc.trajectory.inertial.gyroscope import camera_rotations
+from rholoc.trajectory.reconstruction.from_imu import calibrated, solve_with_imu, start_with_imu
+from rholoc.trajectory.reconstruction.from_pictures import solve_from_pictures
+from rholoc.trajectory.reconstruction.outcome import Reconstruction
+from rholoc.trajectory.reconstruction.rounds import AdjustmentProgress
+from rholoc.trajectory.reconstruction.sights import Sights, gather_evidence
+from rholoc.trajectory.visual.camera_guess import guess_camera
+
+
+def reconstruct(
+    sights: Sights,
+    imu: Imu | None,
+    waypoints: Sequence[tuple[Waypoint, ...]],
+    progress: ProgressListener = silent,
+) -> Reconstruction:
+    """Poses from all that was measured.
+
+    Args:
+        sights: what the keyframes see.
+        imu: None where there is none, or it is not to be used.
+        waypoints: at their times; where those are not known, every way to tell them. None of them: empty.
+        progress: hears of :data:`Stage.POSES`.
+
+    Raises:
+        MappingFailed: the pictures do not hang together, or the waypoints contradict them.
+    """
+    with threadpool_limits(1, "blas"):  # matrices are small: more threads only wait for each other
+        return _reconstruct(sights, imu, waypoints, progress)
+
+
+def _reconstruct(
+    sights: Sights, imu: Imu | None, waypoints: Sequence[tuple[Waypoint, ...]], progress: ProgressListener
+) -> Reconstruction:
+    camera = sights.camera or guess_camera(sights.flow, imu)
+    gyro, reason = (None, "") if imu is None else calibrated(sights, camera, imu)
+    felt = None if imu is None or gyro is None else camera_rotations(imu, gyro, sights.times)
+    evidence = gather_evidence(sights, camera, felt, progress)
+    steps = AdjustmentProgress(progress)
+    if imu is not None and gyro is not None and felt is not None:
+        start = start_with_imu(sights, camera, evidence, imu, gyro, felt)
+        if start is not None:
+            return solve_with_imu(sights, imu, gyro, evidence, start, waypoints, steps)
+        reason = "The pictures do not show enough of the walk for the accelerometer to measure it."
+    found = solve_from_pictures(sights, camera, evidence, waypoints, reason, steps)
+    steps.step(0.95, 0.99, "checked by a second reconstruction")
+    return replace(found, agreement=_agreement(found, sights))
+
+
+def _agreement(found: Reconstruction, sights: Sights) -> Agreement:
+    """Hold a reconstruction from pictures against another, from every other keyframe alone."""
+    some = np.arange(0, len(sights.rows), 2)
+    half = sights.take(some)
+    try:
+        other = solve_from_pictures(
+            half, found.camera, gather_evidence(half, found.camera, None, silent), (), "", AdjustmentProgress(silent)
+        )
+    except MappingFailed:
+        return Agreement(np.nan, np.nan, np.nan, 0, len(some))
+    return compare(found.T_map_camera, found.placed, some, other.T_map_camera, other.placed, found.median_depth)

@@ -1,0 +1,97 @@
+"""What keyframes see, and the evidence that it is: corners followed, features matched, places seen again."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from rholoc.errors import MappingFailed
+from rholoc.features import FeatureSet
+from rholoc.geometry import Camera, FloatArray, IntArray
+from rholoc.progress import ProgressListener
+from rholoc.trajectory.visual.flow import Flow
+from rholoc.trajectory.visual.matching import VerifiedPair, match_keyframes
+from rholoc.trajectory.visual.rolling_shutter import RollingShutter
+from rholoc.trajectory.visual.tracks import Observations, followed_corners, matched_features
+from rholoc.trajectory.visual.two_view import PairRotation
+
+_CORNERS_PER_KEYFRAME = 90
+_FEATURES_PER_KEYFRAME = 150
+_USUAL_KEYFRAMES = 1000
+_FOLLOWED = 60  # corners that neighbouring keyframes share, in the median, where pictures are close enough to follow
+ADVICE = "Walk slower, keep more texture in view."
+
+
+@dataclass(frozen=True, eq=False)
+class Sights:
+    """What K keyframes see.
+
+    Attributes:
+        flow: corners followed through all frames.
+        rows: (K,) the keyframes.
+        features: of each, in pixels of the full image.
+        camera: None where the intrinsics are unknown.
+        shutter: how the image moves while it is read, or None. The features are corrected for it already.
+    """
+
+    flow: Flow
+    rows: IntArray
+    features: Sequence[FeatureSet]
+    camera: Camera | None
+    shutter: RollingShutter | None = None
+
+    @property
+    def times(self) -> FloatArray:
+        """(K,) seconds."""
+        return np.asarray(self.flow.times[self.rows])
+
+    def take(self, some: IntArray) -> Sights:
+        """The same of some of the keyframes."""
+        shutter = None if self.shutter is None else self.shutter.take(some)
+        return replace(self, rows=self.rows[some], features=[self.features[k] for k in some.tolist()], shutter=shutter)
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """What the pictures alone tell: corners that were followed, matches of neighbours, and of places seen again."""
+
+    corners: Observations
+    turned: list[PairRotation]
+    sequential: list[VerifiedPair]
+    loops: list[VerifiedPair]
+
+    @property
+    def rotations(self) -> list[PairRotation]:
+        """Between pairs of keyframes."""
+        return [*self.turned, *(pair.rotation for pair in (*self.sequential, *self.loops))]
+
+    def observations(self, sights: Sights) -> Observations:
+        """Of the points that corners and matches are of; in long walks fewer of each keyframe."""
+        share = min(1.0, np.sqrt(_USUAL_KEYFRAMES / len(sights.rows)))
+        places = [features.pixels.astype(np.float64) for features in sights.features]
+        matched = matched_features(places, [*self.sequential, *self.loops])
+        matched = matched.thinned(round(share * _FEATURES_PER_KEYFRAME))
+        found = self.corners.thinned(round(share * _CORNERS_PER_KEYFRAME)).joined(matched)
+        if len(found) == 0:
+            raise MappingFailed("The pictures show nothing that could be followed from one to the next.", ADVICE)
+        return found
+
+
+def gather_evidence(sights: Sights, camera: Camera, felt: Rotation | None, progress: ProgressListener) -> Evidence:
+    """Sightings by followed corners and by matched features, and rotations between keyframes."""
+    corners, rotations = followed_corners(sights.flow, sights.rows, camera, felt, sights.shutter)
+    planes = [camera.undistort(features.pixels.astype(np.float64)) for features in sights.features]
+    sequential, loops = match_keyframes(
+        sights.features, planes, camera.focal, sights.times, felt, _is_followed(sights), progress
+    )
+    return Evidence(corners, rotations, sequential, loops)
+
+
+def _is_followed(sights: Sights) -> bool:
+    rows = sights.rows.tolist()
+    shared = [len(sights.flow.shared(a, b)[0]) for a, b in itertools.pairwise(rows)]
+    return bool(np.median(shared) >= _FOLLOWED) if shared else False

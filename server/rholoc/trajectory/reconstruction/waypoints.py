@@ -1,0 +1,93 @@
+"""A walk held by its waypoints, but for those that all else contradicts."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from rholoc.recordings.tables.waypoints import DEFAULT_SIGMA_M
+from rholoc.trajectory.checks.blame import LeftOut, held_against, leave_out, worst
+from rholoc.trajectory.frame.map_frame import MapFrame
+from rholoc.trajectory.frame.waypoint_alignment import MAX_GAP_S
+from rholoc.trajectory.optimization.adjustment import Adjusted, Fix, Problem, State, adjust
+from rholoc.trajectory.optimization.pose_graph import RelativePose, bend
+from rholoc.trajectory.reconstruction.outcome import Solved, moved
+from rholoc.trajectory.reconstruction.rounds import FAR_M, ITERATIONS, LAST_ITERATIONS, AdjustmentProgress
+from rholoc.trajectory.visual.matching import VerifiedPair
+
+_NOISE_PRIOR = 2.0  # coordinates that were off as much as assumed
+_NOISE_FACTORS = (0.4, 2.0)
+_FEWEST_TRUSTED = 3  # waypoints, below which none is taken out
+_MAX_MISTAKES = 0.34  # the share of the waypoints that may be found mistaken
+
+
+def held_by_waypoints(
+    problem: Problem,
+    state: State,
+    frame: MapFrame,
+    loops: Sequence[VerifiedPair],
+    progress: AdjustmentProgress,
+) -> Solved:
+    """Adjust with the waypoints; those that all else contradicts are taken out, the furthest off first."""
+    keyframes = {waypoint.name: int(np.abs(problem.times - waypoint.time).argmin()) for waypoint in frame.waypoints}
+    measured = {
+        waypoint.name: waypoint
+        for waypoint in frame.waypoints
+        if abs(problem.times[keyframes[waypoint.name]] - waypoint.time) <= MAX_GAP_S
+    }
+    fixes = {name: Fix(keyframes[name], point.position, point.sigma_m) for name, point in measured.items()}
+    state = _with_waypoints_met(moved(state, frame.similarity), tuple(fixes.values()), loops)
+    most = _MAX_MISTAKES * len(fixes)
+    mistaken: list[str] = []
+    for attempt in range(int(most) + 2):
+        trusted = [name for name in fixes if name not in mistaken]
+        problem = replace(problem, fixes=tuple(fixes[name] for name in trusted))
+        step = progress.step(0.75 + 0.05 * min(attempt, 2), 0.8 + 0.05 * min(attempt, 2), "adjusted to the waypoints")
+        adjusted = adjust(problem, state, ITERATIONS, step)
+        state = adjusted.state
+        left_out = _each_left_out(fixes, mistaken, adjusted)
+        wrong = worst(trusted, [left_out[name] for name in trusted])
+        if wrong is None or len(trusted) <= _FEWEST_TRUSTED or len(mistaken) + 1 > most:
+            break
+        mistaken.append(trusted[wrong])
+    factor = _noise_factor([left_out[name].sigmas for name in trusted])
+    problem = replace(problem, fixes=tuple(_of_noise(fix, factor) for fix in problem.fixes))
+    adjusted = adjust(problem, state, LAST_ITERATIONS, progress.step(0.9, 0.95, "adjusted to the waypoints"))
+    return Solved(problem, adjusted, frame, True, left_out, tuple(mistaken))
+
+
+def _each_left_out(fixes: dict[str, Fix], mistaken: Sequence[str], adjusted: Adjusted) -> dict[str, LeftOut]:
+    """Each waypoint against the walk that the others and all else make; of the mistaken ones it is free already."""
+    covariances = adjusted.covariances([fix.keyframe for fix in fixes.values()])[:, :3, :3]
+    found = {}
+    for (name, fix), covariance in zip(fixes.items(), covariances, strict=True):
+        judge = held_against if name in mistaken else leave_out
+        place = adjusted.state.positions[fix.keyframe]
+        found[name] = judge(np.array(fix.position), place, covariance, fix.sigma_m)
+    return found
+
+
+def _of_noise(fix: Fix, factor: float) -> Fix:
+    """As sure as waypoints turned out to be, unless the operator said how sure."""
+    return replace(fix, sigma_m=factor * fix.sigma_m) if fix.sigma_m == DEFAULT_SIGMA_M else fix
+
+
+def _with_waypoints_met(state: State, fixes: tuple[Fix, ...], loops: Sequence[VerifiedPair]) -> State:
+    """The walk, bent where it is too far from the waypoints for an adjustment to meet them."""
+    missed_m = [np.linalg.norm(state.positions[fix.keyframe] - fix.position) for fix in fixes]
+    if state.inertial is None or np.median(missed_m) <= FAR_M:
+        return state
+    T = state.T_map_camera
+    closed = [RelativePose(a, b, np.linalg.inv(T[a]) @ T[b]) for a, b in ((pair.first, pair.second) for pair in loops)]
+    return bend(state, closed, fixes)
+
+
+def _noise_factor(sigmas: Sequence[float]) -> float:
+    """How much more or less than was assumed the waypoints are off, from how far they are off all else in sigmas.
+
+    The mean square over three coordinates each, drawn to one by a prior, for waypoints are few.
+    """
+    squares = _NOISE_PRIOR + sum(value**2 for value in sigmas)
+    return float(np.clip(np.sqrt(squares / (_NOISE_PRIOR + 3 * len(sigmas))), *_NOISE_FACTORS))
