@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import json
-import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 
-from rholoc.cli import main
+from rholoc.maps import read_trajectory_csv
 from rholoc.pictures.flow import dense_png
+from rholoc.simulation import simulate_recording
 from rholoc.trajectory.visual.dense_flow import DenseMethod, dense_flow
+
+Run = Callable[..., tuple[int, str, str]]
 
 
 def _texture() -> np.ndarray:
@@ -36,24 +39,47 @@ def test_red_is_to_the_right() -> None:
     assert picture[4, 4].tolist() == [0, 0, 255]
 
 
-def test_tracks_and_fields_are_written(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_tracks_and_fields_are_written(tmp_path: Path, command: Run) -> None:
     wide, folder, out = _texture(), tmp_path / "walk", tmp_path / "flow"
     folder.mkdir()
     for frame in range(6):
         cv2.imwrite(str(folder / f"frame-{frame:06d}.png"), wide[20:260, 60 - 4 * frame : 380 - 4 * frame])
-    arguments = ["rholoc", "recording", "flow", folder, "-o", out, "--pictures", "2", "--json"]
-    monkeypatch.setattr(sys, "argv", [str(one) for one in arguments])
-    with pytest.raises(SystemExit) as ended:
-        main()
-    assert not ended.value.code
-    figures = json.loads(capsys.readouterr().out)
+    status, printed, errors = command("recording", "flow", folder, "-o", out, "--pictures", "2", "--fields", "--json")
+    assert status == 0, errors
+    figures = json.loads(printed)
+    assert figures["odometry"] is None
+    assert "No odometry: The camera hardly moves" in errors
     assert figures["frames"] == 6
     assert figures["motion_a_frame_px"] == pytest.approx(4, abs=0.5)
-    assert figures["dense_off_tracks_px"] < 0.5
+    assert figures["dis_off_tracks_px"] < 0.5
+    assert figures["farneback_off_tracks_px"] < 0.5
     table = np.loadtxt(out / "tracks.csv", delimiter=",", skiprows=1)
     longest = table[table[:, 1] == np.bincount(table[:, 1].astype(int)).argmax()]
     assert np.allclose(np.diff(longest[:, 2]), 4, atol=0.5)
-    assert {path.name.partition("-")[0] for path in out.glob("*.png")} == {"tracks", "dense"}
-    assert len(list(out.glob("*.png"))) == 4
+    assert sorted(path.name for path in out.glob("*.png")) == [
+        f"{kind}-{frame:06d}.png" for kind in ("dis", "farneback", "tracks") for frame in (1, 5)
+    ]
+    field = cv2.readOpticalFlow(str(out / "farneback-000005.flo"))
+    assert np.allclose(np.median(field, axis=(0, 1)), (4, 0), atol=0.3)
+    dense = (out / "dense.csv").read_text().splitlines()
+    assert dense[0] == "frame,method,motion_px,off_tracks_px,off_tracks_p90_px"
+    assert [line.split(",")[:2] for line in dense[1:]] == [
+        [frame, method] for frame in ("1", "5") for method in ("farneback", "dis")
+    ]
+
+
+@pytest.mark.slow
+def test_odometry_stands_beside_the_truth(tmp_path: Path, command: Run) -> None:
+    walk, out = tmp_path / "walk", tmp_path / "flow"
+    simulate_recording(walk, seconds=9.0, fps=15)
+    status, printed, errors = command("recording", "flow", walk, "-o", out, "--pictures", "0", "--json")
+    assert status == 0, errors
+    found = json.loads(printed)["odometry"]
+    assert found["scale"] == "metric"
+    assert found["upright"]
+    assert found["true_size"] == pytest.approx(1, abs=0.05)
+    assert found["rms_m"] < 0.05
+    assert found["drift_percent"] < 5
+    assert (out / "odometry.png").stat().st_size > 10_000
+    table = read_trajectory_csv(out / "odometry.csv")
+    assert len(table) == found["keyframes"] > 10

@@ -11,6 +11,7 @@ import pytest
 from synthetic_walk import DELAY_S, SyntheticWalk
 
 from rholoc.errors import MappingFailed
+from rholoc.evaluation.odometry import measure_odometry
 from rholoc.geometry import FloatArray, umeyama
 from rholoc.progress import ProgressListener
 from rholoc.recordings import Recording, Waypoint
@@ -74,6 +75,19 @@ def test_pictures_imu_and_waypoints_place_all_to_a_centimetre(walk: SyntheticWal
     assert max(report.waypoint_sigmas.values()) < 4
     assert report.imu.time_offset_s == pytest.approx(DELAY_S, abs=0.003)
     assert report.inertial.rms_m < 0.3
+
+
+def test_odometry_looks_for_no_features_and_meets_no_waypoint(walk: SyntheticWalk) -> None:
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(walk, "extract_keyframe_features", None)
+        found = _estimated(walk, walk.recording(), PoseMethod.ODOMETRY)
+    assert found.scale is Scale.METRIC
+    assert found.upright
+    assert found.report.waypoint_times_s is None
+    measured = measure_odometry(found.T_map_camera, walk.T_map_camera[found.rows])
+    assert measured is not None
+    assert measured.scale == pytest.approx(1, abs=0.03)
+    assert measured.rms_m < 0.05
 
 
 def test_its_covariance_holds_its_errors(walk: SyntheticWalk, measured: Trajectory) -> None:

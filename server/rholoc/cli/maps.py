@@ -38,7 +38,7 @@ def build(
         str | None, typer.Option(metavar="gray|rgb|lab|lab3|sift|sift48", help="What the map's features are.")
     ] = None,
     poses: Annotated[
-        str, typer.Option(metavar="visual-inertial|visual|inertial|given", help="Where frame poses come from.")
+        str, typer.Option(metavar="visual-inertial|visual|inertial|odometry|given", help="Where frame poses come from.")
     ] = "visual-inertial",
     frames: options.Frames = None,
     camera: options.Camera = None,
@@ -147,7 +147,7 @@ def update(
     poses: Annotated[
         str | None,
         typer.Option(
-            metavar="visual-inertial|visual|inertial|given",
+            metavar="visual-inertial|visual|inertial|odometry|given",
             help="Where frame poses come from, to be aligned to the map; default: its own poses, if it has any, else "
             "each frame is localized in the map.",
         ),

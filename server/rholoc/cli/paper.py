@@ -33,7 +33,7 @@ def observations(
         str, typer.Option(metavar="gray|rgb|lab|lab3|sift|sift48", help="What is looked for in the pictures.")
     ] = "lab",
     poses: Annotated[
-        str, typer.Option(metavar="visual-inertial|visual|inertial|given", help="Where frame poses come from.")
+        str, typer.Option(metavar="visual-inertial|visual|inertial|odometry|given", help="Where frame poses come from.")
     ] = "inertial",
     frames: options.Frames = None,
     camera: options.Camera = None,

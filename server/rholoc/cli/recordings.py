@@ -9,8 +9,10 @@ import typer
 
 from rholoc.cli import options
 from rholoc.cli.console import output, print_figures, print_json, print_notice
+from rholoc.cli.flow import flow
 
 app = typer.Typer(no_args_is_help=True, help="Look into recordings before a map is made of them.")
+app.command()(flow)
 
 
 @app.callback()
@@ -46,64 +48,6 @@ def info(
 
         replace_file(out, recording_png(read))
         print_notice(f"{out} shows it.")
-
-
-@app.command()
-def flow(
-    recording: Annotated[
-        Path, typer.Argument(metavar="RECORDING", help="A video, a folder of images, a recording's folder or ZIP file.")
-    ],
-    out: Annotated[Path, typer.Option("--out", "-o", metavar="DIR", help="A folder for tables and pictures.")],
-    dense: Annotated[str, typer.Option(metavar="farneback|dis", help="How the dense field is computed.")] = "dis",
-    pictures: Annotated[int, typer.Option(min=0, max=1000, help="Of how many frames, evenly spread.")] = 10,
-    frames: options.Frames = None,
-    as_json: options.Json = False,
-) -> None:
-    """Write a recording's optical flow: Lucas–Kanade tracks, and dense fields, as tables and pictures."""
-    import numpy as np
-
-    from rholoc.cli.console import stage_progress
-    from rholoc.maps.files import replace_file
-    from rholoc.pictures.flow import dense_png, tracks_png
-    from rholoc.recordings import read_recording
-    from rholoc.trajectory.visual.dense_flow import DenseMethod, dense_flow, off_tracks
-    from rholoc.trajectory.visual.flow import track_corners
-
-    method = options.choice(DenseMethod, dense, "--dense")
-    read = read_recording(recording, frames=frames)
-    with stage_progress() as progress:
-        found = track_corners(read.frames, progress)
-    out.mkdir(parents=True, exist_ok=True)
-    numbers = read.frames.numbers
-    of_frame = np.repeat(numbers, np.diff(found.starts))
-    rows = np.column_stack([of_frame, found.tracks, found.pixels])
-    with (out / "tracks.csv").open("w", encoding="utf-8") as file:
-        file.write("frame,track,u,v\n")
-        np.savetxt(file, rows, fmt=["%d", "%d", "%.3f", "%.3f"], delimiter=",")
-    last = len(numbers) - 1
-    chosen = np.unique(np.linspace(1, last, min(pictures, last)).astype(np.int64)).tolist() if last > 0 else []
-    apart_px: list[float] = []
-    for row in chosen:
-        before, after = read.frames.images([row - 1, row])
-        field = dense_flow(before, after, method)
-        _, was, now = found.shared(row - 1, row)
-        apart_px += off_tracks(field, was, now).tolist()
-        replace_file(out / f"tracks-{numbers[row]:06d}.png", tracks_png(after, was, now))
-        replace_file(out / f"dense-{numbers[row]:06d}.png", dense_png(field))
-    lengths = np.bincount(found.tracks) if len(found.tracks) else np.zeros(1)
-    figures = {
-        "frames": len(numbers),
-        "tracks": len(np.unique(found.tracks)),
-        "corners_a_frame": float(np.median(np.diff(found.starts))),
-        "track_length_frames": float(np.median(lengths[lengths > 0])) if lengths.any() else 0.0,
-        "motion_a_frame_px": round(float(np.median(found.motion[1:])) * max(found.size), 2) if last > 0 else 0.0,
-        "dense_off_tracks_px": round(float(np.median(apart_px)), 3) if apart_px else None,
-        "folder": str(out),
-    }
-    if as_json:
-        print_json(figures)
-    else:
-        print_figures(f"{recording}: optical flow", {name: f"{value}" for name, value in figures.items()})
 
 
 def _figures(description: dict[str, Any]) -> dict[str, str]:

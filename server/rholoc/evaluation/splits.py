@@ -60,6 +60,16 @@ def with_poses(recording: Recording, use_truth: bool) -> Recording:
     return replace(recording, waypoints=())
 
 
+def poses_or_truth(recording: Recording) -> GivenPoses | None:
+    """The recording's poses, or those of its ``truth.csv``; None where it has neither.
+
+    Raises:
+        InvalidTrajectory: ``truth.csv`` is broken.
+    """
+    has_truth = (recording.path / TRUTH_FILE).is_file()
+    return _true_poses(recording) if recording.poses is None and has_truth else recording.poses
+
+
 def choose_rows(recording: Recording, frames: str | None) -> IntArray:
     """The posed frames, or those whose numbers are in ``start:stop[:step]``: rows (N,).
 

@@ -71,8 +71,30 @@ def estimate_trajectory(
             return _given(recording)
         case PoseMethod.INERTIAL:
             return _inertial(recording, progress)
+        case PoseMethod.ODOMETRY:
+            return odometry_from_flow(recording, track_corners(recording.frames, progress), progress)
         case PoseMethod.VISUAL | PoseMethod.VISUAL_INERTIAL:
             return _visual(recording, method, progress, show)
+
+
+def odometry_from_flow(recording: Recording, flow: Flow, progress: ProgressListener = silent) -> Trajectory:
+    """The poses of keyframes that follow from optical flow, and from the IMU where there is one.
+
+    Nothing corrects it: no feature is matched, no place recognised, no waypoint met. Metric where an IMU is of use.
+
+    Args:
+        recording: whose frames the flow is of.
+        flow: its corners, by :func:`rholoc.trajectory.visual.flow.track_corners`.
+        progress: is called with each step that is done.
+
+    Raises:
+        MappingFailed: the camera hardly moves, or too few keyframes could be placed.
+        Cancelled: ``progress`` asked to stop.
+    """
+    alone = replace(recording, waypoints=())
+    rows, choices = _keyframes(alone, alone.imu, flow)
+    sights = _sights(alone, flow, rows, [FeatureSet.empty(0)] * len(rows))
+    return _placed(alone, PoseMethod.ODOMETRY, sights, alone.imu, choices, progress)
 
 
 def _given(recording: Recording) -> Trajectory:
@@ -134,6 +156,19 @@ def _visual(
         flow = track_corners(recording.frames, progress, features.foresee)
         rows, choices = _keyframes(recording, imu, flow)
         sights = _sights(recording, flow, rows, features.of(rows, progress))
+    return _placed(recording, method, sights, imu, choices, progress)
+
+
+def _placed(
+    recording: Recording,
+    method: PoseMethod,
+    sights: Sights,
+    imu: Imu | None,
+    choices: Sequence[tuple[Waypoint, ...]],
+    progress: ProgressListener,
+) -> Trajectory:
+    """Keyframes placed by what they see, by the IMU, and by waypoints, of which there may be several choices."""
+    flow, rows = sights.flow, sights.rows
     found = run_in_child(
         reconstruct, sights, imu, choices if recording.waypoints else [], progress=progress, stage=Stage.POSES
     )
@@ -147,7 +182,7 @@ def _visual(
     doubts = _doubts(found, share, describe(missing))
     report = _report(found, method, len(rows), kept, doubts)
     report = replace(report, missing=missing)
-    if method is PoseMethod.VISUAL_INERTIAL:
+    if method is not PoseMethod.VISUAL:
         report = replace(report, imu=_imu_report(recording, found))
         report = replace(report, inertial=_comparison(recording, found, flow.times[rows[kept]], kept))
     progress(Stage.POSES, 1.0, f"{len(kept)} of {len(rows)} keyframes placed")

@@ -23,15 +23,15 @@ from rholoc.trajectory.dead_reckoning import integrate_between_waypoints
 from rholoc.trajectory.inertial.gyroscope import longest_interval_s
 from rholoc.trajectory.optimization.adjustment import imu_noise, preintegrated, robust
 
-_REST_SIGMA_M_S = 0.01  # a hand at rest drifts and trembles
+_REST_SIGMA_M_S = 0.05  # a hand at rest sways by millimetres, once or twice a second
 _ACCELEROMETER_BIAS_SIGMA = 0.1  # m/s²
 _GYROSCOPE_BIAS_SIGMA = 0.02  # rad/s
 _LEVEL_SIGMA = GRAVITY * np.radians(0.5)  # m/s², of the waypoints' z axis
 _GRAVITY_SIGMA = 0.05  # m/s², of its length as accelerometers read it
 _LEVER_SIGMA_M = 0.02  # between camera and IMU, which nothing here tells apart
 _CAUCHY = 3.0
-_INSIDE_S = 0.3  # from the ends of a pause: there the camera rests
-_REST_STEP_S = 0.25
+_INSIDE_S = 0.2  # from the ends of a pause: there the camera rests
+_REST_STEP_S = 0.1
 _APART_S = 1e-3  # times nearer than this are one state
 _TIMES_USUAL = 1.0  # the noise of the IMU
 _ITERATIONS = 30

@@ -15,6 +15,7 @@ class PoseMethod(StrEnum):
 
     VISUAL_INERTIAL = "visual-inertial"  # structure from motion, made metric and upright by waypoints and IMU
     VISUAL = "visual"  # structure from motion and waypoints; the IMU is not used
+    ODOMETRY = "odometry"  # corners followed from frame to frame, and the IMU; nothing is recognised, so it drifts
     INERTIAL = "inertial"  # the paper's own: the IMU between waypoints, and no pictures
     GIVEN = "given"  # the recording's own poses
 

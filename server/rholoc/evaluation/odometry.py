@@ -1,0 +1,85 @@
+"""How far odometry drifts from the truth."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from rholoc.geometry import FloatArray, IntArray, pose_distances, umeyama
+
+_SEGMENTS = (0.1, 0.2, 0.4)  # of the way, over which drift is measured
+_FEWEST = 4  # poses
+
+
+@dataclass(frozen=True, eq=False)
+class OdometryErrors:
+    """N poses of an odometry against the truth, after the similarity that lays them onto it best.
+
+    Attributes:
+        aligned: (N, 4, 4) the poses in the truth's frame, at the truth's size.
+        scale: what the odometry's lengths were multiplied by for that.
+        path_m: the true way's length, metres.
+        rms_m: of the positions that are left, metres.
+        median_deg: of the rotations that are left.
+        drift: by how much the camera's place is off as seen from an earlier pose, relative to the way between; the mean
+            over segments of a tenth to four tenths of the way, after the scaling.
+    """
+
+    aligned: FloatArray
+    scale: float
+    path_m: float
+    rms_m: float
+    median_deg: float
+    drift: float
+
+    def figures(self) -> dict[str, float]:
+        """All figures, JSON-serialisable."""
+        return {
+            "true_size": round(self.scale, 4),
+            "path_m": round(self.path_m, 2),
+            "rms_m": round(self.rms_m, 4),
+            "median_deg": round(self.median_deg, 3),
+            "drift_percent": round(100 * self.drift, 2),
+        }
+
+
+def measure_odometry(T_odom_camera: FloatArray, truth: FloatArray) -> OdometryErrors | None:
+    """The errors of poses (N, 4, 4) against the true ones (N, 4, 4), each in its own frame.
+
+    None where fewer than four poses are known, or the camera did not move.
+    """
+    steps_m = np.linalg.norm(np.diff(truth[:, :3, 3], axis=0), axis=1)
+    way_m = np.concatenate([[0.0], np.cumsum(steps_m)])
+    if len(truth) < _FEWEST or way_m[-1] < 1e-6:
+        return None
+    similarity = umeyama(T_odom_camera[:, :3, 3], truth[:, :3, 3])
+    aligned = similarity.poses(T_odom_camera)
+    moved_m, turned_rad = pose_distances(aligned, truth)
+    return OdometryErrors(
+        aligned,
+        similarity.scale,
+        float(way_m[-1]),
+        float(np.sqrt(np.mean(moved_m**2))),
+        float(np.degrees(np.median(turned_rad))),
+        _drift(aligned, truth, way_m),
+    )
+
+
+def _drift(estimated: FloatArray, truth: FloatArray, way_m: FloatArray) -> float:
+    """The mean relative error of where the camera is as seen from where it was some way before."""
+    errors: list[float] = []
+    for share in _SEGMENTS:
+        length_m = share * way_m[-1]
+        ends = np.searchsorted(way_m, way_m + length_m)
+        starts = np.flatnonzero(ends < len(way_m))
+        if len(starts):
+            a, b = _seen_from(estimated, starts, ends[starts]), _seen_from(truth, starts, ends[starts])
+            errors += (np.linalg.norm(a - b, axis=1) / length_m).tolist()
+    return float(np.mean(errors))
+
+
+def _seen_from(T: FloatArray, starts: IntArray, ends: IntArray) -> FloatArray:
+    """The positions (M, 3) of the cameras at ``ends`` (M,) in the frames of those at ``starts`` (M,)."""
+    away = T[ends, :3, 3] - T[starts, :3, 3]
+    return np.asarray(np.einsum("mji,mj->mi", T[starts, :3, :3], away))
