@@ -1,4 +1,7 @@
-"""A hook of mkdocs: the repository's own pages and pictures are the site's, where they lie."""
+"""A hook of mkdocs: the repository's own pages and pictures are the site's, where they lie.
+
+Two pages are made: the HTTP reference of the service's OpenAPI document, and the notebook, run.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +9,11 @@ import re
 from pathlib import Path
 from typing import Any
 
+import http_reference
+import notebook
 from mkdocs.structure.files import File, Files
+
+from rholoc.service import Settings, create_app
 
 ROOT = Path(__file__).parents[2]
 PAGES = (
@@ -18,11 +25,13 @@ PAGES = (
     "server/LIGHT.md",
     "maps/README.md",
     "client/README.md",
+    "docs/howto.md",
     "docs/library.md",
     "docs/method.md",
     "docs/page.md",
     "docs/paper.md",
 )
+NOTEBOOK = ROOT / "docs" / "paper.ipynb"
 _LINK = re.compile(r"(?<=\]\()([^)#\s]+)|(?<=src=\")([^\"]+)")
 
 
@@ -40,4 +49,9 @@ def on_files(files: Files, config: Any, **_: Any) -> Files:
     for name in wanted:
         if files.get_file_from_path(name) is None:
             files.append(File.generated(config, name, abs_src_path=str(ROOT / name)))
+    files.append(File.generated(config, "http.md", content=http_reference.page(create_app(Settings()).openapi())))
+    run = notebook.run_notebook(NOTEBOOK)
+    files.append(File.generated(config, "docs/notebook.md", content=run.text))
+    for name, picture in run.pictures.items():
+        files.append(File.generated(config, f"docs/{name}", content=picture))
     return files

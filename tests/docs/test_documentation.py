@@ -27,6 +27,7 @@ PAGES = [
         "README.md",
         "CHANGELOG.md",
         "CONTRIBUTING.md",
+        "docs/howto.md",
         "docs/library.md",
         "docs/method.md",
         "docs/paper.md",
@@ -59,9 +60,9 @@ def section(path: tuple[str, ...]) -> str:
     return match[0]
 
 
-def shell_lines() -> list[str]:
-    """The README's shell commands, continued lines joined."""
-    blocks = re.findall(r"^```sh\n(.*?)^```", README, re.MULTILINE | re.DOTALL)
+def shell_lines(page: str = README) -> list[str]:
+    """A page's shell commands, continued lines joined."""
+    blocks = re.findall(r"^```sh\n(.*?)^```", page, re.MULTILINE | re.DOTALL)
     return [line for block in blocks for line in block.replace("\\\n", " ").splitlines() if line.strip()]
 
 
@@ -87,11 +88,12 @@ def test_no_command_is_documented_that_does_not_exist() -> None:
     assert {tuple(name.split()) for name in documented} == set(COMMANDS)
 
 
-def test_the_readmes_commands_parse() -> None:
-    lines = [line for line in shell_lines() if line.startswith("rholoc ")]
+@pytest.mark.parametrize("name", ["README.md", "docs/howto.md", "docs/paper.md", "server/COMMANDS.md"])
+def test_commands_that_are_shown_parse(name: str) -> None:
+    lines = [line for line in shell_lines((ROOT / name).read_text(encoding="utf-8")) if line.startswith("rholoc ")]
     assert lines
     for line in lines:
-        words = shlex.split(line)[1:]
+        words = shlex.split(line, comments=True)[1:]
         path = next(path for path in COMMANDS if tuple(words[: len(path)]) == path)
         COMMANDS[path].make_context("rholoc", words[len(path) :])  # raises where an option or a value is wrong
 
