@@ -54,6 +54,16 @@ class Presence:
         np.minimum.at(nearest, features, distance)
         return cls(mean, np.cos(np.minimum(spread + _EXTRA_ANGLE_RAD, np.pi)), nearest, farthest)
 
+    @property
+    def half_angle(self) -> FloatArray:
+        """(F,) radians, of the cone about ``direction`` from which a feature may be seen."""
+        return np.arctan2(np.sqrt(np.maximum(1 - self.cosine_limit**2, 0)), self.cosine_limit)
+
+    @property
+    def reach(self) -> tuple[FloatArray, FloatArray]:
+        """(F,) and (F,) metres: between these distances it may be."""
+        return self.nearest / _DISTANCE_RATIO, self.farthest * _DISTANCE_RATIO
+
     def take(self, rows: IntArray | slice) -> Presence:
         """Of the features at ``rows`` only."""
         return Presence(self.direction[rows], self.cosine_limit[rows], self.nearest[rows], self.farthest[rows])
@@ -62,8 +72,6 @@ class Presence:
         """Which features (F,), at ``landmarks`` (F, 3), may be seen from ``position`` (3,)."""
         away = position - landmarks
         distance = np.linalg.norm(away, axis=1)
-        return np.asarray(
-            (np.einsum("fi,fi->f", away, self.direction) >= self.cosine_limit * distance)
-            & (distance < self.farthest * _DISTANCE_RATIO)
-            & (distance > self.nearest / _DISTANCE_RATIO)
-        )
+        least, most = self.reach
+        within = np.einsum("fi,fi->f", away, self.direction) >= self.cosine_limit * distance
+        return np.asarray(within & (distance < most) & (distance > least))

@@ -9,6 +9,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+import numpy as np
+
 from rholoc.density import Evidence
 from rholoc.features import FeatureSet
 from rholoc.geometry import Camera, FloatArray
@@ -40,6 +42,11 @@ class Ascent:
     optimum: Optimum
 
     @property
+    def positions(self) -> FloatArray:
+        """(S, 3) of the camera, step by step."""
+        return np.array([step.T_map_camera[:3, 3] for step in self.steps])
+
+    @property
     def inliers(self) -> int:
         """How many matches agree with the optimum."""
         return int((self.optimum.density > 0).sum())
@@ -51,12 +58,13 @@ class DensityLocalizer:
     Args:
         map_: the map.
         starts: how many voted places are climbed from.
+        index: the map's, where another localizer has made it already.
     """
 
-    def __init__(self, map_: Map, starts: int = 4) -> None:
+    def __init__(self, map_: Map, starts: int = 4, index: MapIndex | None = None) -> None:
         self.map = map_
         self.starts = starts
-        self.index = MapIndex(map_)
+        self.index = index or MapIndex(map_)
 
     def ascents(
         self, features: FeatureSet, camera: Camera, dof: Dof = Dof.FREE, start: FloatArray | None = None

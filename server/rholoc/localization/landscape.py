@@ -1,21 +1,28 @@
-"""What densities look like: a feature's ρ over pixels, positions and headings; a frame's product over positions.
+"""What densities look like: a feature's ρ over pixels, positions and headings; a frame's product around its pose.
 
 All of it is read through :class:`rholoc.density.Densities`, as an ascent reads it, whatever the form.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from rholoc.density import Evidence
 from rholoc.density.presence import Presence
+from rholoc.features import FeatureSet
 from rholoc.geometry import BoolArray, Camera, FloatArray, Pose, pose_matrix
 from rholoc.localization.ascent import optimum_at
+from rholoc.localization.density_localizer import Ascent, DensityLocalizer
 from rholoc.maps import Map
 
 _CERTAIN = 0.999  # the chance of a match that a feature is looked at alone for
+_REACH = (0.4, 3.0)  # metres, the least and the most from a pose to the edge of its landscape
+_MARGIN = 1.2  # by which it is wider than the ways of the ascents
+_STEPS = 16  # from a pose to the edge
+_TOLERANCE_PX = 12.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,6 +69,13 @@ class Grid:
         steps = [round(half / spacing_m) for half in half_m]
         x, y, z = (2 * count + 1 for count in steps)
         return cls(np.asarray(centre) - spacing_m * np.array(steps), spacing_m, (x, y, z))
+
+    @classmethod
+    def around_ways(cls, centre: FloatArray, ways: Sequence[FloatArray], steps: int) -> Grid:
+        """A square at a place's (3,) height, 2 · ``steps`` + 1 wide, that holds the ways (S, 3) that end near it."""
+        away = np.abs(np.concatenate(ways)[:, :2] - centre[:2]).max(initial=0.0)
+        half = float(np.clip(_MARGIN * away, *_REACH))
+        return cls.about(centre, (half, half, 0.0), half / steps)
 
     @property
     def axes(self) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -122,24 +136,92 @@ def over_headings(
     return values, offsets, offsets
 
 
+def _go_on() -> None:
+    pass
+
+
 def product_over_positions(
-    map_: Map, evidence: Evidence, T_map_camera: FloatArray, grid: Grid, tolerance_px: float
+    map_: Map,
+    evidence: Evidence,
+    T_map_camera: FloatArray,
+    grid: Grid,
+    tolerance_px: float,
+    check: Callable[[], None] = _go_on,
 ) -> FloatArray:
-    """Σ log((ε + ρ) / ε) (z, y, x), nats: a frame's product (2) for cameras turned as at a pose (4, 4)."""
-    R = T_map_camera[:3, :3]
-    values = [optimum_at(map_.densities, evidence, pose_matrix(R, x), tolerance_px).value for x in grid.points]
+    """Σ log((ε + ρ) / ε) (z, y, x), nats: a frame's product (2) for cameras turned as at a pose (4, 4).
+
+    ``check`` is called before each position, and may raise to stop.
+    """
+    R, values = T_map_camera[:3, :3], []
+    for x in grid.points:
+        check()
+        values.append(optimum_at(map_.densities, evidence, pose_matrix(R, x), tolerance_px).value)
     return grid.folded(np.array(values))
 
 
-def seen_from(map_: Map, feature: int, grid: Grid) -> BoolArray:
-    """Where on a grid (z, y, x) a feature may be seen from: presence π."""
+@dataclass(frozen=True, eq=False)
+class Landscape:
+    """A frame's product (2) around a pose, and the ascents to it.
+
+    Attributes:
+        T_map_camera: (4, 4) the pose.
+        grid: positions around it at its height, for cameras that are turned as it is.
+        values: (Y, X) Σ log((ε + ρ) / ε) there, nats.
+        tolerance_px: how far a feature may be off and still count.
+        ascents: from the places that most matches speak for, the best last.
+    """
+
+    T_map_camera: FloatArray
+    grid: Grid
+    values: FloatArray
+    tolerance_px: float
+    ascents: tuple[Ascent, ...]
+
+
+def landscape_around(
+    localizer: DensityLocalizer,
+    features: FeatureSet,
+    camera: Camera,
+    T_map_camera: FloatArray | None,
+    check: Callable[[], None] = _go_on,
+) -> Landscape | None:
+    """What an ascent sees around a pose (4, 4), or around the best optimum; None where too little matches.
+
+    Args:
+        localizer: of the map.
+        features: of the frame, by the map's extractor.
+        camera: its intrinsics.
+        T_map_camera: the pose, or None.
+        check: is called again and again, and may raise to stop.
+    """
+    ascents = []
+    for ascent in localizer.ascents(features, camera):
+        check()
+        ascents.append(ascent)
+    if not ascents:
+        return None
+    ascents.sort(key=lambda one: one.optimum.value)
+    T = ascents[-1].optimum.T_map_camera if T_map_camera is None else T_map_camera
+    densities = localizer.map.densities
+    here = max(ascents, key=lambda one: optimum_at(densities, one.evidence, T, _TOLERANCE_PX).value)
+    grid = Grid.around_ways(T[:3, 3], [ascent.positions for ascent in ascents], _STEPS)
+    values = product_over_positions(localizer.map, here.evidence, T, grid, _TOLERANCE_PX, check)[0]
+    return Landscape(T, grid, values, _TOLERANCE_PX, tuple(ascents))
+
+
+def presence_of(map_: Map, feature: int) -> Presence:
+    """Where a feature, which views of the map saw, may be seen from: π, of one."""
     mine = map_.observation_features == feature
-    presence = Presence.of(
+    return Presence.of(
         map_.landmarks[[feature]].astype(np.float64),
         map_.view_positions[map_.observation_views[mine]],
         np.zeros(int(mine.sum()), dtype=np.int64),
     )
-    landmark = map_.landmarks[[feature]].astype(np.float64)
+
+
+def seen_from(map_: Map, feature: int, grid: Grid) -> BoolArray:
+    """Where on a grid (z, y, x) a feature may be seen from: presence π."""
+    presence, landmark = presence_of(map_, feature), map_.landmarks[[feature]].astype(np.float64)
     return np.asarray(grid.folded(np.array([presence.allows(landmark, point)[0] for point in grid.points])))
 
 

@@ -126,7 +126,7 @@ def ascent_frames(map_: Map, ascents: Sequence[Ascent], title: str) -> Iterator[
     The ascents come in the order in which they are shown, the best last. The landscape is that of cameras turned as the
     one that climbs is at that moment, with the tolerance of that moment.
     """
-    grid = _ascent_grid(ascents)
+    grid = _around(ascents)
     for number, ascent in enumerate(ascents):
         for done in range(1, len(ascent.steps) + 1):
             yield _pixels(_ascent_figure(map_, ascents, _Shot(number, done), grid, title))
@@ -135,16 +135,13 @@ def ascent_frames(map_: Map, ascents: Sequence[Ascent], title: str) -> Iterator[
 def ascent_png(map_: Map, ascents: Sequence[Ascent], title: str) -> bytes:
     """Where the ascents of a frame led, over the product (2) at the end of the best of them, the last: a PNG."""
     shot = _Shot(len(ascents) - 1, len(ascents[-1].steps))
-    return png_of(_ascent_figure(map_, ascents, shot, _ascent_grid(ascents), title))
+    return png_of(_ascent_figure(map_, ascents, shot, _around(ascents), title))
 
 
-def _ascent_grid(ascents: Sequence[Ascent]) -> Grid:
+def _around(ascents: Sequence[Ascent]) -> Grid:
     """A square, at the height of the best optimum, that holds the ways of all ascents that end near it."""
     best = ascents[-1].optimum.T_map_camera[:3, 3]
-    way = np.concatenate([[step.T_map_camera[:3, 3] for step in ascent.steps] for ascent in ascents])
-    away = np.abs(way[:, :2] - best[:2]).max(axis=1)
-    half = float(np.clip(1.2 * away.max(initial=0.0), 0.4, 3.0))
-    return Grid.about(best, (half, half, 0.0), 2 * half / _STEPS)
+    return Grid.around_ways(best, [ascent.positions for ascent in ascents], _STEPS // 2)
 
 
 def _ascent_figure(map_: Map, ascents: Sequence[Ascent], shot: _Shot, grid: Grid, title: str) -> Figure:

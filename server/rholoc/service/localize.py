@@ -57,7 +57,7 @@ class Stopwatch:
     def check(self, deadline_s: float) -> None:
         """Raise DeadlineExceeded once ``deadline_s`` seconds have passed."""
         if self.elapsed_s >= deadline_s:
-            raise DeadlineExceeded("The deadline passed while the image was being decoded.", "Allow more time.")
+            raise DeadlineExceeded("The deadline passed before the work was done.", "Allow more time.")
 
     @property
     def elapsed_s(self) -> float:

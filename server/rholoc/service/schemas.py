@@ -410,6 +410,82 @@ class PlacesOut(_Out):
     places: list[PlaceOut]
 
 
+class FeatureOut(_Out):
+    """A feature of a map, and where it may be seen from: a cone cut off at both ends."""
+
+    model_config = ConfigDict(
+        frozen=True,
+        json_schema_extra={
+            "example": {
+                "feature": 100,
+                "position": [3.1, 0.4, 1.7],
+                "sigma": 0.008,
+                "direction": [-0.98, 0.2, 0.0],
+                "half_angle_deg": 52.0,
+                "nearest": 0.9,
+                "farthest": 5.8,
+                "views": [3, 4, 5, 9],
+            }
+        },
+    )
+
+    feature: int
+    position: list[float] = Field(description="of its landmark")
+    sigma: float = Field(description="its standard deviation, root mean square of the axes")
+    direction: list[float] = Field(
+        description="the cone's axis: unit vector from the landmark to where it was seen from"
+    )
+    half_angle_deg: float = Field(description="between the cone's axis and its edge")
+    nearest: float = Field(description="from no nearer is it expected")
+    farthest: float = Field(description="from no further away is it expected")
+    views: list[int] = Field(description="that saw it, by number")
+
+
+class WayOut(_Out):
+    """The way of an ascent."""
+
+    positions: list[list[float]] = Field(description="x, y, z of the camera, step by step, the start first")
+    gain_nats: float = Field(description="what the densities say for its end, Σ log((ε + ρ) / ε)")
+
+
+class LandscapeOut(_Out):
+    """What the densities of the features that a frame shows say around its pose."""
+
+    model_config = ConfigDict(
+        frozen=True,
+        json_schema_extra={
+            "example": {
+                "localized": True,
+                "map": "testsite",
+                "map_id": _MAP_ID,
+                "map_version": 1,
+                "scale": "metric",
+                "pose": _POSE_EXAMPLE,
+                "origin": [0.7, -0.1, 1.5],
+                "spacing": 0.5,
+                "values": [[12.1, 80.4, 9.3], [95.7, 912.8, 101.2], [7.7, 88.1, 14.9]],
+                "tolerance_px": 12.0,
+                "ways": [{"positions": [[0.9, 0.1, 1.5], [1.18, 0.38, 1.5], [1.2, 0.4, 1.5]], "gain_nats": 912.8}],
+            }
+        },
+    )
+
+    localized: bool = Field(description="whether the frame has a pose; without one it is the best optimum's landscape")
+    map: str
+    map_id: str
+    map_version: int
+    scale: Scale
+    pose: PoseOut | None = Field(description="the pose; null where too little matches to climb by")
+    origin: list[float] | None = Field(description="the position of the first value")
+    spacing: float | None = Field(description="between neighbouring positions")
+    values: list[list[float]] = Field(
+        description="Σ log((ε + ρ) / ε), nats, of a camera at the pose's height that is turned as it is: rows of "
+        "increasing y, in a row by increasing x"
+    )
+    tolerance_px: float | None = Field(description="how far a feature may be off and still count")
+    ways: list[WayOut] = Field(description="from the places that most matches speak for, the best last")
+
+
 _SUMMARY: JsonDict = {
     "name": "testsite",
     "id": _MAP_ID,

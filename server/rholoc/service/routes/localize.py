@@ -31,11 +31,19 @@ from rholoc.service.bodies import PieceListener, media_type, read_body, read_mul
 from rholoc.service.compute import Effort
 from rholoc.service.errors import InvalidRequest, UnsupportedMediaType
 from rholoc.service.json_bodies import JsonLimits
+from rholoc.service.landscape import landscape_of
 from rholoc.service.localize import Stopwatch, frame_deadline_s, late_answer, likeliest_places, localize_frame
 from rholoc.service.localizers import Localizers
 from rholoc.service.openapi import BINARY, failures, reference, request_body
 from rholoc.service.queries import Frame, effort_of, effort_of_set
-from rholoc.service.schemas import DescriptorQuery, FramesQuery, LocalizationOut, LocalizeOptions, PlacesOut
+from rholoc.service.schemas import (
+    DescriptorQuery,
+    FramesQuery,
+    LandscapeOut,
+    LocalizationOut,
+    LocalizeOptions,
+    PlacesOut,
+)
 from rholoc.service.settings import Settings
 from rholoc.service.several_frames import Frames, localize_frames
 from rholoc.service.state import Service, State
@@ -219,6 +227,36 @@ async def find_places(
         )
 
 
+@router.post(
+    "/maps/{map_name}/landscape",
+    dependencies=[NEEDS_LOCALIZE],
+    summary="What the densities say around a frame's pose",
+    responses=_FAILURES,
+    openapi_extra=_BODY,
+)
+async def see_landscape(map_name: str, request: Request, service: Service, options: Options) -> LandscapeOut:
+    """The product of the densities of what the frame shows, over positions around its pose, and the ways of ascents
+    to it. It is sent as for a pose, one picture or descriptor set, and takes a few times as long."""
+    clock = Stopwatch()
+    service.library.stat(map_name)
+    with service.held_bodies.hold() as look:
+        frame = await _sent(request, options.options(), service, look)
+        if not isinstance(frame, Frame):
+            raise InvalidRequest("Several frames have no landscape together.", "Send one picture.")
+        frame = await _with_stored_camera(frame, service)
+        settings = service.settings
+        return await service.compute.run(
+            lambda: landscape_of(frame, map_name, service.localizers, settings, clock), Effort.LARGE
+        )
+
+
+async def _with_stored_camera(frame: Frame, service: State) -> Frame:
+    if frame.options.camera.name is None:
+        return frame
+    profile = await run_in_threadpool(service.cameras.get, frame.options.camera.name)
+    return replace(frame, stored=profile.camera)
+
+
 async def _named(maps: str, service: State) -> tuple[list[str], bool]:
     """The maps that a request is for, and whether that is all of them."""
     names = list(dict.fromkeys(name.strip() for name in maps.split(",")))
@@ -249,9 +287,7 @@ async def answer_frame(
     Raises:
         RholocError: as :func:`rholoc.service.localize.localize_frame`, and Busy.
     """
-    if frame.options.camera.name is not None:
-        profile = await run_in_threadpool(service.cameras.get, frame.options.camera.name)
-        frame = replace(frame, stored=profile.camera)
+    frame = await _with_stored_camera(frame, service)
     settings = service.settings
     return await _answered(
         lambda: localize_frame(frame, names, service.localizers, settings, clock, every),

@@ -9,6 +9,7 @@ from typing import Annotated
 
 import numpy as np
 from fastapi import APIRouter, Body, Query, Request, Response
+from fastapi import Path as PathParameter
 from fastapi.responses import StreamingResponse
 from starlette.concurrency import run_in_threadpool
 
@@ -33,6 +34,7 @@ from rholoc.features import get_extractor
 from rholoc.geometry import Camera
 from rholoc.jobs import JobKind, JobOptions
 from rholoc.localization import Localizer
+from rholoc.localization.landscape import presence_of
 from rholoc.mapping import forget_recording, merge_maps
 from rholoc.maps import (
     Map,
@@ -65,6 +67,7 @@ from rholoc.service.schemas import (
     CORRECTION_EXAMPLES,
     CameraIn,
     CorrectionIn,
+    FeatureOut,
     ForgetIn,
     JobOut,
     MapDetail,
@@ -372,6 +375,42 @@ async def get_scene(
     map_ = await run_in_threadpool(service.library.get, map_name)
     scene = await run_in_threadpool(map_to_scene, map_, landmarks)
     return Response(scene, media_type="application/octet-stream", headers=_caching(etag))
+
+
+@router.get(
+    "/{map_name}/features/{feature}",
+    dependencies=[NEEDS_READ],
+    summary="A feature of a map, and where it may be seen from",
+    responses=failures(*_FAILURES, InvalidInput, InvalidRequest),
+)
+async def get_feature(
+    map_name: str,
+    feature: Annotated[int, PathParameter(ge=0, description="its number, from 0", examples=[100])],
+    service: Service,
+) -> FeatureOut:
+    """Features are numbered as in `…/scene`, where all of them are asked for. Lengths in the map's unit."""
+    return await run_in_threadpool(_feature, service.library, map_name, feature)
+
+
+def _feature(library: MapLibrary, name: str, feature: int) -> FeatureOut:
+    map_ = library.get(name)
+    if feature >= len(map_):
+        raise InvalidInput(f"The map has no feature {feature}.", f"Its features are 0 to {len(map_) - 1}.")
+    views = np.unique(map_.observation_views[map_.observation_features == feature])
+    if len(views) == 0:
+        raise InvalidInput(f"The map does not remember who saw feature {feature}.", "Build it from a recording.")
+    presence = presence_of(map_, feature)
+    least, most = presence.reach
+    return FeatureOut(
+        feature=feature,
+        position=map_.landmarks[feature].round(4).tolist(),
+        sigma=float(np.sqrt(np.trace(map_.covariances[feature]) / 3)),
+        direction=presence.direction[0].round(4).tolist(),
+        half_angle_deg=float(np.degrees(presence.half_angle[0])),
+        nearest=float(least[0]),
+        farthest=float(most[0]),
+        views=views.tolist(),
+    )
 
 
 @router.get(
