@@ -229,6 +229,24 @@ def replace_roll(T_map_camera, roll):
     return T_map_camera @ turn
 
 
+def test_the_landscape_around_the_pose_is_shown_until_another_picture_is_tried(
+    desk_browser, running, pictures, opened, settled
+):
+    with opened(desk_browser, running.url, "try/room") as page:
+        take(settled(page), pictures / "frame.png")
+        page.get_by_role("button", name="Show the landscape").click()
+        landscape = page.locator("canvas.landscape")
+        expect(landscape).to_have_attribute("aria-label", re.compile("around the pose"))
+        bright = COPY.replace("RESULT", "data.filter((red, i) => i % 4 === 0 && red > 200 && data[i + 1] > 200).length")
+        assert landscape.evaluate(bright) > 50
+        page.get_by_role("button", name="Play the ascents").click()
+        take(page, pictures / "blank.png")
+        expect(page.locator(".answer")).to_contain_text("no pose")
+        expect(landscape).to_have_count(0)
+        page.get_by_role("button", name="Show the landscape").click()
+        expect(page.get_by_text("Too little in the picture matches")).to_be_visible()
+
+
 def test_an_answer_is_copied_as_a_program_that_gets_it_again(
     desk_browser, running, pictures, opened, settled, tmp_path
 ):

@@ -3,6 +3,7 @@ import { test } from "node:test";
 
 import { cameraAt, moved, nextWalk, sayFailures, sayPlace, summary } from "../../client/page/console/coverage_view.js";
 import { halfExtents, intrinsicsFor, intrinsicsOfFieldOfView, Known } from "../../client/page/console/intrinsics.js";
+import { summary as landscapeInWords, heights } from "../../client/page/console/landscape_view.js";
 import { matches } from "../../client/page/console/list_tools.js";
 import { Motions } from "../../client/page/console/motions.js";
 import { sayPicked } from "../../client/page/console/scene.js";
@@ -172,4 +173,22 @@ test("on the way a turned camera stays a camera", () => {
 test("failures are counted in a sentence", () => {
   assert.match(sayFailures([{ reason: null }, { reason: "deadline" }]), /1 requests found no pose and 1 an unsure/);
   assert.match(sayFailures([]), /No request failed/);
+});
+
+test("a landscape is drawn north up, dark to bright", () => {
+  const { width, height, pixels } = heights([
+    [0, 5],
+    [10, 0],
+  ]);
+  assert.deepEqual([width, height], [2, 2]);
+  const at = (row, column) => [...pixels.slice(4 * (2 * row + column), 4 * (2 * row + column) + 3)];
+  assert.deepEqual(at(0, 0), [252, 253, 191]); // the most, of the greater y
+  assert.deepEqual(at(1, 0), [0, 0, 4]);
+  assert.deepEqual(at(1, 1), [183, 55, 121]);
+});
+
+test("a landscape says how wide it is and how much is gained", () => {
+  const seen = { values: [[1, 2], [3, 4]], spacing: 0.5, ways: [{ gain_nats: 3 }, { gain_nats: 17.4 }], scale: "metric" };
+  assert.match(landscapeInWords({ ...seen, localized: true }), /around the pose, 0\.5 m wide.* 2 ascents; .* 17 nats/);
+  assert.match(landscapeInWords({ ...seen, localized: false }), /^No pose/);
 });

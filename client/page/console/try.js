@@ -7,6 +7,7 @@ import { t } from "../shared/text.js";
 import { Trust, trustOf } from "../shared/trust.js";
 import { length } from "./format.js";
 import { asQuery, halfExtents, intrinsicsFor, intrinsicsOfFieldOfView, Known } from "./intrinsics.js";
+import { landscapeView } from "./landscape_view.js";
 import { showScene, trusted } from "./map.js";
 import { action, empty, facts, page, problem, tell, trustBadge } from "./parts.js";
 import { play } from "./player.js";
@@ -74,6 +75,7 @@ class Trial {
     this.degrees = h("input", { type: "number", min: 20, max: 150, step: "any", placeholder: t`such as 65` });
     this.rolls = h("input", { type: "checkbox", checked: true });
     this.copying = h("div", { class: "copy stack", hidden: true });
+    this.landscape = h("div", { class: "stack" });
     this.still = null; // the picture that is tried, unless a camera runs
     signal.addEventListener("abort", () => {
       this.stop();
@@ -91,7 +93,27 @@ class Trial {
     this.still = still;
     this.show(still.source);
     fill(this.answer, h("p", { class: "muted" }, t`Localizing …`));
+    fill(this.landscape);
     await this.localize(still.blob, still.source, {});
+    if (this.still === still) fill(this.landscape, this.offerLandscape(still));
+  }
+
+  /** A button that shows the landscape around the answer's pose in its own place. */
+  offerLandscape({ blob, source }) {
+    return action(t`Show the landscape around the pose`, async () => {
+      const number = this.#asked;
+      const seen = await call("POST", path`v1/maps/${this.map.name}/landscape`, {
+        body: blob,
+        headers: { "Content-Type": blob.type },
+        query: this.queryOf(this.intrinsicsOf(source.width, source.height)),
+        signal: AbortSignal.any([this.signal, this.#question.signal]),
+      });
+      if (number === this.#asked) fill(this.landscape, landscapeView(seen, this.signal));
+    });
+  }
+
+  queryOf(intrinsics) {
+    return { ...intrinsics.query, dof: this.rolls.checked ? "auto" : 5 };
   }
 
   async again() {
@@ -112,7 +134,7 @@ class Trial {
     this.#question.abort();
     this.#question = new AbortController();
     const intrinsics = this.intrinsicsOf(source.width, source.height);
-    const query = { ...intrinsics.query, ...prior, dof: this.rolls.checked ? "auto" : 5, with_matches: true };
+    const query = { ...this.queryOf(intrinsics), ...prior, with_matches: true };
     let found;
     try {
       found = await call("POST", path`v1/maps/${this.map.name}/localize`, {
@@ -166,6 +188,7 @@ class Trial {
   clear() {
     this.still = null;
     this.copying.hidden = true;
+    fill(this.landscape);
     this.#asked++;
     this.#question.abort();
     this.picture.getContext("2d").clearRect(0, 0, this.picture.width, this.picture.height);
@@ -225,6 +248,7 @@ class Trial {
   fail(error) {
     if (this.signal.aborted || error.name === "AbortError") return;
     this.scene.showPose(null);
+    fill(this.landscape);
     if (this.still) this.show(this.still.source);
     fill(this.answer, problem({ summary: error.summary ?? error.message, hint: error.hint }));
   }
@@ -297,7 +321,7 @@ function layout(trial, maps) {
       "div",
       { class: "try-columns" },
       h("div", { class: "stack" }, dropZone(trial), sources(trial)),
-      h("div", { class: "stack" }, trial.scene.element, trial.answer, trial.copying),
+      h("div", { class: "stack" }, trial.scene.element, trial.answer, trial.landscape, trial.copying),
     ),
     h("details", { class: "card" }, h("summary", {}, t`Camera options`), options(trial)),
   );

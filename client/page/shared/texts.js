@@ -277,6 +277,14 @@ export const GERMAN = {
   "No picture yet": "Noch kein Bild",
   "The pose appears here.": "Hier erscheint die Pose.",
   "such as 65": "etwa 65",
+  "Show the landscape around the pose": "Landschaft um die Pose zeigen",
+  Landscape: "Landschaft",
+  "Play the ascents": "Aufstiege abspielen",
+  "Too little in the picture matches to climb by.": "Im Bild passt zu wenig, um daran aufzusteigen.",
+  "Positions around the pose, {0} {1} wide, from above: the brighter, the better they explain the picture. {2} ascents; the best gains {3} nats.":
+    "Positionen um die Pose, {0} {1} breit, von oben: je heller, desto besser erklären sie das Bild. {2} Aufstiege; der beste gewinnt {3} Nat.",
+  "No pose, but the best optimum: positions around it, {0} {1} wide, from above. {2} ascents; the best gains {3} nats.":
+    "Keine Pose, aber das beste Optimum: Positionen darum herum, {0} {1} breit, von oben. {2} Aufstiege; der beste gewinnt {3} Nat.",
   "Localizing …": "Wird lokalisiert …",
   "Type the picture's horizontal field of view, or choose a camera.":
     "Das waagrechte Blickfeld des Bildes eingeben oder eine Kamera wählen.",

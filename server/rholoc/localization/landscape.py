@@ -20,6 +20,7 @@ from rholoc.maps import Map
 
 _CERTAIN = 0.999  # the chance of a match that a feature is looked at alone for
 _REACH = (0.4, 3.0)  # metres, the least and the most from a pose to the edge of its landscape
+_NEAR_M = 0.5  # of a pose, within which an ascent that ends counts as leading to it
 _MARGIN = 1.2  # by which it is wider than the ways of the ascents
 _STEPS = 16  # from a pose to the edge
 _TOLERANCE_PX = 12.0
@@ -73,7 +74,8 @@ class Grid:
     @classmethod
     def around_ways(cls, centre: FloatArray, ways: Sequence[FloatArray], steps: int) -> Grid:
         """A square at a place's (3,) height, 2 · ``steps`` + 1 wide, that holds the ways (S, 3) that end near it."""
-        away = np.abs(np.concatenate(ways)[:, :2] - centre[:2]).max(initial=0.0)
+        near = [way for way in ways if np.linalg.norm(way[-1] - centre) < _NEAR_M]
+        away = max((float(np.abs(way[:, :2] - centre[:2]).max()) for way in near), default=0.0)
         half = float(np.clip(_MARGIN * away, *_REACH))
         return cls.about(centre, (half, half, 0.0), half / steps)
 
