@@ -63,3 +63,14 @@ def test_the_evening_rotation_is_one_and_always_the_same() -> None:
     R = evening_rotation(48)
     np.testing.assert_allclose(R @ R.T, np.eye(48), atol=1e-5)
     np.testing.assert_array_equal(R, evening_rotation(48))
+
+
+def test_quick_features_are_fewer_of_the_same(picture: ByteArray) -> None:
+    whole = SiftExtractor(descriptor_bytes=48, features=5000, longest_px=800, quick_px=400, exact=True)
+    assert whole.quick.quick is whole.quick
+    assert whole.quick.descriptor_bytes == 48
+    few, many = whole.quick.extract(picture), whole.extract(picture)
+    assert len(few) < len(many)
+    pairs = mutual_matches(few, many, Metric.EUCLIDEAN, 200)
+    assert len(pairs) > len(few) / 3
+    assert np.abs(np.median(few.pixels[pairs[:, 0]] - many.pixels[pairs[:, 1]], axis=0)).max() < 0.15

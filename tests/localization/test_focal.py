@@ -10,8 +10,9 @@ import pytest
 from rholoc.density import Evidence
 from rholoc.geometry import Pose
 from rholoc.localization import Cause, Intrinsics, Localizer, Query
-from rholoc.localization.ascent import ascend_with_focal
+from rholoc.localization.ascent import ascend_with_focal, freed_focal
 from rholoc.localization.types import Dof
+from rholoc.localization.verification import evidence_of, verify
 from rholoc.maps import Map
 
 
@@ -31,6 +32,22 @@ def test_a_wrong_focal_length_is_refused_and_named(localizer: Localizer, point_r
         assert answer.diagnosis.cause is Cause.WRONG_CAMERA
         named_px = float(answer.diagnosis.message.split("about ")[1].split(" px")[0])
         assert named_px == pytest.approx(point_room.camera.focal, rel=0.03)
+
+
+@pytest.mark.parametrize(("scale", "least_m", "most_m"), [(1.0, 0.0, 0.02), (0.9, 0.03, 1.0), (1.1, 0.03, 1.0)])
+def test_a_free_focal_length_moves_a_pose_where_the_one_given_is_wrong(
+    localizer: Localizer, point_room: Any, scale: float, least_m: float, most_m: float
+) -> None:
+    camera = point_room.camera.zoomed(scale)
+    for seed, truth in enumerate(corners(point_room)):
+        query = Query(point_room.see(truth, 300 + seed), camera)
+        rays = camera.rays(query.features.pixels)
+        found = verify(localizer.index, query, rays, truth.T_map_camera)
+        assert found is not None
+        evidence = evidence_of(localizer.index, found.wide, rays, camera)
+        moved_m, gain = freed_focal(evidence, found.optimum.T_map_camera, 14.0, Dof.FREE)
+        assert least_m <= moved_m <= most_m
+        assert gain >= 0
 
 
 @pytest.mark.parametrize("scale", [0.99, 1.0, 1.01])

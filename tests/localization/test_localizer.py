@@ -51,6 +51,37 @@ def test_a_rolled_camera_is_found_with_six_degrees_of_freedom(localizer: Localiz
     assert answer.pose.roll == pytest.approx(0.5, abs=0.01)
 
 
+def test_more_features_are_asked_for_only_where_few_do_not_suffice(localizer: Localizer, point_room: Any) -> None:
+    truth, asked = point_room.walk(5)[2], []
+    every = point_room.see(truth, 3)
+
+    def more() -> FeatureSet:
+        asked.append(True)
+        return every
+
+    sure = localizer.localize(Query(every, point_room.camera, more_features=more))
+    assert sure.localized
+    assert not asked
+    few = every.take(np.arange(7))
+    assert not localizer.localize(Query(few, point_room.camera)).localized
+    answer = localizer.localize(Query(few, point_room.camera, more_features=more))
+    assert asked == [True]
+    assert "extract" in answer.timings_ms
+    assert answer.pose is not None
+    expected = localizer.localize(Query(every, point_room.camera)).pose
+    assert expected is not None
+    np.testing.assert_array_equal(answer.pose.T_map_camera, expected.T_map_camera)
+
+
+def test_a_sample_is_spread_over_all_features(point_room: Any) -> None:
+    features = point_room.see(point_room.walk(5)[2], 3)
+    few, many = features.take(np.arange(300) % len(features)), features.take(np.arange(1000) % len(features))
+    np.testing.assert_array_equal(few.sample, np.arange(300))
+    assert len(np.unique(many.sample)) == len(many.sample) < 400
+    assert np.diff(many.sample).max() <= 5
+    assert (many.sample[0], many.sample[-1]) == (0, 999)
+
+
 def test_the_same_query_gives_the_same_answer(localizer: Localizer, point_room: Any) -> None:
     query = Query(point_room.see(point_room.walk(5)[2], 3), point_room.camera)
     first, second = localizer.localize(query), localizer.localize(query)

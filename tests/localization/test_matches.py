@@ -35,6 +35,7 @@ def test_each_feature_has_its_nearest_landmark_unless_that_is_too_unlike() -> No
     limits = LIMITS[Metric.HAMMING]
     far = limits.loose + 1
     nearest = NearestLandmarks(
+        np.arange(5),
         np.array([[4, 5], [6, 4], [4, -1], [-1, -1], [9, 4]]),
         np.array([[10.0, 30.0], [limits.loose, 70.0], [20.0, 20.0], [0.0, 0.0], [far, far + 1]]),
         Metric.HAMMING,
@@ -44,14 +45,21 @@ def test_each_feature_has_its_nearest_landmark_unless_that_is_too_unlike() -> No
     expected = match_chances(np.array([10.0, limits.loose]), np.array([30.0, 70.0]), Metric.HAMMING)
     np.testing.assert_allclose(found.chances[:2], expected)
     assert [row[:2] for row in rows_of(nearest.matches(mutual=True))] == [(0, 4), (1, 6)]
-    assert len(NearestLandmarks(np.zeros((0, 2), int), np.zeros((0, 2)), Metric.HAMMING).matches(mutual=True)) == 0
+    assert (
+        len(
+            NearestLandmarks(np.arange(0), np.zeros((0, 2), int), np.zeros((0, 2)), Metric.HAMMING).matches(mutual=True)
+        )
+        == 0
+    )
 
 
 def test_a_rival_is_another_landmark() -> None:
     """The same landmark has several descriptors: the next distance to it says nothing."""
-    several = NearestLandmarks(np.array([[4, 4, 5]]), np.array([[10.0, 11.0, 60.0]]), Metric.HAMMING).matches()
-    alone = NearestLandmarks(np.array([[4, 5]]), np.array([[10.0, 60.0]]), Metric.HAMMING).matches()
-    ambiguous = NearestLandmarks(np.array([[4, 5]]), np.array([[10.0, 11.0]]), Metric.HAMMING).matches()
+    several = NearestLandmarks(
+        np.arange(1), np.array([[4, 4, 5]]), np.array([[10.0, 11.0, 60.0]]), Metric.HAMMING
+    ).matches()
+    alone = NearestLandmarks(np.arange(1), np.array([[4, 5]]), np.array([[10.0, 60.0]]), Metric.HAMMING).matches()
+    ambiguous = NearestLandmarks(np.arange(1), np.array([[4, 5]]), np.array([[10.0, 11.0]]), Metric.HAMMING).matches()
     assert several.chances == pytest.approx(alone.chances)
     assert ambiguous.chances[0] < alone.chances[0]
 
@@ -59,7 +67,10 @@ def test_a_rival_is_another_landmark() -> None:
 def test_pairs_are_all_that_are_alike() -> None:
     limits = LIMITS[Metric.HAMMING]
     nearest = NearestLandmarks(
-        np.array([[4, 5], [6, -1]]), np.array([[10.0, limits.loose], [limits.loose + 1, 5.0]]), Metric.HAMMING
+        np.arange(2),
+        np.array([[4, 5], [6, -1]]),
+        np.array([[10.0, limits.loose], [limits.loose + 1, 5.0]]),
+        Metric.HAMMING,
     )
     pairs = nearest.pairs()
     assert [row[:2] for row in rows_of(pairs)] == [(0, 4), (0, 5)]

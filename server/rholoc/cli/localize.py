@@ -121,9 +121,7 @@ def _localize_frames(
 
     def answer(image: ByteArray) -> tuple[Localization, float]:
         start_s = time.perf_counter()
-        answered = localizer.localize(
-            Query(localizer.extractor.extract(image), camera, dof, intrinsics=known, image=image)
-        )
+        answered = localizer.localize(Query.of_picture(image, localizer.extractor, camera, dof=dof, intrinsics=known))
         return answered, time.perf_counter() - start_s
 
     images = frames.images(range(len(frames.times)))

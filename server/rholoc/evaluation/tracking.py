@@ -246,7 +246,7 @@ class _Run:
 
     def _answer(self, image: ByteArray, prior: Prior | None) -> Localization:
         localizer = self._localizer
-        return localizer.localize(Query(localizer.extractor.extract(image), self._camera, prior=prior, image=image))
+        return localizer.localize(Query.of_picture(image, localizer.extractor, self._camera, prior=prior))
 
     def _take(self, answer: Localization | None) -> None:
         if answer is None or answer.pose is None or answer.covariance is None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from enum import IntEnum, StrEnum
+from functools import cached_property
 
 import cv2
 import numpy as np
@@ -11,6 +12,7 @@ import numpy as np
 from rholoc.errors import InvalidDescriptors
 from rholoc.geometry import ByteArray, FloatArray, IntArray
 
+_SAMPLED, _WORTH_SAMPLING = 250, 1.5  # features; times as many, below which all are taken
 _COLOUR_PX = 5  # the side of the square that a feature has its colour from
 
 
@@ -74,6 +76,14 @@ class FeatureSet:
 
     def __len__(self) -> int:
         return len(self.pixels)
+
+    @cached_property
+    def sample(self) -> IntArray:
+        """Some rows, evenly: enough to find most frames by. All where there are few."""
+        count = len(self)
+        if count < _WORTH_SAMPLING * _SAMPLED:
+            return np.arange(count)
+        return np.linspace(0, count - 1, _SAMPLED).astype(np.int64)
 
     def take(self, index: IntArray) -> FeatureSet:
         """The features at ``index`` (K,), in that order."""

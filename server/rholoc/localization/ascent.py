@@ -26,6 +26,7 @@ _RAYLEIGH_MEDIAN = 1.177  # of the length of a two-dimensional offset, in standa
 _SYSTEMATIC = 3.0  # measured on real recordings: errors against those that independent detections would make
 _ROLL_SIGMA_RAD = np.deg2rad(1.5)  # of a camera that is held upright
 _NEARLY_SETTLED, _SETTLED = 1e-3, 1e-5  # metres or radians: steps that end a tolerance, and the last one
+_ROUGHLY_SETTLED = 1e-2  # the same where the focal length is free, which makes steps long, but for the last tolerance
 _SHARP = 4  # the power of ρ in the last steps
 _FOCAL_RANGE = (0.25, 4.0)  # of the focal length that an ascent starts with
 
@@ -76,10 +77,24 @@ def ascend(
     ``Dof.UPRIGHT`` roll is therefore not forbidden but improbable: a nuisance with a prior about zero, so that the
     position does not pay for it. The optimum keeps it; the answer's pose leaves it out. See :func:`roll_prior`.
     """
+    T = end_of_climb(densities, evidence, T_map_camera, tolerances_px, dof, iterations, power)
+    return optimum_at(densities, evidence, T, tolerances_px[-1])
+
+
+def end_of_climb(
+    densities: Densities,
+    evidence: Evidence,
+    T_map_camera: FloatArray,
+    tolerances_px: tuple[float, ...],
+    dof: Dof,
+    iterations: int = 3,
+    power: int = 1,
+) -> FloatArray:
+    """The pose (4, 4) where :func:`ascend` ends, for where nobody asks how dense it is there."""
     T = T_map_camera
     for step in climb(densities, evidence, T_map_camera, tolerances_px, dof, iterations, power):
         T = step.T_map_camera
-    return optimum_at(densities, evidence, T, tolerances_px[-1])
+    return T
 
 
 def climb(
@@ -125,11 +140,23 @@ def ascend_with_focal(
                 break
             T = moved(T, step[:6])
             scale = float(np.clip(scale * np.exp(np.clip(step[6], -0.1, 0.1)), *_FOCAL_RANGE))
-            if np.abs(step).max() < _NEARLY_SETTLED:
+            if np.abs(step).max() < (_NEARLY_SETTLED if tolerance_px == tolerances_px[-1] else _ROUGHLY_SETTLED):
                 break
     optimum = optimum_at(RayDensities(), evidence.refocused(scale), T, tolerances_px[-1])
     sigma = float(np.sqrt(np.linalg.inv(curvature + 1e-9 * np.eye(7))[6, 6]))
     return optimum, scale, sigma
+
+
+def freed_focal(evidence: Evidence, T_map_camera: FloatArray, tolerance_px: float, dof: Dof) -> tuple[float, float]:
+    """What a free focal length would change at an optimum: how far the pose moves, metres, and what is gained, nats.
+
+    By one Gauss–Newton step each, with the focal length free and without (Rao's score test): cheap, and to be believed
+    where it says that hardly anything would change.
+    """
+    slope, curvature = _focal_equations(evidence, T_map_camera, tolerance_px, dof)
+    curvature = curvature + 1e-9 * np.eye(7)
+    free, held = np.linalg.solve(curvature, slope), np.linalg.solve(curvature[:6, :6], slope[:6])
+    return math.hypot(*(free[:3] - held[:3])), float(slope @ free - slope[:6] @ held) / 2
 
 
 def _focal_equations(evidence: Evidence, T: FloatArray, tolerance_px: float, dof: Dof) -> tuple[FloatArray, FloatArray]:
@@ -164,7 +191,7 @@ def sharpen(
 ) -> Optimum:
     """The last steps from an optimum, by the matches (K,) ``among`` alone, of which the nearest decide."""
     some = evidence.take(among)
-    T = ascend(densities, some, optimum.T_map_camera, (tolerance_px,), dof, iterations=5, power=_SHARP).T_map_camera
+    T = end_of_climb(densities, some, optimum.T_map_camera, (tolerance_px,), dof, iterations=5, power=_SHARP)
     return optimum_at(densities, evidence, T, tolerance_px)
 
 

@@ -13,12 +13,12 @@ from math import erf, sqrt
 import numpy as np
 
 from rholoc.geometry import Camera, FloatArray
-from rholoc.localization.ascent import ascend_with_focal, gains
+from rholoc.localization.ascent import ascend_with_focal, freed_focal, gains
 from rholoc.localization.map_index import MapIndex
 from rholoc.localization.matches import Matches
 from rholoc.localization.ransac import lo_ransac
 from rholoc.localization.types import Query
-from rholoc.localization.verification import Verified, evidence_of, verify
+from rholoc.localization.verification import ENOUGH_MATCHES, Verified, evidence_of, verify
 
 _WIDE_RADIUS_PX = 14.0
 _TOLERANCES_PX = (14.0, 7.0, 4.0)
@@ -30,6 +30,7 @@ _OWN_SIGMA = 0.015  # what maps and calibrations differ by, as a share of the fo
 _RIGHT_M = 0.1  # what confidence is about
 _HARMLESS_M = 0.05  # a pose that a free focal length would move by less is right either way
 _TELLING_NATS = (8.0, 20.0)  # how much likelier a free focal length makes the matches: begins to tell, and does
+_FITTING_M, _FITTING_NATS = 0.015, 0.5  # what a free focal length changes at most where the one in use is right
 _GUESSES = tuple(0.5 * 1.17**step for step in range(10))  # focal lengths to try, as shares of the longer side
 _GUESS_TOLERANCE_SHARE = 0.02  # of the longer side: a guess may be off by half a step
 _MIN_MATCHES = 8
@@ -59,6 +60,8 @@ def check_focal(index: MapIndex, query: Query, verified: Verified, matches: Matc
         matches: of a place, made without any idea of the pose; or those around the pose.
     """
     camera, T = query.camera, verified.optimum.T_map_camera
+    if _fits(index, query, verified):
+        return FocalEstimate(camera.focal, camera.focal, 0.0, 1.0)
     total, sigma, gain = 1.0, np.inf, 0.0
     tolerances_px: tuple[float, ...] = _FIRST_TOLERANCES_PX
     for _ in range(_ROUNDS):
@@ -82,6 +85,16 @@ def check_focal(index: MapIndex, query: Query, verified: Verified, matches: Matc
     belief = 1 - harm * doubt * float(np.clip((gain - least) / (enough - least), 0, 1))
     focal_px = query.camera.focal * total
     return FocalEstimate(focal_px, min(_SIGMAS * sigma, 1.0) * focal_px, moved_m, belief)
+
+
+def _fits(index: MapIndex, query: Query, verified: Verified) -> bool:
+    """Whether the matches around a pose leave no doubt of the focal length: most frames' do not."""
+    camera, wide = query.camera, verified.wide
+    if len(wide) < ENOUGH_MATCHES:
+        return False
+    evidence = evidence_of(index, wide, camera.rays(query.features.pixels), camera)
+    moved_m, gain = freed_focal(evidence, verified.optimum.T_map_camera, _WIDE_RADIUS_PX, query.dof)
+    return moved_m < _FITTING_M and gain < _FITTING_NATS
 
 
 def focal_seed(index: MapIndex, matches: Matches, query: Query, samples: int) -> tuple[FloatArray, Camera] | None:

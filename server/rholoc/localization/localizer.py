@@ -12,7 +12,7 @@ import numpy as np
 from rholoc.density import Evidence
 from rholoc.errors import InvalidDescriptors
 from rholoc.features import Extractor, get_extractor
-from rholoc.geometry import UP, Camera, FloatArray, Pose, angles_between, pose_distances
+from rholoc.geometry import UP, Camera, FloatArray, IntArray, Pose, angles_between, pose_distances
 from rholoc.localization.ascent import Optimum, ascend, upright
 from rholoc.localization.confidence import MIN_CONFIDENCE, confidence_of
 from rholoc.localization.diagnosis import TOO_LITTLE_TIME, Cause, Diagnosis, diagnose_picture, wrong_camera
@@ -24,7 +24,7 @@ from rholoc.localization.ransac import lo_ransac
 from rholoc.localization.rivals import are_rivals, rival_seeds, sureness
 from rholoc.localization.seeds import Place, minimal_samples, place_of_prior, places_by_votes
 from rholoc.localization.types import Dof, Intrinsics, Localization, Prior, Query, Reason
-from rholoc.localization.verification import Verified, evidence_of, verify
+from rholoc.localization.verification import ENOUGH_MATCHES, Verified, evidence_of, verify
 from rholoc.maps import Map
 
 _MIN_FEATURES = 8
@@ -115,6 +115,7 @@ class _Search:
         place: the place that most matches speak for.
         everywhere: the matches with the whole map.
         nearest: what in the whole map each feature is most like.
+        is_sampled: whether that is known of some features only.
         found: all candidates.
     """
 
@@ -127,6 +128,7 @@ class _Search:
     place: Place | None = None
     everywhere: Matches | None = None
     nearest: NearestLandmarks | None = None
+    is_sampled: bool = False
     found: list[_Found] = field(default_factory=list)
 
     def add(self, found: _Found | None) -> None:
@@ -158,7 +160,9 @@ class _Search:
         rivals = (
             other.verified.support
             for other in self.found
-            if (other.near_prior or not found.near_prior) and are_rivals(found.verified, other.verified)
+            if other is not found
+            and (other.near_prior or not found.near_prior)
+            and are_rivals(found.verified, other.verified)
         )
         rival = max(rivals, key=lambda support: support.net, default=None)
         if rival is None:
@@ -194,7 +198,9 @@ class Localizer:
         """
         watch = _Stopwatch(query.deadline_s)
         self.check(query)
-        search = self._search(self.adapted(query), watch)
+        search = self._quick_search(query, watch) or self._search(
+            self.adapted(_with_more_features(query, watch)), watch
+        )
         answer = self._answer(search)
         if answer.localized:
             return answer
@@ -204,7 +210,8 @@ class Localizer:
 
     def candidate(self, query: Query) -> tuple[Verified, float] | None:
         """The pose that would be answered with, however doubtful, and its confidence."""
-        search = self._search(self.adapted(query), _Stopwatch(query.deadline_s))
+        watch = _Stopwatch(query.deadline_s)
+        search = self._search(self.adapted(_with_more_features(query, watch)), watch)
         found = search.outcome(self.options.conclusive)
         return None if found is None else (found.verified, found.confidence)
 
@@ -230,8 +237,16 @@ class Localizer:
             query = replace(query, dof=Dof.FREE)
         return query
 
+    def _quick_search(self, query: Query, watch: _Stopwatch) -> _Search | None:
+        """A look at what few features point to first; None unless more can be had and that is sure."""
+        if query.more_features is None or query.intrinsics is Intrinsics.UNKNOWN:
+            return None
+        search = self._search(self.adapted(query), watch)
+        found = search.outcome(self.options.conclusive)
+        return search if found is not None and found.confidence >= self.options.conclusive else None
+
     def _search(self, query: Query, watch: _Stopwatch) -> _Search:
-        """Look for candidates, then for their rivals."""
+        """Look for candidates, then for their rivals; not closely where more features can be had."""
         search = _Search(query, watch)
         if len(query.features) < _MIN_FEATURES:
             search.reason = Reason.NO_FEATURES
@@ -255,7 +270,8 @@ class Localizer:
             if watch.late:
                 search.reason = Reason.DEADLINE
                 return
-            search.place = search.place or place
+            if not search.is_sampled:
+                search.place = search.place or place
             for found in self._look(place, search, rays):
                 search.add(found)
                 if search.is_over(self.options.conclusive):
@@ -286,9 +302,11 @@ class Localizer:
             in_place = np.isin(search.everywhere.landmarks, place.landmarks)
             yield self._glance(search.everywhere.take(np.flatnonzero(in_place)), query, rays, watch)
         else:
-            near = self.index.match_within(query.features, place.landmarks, all_descriptors=False)
+            near = self.index.match_within(query.features, place.landmarks, some=query.features.sample)
             watch.lap("match")
             yield self._glance(near, query, rays, watch)
+        if search.is_sampled or query.more_features is not None:
+            return
         yield from self._look_closely(place, query, rays, watch)
 
     def _glance(self, matches: Matches, query: Query, rays: FloatArray, watch: _Stopwatch) -> _Found | None:
@@ -304,12 +322,14 @@ class Localizer:
     def _track(self, query: Query, prior: Prior, rays: FloatArray) -> Verified | None:
         """The pose next to a prior; None, at little cost, where no more is found there than by chance."""
         T_map_camera = prior.pose.T_map_camera
-        near, by_chance = self.index.match_near(query.features, query.camera, T_map_camera, _TRACKING_RADII_PX[0])
+        features, some = query.features, query.features.sample
+        near, by_chance = self.index.match_near(features, query.camera, T_map_camera, _TRACKING_RADII_PX[0], some)
         over_chance = len(near) >= _TRACKED_OVER_CHANCE * by_chance.sum() + _MIN_FEATURES
         alike = len(near) >= 2 * _MIN_FEATURES and near.chances.mean() >= _TRACKED_CHANCE
         if not (over_chance or alike):
             return None
-        return verify(self.index, query, rays, T_map_camera, _TRACKING_RADII_PX, first=(near, by_chance))
+        wide = near if len(near) >= ENOUGH_MATCHES else None
+        return verify(self.index, query, rays, T_map_camera, _TRACKING_RADII_PX, wide=wide)
 
     def _places(self, search: _Search) -> Iterator[Place]:
         """Where to look: about the prior, then where matches with the whole map point to."""
@@ -318,15 +338,30 @@ class Localizer:
             near = place_of_prior(self.index, query.prior, options.views_each)
             if near is not None:
                 yield near
-        search.nearest = self.index.nearest_everywhere(query.features)
-        everywhere = search.nearest.matches()
-        search.everywhere, search.matches = everywhere, len(everywhere)
+        sample = query.features.sample
+        others = np.arange(len(query.features))
+        if query.more_features is not None:
+            yield from islice(self._voted_places(search, sample), 1)
+            return
+        if len(sample) < len(others) and query.intrinsics is Intrinsics.GIVEN:
+            yield from islice(self._voted_places(search, sample), 1)
+            others = np.delete(others, sample)
+        yield from islice(self._voted_places(search, others), options.places)
+
+    def _voted_places(self, search: _Search, features: IntArray) -> Iterator[Place]:
+        """Where matches with the whole map point to, once some more of the query's ``features`` are matched."""
+        query = search.query
+        found = self.index.nearest_everywhere(query.features, features)
+        search.nearest = found if search.nearest is None else search.nearest.joined(found)
+        search.is_sampled = len(search.nearest) < len(query.features)
+        search.everywhere = search.nearest.matches()
+        search.matches = len(search.everywhere)
         search.watch.lap("match")
-        if len(everywhere) < _MIN_FEATURES:
+        if search.matches < _MIN_FEATURES:
             search.reason = Reason.NO_MATCHES
             return
-        places = places_by_votes(self.index, everywhere, options.views_each, query.prior)
-        yield from islice(places, options.places)
+        search.reason = Reason.NO_AGREEMENT
+        yield from places_by_votes(self.index, search.everywhere, self.options.views_each, query.prior)
 
     def _look_closely(self, place: Place, query: Query, rays: FloatArray, watch: _Stopwatch) -> Iterator[_Found | None]:
         """Poses that matches within one place lead to: from LO-RANSAC, then from samples scored by the density."""
@@ -422,7 +457,7 @@ class Localizer:
             pose=Pose(T_map_camera) if localized else None,
             covariance=verified.covariance if localized else None,
             confidence=found.confidence,
-            matches=search.matches,
+            matches=max(search.matches, len(verified.wide)),
             inliers=verified.inliers,
             inlier_pixels=verified.pixels[agreeing],
             inlier_features=verified.matches.landmarks[agreeing],
@@ -452,6 +487,15 @@ class Localizer:
                 if refocused is not None and refocused.confidence >= self.options.conclusive:
                     return wrong_camera(query.camera.focal, refocused.focal.focal_px)
         return diagnose_picture(query.image, self.map, len(query.features), _FEW_FEATURES)
+
+
+def _with_more_features(query: Query, watch: _Stopwatch) -> Query:
+    """The query with all features that can be had of it."""
+    if query.more_features is None:
+        return query
+    query = replace(query, features=query.more_features(), more_features=None)
+    watch.lap("extract")
+    return query
 
 
 def _likelier(a: _Found | None, b: _Found) -> _Found:

@@ -107,29 +107,40 @@ class MapIndex:
         """(K,) how many of some landmarks (M,) each view saw."""
         return np.asarray(self.visibility @ np.bincount(landmarks, minlength=len(self.map)).astype(np.float32))
 
-    def nearest_everywhere(self, features: FeatureSet) -> NearestLandmarks:
-        """What in the whole map a query's features are most like, each landmark standing by its first descriptor."""
-        return self._nearest(self._everywhere, self._medoids, features)
+    def nearest_everywhere(self, features: FeatureSet, some: IntArray | None = None) -> NearestLandmarks:
+        """What in the whole map a query's features, or ``some`` of them (N,), are most like.
+
+        Each landmark stands by its first descriptor.
+        """
+        return self._nearest(self._everywhere, self._medoids, features, some)
 
     def match_everywhere(self, features: FeatureSet) -> Matches:
         """Matches of a query's features with the whole map."""
         return self.nearest_everywhere(features).matches()
 
-    def match_within(self, features: FeatureSet, landmarks: IntArray, all_descriptors: bool = True) -> Matches:
-        """Matches with some of the map's features only, each the other's nearest; by all descriptors of each, or, which
-        is quicker, by its first."""
-        rows = self.descriptor_rows(landmarks) if all_descriptors else self._medoids[landmarks]
+    def match_within(self, features: FeatureSet, landmarks: IntArray, some: IntArray | None = None) -> Matches:
+        """Matches with some of the map's features only, each the other's nearest.
+
+        By all descriptors of each; or, which is quicker, of ``some`` features (N,) alone by the first of each.
+        """
+        rows = self.descriptor_rows(landmarks) if some is None else self._medoids[landmarks]
         channels = self.map.channels[self.map.descriptor_features[rows]]
         index = DescriptorIndex(self.map.descriptors[rows], channels, self.metric)
-        return self._nearest(index, rows, features).matches(mutual=True)
+        return self._nearest(index, rows, features, some).matches(mutual=True)
 
     def match_near(
-        self, features: FeatureSet, camera: Camera, T_map_camera: FloatArray, radius_px: float
+        self,
+        features: FeatureSet,
+        camera: Camera,
+        T_map_camera: FloatArray,
+        radius_px: float,
+        some: IntArray | None = None,
     ) -> tuple[Matches, FloatArray]:
         """Matches with the landmarks that a camera at ``T_map_camera`` (4, 4) would see close by.
 
-        Each is the other's best match within ``radius_px``. Also returns how probably each detection (N,) would find
-        something alike there by chance alone: what the matches are to be held against.
+        Each is the other's best match within ``radius_px``; of all features, or of ``some`` (S,). Also returns how
+        probably each detection (N,) would find something alike there by chance alone: what the matches are to be held
+        against.
         """
         present = np.flatnonzero(self.present(T_map_camera[:3, 3]))
         pixels = camera.project((self.landmarks[present] - T_map_camera[:3, 3]) @ T_map_camera[:3, :3])
@@ -137,17 +148,17 @@ class MapIndex:
         present, pixels = present[inside], pixels[inside]
         if len(present) == 0 or len(features) == 0:
             return Matches.none(), np.zeros(len(features))
-        near = cKDTree(features.pixels).sparse_distance_matrix(cKDTree(pixels), radius_px, output_type="ndarray")
+        ours = features.pixels if some is None else features.pixels[some]
+        near = _tree(ours).sparse_distance_matrix(_tree(pixels), radius_px, output_type="ndarray")
         detections, landmarks = near["i"].astype(np.int64), present[near["j"]]
+        if some is not None:
+            detections = some[detections].astype(np.int64)
+        by_chance = 1 - (1 - self.chance_of_likeness) ** np.bincount(detections, minlength=len(features))
         distances = self.distances_to(features, detections, landmarks)
-        mutual = (
-            (distances <= LIMITS[self.metric].loose)
-            & is_least(distances, detections, len(features))
-            & is_least(distances, landmarks, len(self.map))
-        )
+        alike = np.flatnonzero(distances <= LIMITS[self.metric].loose)
+        detections, landmarks, distances = detections[alike], landmarks[alike], distances[alike]
+        mutual = is_least(distances, detections, len(features)) & is_least(distances, landmarks, len(self.map))
         chances = guided_chances(distances[mutual], self.metric)
-        pairs_of = np.bincount(detections, minlength=len(features))
-        by_chance = 1 - (1 - self.chance_of_likeness) ** pairs_of
         return Matches(detections[mutual], landmarks[mutual], chances), by_chance
 
     def descriptor_rows(self, landmarks: IntArray) -> IntArray:
@@ -163,13 +174,20 @@ class MapIndex:
             return best
         detections, landmarks = detections[comparable], landmarks[comparable]
         rows, counts = self.descriptor_rows(landmarks), self._descriptor_counts[landmarks]
-        distances = descriptor_distances(
-            features.descriptors[np.repeat(detections, counts)], self.map.descriptors[rows], self.metric
-        )
+        ours = np.take(features.descriptors, np.repeat(detections, counts), axis=0)  # quicker than by an index
+        distances = descriptor_distances(ours, np.take(self.map.descriptors, rows, axis=0), self.metric)
         best[comparable] = np.minimum.reduceat(distances, np.cumsum(counts) - counts)
         return best
 
-    def _nearest(self, index: DescriptorIndex, rows: IntArray, features: FeatureSet) -> NearestLandmarks:
-        distances, found = index.nearest(features, _CANDIDATES)
+    def _nearest(
+        self, index: DescriptorIndex, rows: IntArray, features: FeatureSet, some: IntArray | None = None
+    ) -> NearestLandmarks:
+        detections = np.arange(len(features)) if some is None else some
+        distances, found = index.nearest(features if some is None else features.take(some), _CANDIDATES)
         owners = np.where(found >= 0, self.map.descriptor_features[rows[np.maximum(found, 0)]], -1)
-        return NearestLandmarks(owners.astype(np.int64), distances, self.metric)
+        return NearestLandmarks(detections, owners.astype(np.int64), distances, self.metric)
+
+
+def _tree(pixels: FloatArray) -> cKDTree:
+    """A tree that is made faster than it is searched: it is searched once."""
+    return cKDTree(pixels, compact_nodes=False, balanced_tree=False)

@@ -63,14 +63,28 @@ class NearestLandmarks:
     """The landmarks that each of N features is most like, the most alike first.
 
     Attributes:
+        detections: (N,) rows of the query's features.
         landmarks: (N, K) rows of the map's features, -1 where there are fewer.
         distances: (N, K) between descriptors.
         metric: theirs.
     """
 
+    detections: IntArray
     landmarks: IntArray
     distances: FloatArray
     metric: Metric
+
+    def __len__(self) -> int:
+        return len(self.detections)
+
+    def joined(self, others: NearestLandmarks) -> NearestLandmarks:
+        """With those of other features."""
+        return NearestLandmarks(
+            np.concatenate([self.detections, others.detections]),
+            np.concatenate([self.landmarks, others.landmarks]),
+            np.concatenate([self.distances, others.distances]),
+            self.metric,
+        )
 
     def matches(self, mutual: bool = False) -> Matches:
         """Each feature with its nearest landmark; if ``mutual``, only where no other feature is nearer to that."""
@@ -80,16 +94,15 @@ class NearestLandmarks:
         good = (nearest >= 0) & (distances <= LIMITS[self.metric].loose)
         if mutual and len(nearest):
             good &= is_least(distances, nearest, int(nearest.max()) + 1)
-        detections = np.flatnonzero(good)
         rival = np.where(np.isfinite(rival), rival, self.distances[:, -1])
-        chances = match_chances(distances[detections], rival[detections], self.metric)
-        return Matches(detections, nearest[detections], chances)
+        chances = match_chances(distances[good], rival[good], self.metric)
+        return Matches(self.detections[good], nearest[good], chances)
 
     def pairs(self) -> Matches:
         """Each feature with every landmark that it is like, each pair's chance by its own likeness alone."""
-        detections, ranks = np.nonzero((self.landmarks >= 0) & (self.distances <= LIMITS[self.metric].loose))
-        chances = guided_chances(self.distances[detections, ranks], self.metric)
-        return Matches(detections, self.landmarks[detections, ranks], chances)
+        rows, ranks = np.nonzero((self.landmarks >= 0) & (self.distances <= LIMITS[self.metric].loose))
+        chances = guided_chances(self.distances[rows, ranks], self.metric)
+        return Matches(self.detections[rows], self.landmarks[rows, ranks], chances)
 
 
 def match_chances(distances: FloatArray, rivals: FloatArray, metric: Metric) -> FloatArray:

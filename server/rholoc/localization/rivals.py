@@ -36,7 +36,8 @@ def rival_seeds(
     index: MapIndex, nearest: NearestLandmarks, query: Query, rays: FloatArray, found: Verified
 ) -> Iterator[FloatArray]:
     """Poses (4, 4) that matches other than those of a pose agree with, the best place first."""
-    fewest = max(_FEWEST_AGREEING, _FEWEST_OF_FOUND * found.inliers)
+    looked_at = len(nearest) / max(len(query.features), 1)  # a share of the features
+    fewest = max(_FEWEST_AGREEING, _FEWEST_OF_FOUND * looked_at * found.inliers)
     pairs = _unexplained(index, nearest.pairs(), query, found)
     for place in islice(places_by_votes(index, pairs, _VIEWS_EACH), _PLACES):
         there = np.zeros(len(index.map), dtype=bool)

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import Enum, StrEnum
+from typing import Any
 
-from rholoc.features import FeatureSet
+from rholoc.features import Extractor, FeatureSet
 from rholoc.geometry import ByteArray, Camera, FloatArray, IntArray, Pose
 from rholoc.localization.diagnosis import Diagnosis
 
@@ -64,6 +66,7 @@ class Query:
         deadline_s: seconds that the answer may take, or None.
         intrinsics: whether the camera's focal length is known.
         image: the picture itself, (H, W, 3) BGR, for the diagnosis of a refusal; or None.
+        more_features: finds more of them, and is asked where ``features`` do not suffice; None: those are all.
     """
 
     features: FeatureSet
@@ -74,6 +77,14 @@ class Query:
     deadline_s: float | None = None
     intrinsics: Intrinsics = Intrinsics.GIVEN
     image: ByteArray | None = None
+    more_features: Callable[[], FeatureSet] | None = None
+
+    @classmethod
+    def of_picture(cls, image: ByteArray, extractor: Extractor, camera: Camera, **others: Any) -> Query:
+        """A picture (H, W, 3), BGR, its features found quickly at first; ``others`` are further attributes."""
+        quick = extractor.quick
+        more = None if quick is extractor else lambda: extractor.extract(image)
+        return cls(quick.extract(image), camera, image=image, more_features=more, **others)
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +102,7 @@ class Localization:
         inliers: how many of them agree with the pose.
         inlier_pixels: (I, 2) pixels of those.
         inlier_features: (I,) their rows in the map.
-        timings_ms: milliseconds by stage: match, seed, ascend, verify, diagnose.
+        timings_ms: milliseconds by stage: extract (more features), match, seed, ascend, verify, diagnose.
         near_prior: whether the pose is where the prior expects it; None without a prior.
         camera: the camera as estimated, where its focal length was unknown.
         focal_sigma_px: one sigma of that focal length.

@@ -9,7 +9,7 @@ import numpy as np
 
 from rholoc.density import Evidence
 from rholoc.geometry import Camera, FloatArray
-from rholoc.localization.ascent import Optimum, ascend, covariance_at, sharpen
+from rholoc.localization.ascent import Optimum, ascend, covariance_at, end_of_climb, sharpen
 from rholoc.localization.map_index import MapIndex
 from rholoc.localization.matches import Matches
 from rholoc.localization.support import Support, support_of
@@ -18,7 +18,9 @@ from rholoc.localization.types import Dof, Query
 SEARCH_RADII_PX = (14.0, 5.0)
 FINAL_TOLERANCE_PX = 4.0
 _MIN_MATCHES = 6
+ENOUGH_MATCHES = 60  # of some features, within the first radius, for the rest not to be looked at there
 _VIEWS_ALIKE = 10
+_WIDE_ITERATIONS = 2  # at each tolerance of the ascent within the wider radius
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,33 +86,44 @@ def settle(index: MapIndex, matches: Matches, evidence: Evidence, optimum: Optim
     return sharpen(densities, evidence, optimum, np.flatnonzero(alike), FINAL_TOLERANCE_PX, dof)
 
 
+def matches_about(index: MapIndex, query: Query, T_map_camera: FloatArray, radius_px: float) -> Matches:
+    """Matches with what a camera at (4, 4) should see, of some features where those are enough, else of all."""
+    some = query.features.sample
+    if len(some) < len(query.features):
+        matches, _ = index.match_near(query.features, query.camera, T_map_camera, radius_px, some)
+        if len(matches) >= ENOUGH_MATCHES:
+            return matches
+    return index.match_near(query.features, query.camera, T_map_camera, radius_px)[0]
+
+
 def verify(
     index: MapIndex,
     query: Query,
     rays: FloatArray,
     T_map_camera: FloatArray,
-    radii_px: tuple[float, ...] = SEARCH_RADII_PX,
+    radii_px: tuple[float, float] = SEARCH_RADII_PX,
     focal_free: bool = False,
-    first: tuple[Matches, FloatArray] | None = None,
+    wide: Matches | None = None,
 ) -> Verified | None:
-    """Match again around a pose (4, 4) and ascend, within each radius in turn; None where too little is found.
+    """Match again around a pose (4, 4) and ascend, within either radius in turn; None where too little is found.
 
-    ``first``: what :meth:`MapIndex.match_near` found within the first radius, where that is known already.
+    ``wide``: enough matches within the first radius, where they are known already.
     """
-    T, wide = T_map_camera, None
-    for radius in radii_px:
-        near, first = first, None
-        matches, by_chance = near or index.match_near(query.features, query.camera, T, radius)
-        if len(matches) < _MIN_MATCHES:
-            return None
-        wide = wide or matches
-        evidence = evidence_of(index, matches, rays, query.camera)
-        tolerances_px = (*(px for px in (radius, radius / 2) if px > FINAL_TOLERANCE_PX), FINAL_TOLERANCE_PX)
-        optimum = ascend(index.map.densities, evidence, T, tolerances_px, query.dof)
-        if radius == radii_px[-1]:
-            optimum = settle(index, matches, evidence, optimum, query.dof)
-        T = optimum.T_map_camera
-    assert wide is not None
+    densities, dof = index.map.densities, query.dof
+    wide_px, narrow_px = radii_px
+    wide = wide or matches_about(index, query, T_map_camera, wide_px)
+    if len(wide) < _MIN_MATCHES:
+        return None
+    evidence = evidence_of(index, wide, rays, query.camera)
+    T = end_of_climb(
+        densities, evidence, T_map_camera, (wide_px, wide_px / 2, FINAL_TOLERANCE_PX), dof, _WIDE_ITERATIONS
+    )
+    matches, by_chance = index.match_near(query.features, query.camera, T, narrow_px)
+    if len(matches) < _MIN_MATCHES:
+        return None
+    evidence = evidence_of(index, matches, rays, query.camera)
+    optimum = ascend(densities, evidence, T, (narrow_px, FINAL_TOLERANCE_PX), dof)
+    optimum = settle(index, matches, evidence, optimum, dof)
     pixels = query.features.pixels
     support = support_of(index, pixels, query.camera, matches, evidence, optimum, by_chance)
     chance = float(by_chance.sum())

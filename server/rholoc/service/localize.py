@@ -201,7 +201,7 @@ class FrameFeatures:
         self._frame = frame
         self._settings = settings
         self._clock = clock
-        self._extracted: dict[str, FeatureSet] = {}
+        self._extracted: dict[Extractor, FeatureSet] = {}
         self.image: ByteArray | None = None
         if frame.image is not None:
             with clock.stage("decode"):
@@ -222,17 +222,33 @@ class FrameFeatures:
         return camera.width, camera.height
 
     def by(self, extractor: Extractor) -> FeatureSet:
-        """The features as this extractor gives them."""
-        if extractor.name not in self._extracted:
+        """The features as this extractor gives them, or as they were sent."""
+        if extractor not in self._extracted:
             if self.image is not None:
                 with self._clock.stage("extract"):
-                    found = extract_bounded(extractor, self.image, self._settings.max_feature_pixels)
+                    found = self._found(extractor, self.image)
             else:
                 assert self._frame.features is not None
                 with self._clock.stage("decode"):
                     found = feature_set(self._frame.features, extractor, self._settings.max_features)
-            self._extracted[extractor.name] = found
-        return self._extracted[extractor.name]
+            self._extracted[extractor] = found
+        return self._extracted[extractor]
+
+    def more_by(self, extractor: Extractor) -> Callable[[], FeatureSet] | None:
+        """What finds more features than the quick extractor does; None where there are no more."""
+        image = self.image
+        if image is None or extractor.quick is extractor:
+            return None
+
+        def more() -> FeatureSet:
+            if extractor not in self._extracted:  # the localizer counts its time
+                self._extracted[extractor] = self._found(extractor, image)
+            return self._extracted[extractor]
+
+        return more
+
+    def _found(self, extractor: Extractor, image: ByteArray) -> FeatureSet:
+        return extract_bounded(extractor, image, self._settings.max_feature_pixels)
 
 
 def extract_bounded(extractor: Extractor, image: ByteArray, max_pixels: int) -> FeatureSet:
@@ -255,13 +271,14 @@ def _localize(
     prior, gravity = prior_of(frame.options.prior), gravity_of(frame.options.gravity)
     if clock.elapsed_s >= deadline_s:
         return too_late()
-    found = features.by(localizer.extractor)
+    found = features.by(localizer.extractor.quick)
     left_s = deadline_s - clock.elapsed_s
     if left_s <= 0:
         return too_late()
     options = frame.options
+    more = features.more_by(localizer.extractor)
     answer = localizer.localize(
-        Query(found, camera, options.dof, prior, gravity, left_s, options.intrinsics, features.image)
+        Query(found, camera, options.dof, prior, gravity, left_s, options.intrinsics, features.image, more)
     )
     for stage, duration_ms in answer.timings_ms.items():
         clock.stages_ms[stage] = clock.stages_ms.get(stage, 0.0) + duration_ms

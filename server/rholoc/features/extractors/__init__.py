@@ -35,6 +35,11 @@ class Extractor(Protocol):
         """The length of its descriptors."""
         ...
 
+    @property
+    def quick(self) -> Extractor:
+        """One that finds fewer features of the same kind in less time: enough for most frames. Itself where none is."""
+        ...
+
     def extract(self, image: ByteArray) -> FeatureSet:
         """The features of an image (H, W, 3) in BGR order or (H, W) grey, uint8."""
         ...

@@ -70,6 +70,11 @@ class OrbExtractor:
     metric: Metric = Metric.HAMMING
     descriptor_bytes: int = DESCRIPTOR_BYTES
 
+    @property
+    def quick(self) -> OrbExtractor:
+        """This one."""
+        return self
+
     def extract(self, image: ByteArray) -> FeatureSet:
         """The features of an image (H, W, 3) in BGR order or (H, W) grey, uint8."""
         if min(image.shape[:2]) < _PATCH_PX:
