@@ -183,7 +183,7 @@ class _MutantFinder(importlib.abc.MetaPathFinder, importlib.abc.Loader):
         exec(_compiled(self._mutant), module.__dict__)  # type: ignore[call-overload]
 
 
-@dataclass
+@dataclass(eq=False)
 class Calls:
     """Which functions, by file and first line, each test calls, itself or by its fixtures, and what it takes.
 
