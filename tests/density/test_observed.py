@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 from rholoc.density import ObservedDensities, Sightings
+from rholoc.density.density import TARGET_RADIUS
 from rholoc.density.observed import (
     RIDGE,
     Loss,
@@ -22,6 +24,7 @@ from rholoc.density.observed import (
     seen_loss,
 )
 from rholoc.density.recursive import RecursiveFit, batch_fit
+from rholoc.density.tensor import Layout
 from rholoc.geometry import FloatArray, Pose, Similarity, rotation_from_heading
 
 _FOCAL_PX = 525.0
@@ -155,6 +158,73 @@ def test_forgetting_follows_a_feature_that_moved() -> None:
     assert off_px(0.9) < 5.0 < 15.0 < off_px(1.0)
 
 
+def test_counts_fall_with_the_square_of_the_distance_to_nothing_at_the_radius() -> None:
+    """n = 1 − |z Δ|² / r² around a pixel of the layout, in a camera of the layout; z is the bearing's part ahead."""
+    layout = Layout.of(2)
+    pixel, camera = layout.plane[1], layout.axes[5]
+    seen = np.append(pixel, 1.0) / np.linalg.norm(np.append(pixel, 1.0))
+    counts = sample_counts((seen @ camera)[None], 2)[:, 0, 5]
+    off = seen[2] * np.linalg.norm(layout.plane - pixel, axis=1)
+    np.testing.assert_allclose(counts, 1 - (off / TARGET_RADIUS) ** 2, atol=1e-9)
+
+
+def test_the_loss_of_each_explanation() -> None:
+    loss = Loss.of(np.array([[1.0, 2.0], [6.0, 3.0]]), np.array([[1.0, 2.0], [4.0, 3.0]]))
+    assert (loss.points, loss.zero, loss.constant, loss.fitted) == (4, 50.0, 14.0, 4.0)
+
+
+def test_table_5_keeps_all_but_the_moments() -> None:
+    densities = fit_observed(_sightings(_around(20)), 2)
+    rows = densities.rows(_sightings(_around(20)), np.zeros(1))
+    assert rows.domain.shape == (1, len(ObservedDensities.domain_columns))
+    kept = [
+        ObservedDensities.kept_coefficients(densities.all_coefficients(np.array([0]))[0].astype(float), 2, None, None)
+    ]
+    again = ObservedDensities.from_rows(2, rows, _LANDMARK[None], kept)
+    assert again.problem(1) == ""
+    np.testing.assert_array_equal(again.counts, [20])
+    np.testing.assert_allclose(again.middles, densities.middles, atol=1e-6)
+    np.testing.assert_allclose(again.coefficients, densities.coefficients)
+    np.testing.assert_array_equal(again.moments, [RIDGE * np.eye(densities.moments.shape[1])])
+    rows.domain[0, 5] += 0.1
+    with pytest.raises(ValueError, match="unit vector"):
+        ObservedDensities.from_rows(2, rows, _LANDMARK[None], kept)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"middles": np.zeros((1, 3))},
+        {"middles": np.full((1, 3), np.nan)},
+        {"middles": np.eye(3)[:2]},
+        {"counts": np.array([-1])},
+        {"counts": np.array([1, 2])},
+        {"moments": np.zeros((1, 3, 3))},
+        {"moments": np.full((1, 10, 10), np.inf)},
+        {"radii": np.array([0.0])},
+    ],
+)
+def test_arrays_that_can_be_no_densities_are_found(change: dict[str, FloatArray]) -> None:
+    densities = fit_observed(_sightings(_around(20)), 2)
+    assert densities.problem(1) == ""
+    assert replace(densities, **change).problem(1)
+
+
+@pytest.mark.parametrize(
+    ("name", "array"),
+    [
+        ("counts", np.zeros(1, np.int64)),
+        ("counts", np.zeros(2, np.int32)),
+        ("directions", np.zeros((1, 2), np.float32)),
+        ("moments", np.zeros((1, 54))),
+    ],
+)
+def test_a_file_whose_arrays_differ_in_type_or_shape_is_refused(name: str, array: FloatArray) -> None:
+    arrays = {**fit_observed(_sightings(_around(20)), 2).arrays(), name: array}
+    with pytest.raises(ValueError, match=f"observed_{name} is not of the right"):
+        ObservedDensities.from_arrays(arrays, _LANDMARK[None])
+
+
 def test_an_observation_counts_one_at_its_pixel_and_nothing_a_radius_away() -> None:
     counts = sample_counts(np.array([[1.0, 1.0, 0.0]]) / np.sqrt(2), 2)
     assert counts.max() <= 1.0
@@ -184,6 +254,19 @@ def test_a_tilt_keeps_the_peak() -> None:
     moved = densities.moved(similarity)
     seen = similarity.points(_LANDMARK[None])[0]
     assert _peak_off_px(moved, similarity.points(np.array([[0.0, 0.1, 1.5]]))[0], seen) < 3.0
+
+
+@pytest.mark.parametrize("axis", [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.7, 0.3, 0.6]])
+def test_tilted_the_peaks_are_where_the_feature_is(axis: list[float]) -> None:
+    """By 9°, which turns every camera's picture about its own axis too."""
+    densities = fit_observed(_sightings(_around(40)), 2)
+    R = Rotation.from_rotvec(0.16 * np.array(axis) / np.linalg.norm(axis)).as_matrix()
+    similarity = Similarity(1.5, R, np.array([0.5, -1.0, 0.2]))
+    moved = densities.moved(similarity)
+    seen = similarity.points(_LANDMARK[None])[0]
+    off_px = [_peak_off_px(moved, position, seen) for position in similarity.points(_around(6, seed=4))]
+    assert np.median(off_px) < 4.0
+    assert max(off_px) < 10.0
 
 
 def test_what_a_file_keeps_is_what_it_was() -> None:

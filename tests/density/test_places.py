@@ -63,3 +63,19 @@ def test_where_there_are_too_many_those_of_few_views_go_but_no_features_first(mo
     np.testing.assert_allclose(found.positions, [around(0), around(180), AHEAD, around(90)], atol=1e-6)
     np.testing.assert_array_equal(found.positions, found.positions.astype(np.float32))
     np.testing.assert_array_equal(found.radii, found.radii.astype(np.float32))
+
+
+@pytest.mark.parametrize(
+    ("distances", "radius"),
+    [
+        ([0.6, 1.0, 1.69], 1.2 * (1.69 - 3.29 / 3)),  # by the furthest view, with a margin
+        ([0.6] * 4 + [1.0, 1.69], 0.95 * 5.09 / 6),  # short of the landmark
+        ([0.9, 1.0, 1.1], 0.6),  # and never less than this share of the distance
+    ],
+)
+def test_a_density_reaches_to_its_furthest_view(distances, radius):
+    seen_from = np.array(distances)[:, None] * AHEAD
+    found = Places.of(Sightings(np.zeros((1, 3)), np.zeros(len(distances), np.int64), seen_from))
+    np.testing.assert_allclose(found.positions, [np.mean(distances) * AHEAD], rtol=1e-6)
+    np.testing.assert_allclose(found.radii, [radius], rtol=1e-6)
+    assert [members.tolist() for members in found.members] == [list(range(len(distances)))]
