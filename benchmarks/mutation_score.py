@@ -62,6 +62,7 @@ _NAMES = {
     "min": "max", "max": "min", "minimum": "maximum", "maximum": "minimum", "argmin": "argmax", "argmax": "argmin",
     "any": "all", "all": "any", "sin": "cos", "cos": "sin",
 }  # fmt: skip
+_WITHOUT_EFFECT = {"strict", "optimize"}  # arguments: zip's, which asserts, and einsum's, which orders the sums
 
 
 @dataclass(frozen=True)
@@ -123,12 +124,12 @@ def _text(node: ast.AST) -> bool:
 
 
 def _walk_code(tree: ast.AST) -> Iterator[ast.AST]:
-    """All nodes but those of annotations, which do not run, and of decorators: whether a dataclass is frozen."""
+    """All nodes but those of annotations, which do not run, of decorators and of ``_WITHOUT_EFFECT``."""
     for name, value in ast.iter_fields(tree):
         if name in ("annotation", "returns", "decorator_list"):
             continue
         for node in value if isinstance(value, list) else [value]:
-            if isinstance(node, ast.AST):
+            if isinstance(node, ast.AST) and not (isinstance(node, ast.keyword) and node.arg in _WITHOUT_EFFECT):
                 yield node
                 yield from _walk_code(node)
 

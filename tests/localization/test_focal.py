@@ -11,6 +11,7 @@ from rholoc.density import Evidence
 from rholoc.geometry import Pose
 from rholoc.localization import Cause, Intrinsics, Localizer, Query
 from rholoc.localization.ascent import ascend_with_focal, freed_focal
+from rholoc.localization.focal import _sensible
 from rholoc.localization.types import Dof
 from rholoc.localization.verification import evidence_of, verify
 from rholoc.maps import Map
@@ -107,3 +108,11 @@ def test_the_ascent_finds_the_focal_length(point_room: Any) -> None:
     optimum, scale, _ = ascend_with_focal(evidence, truth.T_map_camera, (80.0, 40.0, 10.0, 4.0), Dof.FREE, 20)
     assert scale == pytest.approx(1 / 1.15, rel=1e-3)
     assert np.linalg.norm(optimum.T_map_camera[:3, 3] - truth.position) < 0.005
+
+
+@pytest.mark.parametrize(
+    ("scale", "sensible"), [(0.36, False), (0.38, True), (1.0, True), (4.3, True), (4.4, False), (-1.0, False)]
+)
+def test_cameras_of_20_to_120_degrees_exist(point_room: Any, scale: float, sensible: bool) -> None:
+    """From 0.3 to 3.5 times the longer side; the room's camera has 520 of 640 px."""
+    assert _sensible(point_room.camera, scale) == sensible

@@ -1,0 +1,132 @@
+"""Links between frames: their equations against differences, and where they draw the frames."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from rholoc.density import Evidence, RayDensities
+from rholoc.geometry import FloatArray, pose_distances, pose_matrix
+from rholoc.localization.ascent import ascend, moved, optimum_at
+from rholoc.localization.joint_ascent import Link, _bounded, _link_equations, ascend_together, joint_covariances
+from rholoc.localization.types import Dof
+
+_FOCAL_PX = 500.0
+_TOLERANCES_PX = (40.0, 20.0, 8.0)
+
+
+def _random_poses(count: int, seed: int) -> FloatArray:
+    rng = np.random.default_rng(seed)
+    return pose_matrix(Rotation.from_rotvec(rng.normal(0, 0.4, (count, 3))).as_matrix(), rng.normal(0, 1, (count, 3)))
+
+
+def _links(T: FloatArray, sigma_m: float = 0.02, sigma_rad: float = 0.01) -> list[Link]:
+    """From the first frame to every other, as they are."""
+    return [Link(0, b, np.linalg.inv(T[0]) @ T[b], sigma_m, sigma_rad) for b in range(1, len(T))]
+
+
+def _log_likelihood(T: FloatArray, links: list[Link]) -> float:
+    """− Σ |error|² / 2σ²."""
+    total = 0.0
+    for link in links:
+        expected = T[link.a] @ link.T_a_b
+        apart = T[link.b, :3, 3] - expected[:3, 3]
+        turned = Rotation.from_matrix(T[link.b, :3, :3] @ expected[:3, :3].T).as_rotvec()
+        total -= apart @ apart / (2 * link.sigma_m**2) + turned @ turned / (2 * link.sigma_rad**2)
+    return total
+
+
+def _moved_all(T: FloatArray, step: FloatArray) -> FloatArray:
+    return np.array([moved(pose, part) for pose, part in zip(T, step.reshape(-1, 6), strict=True)])
+
+
+def test_the_links_slope_is_that_of_their_likelihood() -> None:
+    truth = _random_poses(3, 0)
+    links = [*_links(truth), Link(2, 1, np.linalg.inv(truth[2]) @ truth[1], 0.05, 0.02)]
+    T = _moved_all(truth, np.random.default_rng(1).normal(0, 0.002, 18))
+    slope, curvature = _link_equations(T, links)
+    axes = 1e-6 * np.eye(18)
+    expected = [
+        (_log_likelihood(_moved_all(T, s), links) - _log_likelihood(_moved_all(T, -s), links)) / 2e-6 for s in axes
+    ]
+    np.testing.assert_allclose(slope, expected, rtol=1e-3, atol=0.01 * np.abs(slope).max())
+    np.testing.assert_allclose(curvature, curvature.T)
+    step = np.random.default_rng(2).normal(0, 1e-4, 18)
+    fallen = _log_likelihood(truth, links) - _log_likelihood(_moved_all(truth, step), links)
+    assert fallen == pytest.approx(step @ _link_equations(truth, links)[1] @ step / 2, rel=0.01)
+
+
+def test_frames_that_stand_as_their_links_say_are_not_drawn() -> None:
+    T = _random_poses(4, 3)
+    assert np.abs(_link_equations(T, _links(T))[0]).max() < 1e-6
+
+
+def test_no_frame_moves_further_than_half_a_metre_at_once() -> None:
+    curvature = np.diag(np.repeat([1.0, 2.0], 6))
+    np.testing.assert_allclose(_bounded(np.full(12, 1e-3), curvature).ravel(), 1e-3 / np.diag(curvature), rtol=1e-3)
+    far = _bounded(np.concatenate([[4.0, 0, 0, 0.1, 0, 0], np.zeros(6)]), np.eye(12))
+    np.testing.assert_allclose(far[0], [0.5, 0, 0, 0.0125, 0, 0], rtol=1e-3, atol=1e-9)
+    turned = _bounded(np.concatenate([np.zeros(6), [0.1, 0, 0, 0, 0, -0.6]]), np.eye(12))
+    np.testing.assert_allclose(turned[1], [0.05, 0, 0, 0, 0, -0.3], rtol=1e-3, atol=1e-9)
+
+
+def _evidence(T_map_camera: FloatArray, seed: int, count: int = 30, false: int = 0) -> Evidence:
+    """Exact sightings of points ahead of a camera; the last ``false`` of them of something else."""
+    rng = np.random.default_rng(seed)
+    inside = np.column_stack([rng.uniform(-1, 1, (count, 2)), rng.uniform(2, 4, count)])
+    points = inside @ T_map_camera[:3, :3].T + T_map_camera[:3, 3]
+    rays = inside / np.linalg.norm(inside, axis=1, keepdims=True)
+    rays[count - false :] = rays[:false]
+    covariances = np.tile(1e-6 * np.eye(3), (count, 1, 1))
+    return Evidence.of(np.arange(count), rays, points, covariances, np.full(count, 0.6), _FOCAL_PX)
+
+
+def test_frames_climb_together_to_where_each_was() -> None:
+    truth = _random_poses(3, 5)
+    evidences = [_evidence(T, seed, false=8) for seed, T in enumerate(truth)]
+    start = _moved_all(truth, np.random.default_rng(6).normal(0, 0.02, 18))
+    optima = ascend_together(RayDensities(), evidences, start, _links(truth), _TOLERANCES_PX, Dof.FREE)
+    for one, T, evidence in zip(optima, truth, evidences, strict=True):
+        apart_m, turned_rad = pose_distances(one.T_map_camera, T)
+        assert apart_m < 1e-3
+        assert turned_rad < 1e-3
+        assert one.value == optimum_at(RayDensities(), evidence, one.T_map_camera, _TOLERANCES_PX[-1]).value
+
+
+def test_a_frame_without_matches_goes_where_its_link_says() -> None:
+    truth = _random_poses(2, 7)
+    seen, blind = _evidence(truth[0], 0), _evidence(truth[1], 1).take(np.zeros(0, np.int64))
+    start = truth.copy()
+    start[1] = moved(start[1], np.array([0.1, -0.05, 0.08, 0.05, 0.02, -0.04]))
+    optima = ascend_together(RayDensities(), [seen, blind], start, _links(truth), _TOLERANCES_PX, Dof.FREE)
+    apart_m, turned_rad = pose_distances(optima[1].T_map_camera, truth[1])
+    assert apart_m < 1e-3
+    assert turned_rad < 1e-3
+
+
+def test_one_frame_alone_climbs_as_it_always_does() -> None:
+    truth = _random_poses(1, 8)
+    evidence = _evidence(truth[0], 2)
+    start = moved(truth[0], np.full(6, 0.01))
+    joint = ascend_together(RayDensities(), [evidence], start[None], [], _TOLERANCES_PX, Dof.FREE)[0]
+    alone = ascend(RayDensities(), evidence, start, _TOLERANCES_PX, Dof.FREE)
+    np.testing.assert_allclose(joint.T_map_camera, alone.T_map_camera, atol=1e-4)
+
+
+def test_stiff_links_share_what_each_frame_knows_and_loose_ones_do_not() -> None:
+    truth = _random_poses(2, 9)
+    evidences = [_evidence(truth[0], 3, 60), _evidence(truth[1], 4, 6)]
+    optima = [optimum_at(RayDensities(), e, T, 8.0) for e, T in zip(evidences, truth, strict=True)]
+
+    def sigmas_m(sigma: float) -> FloatArray:
+        covariances = joint_covariances(evidences, optima, _links(truth, sigma, sigma), 8.0)
+        assert covariances.shape == (2, 6, 6)
+        return np.sqrt(np.trace(covariances[:, :3, :3], axis1=1, axis2=2))
+
+    alone = sigmas_m(1e3)
+    together = sigmas_m(1e-4)
+    assert np.all(together < alone)
+    assert together[1] < 0.7 * alone[1]
+    between = sigmas_m(0.5 * alone[1])
+    assert together[1] < between[1] < alone[1]

@@ -1,0 +1,120 @@
+"""Densities over pixels, positions and headings: what they are where they are known."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from rholoc.geometry import Pose, angles_between
+from rholoc.localization.landscape import (
+    Grid,
+    Look,
+    over_headings,
+    over_picture,
+    over_positions,
+    product_over_positions,
+    seen_from,
+)
+from rholoc.localization.localizer import Localizer
+from rholoc.localization.verification import evidence_of
+from rholoc.maps import Map
+
+_TOLERANCE_PX = 60.0
+
+
+@pytest.fixture(scope="module")
+def look(room_map: Map) -> Look:
+    """A feature in a view that saw it, well within the picture."""
+    for row in range(len(room_map.observation_views)):
+        found = Look.of_view(room_map, int(room_map.observation_features[row]), int(room_map.observation_views[row]))
+        if abs(found.pixel[0] - 320) < 120 and abs(found.pixel[1] - 240) < 80:
+            return found
+    raise AssertionError("no such feature")
+
+
+def _away_m(map_: Map, look: Look) -> float:
+    return float(np.linalg.norm(map_.landmarks[look.feature] - look.T_map_camera[:3, 3]))
+
+
+def test_a_look_is_at_the_landmarks_pixel(room_map: Map, look: Look) -> None:
+    inside = (room_map.landmarks[look.feature] - look.T_map_camera[:3, 3]) @ look.T_map_camera[:3, :3]
+    ray = look.camera.rays(look.pixel[None])[0]
+    np.testing.assert_allclose(ray, inside / np.linalg.norm(inside), atol=1e-9)
+
+
+def test_a_grid_reaches_as_far_as_asked_and_holds_its_centre() -> None:
+    grid = Grid.about(np.array([1.0, 2.0, 3.0]), (0.2, 0.1, 0.0), 0.1)
+    assert grid.shape == (5, 3, 1)
+    x, y, z = grid.axes
+    np.testing.assert_allclose(x, [0.8, 0.9, 1.0, 1.1, 1.2])
+    np.testing.assert_allclose(y, [1.9, 2.0, 2.1])
+    np.testing.assert_allclose(z, [3.0])
+    np.testing.assert_allclose(grid.points[[0, 1, 5]], [[0.8, 1.9, 3.0], [0.9, 1.9, 3.0], [0.8, 2.0, 3.0]])
+    folded = grid.folded(grid.points[:, 0])
+    assert folded.shape == (1, 3, 5)
+    np.testing.assert_allclose(folded[0, 2], x)
+    np.testing.assert_allclose(grid.points[7], [1.0, 2.0, 3.0])
+
+
+def test_over_the_picture_it_falls_with_the_square_of_the_pixels(room_map: Map, look: Look) -> None:
+    density, pixels = over_picture(room_map, look, _TOLERANCE_PX, 20.0)
+    assert density.shape == (24, 32)
+    np.testing.assert_allclose(pixels[2, 3], [60.0, 40.0])
+    camera, seen = look.camera, look.camera.rays(look.pixel[None])[0]
+    apart = np.sin(angles_between(camera.rays(pixels.reshape(-1, 2)), seen)).reshape(density.shape)
+    expected = np.maximum(1 - (apart * camera.focal / _TOLERANCE_PX) ** 2, 0)
+    np.testing.assert_allclose(density, expected, atol=0.03)
+    assert density.max() > 0.9
+
+
+def test_over_positions_it_falls_across_the_ray_and_not_along_it(room_map: Map, look: Look) -> None:
+    here = look.T_map_camera[:3, 3]
+    bearing = look.T_map_camera[:3, :3] @ look.camera.rays(look.pixel[None])[0]
+    density = over_positions(room_map, look, Grid.about(here, (0.2, 0.2, 0.2), 0.1), _TOLERANCE_PX)
+    assert density.shape == (5, 5, 5)
+    assert density[2, 2, 2] == pytest.approx(1.0, abs=1e-3)
+    for (z, y, x), rho in np.ndenumerate(density):
+        step = 0.1 * np.array([x - 2, y - 2, z - 2])
+        along = step @ bearing
+        tolerance_m = _TOLERANCE_PX / look.camera.focal * (_away_m(room_map, look) - along)
+        expected = max(1 - (step @ step - along**2) / tolerance_m**2, 0)
+        assert rho == pytest.approx(expected, abs=0.02)
+
+
+def test_over_headings_it_falls_with_the_angle(room_map: Map, look: Look) -> None:
+    half_rad = 0.15
+    density, up, aside = over_headings(room_map, look, half_rad, 5, _TOLERANCE_PX)
+    np.testing.assert_allclose(up, np.linspace(-half_rad, half_rad, 5))
+    np.testing.assert_allclose(aside, up)
+    assert density[2, 2] == pytest.approx(1.0, abs=1e-3)
+    pose = Pose(look.T_map_camera)
+    azimuth, elevation = np.arctan2(pose.heading[1], pose.heading[0]), np.arcsin(pose.heading[2])
+    away = room_map.landmarks[look.feature] - pose.position
+    ray = look.camera.rays(look.pixel[None])[0]
+    for (i, j), rho in np.ndenumerate(density):
+        e, a = elevation + up[i], azimuth + aside[j]
+        heading = np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
+        turned = Pose.from_heading(pose.position, heading, pose.roll).R_map_camera @ ray
+        off = np.sin(angles_between(turned, away / np.linalg.norm(away)))
+        assert rho == pytest.approx(max(1 - (off * look.camera.focal / _TOLERANCE_PX) ** 2, 0), abs=0.05)
+
+
+def test_the_product_of_a_frame_peaks_where_it_was_taken(localizer: Localizer, point_room: Any) -> None:
+    truth = point_room.walk(9)[4]
+    features = point_room.see(truth, 77)
+    index = localizer.index
+    matches = index.match_everywhere(features)
+    evidence = evidence_of(index, matches, point_room.camera.rays(features.pixels), point_room.camera)
+    grid = Grid.about(truth.position, (0.3, 0.3, 0.0), 0.1)
+    nats = product_over_positions(index.map, evidence, truth.T_map_camera, grid, 12.0)
+    assert np.unravel_index(nats.argmax(), nats.shape) == (0, 3, 3)
+    assert nats.max() > 5 * max(nats[0, 0, 0], nats[0, -1, -1])
+
+
+def test_a_feature_may_be_seen_from_its_views_and_not_from_behind(room_map: Map, look: Look) -> None:
+    here, landmark = look.T_map_camera[:3, 3], room_map.landmarks[look.feature].astype(np.float64)
+    assert seen_from(room_map, look.feature, Grid.about(here, (0.1, 0.1, 0.0), 0.1)).all()
+    behind = landmark + 2 * (landmark - here)
+    assert not seen_from(room_map, look.feature, Grid.about(behind, (0.1, 0.1, 0.0), 0.1)).any()
