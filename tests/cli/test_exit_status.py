@@ -82,21 +82,6 @@ def test_a_missing_output_folder_is_reported_before_the_work(rholoc: Run, comman
 
 
 @pytest.mark.parametrize(
-    ("options", "says"),
-    [
-        (("--odometry", "poses.txt"), "Add --together"),
-        (("--together", "5", "--camera", "unknown"), "need their intrinsics"),
-    ],
-)
-def test_what_frames_together_need_is_said_before_the_work(
-    rholoc: Run, options: tuple[str, ...], says: str, tmp_path: Path
-) -> None:
-    status, _, err = rholoc("localize", "nowhere.rho", "nowhere", *options, "-o", tmp_path / "out.csv")
-    assert status == 1
-    assert says in err
-
-
-@pytest.mark.parametrize(
     "arguments",
     [
         ("fly",),

@@ -52,14 +52,6 @@ def test_the_shipped_pictures_are_localized_to_centimetres(rholoc: Run, tmp_path
     assert figures["recall_5cm_5deg"] == 1
 
 
-def test_frames_are_localized_together(rholoc: Run, tmp_path: Path) -> None:
-    found, together = tmp_path / "found.csv", ("--together", "3", "--odometry", QUERIES / "poses.txt")
-    summary = json.loads(rholoc("localize", MAP, QUERIES, *together, "-o", found, "--json"))
-    assert (summary["frames"], summary["localized"]) == (3, 3)
-    figures = json.loads(rholoc("evaluate", found, QUERIES / "poses.txt", "--json"))
-    assert figures["recall_5cm_5deg"] == 1
-
-
 def test_a_choice_of_frames_is_a_choice_of_pictures(rholoc: Run, tmp_path: Path) -> None:
     found = tmp_path / "found.csv"
     assert json.loads(rholoc("localize", MAP, QUERIES, "--frames", "2:3", "-o", found, "--json"))["frames"] == 1

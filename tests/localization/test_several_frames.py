@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from rholoc.errors import InvalidDescriptors, InvalidInput
 from rholoc.features import FeatureSet
 from rholoc.geometry import Pose, pose_distances, pose_matrix
-from rholoc.localization import Dof, Localizer, Query, SeveralFrames, localize_together, spaced_rows
+from rholoc.localization import Dof, Localizer, Query, SeveralFrames, localize_together
 
 _ODOMETRY = np.linalg.inv(pose_matrix(Rotation.from_euler("xyz", (0.3, -0.2, 0.9)).as_matrix(), np.array([4.0, 1, -2])))
 
@@ -132,12 +132,3 @@ def test_features_of_another_kind_are_refused(localizer: Localizer, point_room: 
     mixed = SeveralFrames((asked.frames[0], Query(short, point_room.camera)), asked.T_rig_cameras)
     with pytest.raises(InvalidDescriptors):
         localize_together(localizer, mixed)
-
-
-def test_spaced_poses_are_those_that_show_something_new() -> None:
-    T = np.tile(np.eye(4), (8, 1, 1))
-    T[:, 0, 3] = (0, 0.1, 0.21, 0.3, 0.43, 0.43, 0.43, 0.43)
-    T[6, :3, :3] = Rotation.from_euler("y", 20, degrees=True).as_matrix()
-    T[0, 0, 0] = np.nan
-    np.testing.assert_array_equal(spaced_rows(T), [1, 4, 6, 7])
-    assert len(spaced_rows(T[:1])) == 0

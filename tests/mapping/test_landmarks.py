@@ -11,6 +11,7 @@ from scipy.spatial import cKDTree
 from rholoc.features import Metric
 from rholoc.mapping.landmarks import (
     Landmarks,
+    expected_sightings,
     extend_and_merge,
     representative_rows,
     select_stable,
@@ -83,6 +84,41 @@ def test_selection_keeps_what_is_seen_often(landmarks: Landmarks, walked: Views)
     assert len(few) < len(all_) <= len(landmarks)
     assert few.view_counts.min() >= 3
     assert few.view_counts.mean() > all_.view_counts.mean()
+
+
+def test_of_several_walks_what_persists_is_chosen(landmarks: Landmarks, walked: Views) -> None:
+    """Half of the landmarks are seen on the first of two walks alone, and there in every view."""
+    count = len(landmarks)
+    walks = (np.arange(len(walked)) % 2).astype(np.int64)
+    fading = np.arange(count) % 2 == 0
+    labels = landmarks.labels.copy()
+    labels[(labels >= 0) & fading[labels] & (walks[walked.view_of] == 1)] = -1
+    lasting_rows = np.flatnonzero((labels >= 0) & ~fading[labels])
+    labels[lasting_rows[::2]] = -1  # they are seen less often in all, but on both walks
+    seen = Landmarks(landmarks.information, landmarks.eta, labels, landmarks.positions, landmarks.covariances)
+
+    expected = expected_sightings(walked, seen, walks)
+    enough = landmarks.view_counts >= 8
+    assert np.median(expected[fading & enough]) == pytest.approx(1 / 2)  # of two walks one
+    assert np.median(expected[~fading & enough]) == pytest.approx(3 / 4)  # of two both
+
+    def lasting_share(chosen: Landmarks) -> float:
+        rows = chosen.observed_rows
+        both = np.zeros((len(chosen), 2), dtype=bool)
+        both[chosen.labels[rows], walks[walked.view_of[rows]]] = True
+        return float(both.all(axis=1).mean())
+
+    assert lasting_share(select_stable(walked, seen, 5, walks)) > 0.9
+    assert lasting_share(select_stable(walked, seen, 5)) < 0.8
+
+
+def test_a_walk_that_did_not_pass_says_nothing(landmarks: Landmarks, walked: Views) -> None:
+    walks = np.zeros(len(walked), dtype=np.int64)
+    alone = expected_sightings(walked, landmarks, walks)
+    assert np.unique(alone).tolist() == [pytest.approx(2 / 3)]
+    np.testing.assert_array_equal(
+        select_stable(walked, landmarks, 20, walks).positions, select_stable(walked, landmarks, 20).positions
+    )
 
 
 def test_what_two_views_saw_is_not_stable_however_well_its_place_is_known(landmarks: Landmarks, walked: Views) -> None:

@@ -49,7 +49,9 @@ def flow(
         "tracks": len(np.unique(found.tracks)),
         "corners_a_frame": float(np.median(np.diff(found.starts))),
         "track_length_frames": float(np.median(lengths[lengths > 0])) if lengths.any() else 0.0,
-        "motion_a_frame_px": round(float(np.median(found.motion[1:])) * max(found.size), 2) if len(lengths) else 0.0,
+        "motion_a_frame_px": round(float(np.median(found.motion[1:])) * max(found.size), 2)
+        if len(found.times) > 1
+        else 0.0,
         **{f"{method}_off_tracks_px": off for method, off in off_px.items()},
         "odometry": None if posed is None else _write_odometry(posed, read, out),
         "folder": str(out),

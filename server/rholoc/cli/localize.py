@@ -19,7 +19,7 @@ from rholoc.errors import InvalidCamera, InvalidInput
 
 if TYPE_CHECKING:
     import rholoc_client
-    from rholoc.geometry import ByteArray, Camera, FloatArray
+    from rholoc.geometry import ByteArray, Camera
     from rholoc.localization import Dof, Intrinsics, Localization, Localizer
     from rholoc.maps import MapInfo, TrajectoryTable
     from rholoc.recordings import FrameSource, Recording
@@ -46,23 +46,6 @@ def localize(
         ),
     ] = None,
     dof: options.DofOption = "auto",
-    together: Annotated[
-        int | None,
-        typer.Option(
-            min=2,
-            max=10,
-            metavar="N",
-            help="Localize each frame together with up to N - 1 before it, 20 cm or 15° apart, held to each other by "
-            "odometry.",
-        ),
-    ] = None,
-    odometry: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="POSES",
-            help="--together: poses in a frame of their own, poses.txt or Table 6 CSV; default: the recording's own.",
-        ),
-    ] = None,
     min_confidence: Annotated[
         float | None, typer.Option(min=0.0, max=1.0, help="Poses of lower confidence are not given out.")
     ] = None,
@@ -74,10 +57,6 @@ def localize(
     from rholoc.recordings import read_recording
 
     degrees_of_freedom = options.dof(dof)
-    if odometry is not None and together is None:
-        raise InvalidInput("Odometry is of use where frames are localized together.", "Add --together, such as 5.")
-    if together is not None and camera == Intrinsics.UNKNOWN:
-        raise InvalidInput("Frames that are localized together need their intrinsics.", "Give --camera fx,fy,cx,cy.")
     if not out.parent.is_dir():
         raise InvalidInput(f"There is no folder {out.parent} to write the trajectory to.", "Create it first.")
     map_ = load_map(map_file)
@@ -86,16 +65,11 @@ def localize(
     recording = read_recording(source, camera=given, frames=frames)
     used_camera = _guessed(recording) if known is Intrinsics.UNKNOWN else recording_camera(recording, map_.info)
     localizer = Localizer(map_, MIN_CONFIDENCE if min_confidence is None else min_confidence)
-    motion = None if together is None else _odometry(recording, odometry)
     count = len(recording.frames.times)
     start_s = time.perf_counter()
     with frame_progress("localizing", count) as advance:
         answers, frame_s = [], []
-        for answer, taken_s in (
-            _localize_frames(localizer, recording.frames, used_camera, degrees_of_freedom, known)
-            if together is None or motion is None
-            else _localize_together(localizer, recording.frames, used_camera, degrees_of_freedom, motion, together)
-        ):
+        for answer, taken_s in _localize_frames(localizer, recording.frames, used_camera, degrees_of_freedom, known):
             answers.append(answer)
             frame_s.append(taken_s)
             advance()
@@ -139,22 +113,6 @@ def recording_camera(recording: Recording, info: MapInfo) -> Camera:
     return info.camera
 
 
-def poses_of(path: Path, frames: FrameSource) -> FloatArray:
-    """The poses (N, 4, 4) of a table for the recording's frames, by number or time; NaN where it has none."""
-    from rholoc.evaluation import FramePoses, pair_poses, read_frame_poses
-
-    nothing = np.zeros((len(frames.times), 4, 4))
-    rows = np.arange(len(frames.times))
-    nothing[:, 0, 3] = rows  # which frame each pair is of
-    table = read_frame_poses(path)
-    own = FramePoses(nothing, frames.numbers if table.frames is not None else None, frames.times)
-    pairs = pair_poses(own, table)
-    found = np.full((len(frames.times), 4, 4), np.nan)
-    known = np.isfinite(pairs.estimated[:, 0, 3])
-    found[pairs.estimated[known, 0, 3].astype(np.int64)] = pairs.truth[known]
-    return found
-
-
 def _localize_frames(
     localizer: Localizer, frames: FrameSource, camera: Camera, dof: Dof, known: Intrinsics
 ) -> Iterator[tuple[Localization, float]]:
@@ -170,52 +128,6 @@ def _localize_frames(
     with ThreadPoolExecutor(_THREADS) as pool:
         while batch := list(islice(images, _BATCH)):
             yield from pool.map(answer, batch)
-
-
-def _odometry(recording: Recording, given: Path | None) -> FloatArray:
-    """Poses (N, 4, 4) of the frames relative to each other; NaN where they are not known."""
-    if given is not None:
-        return poses_of(given, recording.frames)
-    if recording.poses is None:
-        raise InvalidInput("How the frames lie to each other is not known.", "Give --odometry.")
-    return recording.poses.T_map_camera
-
-
-def _localize_together(
-    localizer: Localizer, frames: FrameSource, camera: Camera, dof: Dof, motion: FloatArray, most: int
-) -> Iterator[tuple[Localization, float]]:
-    """As :func:`_localize_frames`, each frame with those before it; alone where ``motion`` (N, 4, 4) is not known."""
-    from rholoc.localization import Query, SeveralFrames, localize_together, spaced_rows
-
-    spaced = spaced_rows(motion)
-    queries: dict[int, Query] = {}  # of the frames at work, and of those that later ones still need
-
-    def behind(row: int) -> list[int]:
-        return [int(other) for other in spaced[spaced < row][:-most:-1]]
-
-    def query(image: ByteArray) -> tuple[Query, float]:
-        start_s = time.perf_counter()
-        return Query(localizer.extractor.extract(image), camera, dof, image=image), time.perf_counter() - start_s
-
-    def answer(row: int) -> tuple[Localization, float]:
-        start_s, rows = time.perf_counter(), [row, *behind(row)]
-        if len(rows) == 1 or not np.isfinite(motion[row]).all():
-            answered = localizer.localize(queries[row])
-        else:
-            asked = SeveralFrames(tuple(queries[one] for one in rows), motion[rows])
-            answered = localize_together(localizer, asked).first
-        return answered, time.perf_counter() - start_s
-
-    images, done = frames.images(range(len(frames.times))), 0
-    with ThreadPoolExecutor(_THREADS) as pool:
-        while batch := list(islice(images, _BATCH)):
-            rows = range(done, done + len(batch))
-            extracted = list(pool.map(query, batch))
-            queries |= {row: one for row, (one, _) in zip(rows, extracted, strict=True)}
-            for (answered, taken_s), (_, extracting_s) in zip(pool.map(answer, rows), extracted, strict=True):
-                yield answered, taken_s + extracting_s
-            done += len(batch)
-            queries = {row: queries[row] for row in behind(done)}
 
 
 def most_likely_causes(answers: Sequence[Localization]) -> list[dict[str, str | int]]:

@@ -10,7 +10,7 @@ import typer
 
 from rholoc.cli import options
 from rholoc.cli.console import frame_progress, output, print_figures, print_json, print_notice
-from rholoc.cli.localize import poses_of, recording_camera
+from rholoc.cli.localize import recording_camera
 from rholoc.errors import InvalidInput
 
 if TYPE_CHECKING:
@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
     from rholoc.evaluation.tracking import Outage, TrackRun
     from rholoc.geometry import FloatArray
+    from rholoc.recordings import FrameSource
 
 _UNITS = {"median_cm": "cm", "p90_cm": "cm", "worst_cm": "cm", "worst_deg": "°", "answer_ms": "ms"}
 
@@ -73,8 +74,8 @@ def track(
     recording = read_recording(source, camera=options.named_camera(camera), frames=frames)
     true_poses = None if recording.poses is None else recording.poses.T_map_camera
     if truth is not None:
-        true_poses = poses_of(truth, recording.frames)
-    moves = None if odometry is None else poses_of(odometry, recording.frames)
+        true_poses = _poses_of(truth, recording.frames)
+    moves = None if odometry is None else _poses_of(odometry, recording.frames)
     if drift is not None:
         if true_poses is None or not np.isfinite(true_poses).all():
             raise InvalidInput("Odometry cannot be simulated: not every frame's true pose is known.", "Give --truth.")
@@ -125,6 +126,24 @@ def _outage(text: str) -> Outage:
     if found is None or float(found[1]) >= float(found[2]):
         raise typer.BadParameter(f"'{text}' is not START:STOP in seconds.", param_hint="--outage")
     return Outage(float(found[1]), float(found[2]))
+
+
+def _poses_of(path: Path, frames: FrameSource) -> FloatArray:
+    """The poses (N, 4, 4) of a table for the recording's frames, by number or time; NaN where it has none."""
+    import numpy as np
+
+    from rholoc.evaluation import FramePoses, pair_poses, read_frame_poses
+
+    nothing = np.zeros((len(frames.times), 4, 4))
+    rows = np.arange(len(frames.times))
+    nothing[:, 0, 3] = rows  # which frame each pair is of
+    table = read_frame_poses(path)
+    own = FramePoses(nothing, frames.numbers if table.frames is not None else None, frames.times)
+    pairs = pair_poses(own, table)
+    found = np.full((len(frames.times), 4, 4), np.nan)
+    known = np.isfinite(pairs.estimated[:, 0, 3])
+    found[pairs.estimated[known, 0, 3].astype(np.int64)] = pairs.truth[known]
+    return found
 
 
 def _rows(run: TrackRun, numbers: np.ndarray) -> list[dict[str, float | int | str | None]]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -99,10 +98,8 @@ class Pose:
     @property
     def roll(self) -> float:
         """The rotation about the heading against the upright camera, radians in (-π, π]."""
-        (x, _, _), (y, _, _), (right_up, down_up, _) = self.R_map_camera.tolist()
-        if math.hypot(right_up, down_up) < _VERTICAL:  # of a vertical heading, which takes the map's x for upright
-            return math.atan2(-y if self.heading[2] < 0 else y, x)
-        return math.atan2(-right_up, -down_up)
+        R = rotation_from_heading(self.heading).T @ self.R_map_camera
+        return float(np.arctan2(R[1, 0], R[0, 0]))
 
     @property
     def quaternion_xyzw(self) -> FloatArray:

@@ -10,7 +10,6 @@ from rholoc.localization.several_frames import (
     JointLocalization,
     SeveralFrames,
     localize_together,
-    spaced_rows,
 )
 from rholoc.localization.types import Dof, Intrinsics, Localization, Prior, Query, Reason
 
@@ -33,5 +32,4 @@ __all__ = [
     "SeveralFrames",
     "likeliest_views",
     "localize_together",
-    "spaced_rows",
 ]

@@ -16,7 +16,7 @@ import poselib
 
 from rholoc.density import Evidence
 from rholoc.errors import InvalidInput
-from rholoc.geometry import FloatArray, IntArray, Pose, is_rotation, pose_distances, pose_matrix
+from rholoc.geometry import FloatArray, Pose, is_rotation, pose_matrix
 from rholoc.localization.ascent import Optimum
 from rholoc.localization.confidence import joint_confidence
 from rholoc.localization.joint_ascent import Link, ascend_together, joint_covariances
@@ -35,7 +35,6 @@ _VIEWS_EACH = 10
 _SAMPLES = (1000, 30)
 _TOLERANCE_PX = 12.0
 _MIN_MATCHES = 6
-_SPACED_M, _SPACED_RAD = 0.2, np.deg2rad(15.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,22 +92,6 @@ class JointLocalization:
     first: Localization
     poses: tuple[Pose, ...]
     inliers: tuple[int, ...]
-
-
-def spaced_rows(T_odometry: FloatArray) -> IntArray:
-    """Rows of the poses (N, 4, 4) that are 20 cm or 15° from the one before them: what each shows is new.
-
-    The first known pose is one of them; poses that are not known (NaN) are not.
-    """
-    rows: list[int] = []
-    for row, T in enumerate(T_odometry):
-        if not np.isfinite(T).all():
-            continue
-        if rows:
-            apart_m, turned_rad = pose_distances(T, T_odometry[rows[-1]])
-        if not rows or apart_m >= _SPACED_M or turned_rad >= _SPACED_RAD:
-            rows.append(row)
-    return np.array(rows, dtype=np.int64)
 
 
 def is_rigid(T: FloatArray) -> bool:

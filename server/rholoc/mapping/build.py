@@ -91,9 +91,10 @@ def build_map(
     walks = [_walk(recording, extractor, options, progress) for recording in recordings]
     _check_common_frame(walks)
     views, held_out, looks = _look(walks, progress)
-    landmarks = stable_landmarks(views, extractor, progress)
+    walk_of_view = np.repeat(np.arange(len(walks)), [len(walk.views) for walk in walks])
+    landmarks = stable_landmarks(views, extractor, progress, walk_of_view)
     progress(Stage.DENSITIES, 0.6, f"{len(landmarks)} stable features")
-    map_ = _assemble(walks, views, landmarks, extractor, options)
+    map_ = _assemble(walks, views, walk_of_view, landmarks, extractor, options)
     map_ = fit_densities(map_, options.density, options.degree, progress)
     progress(Stage.DENSITIES, 1.0, f"{len(map_.descriptors)} descriptors")
     report = replace(
@@ -164,14 +165,22 @@ def _look(walks: Sequence[_Walk], progress: ProgressListener) -> tuple[Views, He
     return Views.from_features(cameras, np.array(poses), np.array(times), features), HeldOut(tuple(held)), looks
 
 
-def stable_landmarks(views: Views, extractor: Extractor, progress: ProgressListener) -> Landmarks:
+def stable_landmarks(
+    views: Views, extractor: Extractor, progress: ProgressListener, walk_of_view: IntArray | None = None
+) -> Landmarks:
+    """The landmarks that a map is made of: tracked, extended, and chosen, across walks (K,) where views are of several.
+
+    Raises:
+        MappingFailed: too few are stable.
+        Cancelled: ``progress`` asked to stop.
+    """
     labels = link_observations(views, extractor.metric, progress)
     progress(Stage.DENSITIES, 0.0, f"{int(labels.max(initial=-1)) + 1} tracks")
     landmarks = triangulate(views, labels)
     for round_ in range(_EXTENSION_ROUNDS):
         landmarks = extend_and_merge(views, landmarks, extractor.metric)
         progress(Stage.DENSITIES, 0.2 * (round_ + 1), f"{len(landmarks)} features")
-    stable = select_stable(views, landmarks, _FEATURES_PER_VIEW)
+    stable = select_stable(views, landmarks, _FEATURES_PER_VIEW, walk_of_view)
     if len(stable) < _MIN_FEATURES:
         raise MappingFailed(
             f"Only {len(stable)} features are stable; a map needs at least {_MIN_FEATURES}.",
@@ -181,7 +190,12 @@ def stable_landmarks(views: Views, extractor: Extractor, progress: ProgressListe
 
 
 def _assemble(
-    walks: Sequence[_Walk], views: Views, landmarks: Landmarks, extractor: Extractor, options: BuildOptions
+    walks: Sequence[_Walk],
+    views: Views,
+    walk_of_view: IntArray,
+    landmarks: Landmarks,
+    extractor: Extractor,
+    options: BuildOptions,
 ) -> Map:
     info = MapInfo(
         id=uuid.uuid4().hex,
@@ -195,8 +209,7 @@ def _assemble(
         sources=tuple(_source(walk, options) for walk in walks),
         waypoints=tuple(_waypoint(waypoint, walk) for walk in walks for waypoint in walk.recording.waypoints),
     )
-    counts = [len(walk.views) for walk in walks]
-    map_ = assemble(info, views, landmarks, np.repeat(np.arange(len(walks)), counts), extractor.metric)
+    map_ = assemble(info, views, landmarks, walk_of_view, extractor.metric)
     return with_landmarks(replace(map_, view_covariances=_view_covariances(walks)))
 
 

@@ -138,11 +138,18 @@ def extend_and_merge(views: Views, landmarks: Landmarks, metric: Metric) -> Land
     return triangulate(views, _merged(labels, np.concatenate(same), len(landmarks), views.view_of))
 
 
-def select_stable(views: Views, landmarks: Landmarks, per_view: int) -> Landmarks:
-    """The landmarks seen from enough views whose place is well determined; of those, each view's most seen ones.
+def select_stable(views: Views, landmarks: Landmarks, per_view: int, walks: IntArray | None = None) -> Landmarks:
+    """The landmarks seen from enough views whose place is well determined; of those, each view's best ones.
 
-    A landmark stays when it is among the ``per_view`` most often seen ones of any view: the map grows with the space
-    that it covers, not with the time that the walk took.
+    A landmark stays when it is among the ``per_view`` best of any view: the map grows with the space that it covers,
+    not with the time that the walk took. The best are those that a further walk most probably sees, where several walks
+    tell, and then those seen most often.
+
+    Args:
+        views: K views.
+        landmarks: of these views.
+        per_view: how many each view may bring.
+        walks: (K,) which of several walks each view is of; None: all are of one.
     """
     rows, counts = landmarks.observed_rows, landmarks.view_counts
     labels, view = landmarks.labels[rows], views.view_of[rows]
@@ -151,11 +158,36 @@ def select_stable(views: Views, landmarks: Landmarks, per_view: int) -> Landmark
     sigma = np.sqrt(np.linalg.eigvalsh(landmarks.covariances)[:, -1])
     stable = (counts >= _MIN_VIEWS) & (sigma < _MAX_RELATIVE_SIGMA * mean_depth)
     labels, view = labels[stable[labels]], view[stable[labels]]
-    order = np.lexsort((labels, -counts[labels], view))
+    persistence = np.zeros(len(landmarks)) if walks is None else expected_sightings(views, landmarks, walks)
+    order = np.lexsort((labels, -counts[labels], -persistence[labels], view))
     rank = np.arange(len(order)) - np.searchsorted(view[order], view[order])
     kept = np.zeros(len(landmarks), dtype=bool)
     kept[labels[order][rank < per_view]] = True
     return landmarks.keep(kept)
+
+
+def expected_sightings(views: Views, landmarks: Landmarks, walks: IntArray) -> FloatArray:
+    """How probably a further walk that passes each landmark (F,) sees it: what light, time and furniture leave alone.
+
+    By the rule of succession, of the walks that passed it: from three views at least it was in the picture, from where
+    it is seen.
+
+    Args:
+        views: K views.
+        landmarks: of these views.
+        walks: (K,) which of the walks 0..W-1 each view is of.
+    """
+    shape = (len(landmarks), int(walks.max(initial=0)) + 1)
+    saw, chances = np.zeros(shape, dtype=np.bool_), np.zeros(shape, dtype=np.int64)
+    presence = landmarks.presence(views)
+    for k, walk in enumerate(walks.tolist()):
+        T, camera = views.T_map_camera[k], views.cameras[k]
+        shown = camera.contains(camera.project((landmarks.positions - T[:3, 3]) @ T[:3, :3]))
+        chances[shown & presence.allows(landmarks.positions, T[:3, 3]), walk] += 1
+        here = landmarks.labels[views.offsets[k] : views.offsets[k + 1]]
+        saw[here[here >= 0], walk] = True
+    passed = saw | (chances >= _MIN_VIEWS)
+    return np.asarray((saw.sum(axis=1) + 1) / (passed.sum(axis=1) + 2))
 
 
 def representative_rows(views: Views, labels: IntArray, count: int, metric: Metric, most: int) -> list[IntArray]:
