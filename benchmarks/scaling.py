@@ -1,32 +1,78 @@
-"""How cost grows with the map: features from a thousand to a hundred thousand.
+"""How cost and recall grow with the map: landmarks from a thousand to a million.
 
-    OMP_NUM_THREADS=1 python benchmarks/scaling.py [--features 1000,10000,100000]
+    OMP_NUM_THREADS=1 python benchmarks/scaling.py [--landmarks 1000,10000,100000,1000000] [--everywhere]
+    OMP_NUM_THREADS=1 python benchmarks/scaling.py --maps ASKED.rho OTHER.rho ... --queries WALK [--camera fx,fy,cx,cy]
+        [--frames 100:400] [--every 6] [--landmarks ...] [--everywhere]
 
-Maps are synthetic: rooms of points side by side, each seen from views of its own, as a building's rooms are. For each
-size it prints the file's bytes, the memory at its peak, and milliseconds of localization by stage, on one thread.
+Without ``--maps`` the maps are synthetic: rooms of points side by side, each seen from views of its own, as a
+building's rooms are; their descriptors are random, and so harder to look up by likeness than real ones. With ``--maps``
+they are real or simulated ones, side by side: the first one, which the queries are of, then the others, then copies of
+all of them until there are enough landmarks. A copy lies elsewhere and has the numbers of its descriptors in another
+order: a place with as many features, spread alike, that does not look the same. Walks with poses are asked.
+
+For each size, in a process of its own that reads the map from its file: the file's bytes, the memory at its peak,
+seconds until the first answer, milliseconds of processor time for an answer by stage, on one thread, without the
+extraction of features; the share of poses within 10 cm; and the slope, by which power of the size an answer takes
+longer than in the map before. ``--everywhere`` matches with the whole map as small maps do, for comparison.
 """
 
 from __future__ import annotations
 
 import argparse
+import math
+import multiprocessing
 import resource
 import tempfile
 import time
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, replace
+from itertools import count, islice
 from pathlib import Path
 
 import numpy as np
 
-from rholoc.features import FeatureSet
-from rholoc.geometry import Camera, Pose
-from rholoc.localization import Dof, Localizer, Query
+from rholoc.features import FeatureSet, get_extractor
+from rholoc.geometry import Camera, FloatArray, Pose
+from rholoc.localization import Dof, Localizer, Query, localizer_of
 from rholoc.maps import DensityKind, Map, MapInfo, load_map, save_map
+from rholoc.recordings import read_recording
 
 CAMERA = Camera(640, 480, 520.0, 520.0, 319.5, 239.5)
 FEATURES_PER_ROOM = 1000
 VIEWS_PER_ROOM = 24
 ROOM_PITCH_M = 10.0
+COPY_PITCH_M = 200.0
 FLIPPED_BITS = 14
-QUERIES = 12
+QUERIES = 40
+RIGHT_M = 0.1
+STAGES = ("place", "match", "seed", "ascend", "verify")
+
+
+@dataclass(frozen=True, eq=False)
+class Asked:
+    """A frame, and where it was taken (4, 4)."""
+
+    query: Query
+    truth: FloatArray
+
+
+@dataclass(frozen=True)
+class Figures:
+    """What one size of map came to."""
+
+    landmarks: int
+    views: int
+    file_mb: float
+    peak_mb: float
+    first_s: float
+    stages_ms: dict[str, float]
+    cpu_ms: float
+    right: float
+    wrong: float
+
+
+# -- maps ------------------------------------------------------------------------------------------------------------
 
 
 def room_points(rng: np.random.Generator, centre: np.ndarray) -> np.ndarray:
@@ -76,6 +122,56 @@ def building(rooms: int) -> Map:
     )
 
 
+def side_by_side(maps: Sequence[Map], landmarks: int) -> Map:
+    """Maps, then copies of them, until there are so many landmarks, in one."""
+    rng = np.random.default_rng(0)
+    parts: list[Map] = []
+    for number in count():
+        parts.append(shifted(maps[number % len(maps)], number, rng if number >= len(maps) else None))
+        if sum(map(len, parts)) >= landmarks:
+            break
+    first_feature = np.cumsum([0, *map(len, parts)])
+    first_view = np.cumsum([0, *(len(part.view_times) for part in parts)])
+    return replace(
+        parts[0],
+        channels=np.concatenate([part.channels for part in parts]),
+        landmarks=np.concatenate([part.landmarks for part in parts]),
+        covariances=np.concatenate([part.covariances for part in parts]),
+        descriptors=np.concatenate([part.descriptors for part in parts]),
+        descriptor_features=numbered([part.descriptor_features for part in parts], first_feature),
+        view_times=np.arange(first_view[-1], dtype=np.float64),
+        T_map_camera=np.concatenate([part.T_map_camera for part in parts]),
+        observation_views=numbered([part.observation_views for part in parts], first_view),
+        observation_features=numbered([part.observation_features for part in parts], first_feature),
+        view_covariances=np.concatenate([part.known_view_covariances for part in parts]),
+    )
+
+
+def numbered(parts: Sequence[np.ndarray], first: np.ndarray) -> np.ndarray:
+    """Rows of the parts as rows of the whole."""
+    return np.concatenate([rows + start for rows, start in zip(parts, first, strict=False)]).astype(np.int32)
+
+
+def shifted(map_: Map, number: int, rng: np.random.Generator | None) -> Map:
+    """A map some way along x; with ``rng``, of a place that looks otherwise."""
+    shift = np.array([COPY_PITCH_M * number, 0.0, 0.0])
+    T_map_camera = map_.T_map_camera.copy()
+    T_map_camera[:, :3, 3] += shift
+    size = map_.descriptors.shape[1]
+    order = np.arange(size) if rng is None else rng.permutation(size)
+    return replace(
+        map_,
+        landmarks=(map_.landmarks + shift).astype(np.float32),
+        T_map_camera=T_map_camera,
+        descriptors=map_.descriptors[:, order],
+        observations=None,
+        colours=None,
+    )
+
+
+# -- queries ---------------------------------------------------------------------------------------------------------
+
+
 def query(map_: Map, truth: Pose, rng: np.random.Generator) -> FeatureSet:
     """What a camera at ``truth`` detects: landmarks in view, disturbed, and as many detections that match nothing."""
     near = np.flatnonzero(np.linalg.norm(map_.landmarks - truth.position, axis=1) < ROOM_PITCH_M / 2)
@@ -95,35 +191,99 @@ def beside(view: np.ndarray) -> Pose:
     return Pose.from_heading(view[:3, 3] + np.array([0.15, 0.1, 0.05]), view[:3, 2])
 
 
+def synthetic_queries(map_: Map) -> list[Asked]:
+    """Beside some of the views of a synthetic map."""
+    rng = np.random.default_rng(5)
+    chosen = map_.T_map_camera[:: max(1, len(map_.view_times) // QUERIES)][:QUERIES]
+    truths = [beside(pose) for pose in chosen]
+    return [Asked(Query(query(map_, truth, rng), CAMERA, Dof.FREE), truth.T_map_camera) for truth in truths]
+
+
+def walk_queries(walk: Path, camera: str | None, frames: str | None, every: int, features: str) -> list[Asked]:
+    """The frames of a walk with poses."""
+    recording = read_recording(walk, camera=camera, frames=frames)
+    assert recording.poses is not None
+    assert recording.camera is not None
+    extractor = get_extractor(features)
+    rows = [int(row) for row in islice(np.flatnonzero(recording.poses.known), 0, None, every)]
+    images = recording.frames.images(rows)
+    return [
+        Asked(Query(extractor.extract(image), recording.camera), recording.poses.T_map_camera[row])
+        for row, image in zip(rows, images, strict=True)
+    ]
+
+
+# -- figures ---------------------------------------------------------------------------------------------------------
+
+
+def measured(path: Path, asked: list[Asked], everywhere: bool) -> Figures:
+    """Read a map and ask it."""
+    begun = time.perf_counter()
+    map_ = load_map(path)
+    localizer = Localizer(map_) if everywhere else localizer_of(map_)
+    localizer.localize(asked[0].query)
+    first_s = time.perf_counter() - begun
+    spent: list[dict[str, float]] = []
+    cpu_ms, right, given = [], 0, 0
+    for one in asked:
+        begun = time.thread_time()
+        answer = localizer.localize(one.query)
+        cpu_ms.append(1e3 * (time.thread_time() - begun))
+        spent.append(answer.timings_ms)
+        given += answer.localized
+        right += answer.pose is not None and bool(np.linalg.norm(answer.pose.position - one.truth[:3, 3]) < RIGHT_M)
+    return Figures(
+        len(map_),
+        len(map_.view_times),
+        path.stat().st_size / 1e6,
+        resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
+        first_s,
+        {stage: float(np.median([times.get(stage, 0.0) for times in spent])) for stage in STAGES},
+        float(np.median(cpu_ms)),
+        right / len(asked),
+        (given - right) / len(asked),
+    )
+
+
 def main() -> None:
     """Run the benchmark."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--features", default="1000,10000,100000")
+    parser.add_argument("--landmarks", default="1000,10000,100000,1000000")
+    parser.add_argument("--maps", type=Path, nargs="+", default=[])
+    parser.add_argument("--queries", type=Path)
+    parser.add_argument("--camera")
+    parser.add_argument("--frames")
+    parser.add_argument("--every", type=int, default=6)
+    parser.add_argument("--everywhere", action="store_true")
     args = parser.parse_args()
-    print(f"{'features':>9}{'file MB':>9}{'peak MB':>9}{'index s':>9}{'match':>8}{'seed':>8}{'ascend':>8}{'verify':>8}{'total ms':>10}{'right':>8}")  # fmt: skip  # noqa: E501
-    for count in map(int, args.features.split(",")):
+    maps = [load_map(path) for path in args.maps]
+    asked: list[Asked] = []
+    if maps:
+        asked = walk_queries(args.queries, args.camera, args.frames, args.every, maps[0].info.features)
+    columns = ("landmarks", "views", "file MB", "peak MB", "first s", *STAGES, "cpu ms", "slope", "right %", "wrong %")
+    print("".join(f"{name:>10}" for name in columns), flush=True)
+    before: Figures | None = None
+    for landmarks in map(int, args.landmarks.split(",")):
+        map_ = side_by_side(maps, landmarks) if maps else building(max(1, landmarks // FEATURES_PER_ROOM))
+        asked = asked if maps else synthetic_queries(map_)
         with tempfile.TemporaryDirectory() as folder:
-            path = Path(folder) / "building.rho"
-            save_map(building(max(1, count // FEATURES_PER_ROOM)), path)
-            size = path.stat().st_size
-            map_ = load_map(path)
-        begun = time.perf_counter()
-        localizer = Localizer(map_)
-        rng = np.random.default_rng(5)
-        chosen = map_.T_map_camera[:: max(1, len(map_.view_times) // QUERIES)][:QUERIES]
-        truths = [beside(pose) for pose in chosen]
-        localizer.localize(Query(query(map_, truths[0], rng), CAMERA, Dof.FREE))
-        index_s = time.perf_counter() - begun
-        spent: list[dict[str, float]] = []
-        right = 0
-        for truth in truths:
-            answer = localizer.localize(Query(query(map_, truth, rng), CAMERA, Dof.FREE))
-            spent.append(answer.timings_ms)
-            right += answer.pose is not None and np.linalg.norm(answer.pose.position - truth.position) < 0.05
-        stages = [float(np.median([s.get(name, 0.0) for s in spent])) for name in ("match", "seed", "ascend", "verify")]
-        peak_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-        print(f"{len(map_):9}{size / 1e6:9.2f}{peak_mb:9.0f}{index_s:9.2f}" + "".join(f"{s:8.1f}" for s in stages)
-              + f"{np.median([sum(s.values()) for s in spent]):10.1f}{right:5}/{len(truths)}")  # fmt: skip
+            path = Path(folder) / "map.rho"
+            save_map(map_, path)
+            del map_
+            alone = multiprocessing.get_context("spawn")
+            with ProcessPoolExecutor(1, mp_context=alone) as process:
+                found = process.submit(measured, path, asked, args.everywhere).result()
+        slope = "–"
+        if before is not None and found.landmarks > before.landmarks:
+            longer = math.log(found.cpu_ms / before.cpu_ms) / math.log(found.landmarks / before.landmarks)
+            slope = f"{longer:.2f}"
+        stages = "".join(f"{found.stages_ms[stage]:10.1f}" for stage in STAGES)
+        print(
+            f"{found.landmarks:10}{found.views:10}{found.file_mb:10.1f}{found.peak_mb:10.0f}{found.first_s:10.2f}"
+            f"{stages}{found.cpu_ms:10.1f}{slope:>10}{100 * found.right:10.1f}{100 * found.wrong:10.1f}",
+            flush=True,
+        )
+        before = found
 
 
 if __name__ == "__main__":

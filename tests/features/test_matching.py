@@ -60,3 +60,30 @@ def test_channels_do_not_mix() -> None:
 
 def test_nothing_matches_nothing() -> None:
     assert mutual_matches(FeatureSet.empty(32), FeatureSet.empty(32), Metric.HAMMING, 64).shape == (0, 2)
+
+
+@pytest.mark.parametrize(("metric", "size"), [(Metric.HAMMING, 32), (Metric.EUCLIDEAN, 48)])
+def test_an_inverted_file_finds_what_was_seen_again(metric: Metric, size: int) -> None:
+    stored = _random(4000, size, 3)
+    rng = np.random.default_rng(4)
+    rows = rng.integers(0, len(stored), 200)
+    noise = rng.integers(0, 256, (200, size), dtype=np.uint8)
+    seen_again = np.where(rng.random((200, size)) < 0.1, noise, stored[rows])
+    channels = (np.arange(len(stored)) % 2).astype(np.uint8)
+    index = DescriptorIndex(stored, channels, metric, inverted=True)
+    features = FeatureSet(
+        np.zeros((200, 2), np.float32), channels[rows], seen_again, np.zeros(200, np.float32), np.zeros(200, np.float32)
+    )
+    distances, found = index.nearest(features, 2)
+    hit = found[:, 0] == rows
+    assert hit.mean() > 0.8  # of random descriptors, which have no lists of their own as real ones do
+    exact = descriptor_distances(seen_again[hit], stored[rows[hit]], metric)
+    np.testing.assert_allclose(distances[hit, 0], exact, rtol=1e-4)
+
+
+def test_an_inverted_file_of_few_descriptors_is_exact() -> None:
+    stored = _random(30, 32, 5)
+    plain = DescriptorIndex(stored, np.zeros(30, np.uint8), Metric.HAMMING)
+    inverted = DescriptorIndex(stored, np.zeros(30, np.uint8), Metric.HAMMING, inverted=True)
+    asked = _features(_random(10, 32, 6))
+    np.testing.assert_array_equal(plain.nearest(asked, 3)[1], inverted.nearest(asked, 3)[1])

@@ -20,7 +20,7 @@ from rholoc.errors import InvalidCamera, InvalidInput
 if TYPE_CHECKING:
     import rholoc_client
     from rholoc.geometry import ByteArray, Camera
-    from rholoc.localization import Dof, Intrinsics, Localization, Localizer
+    from rholoc.localization import AnyLocalizer, Dof, Intrinsics, Localization
     from rholoc.maps import MapInfo, TrajectoryTable
     from rholoc.recordings import FrameSource, Recording
 
@@ -52,7 +52,7 @@ def localize(
     as_json: options.Json = False,
 ) -> None:
     """Localize frames in a map and write the trajectory (Table 6). Frames without a pose get no row."""
-    from rholoc.localization import MIN_CONFIDENCE, Intrinsics, Localizer
+    from rholoc.localization import MIN_CONFIDENCE, Intrinsics, localizer_of
     from rholoc.maps import load_map, write_trajectory_csv
     from rholoc.recordings import read_recording
 
@@ -64,7 +64,7 @@ def localize(
     given = None if known is Intrinsics.UNKNOWN else options.named_camera(camera)
     recording = read_recording(source, camera=given, frames=frames)
     used_camera = _guessed(recording) if known is Intrinsics.UNKNOWN else recording_camera(recording, map_.info)
-    localizer = Localizer(map_, MIN_CONFIDENCE if min_confidence is None else min_confidence)
+    localizer = localizer_of(map_, MIN_CONFIDENCE if min_confidence is None else min_confidence)
     count = len(recording.frames.times)
     start_s = time.perf_counter()
     with frame_progress("localizing", count) as advance:
@@ -114,7 +114,7 @@ def recording_camera(recording: Recording, info: MapInfo) -> Camera:
 
 
 def _localize_frames(
-    localizer: Localizer, frames: FrameSource, camera: Camera, dof: Dof, known: Intrinsics
+    localizer: AnyLocalizer, frames: FrameSource, camera: Camera, dof: Dof, known: Intrinsics
 ) -> Iterator[tuple[Localization, float]]:
     """The answers for all frames in their order, and the seconds that each took, its features included."""
     from rholoc.localization import Query

@@ -66,11 +66,11 @@ def track(
     import numpy as np
 
     from rholoc.evaluation.tracking import Motion, drifting_odometry, run_tracker
-    from rholoc.localization import Localizer
+    from rholoc.localization import localizer_of
     from rholoc.maps import load_map
     from rholoc.recordings import read_recording
 
-    localizer = Localizer(load_map(map_file))
+    localizer = localizer_of(load_map(map_file))
     recording = read_recording(source, camera=options.named_camera(camera), frames=frames)
     true_poses = None if recording.poses is None else recording.poses.T_map_camera
     if truth is not None:

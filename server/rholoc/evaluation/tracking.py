@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from rholoc.errors import InvalidInput, InvalidRecording
 from rholoc.geometry import ByteArray, Camera, FloatArray, Pose, pose_distances
-from rholoc.localization import Localization, Localizer, Prior, Query
+from rholoc.localization import AnyLocalizer, Localization, Prior, Query
 from rholoc.recordings import Imu, Recording
 from rholoc_client.errors import InvalidTrack
 from rholoc_client.models import Camera as ClientCamera
@@ -126,7 +126,7 @@ def drifting_odometry(T_map_camera: FloatArray, drift: float, seed: int) -> Floa
 
 
 def run_tracker(
-    localizer: Localizer,
+    localizer: AnyLocalizer,
     recording: Recording,
     camera: Camera,
     motion: Motion,
@@ -200,7 +200,7 @@ class _Run:
 
     def __init__(
         self,
-        localizer: Localizer,
+        localizer: AnyLocalizer,
         camera: Camera,
         motion: Motion,
         options: TrackOptions,

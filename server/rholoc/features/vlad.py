@@ -10,6 +10,7 @@ from collections.abc import Sequence
 
 import faiss
 import numpy as np
+from scipy.sparse import csr_array
 
 from rholoc.geometry import ByteArray, FloatArray
 
@@ -59,9 +60,13 @@ class Vlad:
             picture = np.repeat(np.arange(len(descriptors)), [len(some) for some in descriptors])
             _, found = self._index.search(pooled, 1)
             word = found[:, 0]
-            np.add.at(total, (picture, word), _normalised(pooled - self.words[word]))
-        return _normalised(_normalised(total).reshape(len(descriptors), -1))
+            cell = picture * len(self.words) + word
+            entries = (np.ones(len(pooled), np.float32), (cell, np.arange(len(pooled))))
+            sums = csr_array(entries, shape=(len(descriptors) * len(self.words), len(pooled)))
+            total = (sums @ normalised(pooled - self.words[word])).reshape(total.shape)
+        return normalised(normalised(total).reshape(len(descriptors), -1))
 
 
-def _normalised(rows: FloatArray) -> FloatArray:
+def normalised(rows: FloatArray) -> FloatArray:
+    """Rows (…, D) at unit length; zeros stay."""
     return np.asarray(rows / np.maximum(np.linalg.norm(rows, axis=-1, keepdims=True), _TINY))

@@ -9,7 +9,7 @@ from rholoc.geometry.alignment import (
     umeyama,
 )
 from rholoc.geometry.angles import angles_between, direction_angles, pose_distances, rotation_angles
-from rholoc.geometry.arrays import BoolArray, ByteArray, FloatArray, IntArray
+from rholoc.geometry.arrays import BoolArray, ByteArray, FloatArray, IntArray, ranges
 from rholoc.geometry.camera import Camera
 from rholoc.geometry.pose import Pose, is_rotation, pose_matrix, poses_from_rows, rotation_from_heading, rows_from_poses
 from rholoc.geometry.vectors import UP, basis_across, cross
@@ -35,6 +35,7 @@ __all__ = [
     "pose_matrix",
     "posed_alignment",
     "poses_from_rows",
+    "ranges",
     "rotation_angles",
     "rotation_from_heading",
     "rows_from_poses",

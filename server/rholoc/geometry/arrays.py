@@ -1,4 +1,4 @@
-"""Names for the array types that signatures use."""
+"""Names for the array types that signatures use, and what index arrays are made of."""
 
 from typing import Any
 
@@ -9,3 +9,9 @@ FloatArray = NDArray[np.floating[Any]]
 IntArray = NDArray[np.integer[Any]]
 ByteArray = NDArray[np.uint8]
 BoolArray = NDArray[np.bool_]
+
+
+def ranges(first: IntArray, last: IntArray) -> IntArray:
+    """All numbers of the ranges ``first`` (N,) to ``last`` (N,), each without its end, one range after the other."""
+    counts = np.subtract(last, first, dtype=np.int64)
+    return np.repeat(first - np.cumsum(counts) + counts, counts) + np.arange(counts.sum())

@@ -2,6 +2,7 @@
 
 from rholoc.localization.confidence import MIN_CONFIDENCE
 from rholoc.localization.diagnosis import TOO_LITTLE_TIME, Cause, Diagnosis
+from rholoc.localization.large_map import LARGE_MAP, AnyLocalizer, LargeMapLocalizer, localizer_of
 from rholoc.localization.localizer import Localizer
 from rholoc.localization.place_recognition import LikelyView, likeliest_views
 from rholoc.localization.several_frames import (
@@ -15,14 +16,17 @@ from rholoc.localization.types import Dof, Intrinsics, Localization, Prior, Quer
 
 __all__ = [
     "FEWEST_FRAMES",
+    "LARGE_MAP",
     "MIN_CONFIDENCE",
     "MOST_FRAMES",
     "TOO_LITTLE_TIME",
+    "AnyLocalizer",
     "Cause",
     "Diagnosis",
     "Dof",
     "Intrinsics",
     "JointLocalization",
+    "LargeMapLocalizer",
     "LikelyView",
     "Localization",
     "Localizer",
@@ -32,4 +36,5 @@ __all__ = [
     "SeveralFrames",
     "likeliest_views",
     "localize_together",
+    "localizer_of",
 ]

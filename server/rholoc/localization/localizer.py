@@ -11,7 +11,7 @@ import numpy as np
 
 from rholoc.density import Evidence
 from rholoc.errors import InvalidDescriptors
-from rholoc.features import Extractor, get_extractor
+from rholoc.features import Extractor, FeatureSet, get_extractor
 from rholoc.geometry import UP, Camera, FloatArray, IntArray, Pose, angles_between, pose_distances
 from rholoc.localization.ascent import Optimum, ascend, upright
 from rholoc.localization.confidence import MIN_CONFIDENCE, confidence_of
@@ -22,7 +22,7 @@ from rholoc.localization.map_uncertainty import with_map_error
 from rholoc.localization.matches import Matches, NearestLandmarks
 from rholoc.localization.ransac import lo_ransac
 from rholoc.localization.rivals import are_rivals, rival_seeds, sureness
-from rholoc.localization.seeds import Place, minimal_samples, place_of_prior, places_by_votes
+from rholoc.localization.seeds import Place, minimal_samples, place_of_prior, places_by_votes, view_votes
 from rholoc.localization.types import Dof, Intrinsics, Localization, Prior, Query, Reason
 from rholoc.localization.verification import ENOUGH_MATCHES, Verified, evidence_of, verify
 from rholoc.maps import Map
@@ -177,13 +177,20 @@ class Localizer:
         map_: the map.
         min_confidence: answers below it are refused (``localized`` False, reason ``low_confidence``).
         options: how hard to look.
+        index: of the map, where it is made already.
     """
 
-    def __init__(self, map_: Map, min_confidence: float = MIN_CONFIDENCE, options: SearchOptions | None = None) -> None:
+    def __init__(
+        self,
+        map_: Map,
+        min_confidence: float = MIN_CONFIDENCE,
+        options: SearchOptions | None = None,
+        index: MapIndex | None = None,
+    ) -> None:
         self.map = map_
         self.min_confidence = min_confidence
         self.options = options or SearchOptions()
-        self.index = MapIndex(map_)
+        self.index = index or MapIndex(map_)
 
     @property
     def extractor(self) -> Extractor:
@@ -208,6 +215,17 @@ class Localizer:
         watch.lap("diagnose")
         return replace(answer, diagnosis=diagnosis)
 
+    def attempt(self, query: Query) -> Localization | None:
+        """The answer where the features at hand give a sure one, None otherwise; no more of them are looked for."""
+        watch = _Stopwatch(query.deadline_s)
+        search = self._search(self.adapted(query), watch)
+        found = search.outcome(self.options.conclusive)
+        return self._answer(search) if found is not None and found.confidence >= self.options.conclusive else None
+
+    def view_votes(self, features: FeatureSet) -> FloatArray:
+        """(K,) how strongly a picture's features speak for each view of the map; no pose is looked for."""
+        return view_votes(self.index, self.index.match_everywhere(features))
+
     def candidate(self, query: Query) -> tuple[Verified, float] | None:
         """The pose that would be answered with, however doubtful, and its confidence."""
         watch = _Stopwatch(query.deadline_s)
@@ -221,13 +239,7 @@ class Localizer:
         Raises:
             InvalidDescriptors: they are not.
         """
-        wanted = self.extractor
-        given = query.features.descriptors.shape[1]
-        if given != wanted.descriptor_bytes:
-            raise InvalidDescriptors(
-                f"The descriptors have {given} bytes; this map's have {wanted.descriptor_bytes}.",
-                f"Extract '{wanted.name}' features for this map.",
-            )
+        check_kind(query.features, self.extractor)
 
     def adapted(self, query: Query) -> Query:
         """A query without what means nothing in this map."""
@@ -496,6 +508,20 @@ def _with_more_features(query: Query, watch: _Stopwatch) -> Query:
     query = replace(query, features=query.more_features(), more_features=None)
     watch.lap("extract")
     return query
+
+
+def check_kind(features: FeatureSet, wanted: Extractor) -> None:
+    """Refuse features that a map's extractor cannot have made.
+
+    Raises:
+        InvalidDescriptors: by their length.
+    """
+    given = features.descriptors.shape[1]
+    if given != wanted.descriptor_bytes:
+        raise InvalidDescriptors(
+            f"The descriptors have {given} bytes; this map's have {wanted.descriptor_bytes}.",
+            f"Extract '{wanted.name}' features for this map.",
+        )
 
 
 def _likelier(a: _Found | None, b: _Found) -> _Found:

@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 from rholoc.density.presence import Presence
 from rholoc.features import FeatureSet, Metric, get_extractor
 from rholoc.features.matching import LIMITS, DescriptorIndex, descriptor_distances
-from rholoc.geometry import BoolArray, Camera, FloatArray, IntArray
+from rholoc.geometry import BoolArray, Camera, FloatArray, IntArray, ranges
 from rholoc.localization.map_error import map_covariance_at
 from rholoc.localization.matches import Matches, NearestLandmarks, guided_chances, is_least
 from rholoc.maps import Map, Trust, trust_of
@@ -24,10 +24,16 @@ _UPRIGHT_LEAN_RAD = np.deg2rad(4.0)  # a hand that holds a phone upright keeps w
 
 
 class MapIndex:
-    """What is derived once from a map; immutable afterwards."""
+    """What is derived once from a map; immutable afterwards.
 
-    def __init__(self, map_: Map) -> None:
+    Args:
+        map_: the map.
+        chance: its :func:`chance_of_likeness`, where that is known already.
+    """
+
+    def __init__(self, map_: Map, chance: float | None = None) -> None:
         self.map = map_
+        self._chance = chance
         self.metric: Metric = get_extractor(map_.info.features).metric
         self.landmarks = map_.landmarks.astype(np.float64)
         self.covariances = map_.covariances.astype(np.float64)
@@ -59,10 +65,10 @@ class MapIndex:
         """Whether the map is to be trusted, by its own report."""
         return trust_of(self.map.info)
 
-    @cached_property
-    def covisibility(self) -> FloatArray:
-        """(K, K) how many features two views share."""
-        return np.asarray((self.visibility @ self.visibility.T).todense())
+    def shared_with(self, view: int) -> FloatArray:
+        """(K,) how many features each view shares with one of them."""
+        first, last = self.map.view_offsets[view : view + 2]
+        return self._votes(self.visibility.indices[first:last])
 
     @cached_property
     def seen_upright(self) -> bool:
@@ -74,15 +80,8 @@ class MapIndex:
 
     @cached_property
     def chance_of_likeness(self) -> float:
-        """How often two descriptors of different landmarks are as alike as a match must be, on the map's own."""
-        rng = np.random.default_rng(0)
-        a, b = rng.integers(0, len(self.map.descriptors), (2, _CHANCE_SAMPLES))
-        owners = self.map.descriptor_features
-        strangers = (owners[a] != owners[b]) & (self.map.channels[owners[a]] == self.map.channels[owners[b]])
-        distances = descriptor_distances(
-            self.map.descriptors[a[strangers]], self.map.descriptors[b[strangers]], self.metric
-        )
-        return float((distances <= LIMITS[self.metric].loose).mean()) if strangers.any() else 0.0
+        """How often two descriptors of different landmarks are as alike as a match must be."""
+        return chance_of_likeness(self.map) if self._chance is None else self._chance
 
     def present(self, position: FloatArray, landmarks: IntArray | slice = _ALL) -> BoolArray:
         """π_f: which features, or which of some ``landmarks`` (M,), may be seen from ``position`` (3,)."""
@@ -163,8 +162,7 @@ class MapIndex:
 
     def descriptor_rows(self, landmarks: IntArray) -> IntArray:
         """The rows of all descriptors of the given landmarks."""
-        starts, counts = self._first_descriptor[landmarks], self._descriptor_counts[landmarks]
-        return np.repeat(starts - np.cumsum(counts) + counts, counts) + np.arange(counts.sum())
+        return ranges(self._first_descriptor[landmarks], self._first_descriptor[landmarks + 1])
 
     def distances_to(self, features: FeatureSet, detections: IntArray, landmarks: IntArray) -> FloatArray:
         """The distance (M,) of each detection to its landmark's nearest descriptor; inf across channels."""
@@ -191,3 +189,14 @@ class MapIndex:
 def _tree(pixels: FloatArray) -> cKDTree:
     """A tree that is made faster than it is searched: it is searched once."""
     return cKDTree(pixels, compact_nodes=False, balanced_tree=False)
+
+
+def chance_of_likeness(map_: Map) -> float:
+    """How often two descriptors of different landmarks of a map are as alike as a match must be, by a sample."""
+    metric = get_extractor(map_.info.features).metric
+    rng = np.random.default_rng(0)
+    a, b = rng.integers(0, len(map_.descriptors), (2, _CHANCE_SAMPLES))
+    owners = map_.descriptor_features
+    strangers = (owners[a] != owners[b]) & (map_.channels[owners[a]] == map_.channels[owners[b]])
+    distances = descriptor_distances(map_.descriptors[a[strangers]], map_.descriptors[b[strangers]], metric)
+    return float((distances <= LIMITS[metric].loose).mean()) if strangers.any() else 0.0

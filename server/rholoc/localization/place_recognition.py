@@ -8,8 +8,7 @@ import numpy as np
 
 from rholoc.features import FeatureSet
 from rholoc.geometry import Pose
-from rholoc.localization.map_index import MapIndex
-from rholoc.localization.seeds import view_votes
+from rholoc.localization.large_map import AnyLocalizer
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,12 +26,12 @@ class LikelyView:
     score: float
 
 
-def likeliest_views(index: MapIndex, features: FeatureSet, most: int) -> list[LikelyView]:
-    """The views that a picture's features speak for, at most ``most``, the likeliest first."""
-    votes = view_votes(index, index.match_everywhere(features))
+def likeliest_views(localizer: AnyLocalizer, features: FeatureSet, most: int) -> list[LikelyView]:
+    """The views of a map that a picture's features speak for, at most ``most``, the likeliest first."""
+    votes = localizer.view_votes(features)
     best = np.argsort(-votes, kind="stable")[:most]
     return [
-        LikelyView(int(view), Pose(index.map.T_map_camera[view]), float(votes[view]))
+        LikelyView(int(view), Pose(localizer.map.T_map_camera[view]), float(votes[view]))
         for view in best
         if votes[view] > 0
     ]

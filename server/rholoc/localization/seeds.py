@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import islice
 
@@ -18,6 +18,7 @@ from rholoc.localization.types import Prior
 
 _SEED = 20250  # samples are drawn from a generator with this seed: the same query gives the same answer
 _SCORE_TOLERANCE_PX = 12.0
+VIEWS_OF_LITTLE = 50  # features: views that saw fewer are held against as many
 _BESIDE_M, _ASIDE_RAD = 1.0, np.deg2rad(30.0)  # how far from a pose a view still shows much the same
 
 
@@ -51,13 +52,21 @@ def places_by_votes(index: MapIndex, matches: Matches, views_each: int, prior: P
     if prior is not None:
         near = np.linalg.norm(index.view_positions - prior.pose.position, axis=1) < prior.radius_m + 1.0
         votes = np.where(near, votes, votes * 0.1)
+    for view, companions in groups_by_votes(votes, index.shared_with, views_each):
+        yield Place(view, index.seen_from(companions), float(votes[view]))
+
+
+def groups_by_votes(
+    votes: FloatArray, shared_with: Callable[[int], FloatArray], views_each: int
+) -> Iterator[tuple[int, IntArray]]:
+    """Views by their votes (K,), each with those, itself among them, that share most features with it."""
     open_ = votes > 0
     while open_.any():
         view = int(np.argmax(np.where(open_, votes, -1)))
-        shared = index.covisibility[view]
-        companions = np.argsort(-shared, kind="stable")[:views_each]
-        companions = companions[shared[companions] > 0]
-        yield Place(view, index.seen_from(companions), float(votes[view]))
+        shared = shared_with(view)
+        sharing = np.flatnonzero(shared > 0)  # few of many: all are not sorted
+        companions = sharing[np.argsort(-shared[sharing], kind="stable")[:views_each]]
+        yield view, companions
         open_[companions[: max(views_each // 2, 1)]] = False
         open_[view] = False
 
@@ -66,19 +75,25 @@ def view_votes(index: MapIndex, matches: Matches) -> FloatArray:
     """How strongly matches speak for each view (K,): the sum of their chances, held against how much the view saw."""
     belief = np.bincount(matches.landmarks, weights=matches.chances, minlength=len(index.map))
     votes = np.asarray(index.visibility @ np.minimum(belief, 1.0), dtype=np.float64)
-    return np.asarray(votes / np.sqrt(np.maximum(np.diff(index.map.view_offsets), 50)))
+    return np.asarray(votes / np.sqrt(np.maximum(np.diff(index.map.view_offsets), VIEWS_OF_LITTLE)))
 
 
 def place_of_prior(index: MapIndex, prior: Prior, views_each: int) -> Place | None:
     """The part of the map that is seen from about a prior: by the views that stand and look most like it."""
-    apart_m = np.linalg.norm(index.view_positions - prior.pose.position, axis=1)
-    turned = angles_between(index.view_headings, prior.pose.heading)
-    within = (apart_m < prior.radius_m + _BESIDE_M) & (turned < prior.radius_rad + _ASIDE_RAD)
-    nearest = np.argsort(apart_m + turned, kind="stable")
-    chosen = nearest[within[nearest]][:views_each]
+    chosen = views_by_prior(index.view_positions, index.view_headings, prior)[:views_each]
     if len(chosen) == 0:
         return None
     return Place(int(chosen[0]), index.seen_from(chosen), np.inf)
+
+
+def views_by_prior(positions: FloatArray, headings: FloatArray, prior: Prior) -> IntArray:
+    """Those of the views at ``positions`` (K, 3), with ``headings`` (K, 3), that stand and look about as a prior says;
+    the most like it first."""
+    apart_m = np.linalg.norm(positions - prior.pose.position, axis=1)
+    turned = angles_between(headings, prior.pose.heading)
+    within = (apart_m < prior.radius_m + _BESIDE_M) & (turned < prior.radius_rad + _ASIDE_RAD)
+    nearest = np.argsort(apart_m + turned, kind="stable")
+    return np.asarray(nearest[within[nearest]])
 
 
 def minimal_samples(

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import poselib
@@ -20,7 +20,8 @@ from rholoc.geometry import FloatArray, Pose, is_rotation, pose_matrix
 from rholoc.localization.ascent import Optimum
 from rholoc.localization.confidence import joint_confidence
 from rholoc.localization.joint_ascent import Link, ascend_together, joint_covariances
-from rholoc.localization.localizer import Localizer
+from rholoc.localization.large_map import AnyLocalizer
+from rholoc.localization.localizer import Localizer, check_kind
 from rholoc.localization.map_index import MapIndex
 from rholoc.localization.map_uncertainty import with_map_error
 from rholoc.localization.matches import Matches
@@ -72,6 +73,13 @@ class SeveralFrames:
         if not (0 < self.sigma_m < np.inf and 0 < self.sigma_rad < np.inf):
             raise InvalidInput("The uncertainty of the relative poses is not positive.", "Send sigmas above 0.")
 
+    def within(self, spent_s: float) -> SeveralFrames:
+        """The same, with so much less time left."""
+        first, *others = self.frames
+        if first.deadline_s is None:
+            return self
+        return replace(self, frames=(replace(first, deadline_s=max(first.deadline_s - spent_s, 0.0)), *others))
+
     @property
     def links(self) -> list[Link]:
         """From each frame to the next."""
@@ -99,7 +107,7 @@ def is_rigid(T: FloatArray) -> bool:
     return bool(np.isfinite(T).all() and np.allclose(T[3], (0, 0, 0, 1)) and is_rotation(T[:3, :3]))
 
 
-def localize_together(localizer: Localizer, asked: SeveralFrames) -> JointLocalization:
+def localize_together(localizer: AnyLocalizer, asked: SeveralFrames) -> JointLocalization:
     """The poses of several frames; "no pose" is an answer, as for one.
 
     Raises:
@@ -107,10 +115,21 @@ def localize_together(localizer: Localizer, asked: SeveralFrames) -> JointLocali
         InvalidInput: a frame's intrinsics are unknown: one frame alone can estimate them.
     """
     for frame in asked.frames:
-        localizer.check(frame)
+        check_kind(frame.features, localizer.extractor)
         if frame.intrinsics is Intrinsics.UNKNOWN:
             raise InvalidInput("Frames that are localized together need their intrinsics.", "Send fx, fy, cx, cy.")
-    return _Joint(localizer, asked).localize()
+    if isinstance(localizer, Localizer):
+        return _Joint(localizer, asked).localize()
+    started = time.perf_counter()
+    part, around = localizer.around([frame.features for frame in asked.frames])
+    place_s = time.perf_counter() - started
+    joint = _Joint(around, asked.within(place_s)).localize()
+    first = replace(
+        joint.first,
+        inlier_features=part.features[joint.first.inlier_features],
+        timings_ms={"place": 1e3 * place_s, **joint.first.timings_ms},
+    )
+    return replace(joint, first=first)
 
 
 @dataclass(frozen=True, eq=False)

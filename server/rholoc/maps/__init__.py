@@ -19,6 +19,7 @@ from rholoc.maps.observations import (
     source_cameras,
     unpacked_pixels,
 )
+from rholoc.maps.part import MapPart, part_of
 from rholoc.maps.rho_file import load_map, map_to_bytes, save_map
 from rholoc.maps.scene import map_to_scene
 from rholoc.maps.surfaces import map_surfaces_vtp
@@ -44,6 +45,7 @@ __all__ = [
     "MapInfo",
     "MapLibrary",
     "MapNames",
+    "MapPart",
     "MapStat",
     "MapWaypoint",
     "NamedArea",
@@ -73,6 +75,7 @@ __all__ = [
     "map_to_vtp",
     "observations_csv",
     "packed_pixels",
+    "part_of",
     "read_coefficient_table",
     "read_trajectory_csv",
     "save_map",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from rholoc.geometry import Pose
-from rholoc.localization import Query
+from rholoc.localization import Localizer, Query
 from rholoc.localization.density_localizer import DensityLocalizer
 from rholoc.localization.landscape import landscape_around
 from rholoc.service.localize import FrameFeatures, Stopwatch, frame_deadline_s, pose_out
@@ -33,8 +33,9 @@ def landscape_of(frame: Frame, name: str, localizers: Localizers, settings: Sett
     prior, gravity = prior_of(options.prior), gravity_of(options.gravity)
     answer = localizer.localize(Query(found, camera, options.dof, prior, gravity, left_s, options.intrinsics))
     pose = answer.pose if answer.localized else None
+    around = localizer if isinstance(localizer, Localizer) else localizer.around([found])[1]
     seen = landscape_around(
-        DensityLocalizer(localizer.map, index=localizer.index),
+        DensityLocalizer(around.map, index=around.index),
         found,
         answer.camera or camera,
         None if pose is None else pose.T_map_camera,

@@ -16,7 +16,8 @@ import structlog
 from rholoc.errors import DeadlineExceeded, InvalidCamera, InvalidDescriptors
 from rholoc.features import Extractor, FeatureSet
 from rholoc.geometry import ByteArray, FloatArray, Pose
-from rholoc.localization import TOO_LITTLE_TIME, Localization, Localizer, Query, Reason, likeliest_views
+from rholoc.localization import TOO_LITTLE_TIME, AnyLocalizer, Localization, Query, Reason, likeliest_views
+from rholoc.maps import trust_of
 from rholoc.recordings.frames.image import SENT_FORMATS, decode_image
 from rholoc.service.localizers import Localizers
 from rholoc.service.queries import Frame, camera_for, feature_set, gravity_of, prior_of
@@ -70,7 +71,7 @@ def frame_deadline_s(asked_ms: float | None, settings: Settings) -> float:
     return (asked_ms or settings.default_deadline_ms) / 1000
 
 
-def late_answer(name: str, localizer: Localizer, clock: Stopwatch) -> LocalizationOut:
+def late_answer(name: str, localizer: AnyLocalizer, clock: Stopwatch) -> LocalizationOut:
     """The answer of a map that was not asked in time."""
     return answer_of(name, localizer, too_late(), clock, with_matches=False)
 
@@ -122,7 +123,7 @@ def likeliest_places(
     features = FrameFeatures(frame, settings, clock, frame_deadline_s(frame.options.deadline_ms, settings))
     places: list[PlaceOut] = []
 
-    def ask(name: str, localizer: Localizer) -> None:
+    def ask(name: str, localizer: AnyLocalizer) -> None:
         info = localizer.map.info
         places.extend(
             PlaceOut(
@@ -133,7 +134,7 @@ def likeliest_places(
                 pose=pose_out(found.pose),
                 score=found.score,
             )
-            for found in likeliest_views(localizer.index, features.by(localizer.extractor), most)
+            for found in likeliest_views(localizer, features.by(localizer.extractor), most)
         )
 
     each_map(names, localizers, ask, passing_over)
@@ -143,19 +144,19 @@ def likeliest_places(
 def best_map(
     names: Sequence[str],
     localizers: Localizers,
-    localize: Callable[[Localizer], T],
+    localize: Callable[[AnyLocalizer], T],
     sureness: Callable[[T], tuple[bool, float]],
     passing_over: bool,
-) -> tuple[str, Localizer, T]:
+) -> tuple[str, AnyLocalizer, T]:
     """The map whose answer is the surest: its name, its localizer and the answer.
 
     Raises:
         InvalidCamera, InvalidDescriptors: the frame fits none of the maps.
         RholocError: a map cannot be asked; if ``passing_over``, only where none can.
     """
-    best: tuple[str, Localizer, T] | None = None
+    best: tuple[str, AnyLocalizer, T] | None = None
 
-    def ask(name: str, localizer: Localizer) -> None:
+    def ask(name: str, localizer: AnyLocalizer) -> None:
         nonlocal best
         found = localize(localizer)
         if best is None or sureness(found) > sureness(best[2]):
@@ -167,7 +168,7 @@ def best_map(
 
 
 def each_map(
-    names: Sequence[str], localizers: Localizers, ask: Callable[[str, Localizer], None], passing_over: bool
+    names: Sequence[str], localizers: Localizers, ask: Callable[[str, AnyLocalizer], None], passing_over: bool
 ) -> None:
     """Ask maps, one after the other, and pass over those that a frame does not fit.
 
@@ -265,7 +266,7 @@ def extract_bounded(extractor: Extractor, image: ByteArray, max_pixels: int) -> 
 
 
 def _localize(
-    frame: Frame, localizer: Localizer, features: FrameFeatures, deadline_s: float, clock: Stopwatch
+    frame: Frame, localizer: AnyLocalizer, features: FrameFeatures, deadline_s: float, clock: Stopwatch
 ) -> Localization:
     camera = camera_for(frame, features.size, localizer.map.info.camera)
     prior, gravity = prior_of(frame.options.prior), gravity_of(frame.options.gravity)
@@ -294,7 +295,7 @@ def too_late() -> Localization:
 
 
 def answer_of(
-    name: str, localizer: Localizer, found: Localization, clock: Stopwatch, with_matches: bool
+    name: str, localizer: AnyLocalizer, found: Localization, clock: Stopwatch, with_matches: bool
 ) -> LocalizationOut:
     """A map's answer as it goes out."""
     info = localizer.map.info
@@ -314,7 +315,7 @@ def answer_of(
         map_id=info.id,
         map_version=info.version,
         scale=Scale.METRIC if info.metric else Scale.ARBITRARY,
-        map_trusted=localizer.index.trust.trusted,
+        map_trusted=trust_of(info).trusted,
         expected_error_m=found.expected_error_m,
         agreeing=_agreeing(localizer, found) if with_matches else None,
         diagnosis=None if found.diagnosis is None else DiagnosisOut(**asdict(found.diagnosis)),
@@ -339,7 +340,7 @@ def _estimated_camera(found: Localization) -> EstimatedCameraOut | None:
     )
 
 
-def _agreeing(localizer: Localizer, found: Localization) -> MatchesOut:
+def _agreeing(localizer: AnyLocalizer, found: Localization) -> MatchesOut:
     landmarks = localizer.map.landmarks[found.inlier_features]
     return MatchesOut(pixels=found.inlier_pixels.round(1).tolist(), landmarks=landmarks.round(4).tolist())
 

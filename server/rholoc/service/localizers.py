@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import threading
 
-from rholoc.localization import Localizer
+from rholoc.localization import AnyLocalizer, localizer_of
 from rholoc.maps import Map, MapLibrary, check_usable
 
 
 class Localizers:
-    """Keeps one :class:`Localizer` per map name. Safe to call from several threads.
+    """Keeps one localizer per map name. Safe to call from several threads.
 
     A request that holds a localizer goes on with its map even when the map is replaced meanwhile.
     """
@@ -17,10 +17,10 @@ class Localizers:
     def __init__(self, library: MapLibrary, min_confidence: float) -> None:
         self._library = library
         self._min_confidence = min_confidence
-        self._ready: dict[str, Localizer] = {}
+        self._ready: dict[str, AnyLocalizer] = {}
         self._building: dict[str, threading.Lock] = {}
 
-    def get(self, name: str) -> Localizer:
+    def get(self, name: str) -> AnyLocalizer:
         """The localizer of the map as it stands now; built when the map is new or was replaced.
 
         Raises:
@@ -39,6 +39,6 @@ class Localizers:
         for name in [name for name in self._ready if name not in names]:
             self._ready.pop(name, None)
 
-    def _build(self, map_: Map) -> Localizer:
+    def _build(self, map_: Map) -> AnyLocalizer:
         check_usable(map_)
-        return Localizer(map_, self._min_confidence)
+        return localizer_of(map_, self._min_confidence)

@@ -371,7 +371,8 @@ class LocalizationOut(_Out):
         default=None, description="each frame's pose where several were sent; `pose` is the first one's"
     )
     timings_ms: dict[str, float] = Field(
-        description="milliseconds: queue, decode, extract, match, seed, ascend, verify, diagnose, total"
+        description="milliseconds: queue, decode, extract, match, seed, ascend, verify, diagnose, total; "
+        "in a large map also place, which finds the place first"
     )
 
 

@@ -15,8 +15,8 @@ from rholoc.geometry import Camera, Pose
 from rholoc.localization import (
     FEWEST_FRAMES,
     MOST_FRAMES,
+    AnyLocalizer,
     JointLocalization,
-    Localizer,
     Query,
     SeveralFrames,
     localize_together,
@@ -103,7 +103,7 @@ def localize_frames(
 
 
 def _localize(
-    frames: Frames, localizer: Localizer, features: list[FrameFeatures], deadline_s: float, clock: Stopwatch
+    frames: Frames, localizer: AnyLocalizer, features: list[FrameFeatures], deadline_s: float, clock: Stopwatch
 ) -> JointLocalization:
     queries = []
     for frame, own in zip(frames.frames, features, strict=True):

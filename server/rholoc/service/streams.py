@@ -18,7 +18,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from rholoc.errors import Busy, DeadlineExceeded, InvalidInput
 from rholoc.geometry import Camera
-from rholoc.localization import Localizer
+from rholoc.localization import AnyLocalizer
 from rholoc.recordings.frames.image import SENT_FORMATS, decode_image
 from rholoc.service.errors import InvalidRequest, RequestTimeout
 from rholoc.service.json_bodies import JsonLimits, check_json
@@ -178,7 +178,7 @@ class Stream:
 class _ServedTrack:
     """A client's track, with what the service needs to ask itself."""
 
-    def __init__(self, begin: Begin, stored: Camera | None, localizer: Localizer, options: TrackOptions) -> None:
+    def __init__(self, begin: Begin, stored: Camera | None, localizer: AnyLocalizer, options: TrackOptions) -> None:
         self._begin, self._stored, self._localizer, self._options = begin, stored, localizer, options
         self._track: FollowedTrack | None = None
 

@@ -33,7 +33,7 @@ from rholoc.exports import ExportFormat, export_map, parse_features
 from rholoc.features import get_extractor
 from rholoc.geometry import Camera
 from rholoc.jobs import JobKind, JobOptions
-from rholoc.localization import Localizer
+from rholoc.localization import localizer_of
 from rholoc.localization.landscape import presence_of
 from rholoc.mapping import forget_recording, merge_maps
 from rholoc.maps import (
@@ -584,7 +584,7 @@ def _rehearse(map_: Map, name: str, size_bytes: int, min_confidence: float) -> N
         _detail_of(name, map_, size_bytes, None).model_dump_json()
         info = map_.info
         MapReportOut(map=name, map_id=info.id, map_version=info.version, report=info.report).model_dump_json()
-        Localizer(map_, min_confidence)
+        localizer_of(map_, min_confidence)
     except RholocError as error:
         raise InvalidMap(f"The map cannot be used: {error.message}", error.hint) from error
     except (ValueError, TypeError, ArithmeticError, LookupError, RecursionError) as error:
