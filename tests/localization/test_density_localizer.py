@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from rholoc.geometry import pose_distances
+from rholoc.localization import Localizer
 from rholoc.localization.density_localizer import TOLERANCES_PX, DensityLocalizer
 from rholoc.localization.place_recognition import likeliest_views
 from rholoc.maps import Map
@@ -50,14 +51,14 @@ def test_too_few_matches_give_nothing(by_densities: DensityLocalizer, point_room
     assert by_densities.localize(few, point_room.camera) is None
 
 
-def test_the_likeliest_views_are_those_beside_the_frame(by_densities: DensityLocalizer, point_room: Any) -> None:
-    map_ = by_densities.map
+def test_the_likeliest_views_are_those_beside_the_frame(localizer: Localizer, point_room: Any) -> None:
+    map_ = localizer.map
     features = point_room.see(point_room.walk(60)[25], 900)
-    found = likeliest_views(by_densities.index, features, 4)
+    found = likeliest_views(localizer, features, 4)
     assert len(found) == 4
     assert found[0].score > 0
     assert [one.score for one in found] == sorted((one.score for one in found), reverse=True)
     assert all(abs(one.view - 25) <= 4 for one in found)
     for one in found:
         np.testing.assert_array_equal(one.pose.T_map_camera, map_.T_map_camera[one.view])
-    assert likeliest_views(by_densities.index, features.take(np.zeros(0, np.int64)), 4) == []
+    assert likeliest_views(localizer, features.take(np.zeros(0, np.int64)), 4) == []
