@@ -158,7 +158,9 @@ def select_stable(views: Views, landmarks: Landmarks, per_view: int, walks: IntA
     sigma = np.sqrt(np.linalg.eigvalsh(landmarks.covariances)[:, -1])
     stable = (counts >= _MIN_VIEWS) & (sigma < _MAX_RELATIVE_SIGMA * mean_depth)
     labels, view = labels[stable[labels]], view[stable[labels]]
-    persistence = np.zeros(len(landmarks)) if walks is None else expected_sightings(views, landmarks, walks)
+    persistence: FloatArray = np.zeros(len(landmarks))
+    if walks is not None and walks.max(initial=0) > 0:
+        persistence = expected_sightings(views, landmarks, walks)
     order = np.lexsort((labels, -counts[labels], -persistence[labels], view))
     rank = np.arange(len(order)) - np.searchsorted(view[order], view[order])
     kept = np.zeros(len(landmarks), dtype=bool)
