@@ -184,6 +184,12 @@ class UnknownRecording(NotFound):
     code = "unknown_recording"
 
 
+class UnknownPicture(NotFound):
+    """No picture of this is kept, or the service does not show it."""
+
+    code = "unknown_picture"
+
+
 class UnknownJob(NotFound):
     """No job has this id."""
 

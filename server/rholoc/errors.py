@@ -122,6 +122,12 @@ class UnknownRecording(NotFound):
     code = "unknown_recording"
 
 
+class UnknownPicture(NotFound):
+    """No picture of this is kept, or it is not to be shown."""
+
+    code = "unknown_picture"
+
+
 class UnknownJob(NotFound):
     """No job has this id."""
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
+import cv2
 import numpy as np
 
 from rholoc.features import get_extractor
@@ -39,14 +40,24 @@ def test_shown_frames_are_not_decoded_again() -> None:
     assert frames.decoded == [0, 2, 3]
     found = list(features.of([0, 1, 3, 5]))
     assert frames.decoded == [0, 2, 3, 1, 5]
-    for (one, look), row in zip(found, [0, 1, 3, 5], strict=True):
+    for (one, look, picture), row in zip(found, [0, 1, 3, 5], strict=True):
         expected = EXTRACTOR.extract(IMAGES[row]).coloured(IMAGES[row])
         np.testing.assert_array_equal(one.descriptors, expected.descriptors)
         np.testing.assert_array_equal(one.colours, expected.colours)
         assert look == look_at(IMAGES[row])
+        assert picture == b""
 
 
 def test_without_a_step_before_all_are_decoded_once() -> None:
     frames = Frames()
     assert len(list(FrameFeatures(frames, EXTRACTOR).of([1, 4]))) == 2
     assert frames.decoded == [1, 4]
+
+
+def test_small_pictures_are_kept_where_they_are_wanted() -> None:
+    features = FrameFeatures(Frames(), EXTRACTOR, pictures=True)
+    features.show(2, np.full((600, 1200, 3), 90, np.uint8))
+    (shown,) = features.of([2])
+    picture = cv2.imdecode(np.frombuffer(shown.picture, np.uint8), cv2.IMREAD_COLOR)
+    assert picture.shape == (120, 240, 3)
+    np.testing.assert_allclose(picture, 90, atol=2)

@@ -6,6 +6,7 @@ import { halfExtents, intrinsicsFor, intrinsicsOfFieldOfView, Known } from "../.
 import { summary as landscapeInWords, heights } from "../../client/page/console/landscape_view.js";
 import { matches } from "../../client/page/console/list_tools.js";
 import { Motions } from "../../client/page/console/motions.js";
+import { clipped } from "../../client/page/console/plain_painter.js";
 import { sayPicked } from "../../client/page/console/scene.js";
 import { readScene } from "../../client/page/console/scene_data.js";
 import { snippet } from "../../client/page/console/snippets.js";
@@ -191,4 +192,18 @@ test("a landscape says how wide it is and how much is gained", () => {
   const seen = { values: [[1, 2], [3, 4]], spacing: 0.5, ways: [{ gain_nats: 3 }, { gain_nats: 17.4 }], scale: "metric" };
   assert.match(landscapeInWords({ ...seen, localized: true }), /around the pose, 0\.5 m wide.* 2 ascents; .* 17 nats/);
   assert.match(landscapeInWords({ ...seen, localized: false }), /^No pose/);
+});
+
+test("of a line what is in the picture is drawn, also where it begins behind the camera", () => {
+  assert.deepEqual(clipped([0, 0, 2], [1, 1, 2]), [
+    [0, 0, 2],
+    [1, 1, 2],
+  ]);
+  assert.deepEqual(clipped([0, 0, 1], [4, 0, 1])[1], [1, 0, 1]);
+  const [behind, before] = clipped([0, 0, -1], [0, 1, 3]);
+  near(behind[1], behind[2]); // it comes in over the upper edge
+  assert.deepEqual(before, [0, 1, 3]);
+  assert.equal(clipped([2, 0, 1], [2, 5, 1]), null);
+  assert.equal(clipped([-3, 0, 1], [0, 3, 1]), null); // past a corner
+  assert.equal(clipped([0, 0, -1], [0, 0, -2]), null);
 });

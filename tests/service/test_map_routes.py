@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import httpx
 import numpy as np
 
-from rholoc.maps import load_map
+from rholoc.geometry import Similarity
+from rholoc.mapping.moving import move_map
+from rholoc.maps import Cloud, load_map, map_to_bytes
 from rholoc.reports import MapReport, report_from_json
 
 
@@ -51,6 +55,39 @@ def test_the_preview_is_a_picture(service):
     picture = cv2.imdecode(np.frombuffer(answer.content, np.uint8), cv2.IMREAD_COLOR)
     assert min(picture.shape[:2]) > 500
     assert picture.std() > 5
+
+
+def test_further_points_and_pictures_of_views(serve, picture_world):
+    picture = cv2.imencode(".jpg", picture_world.image)[1].tobytes()
+    cloud = Cloud(np.ones((2, 3), np.float32), np.full((2, 3), 7, np.uint8), np.zeros(2, np.int32))
+    map_ = replace(picture_world.map_, cloud=cloud, pictures=(b"", picture, picture, b""))
+    for kept in (True, False):
+        running = serve(keep_pictures=kept)
+        url = f"{running.url}/v1/maps/seen"
+        assert httpx.put(url, content=map_to_bytes(map_)).status_code == 201
+        points = httpx.get(f"{url}/points").content
+        assert points == b"\2\0\0\0" + np.ones(6, "<f4").tobytes() + b"\7" * 6
+        detail = httpx.get(url).json()
+        assert (detail["points"], detail["pictures"], detail["levelling"]) == (2, kept, None)
+        taken = httpx.get(f"{url}/views/1/picture.jpg")
+        if kept:
+            assert (taken.content, taken.headers["Content-Type"]) == (picture, "image/jpeg")
+        for view in (0, 4) if kept else (1,):
+            answer = httpx.get(f"{url}/views/{view}/picture.jpg")
+            assert (answer.status_code, answer.json()["code"]) == (404, "unknown_picture")
+
+
+def test_a_scene_is_levelled_where_the_map_is_not_upright(service, picture_world):
+    turned = replace(picture_world.map_, info=replace(picture_world.map_.info, upright=False))
+    url = f"{service.url}/v1/maps/leaning"
+    httpx.put(url, content=map_to_bytes(move_map(turned, Similarity(1.0, np.diag([1.0, -1.0, -1.0]), np.zeros(3)))))
+    R = np.array(httpx.get(url).json()["levelling"])
+    plain, level = (httpx.get(f"{url}/scene{query}").content for query in ("", "?level=true"))
+    count = 4 * len(turned)
+    before, after = (np.frombuffer(one, "<f4", count, 8).reshape(-1, 4)[:, :3] for one in (plain, level))
+    np.testing.assert_allclose(after, before @ R.T, atol=1e-5)
+    np.testing.assert_allclose(R @ [0, 0, -1], [0, 0, 1], atol=0.1)
+    httpx.delete(url)
 
 
 def test_a_scene_is_what_a_viewer_draws(service, picture_world):

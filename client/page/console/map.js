@@ -1,6 +1,6 @@
 // One map: whether it can be relied on, where it works, in 3-D, what it knows of itself, and what can be done with it.
 
-import { call, download, get, path, request } from "../shared/api.js";
+import { call, download, get, objectUrl, path, request } from "../shared/api.js";
 import { ask, fill, h } from "../shared/dom.js";
 import { field, nameChoice, nameField } from "../shared/name_choice.js";
 import { t } from "../shared/text.js";
@@ -10,7 +10,7 @@ import { bytes, count, fileNames, length, when } from "./format.js";
 import { liveView } from "./live.js";
 import { action, facts, loading, page, skeletons, tell } from "./parts.js";
 import { SceneView } from "./scene.js";
-import { readScene } from "./scene_data.js";
+import { readPoints, readScene } from "./scene_data.js";
 import { share } from "./share.js";
 
 const FORMATS = [
@@ -71,8 +71,11 @@ export async function showMap(main, name, signal) {
 
 /** Fetch a map's scene and show it. */
 export async function showScene(view, map, signal) {
-  const response = await request(path`v1/maps/${map.name}/scene`, { signal });
-  view.showMap(readScene(await response.arrayBuffer()), map.waypoints, map.scale === "metric", map.names);
+  const fetched = async (where) => (await request(path`v1/maps/${map.name}/${where}`, { signal })).arrayBuffer();
+  if (map.pictures)
+    view.pictureOf = (number) => objectUrl(path`v1/maps/${map.name}/views/${number}/picture.jpg`, { signal });
+  view.offerCloud(map.points, async () => readPoints(await fetched("points")));
+  view.showMap(readScene(await fetched("scene")), map.waypoints, map.scale === "metric", map.names, map.levelling);
 }
 
 /** What the report has of it; older maps have it worked out by the server. */

@@ -98,7 +98,7 @@ function card(map, signal) {
 }
 
 async function showFromAbove(picture, map, signal) {
-  const query = { landmarks: LANDMARKS_DRAWN };
+  const query = { landmarks: LANDMARKS_DRAWN, level: true };
   try {
     const response = await request(path`v1/maps/${map.name}/scene`, { signal, query });
     const scene = readScene(await response.arrayBuffer());

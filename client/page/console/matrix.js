@@ -24,6 +24,11 @@ export function lookAt(eye, target) {
   return [0, 1, 2].flatMap((i) => [right[i], up[i], back[i], 0]).concat(shift, 1);
 }
 
+/** A rotation of three rows as a matrix. */
+export function rotation(R) {
+  return [0, 1, 2].flatMap((column) => [R[0][column], R[1][column], R[2][column], 0]).concat(0, 0, 0, 1);
+}
+
 /** A point in clip coordinates: x and y from -1 to 1 within the picture, and w, positive in front of the camera. */
 export function project(matrix, [x, y, z]) {
   const [cx, cy, , w] = [0, 1, 2, 3].map(

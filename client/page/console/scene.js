@@ -1,24 +1,24 @@
-// A map in 3-D: landmarks in the colours of the pictures or by uncertainty, the walk, waypoints, the map's axes, and the pose
-// that was found. WebGL, z up.
+// A map in 3-D: landmarks in the colours of the pictures or by uncertainty, more points of the room on demand, the walk,
+// waypoints, the map's axes, and the pose that was found. z is up; a map that is not upright is levelled for display.
 
 import { resolvedColour } from "../shared/colours.js";
-import { h } from "../shared/dom.js";
+import { fill, h } from "../shared/dom.js";
 import { t } from "../shared/text.js";
-import { length } from "./format.js";
-import { lookAt, multiply, perspective, project } from "./matrix.js";
+import { count, length } from "./format.js";
+import { lookAt, multiply, perspective, project, rotation } from "./matrix.js";
+import { painterOf } from "./painter.js";
+import { inOrder, quantiles, SHOWN, shuffledOrder } from "./samples.js";
 import { STRIDE_LANDMARK, STRIDE_VIEW } from "./scene_data.js";
+import { cross, floor, floorOf, frustum, headings, outlines, segments, walk } from "./scene_lines.js";
 
 const FIELD_OF_VIEW = 0.9; // rad
-const SHOWN = [0.02, 0.98]; // the quantiles of landmarks that the first view holds, and of deviations that the colours tell
-const HEADING_LENGTH = 0.25; // m, of a view's tick
 const MAX_TILT = 1.55; // rad, nearly straight down
-const FRUSTUM = 0.5; // m, how far the drawn camera reaches
 const EXTENTS = [0.6, 0.45]; // of a camera of which nothing is known
-const SMOOTH_MS = [20, 34]; // how far apart pictures may be while the map moves; fewer landmarks are drawn, or more
-const LEAST_DRAWN = 2000; // landmarks, while the map moves
+const SMOOTH_MS = [20, 33]; // how far apart pictures may be while the map moves; fewer points are drawn, or more
+const LEAST_DRAWN = 2000; // points, while the map moves
 const REST_MS = 150; // after which a map that was moved rests, and all of it is drawn
-const MAX_FLOOR = 10_000; // square metres that are drawn
 const MAX_RAYS = 150; // the most lines from the camera to landmarks
+const POINT_SIZE = 0.025; // m, as wide as a point is drawn
 
 const AXIS = 0.5; // m, of the axes at the origin
 const PICK_PX = 14; // how near a click must be to its target
@@ -29,22 +29,17 @@ const AXES = [
   ["y", [0, 1, 0], [0.15, 0.55, 0.2]],
   ["z", [0, 0, 1], [0.2, 0.4, 0.9]],
 ];
-
-const POINT_SHADER = `
-  attribute vec4 point; attribute vec3 picture; uniform mat4 matrix; uniform float size; uniform vec2 deviations;
-  uniform float coloured; varying vec3 colour;
-  void main() {
-    gl_Position = matrix * vec4(point.xyz, 1.0);
-    gl_PointSize = clamp(size / gl_Position.w, 1.5, 12.0);
-    float t = clamp((log(point.w) - deviations.x) / (deviations.y - deviations.x), 0.0, 1.0);
-    vec3 sure = vec3(0.16, 0.47, 0.86), middle = vec3(0.66, 0.52, 0.66), unsure = vec3(0.93, 0.49, 0.10);
-    vec3 certainty = t < 0.5 ? mix(sure, middle, 2.0 * t) : mix(middle, unsure, 2.0 * t - 1.0);
-    colour = mix(certainty, picture, coloured);
-  }`;
-const POINT_COLOUR = "precision mediump float; varying vec3 colour; void main() { gl_FragColor = vec4(colour, 1.0); }";
-const LINE_SHADER =
-  "attribute vec3 point; uniform mat4 matrix; void main() { gl_Position = matrix * vec4(point, 1.0); }";
-const LINE_COLOUR = "precision mediump float; uniform vec4 colour; void main() { gl_FragColor = colour; }";
+const RAMP = [
+  [41, 120, 219],
+  [168, 133, 168],
+  [237, 125, 26],
+]; // from certain to uncertain
+const UNKNOWN = [128, 128, 128]; // what has no deviation, or no colour
+const LEVEL = [
+  [1, 0, 0],
+  [0, 1, 0],
+  [0, 0, 1],
+];
 
 /** An element that shows a scene; `element` is put into a page, `show…` says what of, `dispose` ends it. */
 export class SceneView {
@@ -57,32 +52,40 @@ export class SceneView {
     });
     this.labels = h("div", { class: "scene-labels", "aria-hidden": "true" });
     this.legend = h("div", { class: "scene-legend small", hidden: true });
-    this.said = h("p", { class: "scene-said small", role: "status", hidden: true });
+    this.said = h("div", { class: "scene-said small", role: "status", hidden: true });
+    this.levelled = h("p", { class: "scene-levelled small", hidden: true }, t`Levelled for display: up is estimated`);
     this.paint = h("button", { type: "button", hidden: true, onclick: () => this.colourBy(!this.coloured) });
+    this.more = h("button", { type: "button", hidden: true, onclick: () => this.toggleCloud() });
     this.tools = h(
       "div",
       { class: "scene-tools" },
       h("button", { type: "button", onclick: () => this.lookDown() }, t`From above`),
       h("button", { type: "button", onclick: () => this.reset() }, t`Whole room`),
       this.paint,
+      this.more,
     );
-    this.element = h("div", { class: "scene" }, this.canvas, this.labels, this.tools, this.said, this.legend);
-    this.lines = {};
+    this.element = h(
+      "div",
+      { class: "scene" },
+      this.canvas,
+      this.labels,
+      this.tools,
+      this.levelled,
+      this.said,
+      this.legend,
+    );
+    this.styles = new Map(); // names of lines, and their colour and opacity
     this.colours = {};
     this.waypoints = [];
     this.robots = new Map(); // labels and positions, by asker
     this.coloured = false;
+    this.levelling = LEVEL;
+    this.count = this.budget = 0;
+    this.cloud = null;
+    this.pictureOf = null; // gives the address of a view's picture, where pictures are kept
     this.view = { target: [0, 0, 0], distance: 5, turn: -0.9, tilt: 0.6 };
     this.home = this.view;
-    this.gl = this.canvas.getContext("webgl", { alpha: false, antialias: false, powerPreference: "low-power" });
-    if (!this.gl) {
-      this.element.append(
-        h("p", { class: "notice warn" }, t`This browser has no WebGL, so the map cannot be drawn in 3-D.`),
-      );
-      return;
-    }
-    this.points = program(this.gl, POINT_SHADER, POINT_COLOUR);
-    this.strokes = program(this.gl, LINE_SHADER, LINE_COLOUR);
+    this.painter = painterOf(this.canvas);
     this.observer = new ResizeObserver(() => this.redraw());
     this.observer.observe(this.canvas);
     this.scheme = matchMedia("(prefers-color-scheme: dark)");
@@ -93,32 +96,30 @@ export class SceneView {
         this.redraw();
       }),
     );
-    this.canvas.addEventListener("webglcontextlost", (event) => event.preventDefault());
-    this.canvas.addEventListener("webglcontextrestored", () => location.reload());
     listen(this);
   }
 
   dispose() {
-    this.observer?.disconnect();
-    this.scheme?.removeEventListener("change", this.recolour);
+    this.observer.disconnect();
+    this.scheme.removeEventListener("change", this.recolour);
     cancelAnimationFrame(this.frame);
     clearTimeout(this.rest);
-    this.gl?.getExtension("WEBGL_lose_context")?.loseContext();
+    this.painter.dispose();
   }
 
-  /** Show a map; `waypoints` as the service gives them, `unit` is the unit of lengths. */
-  showMap(scene, waypoints, metric, names = { points: [], areas: [] }) {
-    if (!this.gl) return;
-    const { gl } = this;
-    this.count = this.budget = scene.features;
+  /**
+   * Show a map; `waypoints` as the service gives them, `metric` says whether lengths are metres; `levelling`, a rotation,
+   * is given where z does not point up.
+   */
+  showMap(scene, waypoints, metric, names = { points: [], areas: [] }, levelling = null) {
     this.scene = scene;
+    this.cloud = null;
     this.metric = metric;
-    const order = shuffledOrder(scene.features); // so that the first of them are a fair choice
-    this.buffer = upload(gl, inOrder(scene.landmarks, STRIDE_LANDMARK, order));
-    this.pictureColours = scene.colours && upload(gl, inOrder(scene.colours, 3, order));
-    const deviations = quantiles(scene.landmarks, 3, SHOWN);
-    this.deviations = deviations.map((value) => Math.log(Math.max(value, 1e-4)));
-    if (this.deviations[1] - this.deviations[0] < 0.1) this.deviations[1] = this.deviations[0] + 0.1;
+    this.levelling = levelling ?? LEVEL;
+    this.levelled.hidden = levelling === null;
+    this.deviations = deviationsShown(scene.landmarks);
+    const level = inOtherAxes(scene.landmarks, STRIDE_LANDMARK, this.levelling);
+    const z = floorOf(level);
     this.waypoints = waypoints.map(({ name, position, residual_m: residual }) => ({
       position,
       label: h("span", { class: "scene-waypoint" }, residual === null ? name : `${name} · ${length(residual, metric)}`),
@@ -127,23 +128,58 @@ export class SceneView {
       position: axis.map((value) => AXIS * value),
       label: h("span", { class: "scene-axis" }, name),
     }));
-    this.waypoints.push(...tips, ...named(names, floorOf(scene.landmarks)));
+    this.waypoints.push(...tips, ...named(names, z));
     this.labels.replaceChildren(...this.waypoints.map(({ label }) => label));
     this.legend.replaceChildren(
       t`uncertainty `,
-      h("span", { class: "mono" }, length(deviations[0], metric)),
+      h("span", { class: "mono" }, length(this.deviations[0], metric)),
       h("span", { class: "scene-ramp" }),
-      h("span", { class: "mono" }, length(deviations[1], metric)),
+      h("span", { class: "mono" }, length(this.deviations[1], metric)),
     );
-    this.colourBy(scene.colours !== null);
     this.paint.hidden = !scene.colours;
     for (const [name, axis, colour] of AXES)
       this.setLines(`axis ${name}`, colour, [0, 0, 0, ...axis.map((value) => AXIS * value)]);
-    this.setLines("floor", "--line", floor(scene.landmarks));
-    this.setLines("areas", "--accent", outlines(names.areas, floorOf(scene.landmarks)));
+    this.setLines("floor", "--line", inOtherAxes(floor(level), 3, transposed(this.levelling)));
+    this.setLines("areas", "--accent", outlines(names.areas, z));
     this.setLines("walk", "--ink", walk(scene.views));
     this.setLines("headings", "--muted", headings(scene.views));
-    this.lookAtAll(scene);
+    this.colourBy(scene.colours !== null);
+    this.lookAtAll(level, inOtherAxes(scene.views, STRIDE_VIEW, this.levelling));
+  }
+
+  /** Offer so many further points of the room; `load` fetches them when they are asked for, `{positions, colours}`. */
+  offerCloud(points, load) {
+    this.more.hidden = !points;
+    this.loadCloud = load;
+    this.more.textContent = t`Show ${count(points)} more points`;
+    this.less = t`Landmarks only`;
+    this.most = this.more.textContent;
+  }
+
+  async toggleCloud() {
+    this.more.disabled = true;
+    try {
+      this.cloud = this.cloud ? null : await this.loadCloud();
+    } finally {
+      this.more.disabled = false;
+    }
+    this.more.textContent = this.cloud ? this.less : this.most;
+    this.setPoints();
+  }
+
+  /** Hand all points to the painter, in a random order, so that the first of them are a fair sample. */
+  setPoints() {
+    const { landmarks, colours } = this.scene;
+    const tints = this.coloured ? colours : certainties(landmarks, this.deviations);
+    const positions = inOtherAxes(landmarks, STRIDE_LANDMARK, LEVEL, 3);
+    const extra = this.cloud && (this.coloured ? this.cloud.colours : plain(this.cloud.colours.length));
+    const [all, allTints] = this.cloud
+      ? [joined(positions, this.cloud.positions), joined(tints, extra)]
+      : [positions, tints];
+    this.count = this.budget = all.length / 3;
+    const order = shuffledOrder(this.count);
+    this.painter.setPoints(inOrder(all, 3, order), inOrder(allTints, 3, order));
+    this.redraw();
   }
 
   /** Paint landmarks in the colours of the pictures, or by how uncertain they are. */
@@ -151,7 +187,7 @@ export class SceneView {
     this.coloured = pictures;
     this.paint.textContent = pictures ? t`Colour by uncertainty` : t`Colours of the pictures`;
     this.legend.hidden = pictures || !this.scene?.features;
-    this.redraw();
+    this.setPoints();
   }
 
   /** Look straight down on the whole of it, north up. */
@@ -168,9 +204,53 @@ export class SceneView {
       const [px, py, w] = project(matrix, point);
       return w <= 0 ? Infinity : Math.hypot(((px + 1) / 2) * width - x, ((1 - py) / 2) * height - y);
     });
+    this.showPicked(found);
+  }
+
+  /** Mark what was picked and say what it is; of a view with the ways to the next ones, and its picture if it is kept. */
+  showPicked(found) {
     this.said.hidden = !found;
     this.setLines("picked", "--accent", found ? cross(found.position, AXIS / 4) : []);
-    if (found) this.said.textContent = sayPicked(found, this.metric);
+    if (!found) return;
+    const views = this.scene.views.length / STRIDE_VIEW;
+    const step = (by, text) =>
+      h(
+        "button",
+        {
+          type: "button",
+          "aria-label": text,
+          onclick: () => {
+            this.showPicked(viewAt(this.scene.views, (found.view + by + views) % views));
+            this.said.querySelectorAll("button")[by < 0 ? 0 : 1].focus();
+          },
+        },
+        by < 0 ? "‹" : "›",
+      );
+    const isView = found.view !== undefined;
+    const picture = h("img", { alt: "", hidden: true });
+    fill(
+      this.said,
+      picture,
+      h(
+        "div",
+        { class: "row" },
+        h("span", {}, sayPicked(found, this.metric)),
+        isView && views > 1 && [step(-1, t`Picture before`), step(1, t`Next picture`)],
+      ),
+    );
+    if (isView && this.pictureOf) this.showPicture(picture, found.view);
+  }
+
+  async showPicture(image, view) {
+    try {
+      image.src = await this.pictureOf(view);
+      await image.decode();
+      URL.revokeObjectURL(image.src);
+      image.alt = t`What the camera saw there`;
+      image.hidden = false;
+    } catch {
+      image.remove(); // no picture is kept of this view
+    }
   }
 
   /**
@@ -187,7 +267,6 @@ export class SceneView {
 
   /** Show those who ask for poses: `{asker, T, localized, stale}`. */
   showRobots(robots) {
-    if (!this.gl) return;
     const some = (chosen) => robots.filter(chosen).flatMap(({ T }) => frustum(T, EXTENTS));
     this.setLines(
       "robots",
@@ -227,14 +306,13 @@ export class SceneView {
   }
 
   setLines(name, token, vertices, alpha = 1) {
-    if (!this.gl) return;
-    if (this.lines[name]) this.gl.deleteBuffer(this.lines[name].buffer);
-    const numbers = new Float32Array(vertices);
-    this.lines[name] = { token, alpha, count: numbers.length / 3, buffer: upload(this.gl, numbers) };
+    this.styles.set(name, { token, alpha });
+    this.painter.setLines(name, Float32Array.from(vertices));
     this.redraw();
   }
 
-  lookAtAll({ landmarks, views }) {
+  /** Look at all of these landmarks and views, in axes with z up. */
+  lookAtAll(landmarks, views) {
     const spans = [0, 1, 2].map((axis) => {
       const ends = views.length ? quantiles(views, axis, [0, 1], STRIDE_VIEW) : [];
       if (landmarks.length) ends.push(...quantiles(landmarks, axis, SHOWN));
@@ -271,7 +349,7 @@ export class SceneView {
     this.move();
   }
 
-  /** Draw while the user moves the map: as many landmarks as keep it smooth, and all of them once it rests. */
+  /** Draw while the user moves the map: as many points as keep it smooth, and all of them once it rests. */
   move() {
     clearTimeout(this.rest);
     this.moving = true;
@@ -291,7 +369,7 @@ export class SceneView {
     });
   }
 
-  /** Whether picture follows picture: then no more landmarks are drawn than keep it smooth. */
+  /** Whether picture follows picture: then no more points are drawn than keep it smooth. */
   get restless() {
     return this.moving || this.robots.size > 0;
   }
@@ -304,50 +382,24 @@ export class SceneView {
   }
 
   draw() {
-    const { gl, canvas } = this;
+    const { canvas } = this;
     const ratio = Math.min(devicePixelRatio, 2);
     const [width, height] = [canvas.clientWidth, canvas.clientHeight].map((value) =>
       Math.max(1, Math.round(value * ratio)),
     );
     if (canvas.width !== width || canvas.height !== height) Object.assign(canvas, { width, height });
     const matrix = this.matrix(width / height);
-    gl.viewport(0, 0, width, height);
-    gl.clearColor(...this.colour("--surface"), 1);
-    gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
-    gl.enable(gl.DEPTH_TEST);
-    if (this.count) this.drawPoints(matrix, height);
-    gl.enable(gl.BLEND);
-    gl.blendFunc(gl.SRC_ALPHA, gl.ONE_MINUS_SRC_ALPHA);
-    for (const line of Object.values(this.lines)) this.drawLines(line, matrix);
-    gl.disable(gl.BLEND);
+    this.painter.paint({
+      matrix,
+      background: this.colour("--surface"),
+      count: this.restless ? this.budget : this.count,
+      size: POINT_SIZE * height,
+      styles: [...this.styles].map(([name, { token, alpha }]) => [name, [...this.colour(token), alpha]]),
+    });
     this.placeLabels(matrix);
   }
 
-  drawPoints(matrix, height) {
-    const { gl, points } = this;
-    gl.useProgram(points.program);
-    gl.uniformMatrix4fv(points.uniform("matrix"), false, matrix);
-    gl.uniform1f(points.uniform("size"), 0.025 * height);
-    gl.uniform2f(points.uniform("deviations"), ...this.deviations);
-    gl.uniform1f(points.uniform("coloured"), this.coloured && this.pictureColours ? 1 : 0);
-    points.bind(this.buffer, STRIDE_LANDMARK);
-    if (this.pictureColours) points.bindColours(this.pictureColours);
-    else gl.disableVertexAttribArray(1);
-    gl.drawArrays(gl.POINTS, 0, this.restless ? this.budget : this.count);
-  }
-
-  drawLines({ token, alpha, count, buffer }, matrix) {
-    if (!count) return;
-    const { gl, strokes } = this;
-    gl.useProgram(strokes.program);
-    gl.uniformMatrix4fv(strokes.uniform("matrix"), false, matrix);
-    gl.uniform4f(strokes.uniform("colour"), ...this.colour(token), alpha);
-    strokes.bind(buffer, 3);
-    gl.disableVertexAttribArray(1);
-    gl.drawArrays(gl.LINES, 0, count);
-  }
-
-  /** A colour of the design, or one given as three numbers, as WebGL takes it. */
+  /** A colour of the design, or one given as three numbers, from 0 to 1. */
   colour(token) {
     if (Array.isArray(token)) return token;
     return (this.colours[token] ??= resolved(this.canvas, token));
@@ -367,7 +419,8 @@ export class SceneView {
     const away = [Math.cos(turn) * Math.cos(tilt), Math.sin(turn) * Math.cos(tilt), Math.sin(tilt)];
     const eye = target.map((value, i) => value + distance * away[i]);
     const fov = aspect < 1 ? 2 * Math.atan(Math.tan(FIELD_OF_VIEW / 2) / aspect) : FIELD_OF_VIEW;
-    return multiply(perspective(fov, aspect, distance / 100, distance * 20), lookAt(eye, target));
+    const level = multiply(lookAt(eye, target), rotation(this.levelling));
+    return multiply(perspective(fov, aspect, distance / 100, distance * 20), level);
   }
 }
 
@@ -428,104 +481,6 @@ function listen(scene) {
   });
 }
 
-/** Lines between consecutive views of one recording. */
-function walk(views) {
-  const lines = [];
-  for (let i = STRIDE_VIEW; i < views.length; i += STRIDE_VIEW) {
-    const before = i - STRIDE_VIEW;
-    if (views[i + 6] === views[before + 6])
-      lines.push(...views.subarray(before, before + 3), ...views.subarray(i, i + 3));
-  }
-  return lines;
-}
-
-/** A grid of square metres, at the height of the lowest landmarks. */
-function floor(landmarks) {
-  if (!landmarks.length) return [];
-  const [[west, east], [south, north], [z]] = [0, 1, 2].map((axis) =>
-    quantiles(landmarks, axis, SHOWN).map(Math.round),
-  );
-  if ((east - west) * (north - south) > MAX_FLOOR) return [];
-  const lines = [];
-  for (let x = west; x <= east; x++) lines.push(x, south, z, x, north, z);
-  for (let y = south; y <= north; y++) lines.push(west, y, z, east, y, z);
-  return lines;
-}
-
-/** The height of the lowest landmarks. */
-const floorOf = (landmarks) => (landmarks.length ? quantiles(landmarks, 2, SHOWN)[0] : 0);
-
-/** Labels of named points and areas, these in the middle of their floor. */
-function named({ points, areas }, z) {
-  const label = (name) => h("span", { class: "scene-name" }, name);
-  const middle = (outline, axis) => outline.reduce((sum, corner) => sum + corner[axis], 0) / outline.length;
-  return [
-    ...points.map(({ name, position }) => ({ position, label: label(name) })),
-    ...areas.map(({ name, outline }) => ({
-      position: [middle(outline, 0), middle(outline, 1), z],
-      label: label(name),
-    })),
-  ];
-}
-
-function outlines(areas, z) {
-  return areas.flatMap(({ outline }) =>
-    outline.flatMap((corner, i) => [...corner, z, ...outline[(i + 1) % outline.length], z]),
-  );
-}
-
-function headings(views) {
-  const lines = [];
-  for (let i = 0; i < views.length; i += STRIDE_VIEW) {
-    const position = views.subarray(i, i + 3);
-    lines.push(...position, ...position.map((value, axis) => value + HEADING_LENGTH * views[i + 3 + axis]));
-  }
-  return lines;
-}
-
-function segments(positions) {
-  return positions.slice(1).flatMap((position, i) => [...positions[i], ...position]);
-}
-
-/**
- * A pyramid whose tip is the camera, and whose base has the picture's shape.
- * @param {number[][]} T
- * @param {number[]} extents
- */
-function frustum(T, [across, down]) {
-  const point = (x, y, z) => [0, 1, 2].map((i) => T[i][0] * x + T[i][1] * y + T[i][2] * z + T[i][3]);
-  const [w, tall, d] = [across * FRUSTUM, down * FRUSTUM, FRUSTUM];
-  const tip = point(0, 0, 0);
-  const corners = [point(-w, -tall, d), point(w, -tall, d), point(w, tall, d), point(-w, tall, d)];
-  const above = point(0, -1.5 * tall, d);
-  const edges = corners.flatMap((corner, i) => [...tip, ...corner, ...corner, ...corners[(i + 1) % 4]]);
-  return [...edges, ...corners[0], ...above, ...above, ...corners[1]];
-}
-
-function quantiles(numbers, axis, shares, stride = STRIDE_LANDMARK) {
-  const values = Float32Array.from({ length: numbers.length / stride }, (_, i) => numbers[i * stride + axis]).sort();
-  return shares.map((share) => values[Math.round(share * (values.length - 1))] ?? 0);
-}
-
-/** A random order of so many. */
-function shuffledOrder(count) {
-  const order = Uint32Array.from({ length: count }, (_, i) => i);
-  for (let i = count - 1; i > 0; i--) {
-    const other = Math.floor(Math.random() * (i + 1));
-    [order[i], order[other]] = [order[other], order[i]];
-  }
-  return order;
-}
-
-/** Rows of `stride` numbers in another order. */
-function inOrder(numbers, stride, order) {
-  const ordered = new numbers.constructor(numbers.length);
-  order.forEach((row, i) => {
-    ordered.set(numbers.subarray(row * stride, (row + 1) * stride), i * stride);
-  });
-  return ordered;
-}
-
 /** The view or landmark of which `distance(position)` is least, views first, if it is near enough; or null. */
 function nearest({ landmarks, views }, distance) {
   const best = (numbers, stride) => {
@@ -537,15 +492,16 @@ function nearest({ landmarks, views }, distance) {
     return at;
   };
   const view = best(views, STRIDE_VIEW);
-  if (view >= 0)
-    return {
-      view: view / STRIDE_VIEW,
-      position: [...views.subarray(view, view + 3)],
-      heading: [...views.subarray(view + 3, view + 6)],
-    };
+  if (view >= 0) return viewAt(views, view / STRIDE_VIEW);
   const landmark = best(landmarks, STRIDE_LANDMARK);
   if (landmark < 0) return null;
   return { position: [...landmarks.subarray(landmark, landmark + 3)], deviation: landmarks[landmark + 3] };
+}
+
+/** A view by its number, as it is picked. */
+function viewAt(views, view) {
+  const [at, end] = [view * STRIDE_VIEW, (view + 1) * STRIDE_VIEW];
+  return { view, position: [...views.subarray(at, at + 3)], heading: [...views.subarray(at + 3, end - 1)] };
 }
 
 /**
@@ -561,44 +517,60 @@ export function sayPicked({ view, position, heading, deviation }, metric) {
   return t`Picture ${view + 1} of the walk, from ${at} ${unit}, looking ${degrees}°`;
 }
 
-/** Three short lines through a point. */
-function cross(position, reach) {
-  return [0, 1, 2].flatMap((axis) =>
-    [-reach, reach].flatMap((by) => position.map((value, i) => (i === axis ? value + by : value))),
-  );
+/** Labels of named points and areas, these in the middle of their floor. */
+export function named({ points, areas }, z) {
+  const label = (name) => h("span", { class: "scene-name" }, name);
+  const middle = (outline, axis) => outline.reduce((sum, corner) => sum + corner[axis], 0) / outline.length;
+  return [
+    ...points.map(({ name, position }) => ({ position, label: label(name) })),
+    ...areas.map(({ name, outline }) => ({
+      position: [middle(outline, 0), middle(outline, 1), z],
+      label: label(name),
+    })),
+  ];
 }
 
-function upload(gl, numbers) {
-  const buffer = gl.createBuffer();
-  gl.bindBuffer(gl.ARRAY_BUFFER, buffer);
-  gl.bufferData(gl.ARRAY_BUFFER, numbers, gl.STATIC_DRAW);
-  return buffer;
+/** Deviations from which to which the colours tell. */
+function deviationsShown(landmarks) {
+  return quantiles(landmarks, 3, SHOWN).map((value) => Math.max(value, 1e-4));
 }
 
-function program(gl, ...sources) {
-  const made = gl.createProgram();
-  sources.forEach((source, i) => {
-    const shader = gl.createShader(i ? gl.FRAGMENT_SHADER : gl.VERTEX_SHADER);
-    gl.shaderSource(shader, source);
-    gl.compileShader(shader);
-    gl.attachShader(made, shader);
-  });
-  gl.bindAttribLocation(made, 0, "point");
-  gl.bindAttribLocation(made, 1, "picture");
-  gl.linkProgram(made);
-  const bind = (buffer, size) => {
-    gl.bindBuffer(gl.ARRAY_BUFFER, buffer);
-    gl.enableVertexAttribArray(0);
-    gl.vertexAttribPointer(0, size, gl.FLOAT, false, 0, 0);
-  };
-  const bindColours = (buffer) => {
-    gl.bindBuffer(gl.ARRAY_BUFFER, buffer);
-    gl.enableVertexAttribArray(1);
-    gl.vertexAttribPointer(1, 3, gl.UNSIGNED_BYTE, true, 0, 0);
-  };
-  const places = {};
-  return { program: made, bind, bindColours, uniform: (name) => (places[name] ??= gl.getUniformLocation(made, name)) };
+/** A colour (N, 3) of each landmark, by how uncertain it is, on a logarithmic scale. */
+function certainties(landmarks, deviations) {
+  const [least, most] = deviations.map(Math.log);
+  const tints = new Uint8Array((3 * landmarks.length) / STRIDE_LANDMARK);
+  for (let i = 0; i < tints.length / 3; i++) {
+    const share = (Math.log(landmarks[STRIDE_LANDMARK * i + 3]) - least) / Math.max(most - least, 0.1);
+    const along = (RAMP.length - 1) * Math.min(1, Math.max(0, share || 0));
+    const from = Math.min(RAMP.length - 2, Math.floor(along));
+    for (let c = 0; c < 3; c++) tints[3 * i + c] = RAMP[from][c] + (along - from) * (RAMP[from + 1][c] - RAMP[from][c]);
+  }
+  return tints;
 }
+
+/** As many numbers of a colour that says nothing. */
+const plain = (numbers) => Uint8Array.from({ length: numbers }, (_, i) => UNKNOWN[i % 3]);
+
+function joined(a, b) {
+  const both = new a.constructor(a.length + b.length);
+  both.set(a);
+  both.set(b, a.length);
+  return both;
+}
+
+/** Rows of `stride` numbers, of which the first three are a position, turned by a rotation; `kept` numbers of each. */
+function inOtherAxes(numbers, stride, R, kept = stride) {
+  const turned = new Float32Array((numbers.length / stride) * kept);
+  for (let from = 0, to = 0; from < numbers.length; from += stride, to += kept) {
+    for (let i = 0; i < kept; i++) {
+      const [a, b, c] = R[i] ?? [];
+      turned[to + i] = i < 3 ? a * numbers[from] + b * numbers[from + 1] + c * numbers[from + 2] : numbers[from + i];
+    }
+  }
+  return turned;
+}
+
+const transposed = (R) => R.map((_, i) => R.map((row) => row[i]));
 
 function resolved(element, token) {
   return resolvedColour(element, token)

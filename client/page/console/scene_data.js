@@ -3,6 +3,13 @@
 export const STRIDE_LANDMARK = 4; // x, y, z, standard deviation
 export const STRIDE_VIEW = 7; // x, y, z, heading, recording
 
+/** What `/v1/maps/{map}/points` answers: `{positions, colours}`, three numbers and three bytes for each point. */
+export function readPoints(buffer) {
+  const [count] = new Uint32Array(buffer, 0, 1);
+  const positions = new Float32Array(buffer, 4, 3 * count);
+  return { positions, colours: new Uint8Array(buffer, 4 + positions.byteLength, 3 * count) };
+}
+
 /**
  * `{features, landmarks, views, colours}`: the number of landmarks, their figures, those of the views, and three bytes for
  * each landmark, red, green and blue, or null where the map does not know its colours.

@@ -48,6 +48,9 @@ def build(
     report: Annotated[
         bool, typer.Option(help="Hold frames out and localize them, for the map's own report; takes time.")
     ] = True,
+    pictures: Annotated[
+        bool, typer.Option("--pictures", help="Keep a small picture of each view in the map, for people to see.")
+    ] = False,
     as_json: options.Json = False,
 ) -> None:
     """Build a map from one or more recordings of a place."""
@@ -67,6 +70,7 @@ def build(
         features=features or DEFAULT_FEATURES,
         poses=options.choice(PoseMethod, poses, "--poses"),
         report=report,
+        pictures=pictures,
     )
     with stage_progress() as progress:
         read = [read_recording(path, options.named_camera(camera), frames, waypoints) for path in recordings]
@@ -158,6 +162,9 @@ def update(
     ] = None,
     frames: options.Frames = None,
     camera: options.Camera = None,
+    pictures: Annotated[
+        bool, typer.Option("--pictures", help="Keep a small picture of each new view in the map.")
+    ] = False,
     as_json: options.Json = False,
 ) -> None:
     """Learn a further recording of the same place into a map."""
@@ -167,7 +174,7 @@ def update(
     from rholoc.trajectory import PoseMethod
 
     method = None if poses is None else options.choice(PoseMethod, poses, "--poses")
-    update_options = UpdateOptions(method, forgetting)
+    update_options = UpdateOptions(method, forgetting, pictures)
     map_ = load_map(map_file)
     with stage_progress() as progress:
         updated = update_map(

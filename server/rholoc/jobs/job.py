@@ -31,6 +31,7 @@ class JobOptions:
         poses: where frame poses come from; None leaves it to :class:`rholoc.mapping.BuildOptions` or ``UpdateOptions``.
         camera: intrinsics as users write them (``fx,fy,cx,cy`` and so on), a stored camera's name, or None to take the
             recording's own.
+        pictures: whether the map keeps a small picture of each view.
     """
 
     density: DensityKind = DensityKind.RAY
@@ -38,6 +39,7 @@ class JobOptions:
     poses: PoseMethod | None = None
     camera: str | None = None
     kind: JobKind = JobKind.BUILD
+    pictures: bool = False
 
     @classmethod
     def from_json(cls, stored: Mapping[str, Any]) -> JobOptions:
@@ -48,6 +50,7 @@ class JobOptions:
             poses=PoseMethod(stored["poses"]) if stored["poses"] else None,
             camera=stored["camera"],
             kind=JobKind(stored.get("kind", JobKind.BUILD)),  # jobs of before there were updates
+            pictures=stored.get("pictures", False),
         )
 
 

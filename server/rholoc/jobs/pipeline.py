@@ -96,13 +96,15 @@ def _updates(task: MappingTask) -> bool:
 
 def _built(task: MappingTask, recording: Recording, progress: ProgressListener) -> Map:
     poses = task.options.poses or BuildOptions.poses
-    options = BuildOptions(density=task.options.density, features=task.options.features, poses=poses)
+    options = BuildOptions(
+        density=task.options.density, features=task.options.features, poses=poses, pictures=task.options.pictures
+    )
     return build_map([recording], options, progress)
 
 
 def _updated(task: MappingTask, recording: Recording, progress: ProgressListener) -> Map:
     map_ = MapLibrary(task.maps_dir).get(task.map_name)
-    return update_map(map_, recording, UpdateOptions(task.options.poses), progress)
+    return update_map(map_, recording, UpdateOptions(task.options.poses, pictures=task.options.pictures), progress)
 
 
 def _doubts(map_: Map) -> tuple[str, ...]:

@@ -13,6 +13,7 @@ from rholoc.mapping.correcting import (
     set_wall,
 )
 from rholoc.mapping.forgetting import forget_recording
+from rholoc.mapping.frames import levelled
 from rholoc.mapping.learning import UpdateOptions, update_map
 from rholoc.mapping.merging import merge_maps
 from rholoc.mapping.observation_table import observation_table
@@ -24,6 +25,7 @@ __all__ = [
     "build_map",
     "forget_recording",
     "lay_over_plan",
+    "levelled",
     "merge_maps",
     "observation_table",
     "remove_region",

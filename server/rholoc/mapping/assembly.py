@@ -44,7 +44,11 @@ def assemble(info: MapInfo, views: Views, landmarks: Landmarks, view_sources: In
         descriptor_features=owners.astype(np.int32),
         view_times=views.times.astype(np.float64),
         T_map_camera=poses_from_rows(rows_from_poses(views.T_map_camera).astype(np.float32)),
-        colours=None if views.features.colours is None else _colours(views.features.colours[observed], features),
+        colours=(
+            None
+            if views.features.colours is None
+            else mean_colours(views.features.colours[observed], features, len(landmarks))
+        ),
         observation_views=of_view.astype(np.int32),
         observation_features=features.astype(np.int32),
         observations=Observations(
@@ -55,10 +59,11 @@ def assemble(info: MapInfo, views: Views, landmarks: Landmarks, view_sources: In
     )
 
 
-def _colours(seen: ByteArray, features: IntArray) -> ByteArray:
-    """The mean colour (F, 3) of each feature, of the colours (V, 3) that its observations have."""
-    sums = np.column_stack([np.bincount(features, weights=seen[:, channel]) for channel in range(3)])
-    return np.asarray(np.round(sums / np.bincount(features)[:, None]).astype(np.uint8))
+def mean_colours(seen: ByteArray, features: IntArray, count: int) -> ByteArray:
+    """The mean colour (count, 3) of each feature, of the colours (V, 3) that its observations have."""
+    sums = [np.bincount(features, weights=seen[:, channel], minlength=count) for channel in range(3)]
+    counts = np.maximum(np.bincount(features, minlength=count), 1)
+    return np.asarray(np.round(np.column_stack(sums) / counts[:, None]).astype(np.uint8))
 
 
 def _descriptor_rows(

@@ -12,15 +12,16 @@ import numpy as np
 from rholoc.density.tensor import DEGREES
 from rholoc.errors import InvalidInput, MappingFailed
 from rholoc.features import Extractor, FeatureSet, get_extractor
-from rholoc.geometry import Camera, FloatArray, IntArray
+from rholoc.geometry import BoolArray, Camera, FloatArray, IntArray
 from rholoc.mapping.assembly import assemble
+from rholoc.mapping.cloud import cloud_of
 from rholoc.mapping.coaching import advice_line, coach, with_advice
 from rholoc.mapping.fitting import DEFAULT_DEGREE, fit_densities
 from rholoc.mapping.frame_features import FrameFeatures
 from rholoc.mapping.landmarks import (
     Landmarks,
+    are_stable,
     extend_and_merge,
-    select_stable,
     triangulate,
 )
 from rholoc.mapping.memory import recording_id, with_landmarks
@@ -50,6 +51,7 @@ class BuildOptions:
         poses: where frame poses come from.
         report: whether to hold frames out and localize them for the map's report (takes time).
         degree: P of ``tensor`` densities: 1, 2 or 3. With 1 they have no peak, and nothing is localized.
+        pictures: whether the map keeps a small picture of each view, for people to see.
     """
 
     density: DensityKind = DensityKind.RAY
@@ -57,6 +59,7 @@ class BuildOptions:
     poses: PoseMethod = PoseMethod.VISUAL_INERTIAL
     report: bool = True
     degree: int = DEFAULT_DEGREE
+    pictures: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,11 +93,13 @@ def build_map(
         raise InvalidInput(f"A density of degree {options.degree} cannot be fitted.", "Use 1, 2 or 3.")
     walks = [_walk(recording, extractor, options, progress) for recording in recordings]
     _check_common_frame(walks)
-    views, held_out, looks = _look(walks, progress)
+    views, held_out, looks, pictures = _look(walks, options, progress)
     walk_of_view = np.repeat(np.arange(len(walks)), [len(walk.views) for walk in walks])
-    landmarks = stable_landmarks(views, extractor, progress, walk_of_view)
+    reconstructed, stable = reconstruct(views, extractor, progress, walk_of_view)
+    landmarks = reconstructed.keep(stable)
     progress(Stage.DENSITIES, 0.6, f"{len(landmarks)} stable features")
     map_ = _assemble(walks, views, walk_of_view, landmarks, extractor, options)
+    map_ = replace(map_, cloud=cloud_of(views, reconstructed, stable, walk_of_view), pictures=pictures)
     map_ = fit_densities(map_, options.density, options.degree, progress)
     progress(Stage.DENSITIES, 1.0, f"{len(map_.descriptors)} descriptors")
     report = replace(
@@ -111,7 +116,7 @@ def build_map(
 
 
 def _walk(recording: Recording, extractor: Extractor, options: BuildOptions, progress: ProgressListener) -> _Walk:
-    features = FrameFeatures(recording.frames, extractor)
+    features = FrameFeatures(recording.frames, extractor, options.pictures)
     try:
         trajectory = estimate_trajectory(recording, options.poses, progress, features.show)
     except MappingFailed as failure:
@@ -135,23 +140,28 @@ def _check_common_frame(walks: Sequence[_Walk]) -> None:
         )
 
 
-def _look(walks: Sequence[_Walk], progress: ProgressListener) -> tuple[Views, HeldOut, list[list[Look]]]:
-    """The features of all views, those of the frames held out, and what each walk's frames look like."""
+def _look(
+    walks: Sequence[_Walk], options: BuildOptions, progress: ProgressListener
+) -> tuple[Views, HeldOut, list[list[Look]], tuple[bytes, ...] | None]:
+    """The features of all views, those of the frames held out, what each walk's frames look like, and the views'
+    pictures where they are to be kept."""
     cameras: list[Camera] = []
     poses: list[FloatArray] = []
     times: list[float] = []
     features: list[FeatureSet] = []
     held: list[tuple[Camera, FloatArray, FeatureSet]] = []
     looks: list[list[Look]] = []
+    pictures: list[bytes] = []
     total, done = sum(len(walk.views) + len(walk.held_out) for walk in walks), 0
     for walk in walks:
         trajectory, is_view = walk.trajectory, set(walk.views.tolist())
         chosen = np.sort(np.concatenate([walk.views, walk.held_out]))
         looks.append([])
         shown = walk.features.of(trajectory.rows[chosen].tolist())
-        for row, (found, look) in zip(chosen.tolist(), shown, strict=True):
+        for row, (found, look, picture) in zip(chosen.tolist(), shown, strict=True):
             looks[-1].append(look)
             if row in is_view:
+                pictures.append(picture)
                 if trajectory.rolling_shutter is not None:
                     found = trajectory.rolling_shutter.at_once(row, found)
                 cameras.append(trajectory.camera)
@@ -162,13 +172,15 @@ def _look(walks: Sequence[_Walk], progress: ProgressListener) -> tuple[Views, He
                 held.append((trajectory.camera, trajectory.T_map_camera[row], found))
             done += 1
             progress(Stage.OBSERVATIONS, 0.3 * done / total, f"features of {done} of {total} frames")
-    return Views.from_features(cameras, np.array(poses), np.array(times), features), HeldOut(tuple(held)), looks
+    views = Views.from_features(cameras, np.array(poses), np.array(times), features)
+    return views, HeldOut(tuple(held)), looks, tuple(pictures) if options.pictures else None
 
 
-def stable_landmarks(
+def reconstruct(
     views: Views, extractor: Extractor, progress: ProgressListener, walk_of_view: IntArray | None = None
-) -> Landmarks:
-    """The landmarks that a map is made of: tracked, extended, and chosen, across walks (K,) where views are of several.
+) -> tuple[Landmarks, BoolArray]:
+    """All F points that the views determine, and which (F,) of them are the landmarks that a map is made of: tracked,
+    extended, and chosen, across walks (K,) where views are of several.
 
     Raises:
         MappingFailed: too few are stable.
@@ -180,13 +192,14 @@ def stable_landmarks(
     for round_ in range(_EXTENSION_ROUNDS):
         landmarks = extend_and_merge(views, landmarks, extractor.metric)
         progress(Stage.DENSITIES, 0.2 * (round_ + 1), f"{len(landmarks)} features")
-    stable = select_stable(views, landmarks, _FEATURES_PER_VIEW, walk_of_view)
-    if len(stable) < _MIN_FEATURES:
+    stable = are_stable(views, landmarks, _FEATURES_PER_VIEW, walk_of_view)
+    count = int(stable.sum())
+    if count < _MIN_FEATURES:
         raise MappingFailed(
-            f"Only {len(stable)} features are stable; a map needs at least {_MIN_FEATURES}.",
+            f"Only {count} features are stable; a map needs at least {_MIN_FEATURES}.",
             "Walk slower and sideways rather than turning on the spot, with more light and texture in view.",
         )
-    return stable
+    return landmarks, stable
 
 
 def _assemble(

@@ -9,7 +9,7 @@ from dataclasses import replace
 from datetime import UTC, datetime
 
 from rholoc.errors import Conflict, InvalidInput
-from rholoc.geometry import BoolArray, FloatArray, Similarity
+from rholoc.geometry import FloatArray, Similarity
 from rholoc.mapping import frames
 from rholoc.mapping.cutting import in_region, without_landmarks, without_views
 from rholoc.mapping.moving import move_map
@@ -106,8 +106,11 @@ def remove_region(
         InvalidInput: the outline is not a valid polygon.
         Conflict: there is nothing to remove, or too little would be left.
     """
-    inside: BoolArray = in_region(map_.landmarks, outline, bottom_m, top_m)
-    return _cut(map_, without_landmarks(map_, inside != keep_inside), CorrectionKind.REGION)
+    landmarks, points = (
+        in_region(positions, outline, bottom_m, top_m) for positions in (map_.landmarks, map_.cloud.positions)
+    )
+    left = without_landmarks(map_, landmarks != keep_inside, points != keep_inside)
+    return _cut(map_, left, CorrectionKind.REGION)
 
 
 def remove_views(map_: Map, first: int, last: int) -> Map:

@@ -34,8 +34,10 @@ def in_region(
     return np.asarray(inside & (z <= (np.inf if top_m is None else top_m)))
 
 
-def without_landmarks(map_: Map, removed: BoolArray) -> Map:
+def without_landmarks(map_: Map, removed: BoolArray, points_removed: BoolArray) -> Map:
     """The map, in ``ray`` form, without the landmarks where ``removed`` (F,) holds.
+
+    The points of its cloud where ``points_removed`` (P,) holds go, too.
 
     Raises:
         Conflict: none is there, or too few would be left.
@@ -43,7 +45,7 @@ def without_landmarks(map_: Map, removed: BoolArray) -> Map:
     if not removed.any():
         raise Conflict("There is no landmark to remove.", "Choose another region.")
     _check_left(int((~removed).sum()))
-    return keep_features(ray_form(map_), ~removed)
+    return keep_features(replace(ray_form(map_), cloud=map_.cloud.keep(~points_removed)), ~removed)
 
 
 def without_views(map_: Map, first: int, last: int) -> Map:
@@ -72,6 +74,7 @@ def without_views(map_: Map, first: int, last: int) -> Map:
         view_times=map_.view_times[stays],
         T_map_camera=map_.T_map_camera[stays],
         view_covariances=None if map_.view_covariances is None else map_.view_covariances[stays],
+        pictures=map_.pictures_of(stays),
         observation_views=(np.cumsum(stays) - 1)[map_.observation_views[seen]].astype(np.int32),
         observation_features=map_.observation_features[seen],
         observations=(

@@ -3,29 +3,44 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+import cv2
 
 from rholoc.features import Extractor, FeatureSet
 from rholoc.geometry import ByteArray
 from rholoc.recordings import FrameSource, Look, look_at
 
+_PICTURE_PX = 240  # the longer side of a small picture
+_PICTURE_QUALITY = 70  # of its JPEG
+
+
+class Shown(NamedTuple):
+    """What a frame shows: its features, its look, and a small JPEG of it, empty where none is wanted."""
+
+    features: FeatureSet
+    look: Look
+    picture: bytes
+
 
 class FrameFeatures:
-    """What frames show: their features by one extractor, and their looks.
+    """What frames show: their features by one extractor, their looks, and small pictures if ``pictures`` are wanted.
 
     Frames that were passed to :meth:`show` are remembered, about 70 kB each; others are decoded when asked for.
     """
 
-    def __init__(self, frames: FrameSource, extractor: Extractor) -> None:
+    def __init__(self, frames: FrameSource, extractor: Extractor, pictures: bool = False) -> None:
         self._frames = frames
         self._extractor = extractor
-        self._shown: dict[int, tuple[FeatureSet, Look]] = {}
+        self._pictures = pictures
+        self._shown: dict[int, Shown] = {}
 
     def show(self, row: int, image: ByteArray) -> None:
         """Extract and remember the features of the frame at ``row``; may be called from several threads."""
         self._shown[row] = self._extracted(image)
 
-    def of(self, rows: Sequence[int]) -> Iterator[tuple[FeatureSet, Look]]:
-        """The features and the look of each frame in ``rows``, which increase; what was remembered is forgotten.
+    def of(self, rows: Sequence[int]) -> Iterator[Shown]:
+        """What each frame shows in ``rows``, which increase; what was remembered is forgotten.
 
         Raises:
             InvalidRecording: a frame cannot be decoded.
@@ -36,5 +51,13 @@ class FrameFeatures:
             yield self._extracted(next(images)) if shown is None else shown
         self._shown.clear()
 
-    def _extracted(self, image: ByteArray) -> tuple[FeatureSet, Look]:
-        return self._extractor.extract(image).coloured(image), look_at(image)
+    def _extracted(self, image: ByteArray) -> Shown:
+        picture = small_picture(image) if self._pictures else b""
+        return Shown(self._extractor.extract(image).coloured(image), look_at(image), picture)
+
+
+def small_picture(image: ByteArray) -> bytes:
+    """A small JPEG of an image (H, W, 3) BGR."""
+    scale = min(1.0, _PICTURE_PX / max(image.shape[:2]))
+    small = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    return bytes(cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, _PICTURE_QUALITY])[1])

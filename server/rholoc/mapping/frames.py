@@ -11,6 +11,10 @@ from rholoc.maps import Map
 
 _SHORTEST = 1e-6  # of a direction or a distance, in the map's unit
 _MIN_LEVEL = 0.05  # of a direction, as a share of its length: the sine of the least angle against the vertical
+_LOOKED_AROUND = 0.05  # the second spread of the views' horizontal axes, of 1 in all: some 25 degrees to either side
+_LANDMARKS_LOOKED_AT = 2000
+_WALL_STEP_DEG = 1.0
+_WALL_BINS = 60
 _SCALES = (1e-4, 1e4)  # what a map may be stretched by at once
 
 
@@ -51,16 +55,54 @@ def upward(direction: FloatArray) -> Similarity:
 
 
 def estimated_up(map_: Map) -> FloatArray:
-    """The direction (3,) that is up, by the views: the mean of their own, for people hold cameras upright.
+    """The direction (3,), of unit length, that is up, by the views, for people hold cameras upright.
+
+    Where the views look around, it is the direction that their horizontal axes are perpendicular to, however far the
+    camera was tilted up or down (Szeliski, Image alignment and stitching, 2006, section 5.1); else the mean of theirs.
 
     Raises:
         InvalidInput: the views do not agree on any.
     """
-    ups = -map_.T_map_camera[:, :3, 1]
+    ups, across = -map_.T_map_camera[:, :3, 1], map_.T_map_camera[:, :3, 0]
     mean = ups.mean(axis=0) if len(ups) else np.zeros(3)
-    if np.linalg.norm(mean) < 0.5:
+    length = float(np.linalg.norm(mean))
+    if length < 0.5:
         raise InvalidInput("The views do not show which direction is up.", "Give the direction.")
-    return np.asarray(mean)
+    spread, axes = np.linalg.eigh(across.T @ across / len(across))
+    if spread[1] < _LOOKED_AROUND:
+        return np.asarray(mean / length)
+    return np.asarray(axes[:, 0] * np.sign(axes[:, 0] @ mean))
+
+
+def levelled(map_: Map) -> FloatArray | None:
+    """A rotation (3, 3) by which a map that is not upright is shown: up becomes z, walls become parallel to x and y.
+
+    Both are estimated: up by the views, the walls by the angle at which the landmarks, seen from above, crowd most in
+    x and in y (least entropy of their histograms). None where the map is upright, or the views do not show up.
+    """
+    if map_.info.upright or not len(map_):
+        return None
+    try:
+        upright = upward(estimated_up(map_)).rotation
+    except InvalidInput:
+        return None
+    landmarks = map_.landmarks[:: max(1, len(map_) // _LANDMARKS_LOOKED_AT)].astype(np.float64)
+    plane = landmarks @ upright[:2].T
+    turns = np.deg2rad(np.arange(0.0, 90.0, _WALL_STEP_DEG))
+    turn = turns[np.argmin([_entropy(plane, turn) for turn in turns])]
+    return np.asarray(Rotation.from_euler("z", -turn).as_matrix() @ upright)
+
+
+def _entropy(plane: FloatArray, turn: float) -> float:
+    """Of the histograms along both axes, of points (N, 2) whose axes are turned by an angle."""
+    cosine, sine = np.cos(turn), np.sin(turn)
+    total = 0.0
+    for along in (plane @ [cosine, sine], plane @ [-sine, cosine]):
+        low, high = np.quantile(along, [0.02, 0.98])
+        counts, _ = np.histogram(along, _WALL_BINS, (low, max(high, low + _SHORTEST)))
+        share = counts[counts > 0] / max(counts.sum(), 1)
+        total -= float(share @ np.log(share))
+    return total
 
 
 def measured(start: FloatArray, end: FloatArray, length_m: float) -> Similarity:

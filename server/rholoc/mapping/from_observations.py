@@ -18,7 +18,7 @@ from rholoc.errors import InvalidInput, MappingFailed
 from rholoc.features import Channel, Extractor, FeatureSet, extractor_names, get_extractor
 from rholoc.geometry import Camera, IntArray, Pose
 from rholoc.mapping.assembly import assemble
-from rholoc.mapping.build import stable_landmarks
+from rholoc.mapping.build import reconstruct
 from rholoc.mapping.fitting import DEFAULT_DEGREE, fit_densities, sightings_of
 from rholoc.mapping.memory import with_landmarks
 from rholoc.mapping.observations import Views
@@ -78,7 +78,8 @@ def map_from_observations(
     extractor = get_extractor(options.features or features_of(table))
     _check(table, camera, extractor)
     views, held_out = _views(table, camera, hold_out=options.report)
-    landmarks = stable_landmarks(views, extractor, progress)
+    reconstructed, stable = reconstruct(views, extractor, progress)
+    landmarks = reconstructed.keep(stable)
     progress(Stage.DENSITIES, 0.6, f"{len(landmarks)} stable features")
     rolls = np.zeros(1) if table.rolls is None else np.abs(table.rolls)
     info = MapInfo(

@@ -17,7 +17,7 @@ from rholoc.mapping.memory import (
     solve_landmarks,
     with_landmarks,
 )
-from rholoc.maps import Map, Observations, check_observations
+from rholoc.maps import Cloud, Map, Observations, check_observations
 
 
 def join(a: Map, b: Map, same: IntArray) -> Map:
@@ -65,6 +65,8 @@ def without_source(map_: Map, source: int) -> Map:
         view_times=map_.view_times[stays],
         T_map_camera=map_.T_map_camera[stays],
         view_covariances=None if map_.view_covariances is None else map_.view_covariances[stays],
+        pictures=map_.pictures_of(stays),
+        cloud=map_.cloud.without_source(source),
         observation_views=number[map_.observation_views[seen]].astype(np.int32),
         observation_features=map_.observation_features[seen],
         observations=Observations(
@@ -101,6 +103,8 @@ def _joined(a: Map, b: Map, same: IntArray) -> Map:
         view_times=np.concatenate([a.view_times, b.view_times]),
         T_map_camera=np.concatenate([a.T_map_camera, b.T_map_camera]),
         view_covariances=_both_covariances(a, b),
+        pictures=_both_pictures(a, b),
+        cloud=Cloud.joined(a.cloud, b.cloud.with_sources_after(len(a.info.sources))),
         observation_views=np.concatenate([a.observation_views, views + b.observation_views]),
         observation_features=np.concatenate([a.observation_features, numbers[b.observation_features].astype(np.int32)]),
         observations=Observations(
@@ -115,6 +119,12 @@ def _both_covariances(a: Map, b: Map) -> FloatArray | None:
     if a.view_covariances is None and b.view_covariances is None:
         return None
     return np.concatenate([a.known_view_covariances, b.known_view_covariances])
+
+
+def _both_pictures(a: Map, b: Map) -> tuple[bytes, ...] | None:
+    if a.pictures is None and b.pictures is None:
+        return None
+    return a.known_pictures + b.known_pictures
 
 
 def _both_colours(a: Map, b: Map, new: BoolArray) -> ByteArray | None:

@@ -139,7 +139,12 @@ def extend_and_merge(views: Views, landmarks: Landmarks, metric: Metric) -> Land
 
 
 def select_stable(views: Views, landmarks: Landmarks, per_view: int, walks: IntArray | None = None) -> Landmarks:
-    """The landmarks seen from enough views whose place is well determined; of those, each view's best ones.
+    """The landmarks that :func:`are_stable`."""
+    return landmarks.keep(are_stable(views, landmarks, per_view, walks))
+
+
+def are_stable(views: Views, landmarks: Landmarks, per_view: int, walks: IntArray | None = None) -> BoolArray:
+    """Which landmarks (F,) are seen from enough views and well determined; of those, each view's best ones.
 
     A landmark stays when it is among the ``per_view`` best of any view: the map grows with the space that it covers,
     not with the time that the walk took. The best are those that a further walk most probably sees, where several walks
@@ -153,10 +158,7 @@ def select_stable(views: Views, landmarks: Landmarks, per_view: int, walks: IntA
     """
     rows, counts = landmarks.observed_rows, landmarks.view_counts
     labels, view = landmarks.labels[rows], views.view_of[rows]
-    depth = np.linalg.norm(landmarks.positions[labels] - views.positions[view], axis=1)
-    mean_depth = np.bincount(labels, weights=depth, minlength=len(landmarks)) / np.maximum(counts, 1)
-    sigma = np.sqrt(np.linalg.eigvalsh(landmarks.covariances)[:, -1])
-    stable = (counts >= _MIN_VIEWS) & (sigma < _MAX_RELATIVE_SIGMA * mean_depth)
+    stable = (counts >= _MIN_VIEWS) & (relative_sigmas(views, landmarks) < _MAX_RELATIVE_SIGMA)
     labels, view = labels[stable[labels]], view[stable[labels]]
     persistence: FloatArray = np.zeros(len(landmarks))
     if walks is not None and walks.max(initial=0) > 0:
@@ -165,7 +167,17 @@ def select_stable(views: Views, landmarks: Landmarks, per_view: int, walks: IntA
     rank = np.arange(len(order)) - np.searchsorted(view[order], view[order])
     kept = np.zeros(len(landmarks), dtype=bool)
     kept[labels[order][rank < per_view]] = True
-    return landmarks.keep(kept)
+    return kept
+
+
+def relative_sigmas(views: Views, landmarks: Landmarks) -> FloatArray:
+    """(F,) each landmark's largest standard deviation as a share of the mean distance that it is seen from."""
+    rows = landmarks.observed_rows
+    labels = landmarks.labels[rows]
+    depth = np.linalg.norm(landmarks.positions[labels] - views.positions[views.view_of[rows]], axis=1)
+    mean_depth = np.bincount(labels, weights=depth, minlength=len(landmarks)) / np.maximum(landmarks.view_counts, 1)
+    sigma = np.sqrt(np.linalg.eigvalsh(landmarks.covariances)[:, -1])
+    return np.asarray(sigma / np.maximum(mean_depth, _MIN_DEPTH))
 
 
 def expected_sightings(views: Views, landmarks: Landmarks, walks: IntArray) -> FloatArray:

@@ -7,16 +7,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rholoc.errors import Conflict, InvalidCamera, MappingFailed
-from rholoc.features import FeatureSet, get_extractor
+from rholoc.features import get_extractor
 from rholoc.features.matching import LIMITS
 from rholoc.geometry import Camera, FloatArray, IntArray
 from rholoc.localization import Localizer
 from rholoc.mapping.assembly import assemble
+from rholoc.mapping.cloud import cloud_of
 from rholoc.mapping.coaching import coach
 from rholoc.mapping.fitting import ray_form
-from rholoc.mapping.frame_features import FrameFeatures
+from rholoc.mapping.frame_features import FrameFeatures, Shown
 from rholoc.mapping.joining import join
-from rholoc.mapping.landmarks import Landmarks, extend_and_merge, select_stable, triangulate
+from rholoc.mapping.landmarks import Landmarks, are_stable, extend_and_merge, triangulate
 from rholoc.mapping.memory import recording_id
 from rholoc.mapping.observations import Views, link_observations
 from rholoc.mapping.recursive_learning import check_forgetting
@@ -32,7 +33,7 @@ from rholoc.mapping.registration import (
 from rholoc.mapping.uncertainty import uncertainty_in
 from rholoc.mapping.versions import as_learned
 from rholoc.mapping.views import choose_views
-from rholoc.maps import Map, MapInfo, Source, check_observations
+from rholoc.maps import Cloud, Map, MapInfo, Source, check_observations
 from rholoc.progress import ProgressListener, Stage, silent
 from rholoc.recordings import Recording, look_through
 from rholoc.reports import LearningReport
@@ -57,15 +58,18 @@ class UpdateOptions:
             each frame is localized in the map, and frames beyond what the map shows are left out.
         forgetting: ``observed`` densities take the recording in one observation at a time, everything before weighing
             this much less at each; None: all densities are fitted anew to all observations.
+        pictures: whether the map keeps a small picture of each new view, for people to see.
     """
 
     poses: PoseMethod | None = None
     forgetting: float | None = None
+    pictures: bool = False
 
 
 @dataclass(frozen=True, eq=False)
 class _Walk:
-    """The frames of a recording that are learned from: camera, times (K,), T_map_camera (K, 4, 4), features of each.
+    """The frames of a recording that are learned from: camera, times (K,), T_map_camera (K, 4, 4), and what
+    each shows.
 
     ``residual`` is how far a pose may be off from the map on its own: metres and radians, standard deviations.
     ``figures`` are what is known so far of the report.
@@ -74,7 +78,7 @@ class _Walk:
     camera: Camera
     times: FloatArray
     T_map_camera: FloatArray
-    features: list[FeatureSet]
+    shown: list[Shown]
     poses: str
     figures: LearningReport
     residual: tuple[float, float]
@@ -105,11 +109,12 @@ def update_map(
     localizer = Localizer(known, min_confidence=LEARNING_CONFIDENCE)
     method = options.poses or (PoseMethod.GIVEN if recording.poses is not None else None)
     if method is None:
-        walk = _localized_walk(localizer, recording, progress)
+        walk = _localized_walk(localizer, recording, options.pictures, progress)
     else:
-        walk = _aligned_walk(localizer, recording, method, progress)
-    views = Views.from_features([walk.camera] * len(walk.times), walk.T_map_camera, walk.times, walk.features)
-    labels, new = _recognize(localizer, views, progress)
+        walk = _aligned_walk(localizer, recording, method, options.pictures, progress)
+    features = [one.features for one in walk.shown]
+    views = Views.from_features([walk.camera] * len(walk.times), walk.T_map_camera, walk.times, features)
+    labels, new, cloud = _recognize(localizer, views, progress)
     source = Source(
         id=id_,
         name=recording.name,
@@ -121,6 +126,8 @@ def update_map(
     seen, landmarks = _seen_landmarks(known, labels, new)
     info = replace(known.info, sources=(source,), waypoints=())
     learned = assemble(info, views, landmarks, np.zeros(len(views), dtype=np.int64), localizer.extractor.metric)
+    pictures = tuple(one.picture for one in walk.shown) if options.pictures else None
+    learned = replace(learned, cloud=cloud, pictures=pictures)
     if known.view_covariances is not None:
         spread = uncertainty_in(known, learned.T_map_camera, *walk.residual)
         learned = replace(learned, view_covariances=spread)
@@ -138,14 +145,14 @@ def update_map(
     return as_learned(map_, joined, report, progress, options.forgetting)
 
 
-def _localized_walk(localizer: Localizer, recording: Recording, progress: ProgressListener) -> _Walk:
+def _localized_walk(localizer: Localizer, recording: Recording, pictures: bool, progress: ProgressListener) -> _Walk:
     """Each frame where it is localized; frames that are not found are left out."""
     camera = _camera_of(recording, localizer.map.info)
     times = recording.frames.times
     count = int(np.clip((times[-1] - times[0]) * _FRAMES_PER_S, MIN_FOUND, _MAX_FRAMES))
     rows = np.unique(np.linspace(0, len(times) - 1, count).round().astype(np.int64))
-    features = _features(_frame_features(localizer, recording), rows, progress)
-    frames = [(camera, one) for one in features]
+    shown = _all_shown(_frame_features(localizer, recording, pictures), rows, progress)
+    frames = [(camera, one.features) for one in shown]
     found = find_frames(localizer, frames, np.arange(len(rows)), recording.name, progress)
     found = without_jumps(found, times[rows], recording.name)
     views = found.rows[choose_views(found.T_map_camera[found.rows], hold_out=False, step=_VIEW_STEP)[0]]
@@ -154,24 +161,26 @@ def _localized_walk(localizer: Localizer, recording: Recording, progress: Progre
         camera,
         times[rows[views]],
         found.T_map_camera[views],
-        [features[view] for view in views],
+        [shown[view] for view in views],
         "localized",
         figures,
         (_LOCALIZED_M, _LOCALIZED_RAD),
     )
 
 
-def _aligned_walk(localizer: Localizer, recording: Recording, method: PoseMethod, progress: ProgressListener) -> _Walk:
+def _aligned_walk(
+    localizer: Localizer, recording: Recording, method: PoseMethod, pictures: bool, progress: ProgressListener
+) -> _Walk:
     """The recording's own trajectory, aligned to those of its frames that are localized."""
-    shown = _frame_features(localizer, recording)
-    trajectory = estimate_trajectory(recording, method, progress, shown.show)
+    frame_features = _frame_features(localizer, recording, pictures)
+    trajectory = estimate_trajectory(recording, method, progress, frame_features.show)
     views, _ = choose_views(trajectory.T_map_camera, hold_out=False, step=_VIEW_STEP)
     if len(views) < MIN_FOUND:
         raise MappingFailed(
             f"Only {len(views)} frames of {recording.name} with different views have a pose.", "Record a longer walk."
         )
-    features = _features(shown, trajectory.rows[views], progress)
-    frames = [(trajectory.camera, one) for one in features]
+    shown = _all_shown(frame_features, trajectory.rows[views], progress)
+    frames = [(trajectory.camera, one.features) for one in shown]
     tried = np.unique(np.linspace(0, len(views) - 1, _MAX_LOCALIZED).round().astype(np.int64))
     found = find_frames(localizer, frames, tried, recording.name, progress)
     metric = localizer.map.info.metric and trajectory.scale is Scale.METRIC
@@ -182,7 +191,7 @@ def _aligned_walk(localizer: Localizer, recording: Recording, method: PoseMethod
         trajectory.camera,
         trajectory.times[views],
         alignment.similarity.poses(own),
-        features,
+        shown,
         str(method),
         figures,
         (alignment.residual_m, alignment.residual_rad),
@@ -201,16 +210,16 @@ def alignment_report(alignment: Alignment, found: Found) -> LearningReport:
     )
 
 
-def _frame_features(localizer: Localizer, recording: Recording) -> FrameFeatures:
-    return FrameFeatures(recording.frames, get_extractor(localizer.map.info.features))
+def _frame_features(localizer: Localizer, recording: Recording, pictures: bool) -> FrameFeatures:
+    return FrameFeatures(recording.frames, get_extractor(localizer.map.info.features), pictures)
 
 
-def _features(frames: FrameFeatures, rows: IntArray, progress: ProgressListener) -> list[FeatureSet]:
-    features: list[FeatureSet] = []
-    for found, _ in frames.of(rows.tolist()):
-        features.append(found)
-        progress(Stage.FEATURES, len(features) / len(rows), f"features of {len(features)} of {len(rows)} frames")
-    return features
+def _all_shown(frames: FrameFeatures, rows: IntArray, progress: ProgressListener) -> list[Shown]:
+    shown: list[Shown] = []
+    for one in frames.of(rows.tolist()):
+        shown.append(one)
+        progress(Stage.FEATURES, len(shown) / len(rows), f"features of {len(shown)} of {len(rows)} frames")
+    return shown
 
 
 def _camera_of(recording: Recording, info: MapInfo) -> Camera:
@@ -225,8 +234,8 @@ def _camera_of(recording: Recording, info: MapInfo) -> Camera:
     )
 
 
-def _recognize(localizer: Localizer, views: Views, progress: ProgressListener) -> tuple[IntArray, Landmarks]:
-    """Each detection's feature (N,) of the map, or -1, and the landmarks that the other detections make up."""
+def _recognize(localizer: Localizer, views: Views, progress: ProgressListener) -> tuple[IntArray, Landmarks, Cloud]:
+    """Each detection's feature (N,) of the map, or -1; the landmarks and the further points that the others make up."""
     index, metric = localizer.index, localizer.extractor.metric
     labels = np.full(len(views.features), -1, dtype=np.int64)
     for k in range(len(views)):
@@ -246,10 +255,12 @@ def _recognize(localizer: Localizer, views: Views, progress: ProgressListener) -
     fresh = triangulate(others, link_observations(others, metric, progress))
     for _ in range(_EXTENSION_ROUNDS):
         fresh = extend_and_merge(others, fresh, metric)
-    fresh = select_stable(others, fresh, max(0, _FEATURES_PER_VIEW - known_per_view))
+    stable = are_stable(others, fresh, max(0, _FEATURES_PER_VIEW - known_per_view))
+    cloud = cloud_of(others, fresh, stable, np.zeros(len(views), dtype=np.int64))
+    fresh = fresh.keep(stable)
     in_all = np.full(len(labels), -1, dtype=np.int64)
     in_all[unknown] = fresh.labels
-    return labels, Landmarks(fresh.information, fresh.eta, in_all, fresh.positions, fresh.covariances)
+    return labels, Landmarks(fresh.information, fresh.eta, in_all, fresh.positions, fresh.covariances), cloud
 
 
 def _seen_landmarks(known: Map, labels: IntArray, new: Landmarks) -> tuple[IntArray, Landmarks]:

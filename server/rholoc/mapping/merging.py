@@ -75,6 +75,7 @@ def moved_map(map_: Map, similarity: Similarity) -> Map:
     moved = replace(
         map_,
         T_map_camera=poses_from_rows(rows_from_poses(similarity.poses(map_.T_map_camera)).astype(np.float32)),
+        cloud=map_.cloud.moved(similarity),
         view_covariances=(
             None if map_.view_covariances is None else moved_covariances(map_.view_covariances, similarity)
         ),

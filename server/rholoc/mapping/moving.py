@@ -26,7 +26,8 @@ def move_map(map_: Map, similarity: Similarity) -> Map:
     """
     landmarks = similarity.points(map_.landmarks.astype(np.float64)).astype(np.float32)
     T_map_camera = similarity.poses(map_.T_map_camera)
-    _check_near(landmarks, T_map_camera[:, :3, 3])
+    cloud = map_.cloud.moved(similarity)
+    _check_near(landmarks, T_map_camera[:, :3, 3], cloud.positions)
     covariances, R = map_.covariances.astype(np.float64), similarity.rotation
     turned = similarity.scale**2 * R @ covariances @ R.T
     densities = FORMS[map_.info.density].from_arrays(map_.densities.moved(similarity).arrays(), landmarks)
@@ -39,6 +40,7 @@ def move_map(map_: Map, similarity: Similarity) -> Map:
         view_covariances=(
             None if map_.view_covariances is None else moved_covariances(map_.view_covariances, similarity)
         ),
+        cloud=cloud,
         densities=densities,
     )
     validate_map(moved)

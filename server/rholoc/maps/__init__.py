@@ -2,6 +2,7 @@
 
 from rholoc.density import DensityKind
 from rholoc.maps.cameras import CameraLibrary, CameraProfile
+from rholoc.maps.cloud import Cloud
 from rholoc.maps.coefficient_reading import is_coefficient_table, read_coefficient_table
 from rholoc.maps.coefficient_table import coefficient_table, write_coefficient_table
 from rholoc.maps.corrections import Correction, CorrectionKind
@@ -21,7 +22,7 @@ from rholoc.maps.observations import (
 )
 from rholoc.maps.part import MapPart, part_of
 from rholoc.maps.rho_file import load_map, map_to_bytes, save_map
-from rholoc.maps.scene import map_to_scene
+from rholoc.maps.scene import cloud_to_bytes, map_to_scene
 from rholoc.maps.surfaces import map_surfaces_vtp
 from rholoc.maps.tables import ObservationTable, observations_csv
 from rholoc.maps.trajectory_table import (
@@ -37,6 +38,7 @@ from rholoc.maps.validation import check_usable, validate_map
 __all__ = [
     "CameraLibrary",
     "CameraProfile",
+    "Cloud",
     "Correction",
     "CorrectionKind",
     "Coverage",
@@ -60,6 +62,7 @@ __all__ = [
     "check_observations",
     "check_outline",
     "check_usable",
+    "cloud_to_bytes",
     "coefficient_table",
     "consistency_m",
     "coverage_of",

@@ -8,7 +8,8 @@ from functools import cached_property
 import numpy as np
 
 from rholoc.density import Densities, RayDensities
-from rholoc.geometry import ByteArray, FloatArray, IntArray
+from rholoc.geometry import BoolArray, ByteArray, FloatArray, IntArray
+from rholoc.maps.cloud import Cloud
 from rholoc.maps.info import MapInfo
 from rholoc.maps.observations import Observations
 
@@ -37,6 +38,8 @@ class Map:
         view_covariances: (K, 6, 6) float32 of the views' poses: x, y, z in metres, then a small rotation about the
             map's axes, from the left, in radians; NaN for views whose uncertainty is not known. None where none is.
         colours: (F, 3) uint8, red, green and blue of each landmark in the pictures; None where they are not known.
+        cloud: further points of the room, for people to see.
+        pictures: (K,) a small JPEG of each view, empty for those of which none is kept; None where none is.
         densities: of all features, in the form that the map has.
     """
 
@@ -53,6 +56,8 @@ class Map:
     observations: Observations | None = None
     view_covariances: FloatArray | None = None
     colours: ByteArray | None = None
+    cloud: Cloud = Cloud()  # noqa: RUF009 - it is frozen
+    pictures: tuple[bytes, ...] | None = None
     densities: Densities = RayDensities()  # noqa: RUF009 - it is frozen
 
     def __len__(self) -> int:
@@ -74,6 +79,17 @@ class Map:
     def known_colours(self) -> ByteArray:
         """(F, 3) as ``colours``, all grey where there are none."""
         return np.full((len(self), 3), _GREY, dtype=np.uint8) if self.colours is None else self.colours
+
+    @property
+    def known_pictures(self) -> tuple[bytes, ...]:
+        """(K,) as ``pictures``, all empty where there are none."""
+        return (b"",) * len(self.view_times) if self.pictures is None else self.pictures
+
+    def pictures_of(self, kept: BoolArray) -> tuple[bytes, ...] | None:
+        """The pictures of the views where ``kept`` (K,) holds; None where none are kept at all."""
+        if self.pictures is None:
+            return None
+        return tuple(self.pictures[view] for view in np.flatnonzero(kept))
 
     @property
     def expected_errors_m(self) -> FloatArray:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Mapping
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,7 @@ from safetensors.numpy import save
 from rholoc.density import FORMS, Densities, DensityKind
 from rholoc.errors import InvalidMap, UnknownMap
 from rholoc.geometry import FloatArray, IntArray, poses_from_rows, rows_from_poses
+from rholoc.maps.cloud import Cloud
 from rholoc.maps.files import replace_file
 from rholoc.maps.info import MapInfo, info_from_json, info_to_json
 from rholoc.maps.map import Map
@@ -53,6 +55,15 @@ _VIEW_COVARIANCES: dict[str, tuple[str, tuple[int | None, ...]]] = {
 }
 _COLOURS: dict[str, tuple[str, tuple[int | None, ...]]] = {
     "colours": ("u1", (None, 3)),  # red, green, blue; older files have none
+}
+_CLOUD: dict[str, tuple[str, tuple[int | None, ...]]] = {
+    "cloud_positions": ("f4", (None, 3)),
+    "cloud_colours": ("u1", (None, 3)),
+    "cloud_sources": ("i4", (None,)),
+}
+_PICTURES: dict[str, tuple[str, tuple[int | None, ...]]] = {
+    "picture_bytes": ("u1", (None,)),  # one JPEG after the other
+    "picture_offsets": ("i8", (None,)),
 }
 _OBSERVATIONS: dict[str, tuple[str, tuple[int | None, ...]]] = {
     "extras/observation_pixels": ("u2", (None, 2)),
@@ -165,13 +176,25 @@ def _packed(map_: Map) -> Arrays:
         arrays["view_covariances"] = map_.view_covariances[:, _UPPER_OF_POSE[0], _UPPER_OF_POSE[1]]
     if map_.colours is not None:
         arrays["colours"] = map_.colours
+    if len(map_.cloud):
+        arrays |= {
+            "cloud_positions": map_.cloud.positions,
+            "cloud_colours": map_.cloud.colours,
+            "cloud_sources": map_.cloud.sources,
+        }
+    if map_.pictures is not None:
+        ends = np.cumsum([len(picture) for picture in map_.pictures], dtype=np.int64)
+        arrays |= {
+            "picture_bytes": np.frombuffer(b"".join(map_.pictures), dtype=np.uint8),
+            "picture_offsets": np.concatenate([[0], ends]),
+        }
     if map_.observations is not None:
         arrays |= {
             "extras/observation_pixels": _packed_pixels(map_, map_.observations),
             "extras/view_sources": map_.observations.view_sources,
             "extras/descriptor_sources": map_.observations.descriptor_sources,
         }
-    kinds = _ARRAYS | _VIEW_COVARIANCES | _COLOURS | _OBSERVATIONS
+    kinds = _ARRAYS | _VIEW_COVARIANCES | _COLOURS | _CLOUD | _PICTURES | _OBSERVATIONS
     packed = {name: np.asarray(array, dtype=f"<{kinds[name][0]}", order="C") for name, array in arrays.items()}
     for name, array in map_.densities.arrays().items():
         little_endian = array.dtype.newbyteorder("<")
@@ -206,6 +229,8 @@ def _unpacked(info: MapInfo, arrays: Arrays) -> Map:
         observation_features=arrays["view_features"],
         view_covariances=_unpacked_view_covariances(arrays),
         colours=arrays.get("colours"),
+        cloud=_unpacked_cloud(arrays),
+        pictures=_unpacked_pictures(arrays, len(arrays["view_times"])),
         densities=_unpacked_densities(info.density, arrays),
         observations=None,
     )
@@ -232,6 +257,29 @@ def _unpacked_view_covariances(arrays: Arrays) -> FloatArray | None:
     covariances[:, _UPPER_OF_POSE[0], _UPPER_OF_POSE[1]] = rows
     covariances[:, _UPPER_OF_POSE[1], _UPPER_OF_POSE[0]] = rows
     return covariances
+
+
+def _unpacked_cloud(arrays: Arrays) -> Cloud:
+    if _CLOUD.keys().isdisjoint(arrays):
+        return Cloud()
+    _check_arrays(arrays, _CLOUD)
+    return Cloud(arrays["cloud_positions"], arrays["cloud_colours"], arrays["cloud_sources"])
+
+
+def _unpacked_pictures(arrays: Arrays, views: int) -> tuple[bytes, ...] | None:
+    """The picture (K,) of each view.
+
+    Raises:
+        InvalidMap: there are not as many as views, or their offsets are broken.
+    """
+    if _PICTURES.keys().isdisjoint(arrays):
+        return None
+    _check_arrays(arrays, _PICTURES)
+    whole, offsets = arrays["picture_bytes"].tobytes(), arrays["picture_offsets"]
+    fit = len(offsets) == views + 1 and offsets[0] == 0 and offsets[-1] == len(whole)
+    if not (fit and np.all(np.diff(offsets) >= 0)):
+        raise InvalidMap("The map contradicts itself: the views' pictures are broken.", _HINT)
+    return tuple(whole[start:end] for start, end in pairwise(offsets.tolist()))
 
 
 def unpacked_poses(rows: FloatArray) -> FloatArray:

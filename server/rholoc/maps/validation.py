@@ -11,6 +11,7 @@ from rholoc.maps.observations import observations_fit
 
 _ROTATION_TOLERANCE = 1e-3
 _COVARIANCE_TOLERANCE = 1e-5  # below zero, of the greatest eigenvalue: what rounding makes
+_JPEG = b"\xff\xd8\xff"  # how every one begins
 _HINT = "Build it again, or take another copy."
 
 # name: dtype and the shape's known part; None is any length
@@ -52,12 +53,25 @@ def validate_map(map_: Map) -> None:
     if map_.colours is not None:
         _check_array("colours", map_.colours, np.uint8, (None, 3))
         _check(len(map_.colours) == features, "colours and landmarks differ in number")
+    if len(map_.cloud):
+        _check_cloud(map_)
+    if map_.pictures is not None:
+        _check(len(map_.pictures) == views, "views and their pictures differ in number")
+        _check(all(one.startswith(_JPEG) for one in map_.pictures if one), "a view's picture is not a JPEG")
     if map_.view_covariances is not None:
         _check(_all_covariances(map_.view_covariances, views), "its views' covariances are not valid")
     if map_.observations is not None:
         _check(observations_fit(map_, map_.observations), "its observations and its recordings do not fit together")
     _check(map_.densities.kind is map_.info.density, "it has densities of another form")
     _check(not (problem := map_.densities.problem(features)), problem)
+
+
+def _check_cloud(map_: Map) -> None:
+    cloud = map_.cloud
+    _check_array("cloud_positions", cloud.positions, np.float32, (None, 3))
+    _check_array("cloud_colours", cloud.colours, np.uint8, (len(cloud), 3))
+    _check_array("cloud_sources", cloud.sources, np.int32, (len(cloud),))
+    _check(_all_in_range(cloud.sources, len(map_.info.sources)), "a point is from a recording that is not there")
 
 
 def check_usable(map_: Map) -> None:

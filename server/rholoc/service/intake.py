@@ -72,4 +72,5 @@ async def checked_options(fields: RecordingFields, service: State) -> JobOptions
     await run_in_threadpool(service.cameras.named_in, fields.camera)
     if fields.kind is JobKind.UPDATE:
         check_observations(await run_in_threadpool(service.library.get, fields.map), f"The map {fields.map}")
-    return JobOptions(fields.density, fields.features, fields.poses, fields.camera, fields.kind)
+    pictures = service.settings.keep_pictures
+    return JobOptions(fields.density, fields.features, fields.poses, fields.camera, fields.kind, pictures)

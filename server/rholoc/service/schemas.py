@@ -573,6 +573,9 @@ class MapDetail(MapSummary):
                 "previous": None,
                 "names": sent(NAMES),
                 "corrections": [sent(CORRECTION)],
+                "points": 24180,
+                "pictures": False,
+                "levelling": None,
             }
         },
     )
@@ -583,6 +586,12 @@ class MapDetail(MapSummary):
     previous: PreviousMap | None = Field(description="the map that it replaced, which can be restored")
     names: MapNames = Field(description="of points and areas")
     corrections: tuple[Correction, ...] = Field(description="what people corrected in it, the last one last")
+    points: int = Field(description="how many further points of the room it keeps, for people to see")
+    pictures: bool = Field(description="whether it keeps pictures of its views, and this server shows them")
+    levelling: list[list[float]] | None = Field(
+        description="3×3, a rotation of the map for display, by which up is z and walls are parallel to x and y, both "
+        "estimated; null where the map is upright, or where up cannot be estimated"
+    )
     live: bool = Field(default=False, description="whether this server shows who asks for poses in it")
     keeps_failures: bool = Field(default=False, description="whether this server keeps where requests fail in it")
 

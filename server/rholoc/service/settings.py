@@ -92,6 +92,11 @@ class Settings(BaseSettings):
         description="Whether the places where requests failed or were unsure are kept in memory for a day, without "
         "pictures and without who asked.",
     )
+    keep_pictures: bool = Field(
+        default=False,
+        description="Whether maps that are made here keep a small picture of each view, which those who may read see; "
+        "also whether pictures of maps that have them are shown.",
+    )
     slow_client_timeout_s: float = Field(
         default=30,
         gt=0,

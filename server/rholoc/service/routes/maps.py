@@ -27,6 +27,7 @@ from rholoc.errors import (
     TooLarge,
     UnknownCamera,
     UnknownMap,
+    UnknownPicture,
     UnknownRecording,
 )
 from rholoc.exports import ExportFormat, export_map, parse_features
@@ -35,7 +36,7 @@ from rholoc.geometry import Camera
 from rholoc.jobs import JobKind, JobOptions
 from rholoc.localization import localizer_of
 from rholoc.localization.landscape import presence_of
-from rholoc.mapping import forget_recording, merge_maps
+from rholoc.mapping import forget_recording, levelled, merge_maps
 from rholoc.maps import (
     Map,
     MapInfo,
@@ -43,6 +44,7 @@ from rholoc.maps import (
     check_map_name,
     check_observations,
     check_usable,
+    cloud_to_bytes,
     consistency_m,
     expected_error_m,
     is_coefficient_table,
@@ -312,7 +314,9 @@ async def update_map(map_name: str, wanted: UpdateIn, service: Service, response
     takes the place of the present one when the job is done; a recording of another place changes nothing."""
     await run_in_threadpool(_check_learns, service.library, map_name)
     await run_in_threadpool(service.cameras.named_in, wanted.camera)
-    options = JobOptions(kind=JobKind.UPDATE, poses=wanted.poses, camera=wanted.camera)
+    options = JobOptions(
+        kind=JobKind.UPDATE, poses=wanted.poses, camera=wanted.camera, pictures=service.settings.keep_pictures
+    )
     job = await run_in_threadpool(service.jobs.submit, wanted.recording, map_name, options)
     response.headers["Location"] = f"/v1/jobs/{job.id}"
     return job_out(job)
@@ -365,15 +369,19 @@ async def get_scene(
     landmarks: Annotated[
         int | None, Query(ge=1, description="at most so many, evenly chosen; default: all", examples=[1500])
     ] = None,
+    level: Annotated[
+        bool, Query(description="whether a map that is not upright is turned as its `levelling` says")
+    ] = False,
 ) -> Response:
     """Little-endian: two uint32, the numbers F of landmarks and K of views; F × 4 float32: x, y, z, standard deviation;
     K × 7 float32: x, y, z, heading, the number of the recording; where the map knows its colours, F × 3 uint8: red,
     green, blue. Lengths in metres."""
-    etag = etag_of(await run_in_threadpool(service.library.stat, map_name), "scene", landmarks)
+    etag = etag_of(await run_in_threadpool(service.library.stat, map_name), "scene", landmarks, level)
     if _is_kept(request, etag):
         return _unchanged(etag)
     map_ = await run_in_threadpool(service.library.get, map_name)
-    scene = await run_in_threadpool(map_to_scene, map_, landmarks)
+    rotation = await run_in_threadpool(levelled, map_) if level else None
+    scene = await run_in_threadpool(map_to_scene, map_, landmarks, rotation)
     return Response(scene, media_type="application/octet-stream", headers=_caching(etag))
 
 
@@ -411,6 +419,57 @@ def _feature(library: MapLibrary, name: str, feature: int) -> FeatureOut:
         farthest=float(most[0]),
         views=views.tolist(),
     )
+
+
+@router.get(
+    "/{map_name}/points",
+    dependencies=[NEEDS_READ],
+    summary="Further points of the room",
+    response_class=Response,
+    responses={
+        200: {"description": "Points in colour.", "content": {"application/octet-stream": {"schema": BINARY}}},
+        **failures(*_FAILURES),
+    },
+)
+async def get_points(map_name: str, request: Request, service: Service) -> Response:
+    """Points of the reconstruction that are no landmarks, for people to see the room. Little-endian: one uint32, the
+    number P; P × 3 float32: x, y, z; P × 3 uint8: red, green, blue. Lengths in metres."""
+    etag = etag_of(await run_in_threadpool(service.library.stat, map_name), "points")
+    if _is_kept(request, etag):
+        return _unchanged(etag)
+    map_ = await run_in_threadpool(service.library.get, map_name)
+    points = await run_in_threadpool(cloud_to_bytes, map_)
+    return Response(points, media_type="application/octet-stream", headers=_caching(etag))
+
+
+@router.get(
+    "/{map_name}/views/{view}/picture.jpg",
+    dependencies=[NEEDS_READ],
+    summary="A small picture of one of a map's views",
+    response_class=Response,
+    responses={
+        200: {"description": "A picture.", "content": {"image/jpeg": {"schema": BINARY}}},
+        **failures(*_FAILURES, UnknownPicture),
+    },
+)
+async def get_view_picture(
+    map_name: str,
+    view: Annotated[int, PathParameter(ge=0, description="the view by number in the map, from 0")],
+    request: Request,
+    service: Service,
+) -> Response:
+    """What the camera saw there, where the map keeps pictures and `keep_pictures` allows it on this server."""
+    etag = etag_of(await run_in_threadpool(service.library.stat, map_name), "picture", view)
+    if _is_kept(request, etag):
+        return _unchanged(etag)
+    map_ = await run_in_threadpool(service.library.get, map_name)
+    pictures = map_.known_pictures if service.settings.keep_pictures else ()
+    if view >= len(pictures) or not pictures[view]:
+        raise UnknownPicture(
+            f"The map {map_name} has no picture of its view {view}.",
+            "Maps keep pictures where RHOLOC_KEEP_PICTURES=1 was set when they were made, and show them where it is.",
+        )
+    return Response(pictures[view], media_type="image/jpeg", headers=_caching(etag))
 
 
 @router.get(
@@ -506,11 +565,16 @@ def _summary_of(name: str, map_: Map, size_bytes: int) -> dict[str, object]:
 def _detail(service: State, name: str) -> MapDetail:
     library, settings = service.library, service.settings
     detail = _detail_of(name, library.get(name), library.stat(name).size_bytes, library.previous(name))
-    return detail.model_copy(update={"live": settings.live, "keeps_failures": settings.keep_failures})
+    here = {
+        "live": settings.live,
+        "keeps_failures": settings.keep_failures,
+        "pictures": detail.pictures and settings.keep_pictures,
+    }
+    return detail.model_copy(update=here)
 
 
 def _detail_of(name: str, map_: Map, size_bytes: int, before: MapInfo | None) -> MapDetail:
-    bounds = None
+    bounds, rotation = None, levelled(map_)
     if len(map_):
         bounds = [map_.landmarks.min(axis=0).tolist(), map_.landmarks.max(axis=0).tolist()]
     fields = {
@@ -520,6 +584,9 @@ def _detail_of(name: str, map_: Map, size_bytes: int, before: MapInfo | None) ->
         "previous": None if before is None else _previous(1, before),
         "names": map_.info.names,
         "corrections": map_.info.corrections,
+        "points": len(map_.cloud),
+        "pictures": map_.pictures is not None,
+        "levelling": None if rotation is None else rotation.tolist(),
     }
     return MapDetail.model_validate({**_summary_of(name, map_, size_bytes), **fields})
 

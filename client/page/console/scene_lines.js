@@ -1,0 +1,75 @@
+// What is drawn of a map as lines: each function gives the ends of lines, three numbers each, in the map's frame.
+
+import { quantiles, SHOWN } from "./samples.js";
+import { STRIDE_VIEW } from "./scene_data.js";
+
+const HEADING_LENGTH = 0.25; // m, of a view's tick
+const FRUSTUM = 0.5; // m, how far the drawn camera reaches
+const MAX_FLOOR = 10_000; // square metres that are drawn
+
+/** Lines between consecutive views of one recording. */
+export function walk(views) {
+  const lines = [];
+  for (let i = STRIDE_VIEW; i < views.length; i += STRIDE_VIEW) {
+    const before = i - STRIDE_VIEW;
+    if (views[i + 6] === views[before + 6])
+      lines.push(...views.subarray(before, before + 3), ...views.subarray(i, i + 3));
+  }
+  return lines;
+}
+
+/** A grid of square metres, at the height of the lowest landmarks. */
+export function floor(landmarks) {
+  if (!landmarks.length) return [];
+  const [[west, east], [south, north]] = [0, 1].map((axis) => quantiles(landmarks, axis, SHOWN).map(Math.round));
+  const z = floorOf(landmarks);
+  if ((east - west) * (north - south) > MAX_FLOOR) return [];
+  const lines = [];
+  for (let x = west; x <= east; x++) lines.push(x, south, z, x, north, z);
+  for (let y = south; y <= north; y++) lines.push(west, y, z, east, y, z);
+  return lines;
+}
+
+/** The height of the lowest landmarks. */
+export const floorOf = (landmarks) => (landmarks.length ? quantiles(landmarks, 2, SHOWN)[0] : 0);
+
+export function outlines(areas, z) {
+  return areas.flatMap(({ outline }) =>
+    outline.flatMap((corner, i) => [...corner, z, ...outline[(i + 1) % outline.length], z]),
+  );
+}
+
+export function headings(views) {
+  const lines = [];
+  for (let i = 0; i < views.length; i += STRIDE_VIEW) {
+    const position = views.subarray(i, i + 3);
+    lines.push(...position, ...position.map((value, axis) => value + HEADING_LENGTH * views[i + 3 + axis]));
+  }
+  return lines;
+}
+
+export function segments(positions) {
+  return positions.slice(1).flatMap((position, i) => [...positions[i], ...position]);
+}
+
+/**
+ * A pyramid whose tip is the camera, and whose base has the picture's shape.
+ * @param {number[][]} T
+ * @param {number[]} extents
+ */
+export function frustum(T, [across, down]) {
+  const point = (x, y, z) => [0, 1, 2].map((i) => T[i][0] * x + T[i][1] * y + T[i][2] * z + T[i][3]);
+  const [w, tall, d] = [across * FRUSTUM, down * FRUSTUM, FRUSTUM];
+  const tip = point(0, 0, 0);
+  const corners = [point(-w, -tall, d), point(w, -tall, d), point(w, tall, d), point(-w, tall, d)];
+  const above = point(0, -1.5 * tall, d);
+  const edges = corners.flatMap((corner, i) => [...tip, ...corner, ...corner, ...corners[(i + 1) % 4]]);
+  return [...edges, ...corners[0], ...above, ...above, ...corners[1]];
+}
+
+/** Three short lines through a point. */
+export function cross(position, reach) {
+  return [0, 1, 2].flatMap((axis) =>
+    [-reach, reach].flatMap((by) => position.map((value, i) => (i === axis ? value + by : value))),
+  );
+}

@@ -1,0 +1,54 @@
+"""Points of a room that nothing is localized by: they are kept for people to see it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from rholoc.geometry import BoolArray, ByteArray, FloatArray, IntArray, Similarity
+
+
+@dataclass(frozen=True, eq=False)
+class Cloud:
+    """P points.
+
+    Attributes:
+        positions: (P, 3) float32, metres, map frame.
+        colours: (P, 3) uint8, red, green and blue in the pictures.
+        sources: (P,) int32, which of the map's sources each comes from.
+    """
+
+    positions: FloatArray = field(default_factory=lambda: np.zeros((0, 3), dtype=np.float32))
+    colours: ByteArray = field(default_factory=lambda: np.zeros((0, 3), dtype=np.uint8))
+    sources: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int32))
+
+    def __len__(self) -> int:
+        return len(self.positions)
+
+    def keep(self, kept: BoolArray | IntArray) -> Cloud:
+        """Only the points where ``kept`` (P,) holds, or those of these rows."""
+        return Cloud(self.positions[kept], self.colours[kept], self.sources[kept])
+
+    def moved(self, similarity: Similarity) -> Cloud:
+        """The points in another frame."""
+        positions = similarity.points(self.positions.astype(np.float64)).astype(np.float32)
+        return Cloud(positions, self.colours, self.sources)
+
+    def without_source(self, source: int) -> Cloud:
+        """Without the points of one of the map's sources; those after it move up by one."""
+        left = self.keep(self.sources != source)
+        return Cloud(left.positions, left.colours, (left.sources - (left.sources > source)).astype(np.int32))
+
+    def with_sources_after(self, count: int) -> Cloud:
+        """The points where ``count`` sources come before their own."""
+        return Cloud(self.positions, self.colours, (self.sources + count).astype(np.int32))
+
+    @staticmethod
+    def joined(*clouds: Cloud) -> Cloud:
+        """All points of some clouds."""
+        return Cloud(
+            np.concatenate([one.positions for one in clouds]),
+            np.concatenate([one.colours for one in clouds]),
+            np.concatenate([one.sources for one in clouds]),
+        )
