@@ -24,6 +24,7 @@
         │   ├── UnknownMap
         │   ├── UnknownCamera
         │   ├── UnknownRecording
+        │   ├── UnknownPicture
         │   ├── UnknownJob
         │   └── UnknownRoute        an older service, or a wrong base URL
         ├── Unauthorized            no API key was sent, or one that is not good any more

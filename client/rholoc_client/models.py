@@ -166,6 +166,8 @@ class Localization:
         frames: each frame's pose and how many of its matches agree, where several were localized together; ``pose`` is
             the first one's.
         agreeing: the matches that agree with the pose, where they were asked for.
+        areas: the named areas of the map that the camera is in, the smallest first.
+        near: its named points within 2 m of the camera, the nearest first.
     """
 
     localized: bool
@@ -188,6 +190,8 @@ class Localization:
     focal_sigma_px: float | None = None
     frames: tuple[FramePose, ...] = ()
     agreeing: Matches | None = None
+    areas: tuple[str, ...] = ()
+    near: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -324,6 +328,8 @@ def parse_localization(answer: Mapping[str, Any]) -> Localization:
             for one in answer.get("frames") or ()
         ),
         agreeing=_matches(answer.get("agreeing")),
+        areas=tuple(answer.get("areas", ())),
+        near=tuple(answer.get("near", ())),
     )
 
 

@@ -105,3 +105,35 @@ def test_only_versions_that_are_kept_are_restored(site):
     assert (answer.status_code, answer.json()["code"]) == (409, "conflict")
     assert httpx.post(f"{site.url}/v1/maps/hall/restore", params={"number": 0}).status_code == 422
     assert httpx.get(f"{site.url}/v1/maps/nowhere/versions").status_code == 404
+
+
+def test_answers_name_where_the_camera_is(site, picture_world):
+    client = Client(site.url)
+    around = [[0, 0], [3, 0], [3, 4], [0, 4]]
+    areas = [
+        {"name": "flat", "outline": [[-9, -9], [9, -9], [9, 9], [-9, 9]]},
+        {"name": "attic", "outline": [[5, 5], [6, 5], [6, 6]]},
+        {"name": "kitchen", "outline": around},
+    ]
+    points = [
+        {"name": "door", "position": [1, 3.5, 1.5]},
+        {"name": "gate", "position": [1, 9, 1.5]},
+        {"name": "table", "position": [1, 2.5, 1.5]},
+    ]
+    client.correct_map("room", {"kind": "names", "points": points, "areas": areas})
+    answer = client.localize("room", picture_world.png(), camera=None)
+    assert (answer.areas, answer.near) == (("kitchen", "flat"), ("table", "door"))
+    blank = client.localize("room", np.full((480, 640, 3), 90, np.uint8), camera=None)
+    assert (blank.localized, blank.areas, blank.near) == (False, (), ())
+    client.restore_map("room")
+
+
+def test_labels_say_what_a_map_belongs_to(site):
+    wanted = {"kind": "labels", "site": " plant 2 ", "floor": "1", "tags": ["night shift"]}
+    assert correct(site, "hall", wanted).json()["labels"] == {"site": "plant 2", "floor": "1", "tags": ["night shift"]}
+    listed = {one["name"]: one["labels"] for one in httpx.get(f"{site.url}/v1/maps").json()["maps"]}
+    assert listed["room"] == {"site": "", "floor": "", "tags": []}
+    assert listed["hall"]["site"] == "plant 2"
+    for tags in (["a", "a"], [""], ["x" * 101], [str(number) for number in range(21)]):
+        answer = correct(site, "hall", {"kind": "labels", "tags": tags})
+        assert (answer.status_code, answer.json()["code"]) == (422, "invalid_input")

@@ -12,6 +12,7 @@ import { STRIDE_LANDMARK, STRIDE_VIEW } from "./scene_data.js";
 import { cross, floor, floorOf, frustum, headings, outlines, segments, walk } from "./scene_lines.js";
 
 const FIELD_OF_VIEW = 0.9; // rad
+const ROOM = 1.15; // how far away the whole room is looked at, in its diagonals
 const MAX_TILT = 1.55; // rad, nearly straight down
 const EXTENTS = [0.6, 0.45]; // of a camera of which nothing is known
 const SMOOTH_MS = [20, 33]; // how far apart pictures may be while the map moves; fewer points are drawn, or more
@@ -319,7 +320,7 @@ export class SceneView {
       return ends.length ? [Math.min(...ends), Math.max(...ends)] : [-1, 1];
     });
     const extent = Math.hypot(...spans.map(([low, high]) => high - low)) || 1;
-    this.home = { ...this.home, target: spans.map(([low, high]) => (low + high) / 2), distance: extent };
+    this.home = { ...this.home, target: spans.map(([low, high]) => (low + high) / 2), distance: ROOM * extent };
     this.reset();
   }
 

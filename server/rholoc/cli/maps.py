@@ -12,6 +12,7 @@ import typer
 
 from rholoc.cli import options
 from rholoc.cli.console import output, print_error, print_figures, print_json, print_notice, stage_progress
+from rholoc.cli.correcting import app as correct
 from rholoc.cli.density import density
 from rholoc.errors import InvalidInput, RholocError
 
@@ -22,6 +23,7 @@ _MOST_SHOWN = 12  # of a list; --json has all
 
 app = typer.Typer(no_args_is_help=True, help="Build maps, let them learn and forget, look into them, export them.")
 app.command()(density)
+app.add_typer(correct, name="correct")
 
 
 @app.command()

@@ -14,7 +14,7 @@ from rholoc.mapping import frames
 from rholoc.mapping.cutting import in_region, without_landmarks, without_views
 from rholoc.mapping.moving import move_map
 from rholoc.mapping.versions import as_corrected, noted
-from rholoc.maps import Correction, CorrectionKind, Map, MapInfo, MapNames, check_names
+from rholoc.maps import Correction, CorrectionKind, Map, MapInfo, MapLabels, MapNames, check_labels, check_names
 
 _Y_DEG = 90.0
 _MIN_PLAN_POINTS, _MAX_PLAN_POINTS = 2, 100
@@ -131,6 +131,16 @@ def set_names(map_: Map, names: MapNames) -> Map:
     """
     named = replace(map_, info=replace(map_.info, names=check_names(names)))
     return replace(named, info=noted(named.info, _correction(map_.info, CorrectionKind.NAMES)))
+
+
+def set_labels(map_: Map, labels: MapLabels) -> Map:
+    """The map with this site, floor and tags in place of its own.
+
+    Raises:
+        InvalidInput: one is not valid.
+    """
+    info = replace(map_.info, labels=check_labels(labels))
+    return replace(map_, info=noted(info, _correction(map_.info, CorrectionKind.LABELS)))
 
 
 def _moved(

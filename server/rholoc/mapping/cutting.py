@@ -10,7 +10,7 @@ from rholoc.errors import Conflict, InvalidInput
 from rholoc.geometry import BoolArray, FloatArray
 from rholoc.mapping.fitting import ray_form
 from rholoc.mapping.memory import keep_features, with_landmarks
-from rholoc.maps import Map, Observations, Source, check_outline
+from rholoc.maps import Map, Observations, Source, check_outline, within_outline
 
 _LEAST_LEFT = 12  # landmarks; fewer than that no camera is localized by
 
@@ -24,12 +24,7 @@ def in_region(
         InvalidInput: the outline is not a valid polygon.
     """
     check_outline(outline, "The region")
-    x, y, z = positions.T.astype(np.float64)
-    inside = np.zeros(len(positions), dtype=bool)
-    for (ax, ay), (bx, by) in zip(outline, np.roll(outline, -1, axis=0), strict=True):
-        crosses = (ay > y) != (by > y)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            inside ^= crosses & (x < (bx - ax) * (y - ay) / (by - ay) + ax)
+    inside, z = within_outline(positions[:, :2].astype(np.float64), outline), positions[:, 2]
     inside &= z >= (-np.inf if bottom_m is None else bottom_m)
     return np.asarray(inside & (z <= (np.inf if top_m is None else top_m)))
 

@@ -12,7 +12,18 @@ from rholoc.maps.gltf import map_to_gltf
 from rholoc.maps.info import MapInfo, MapWaypoint, Source
 from rholoc.maps.library import MapLibrary, MapStat, check_map_name
 from rholoc.maps.map import Map
-from rholoc.maps.names import MapNames, NamedArea, NamedPoint, check_names, check_outline
+from rholoc.maps.names import (
+    MapLabels,
+    MapNames,
+    NamedArea,
+    NamedPoint,
+    areas_at,
+    check_labels,
+    check_names,
+    check_outline,
+    points_near,
+    within_outline,
+)
 from rholoc.maps.observations import (
     Observations,
     check_observations,
@@ -45,6 +56,7 @@ __all__ = [
     "DensityKind",
     "Map",
     "MapInfo",
+    "MapLabels",
     "MapLibrary",
     "MapNames",
     "MapPart",
@@ -57,6 +69,8 @@ __all__ = [
     "Source",
     "TrajectoryTable",
     "Trust",
+    "areas_at",
+    "check_labels",
     "check_map_name",
     "check_names",
     "check_observations",
@@ -79,6 +93,7 @@ __all__ = [
     "observations_csv",
     "packed_pixels",
     "part_of",
+    "points_near",
     "read_coefficient_table",
     "read_trajectory_csv",
     "save_map",
@@ -88,6 +103,7 @@ __all__ = [
     "unpacked_pixels",
     "validate_map",
     "view_trajectory",
+    "within_outline",
     "write_coefficient_table",
     "write_trajectory_csv",
 ]

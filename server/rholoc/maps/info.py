@@ -10,7 +10,7 @@ from rholoc.density import DensityKind
 from rholoc.errors import InvalidInput, InvalidMap
 from rholoc.geometry import Camera
 from rholoc.maps.corrections import Correction
-from rholoc.maps.names import MapNames
+from rholoc.maps.names import MapLabels, MapNames
 from rholoc.reports import MapReport, report_from_json, report_to_json
 
 _MAX_LENGTH = 2**24
@@ -74,6 +74,7 @@ class MapInfo:
         sources: what it was made from.
         waypoints: measured points.
         names: of points and areas.
+        labels: site, floor and tags.
         corrections: what people corrected since it was built, by version.
         report: what it found out about itself while it was built.
     """
@@ -89,6 +90,7 @@ class MapInfo:
     sources: tuple[Source, ...] = ()
     waypoints: tuple[MapWaypoint, ...] = ()
     names: MapNames = field(default_factory=MapNames)
+    labels: MapLabels = field(default_factory=MapLabels)
     corrections: tuple[Correction, ...] = ()
     report: MapReport = field(default_factory=MapReport)
 

@@ -1,4 +1,4 @@
-"""Names that people gave to points and areas of a map."""
+"""Names that people gave to a map's points and areas, and what they say of the map itself."""
 
 from __future__ import annotations
 
@@ -7,10 +7,11 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from rholoc.errors import InvalidInput
-from rholoc.geometry import FloatArray
+from rholoc.geometry import BoolArray, FloatArray
 
 MAX_NAMES = 500
 MAX_CORNERS = 200
+MAX_TAGS = 20
 _MAX_LENGTH = 100
 _MIN_CORNERS = 3
 
@@ -54,6 +55,64 @@ class MapNames:
     areas: tuple[NamedArea, ...] = field(default=())
 
 
+@dataclass(frozen=True)
+class MapLabels:
+    """What a list of maps is grouped and searched by.
+
+    Attributes:
+        site: such as a building; empty where it is not said.
+        floor: of the site; empty where it is not said.
+        tags: further words.
+    """
+
+    site: str = ""
+    floor: str = ""
+    tags: tuple[str, ...] = ()
+
+
+def areas_at(names: MapNames, position: FloatArray) -> tuple[str, ...]:
+    """The names of the areas that a position (3,) is in, seen from above, the smallest area first."""
+    inside = [
+        area for area in names.areas if within_outline(position[None, :2], np.array(area.outline, dtype=np.float64))[0]
+    ]
+    return tuple(area.name for area in sorted(inside, key=lambda area: _enclosed(np.array(area.outline))))
+
+
+def points_near(names: MapNames, position: FloatArray, within_m: float) -> tuple[str, ...]:
+    """The names of the points no farther from a position (3,) than that, the nearest first."""
+    apart = {one.name: float(np.linalg.norm(np.array(one.position) - position)) for one in names.points}
+    return tuple(sorted((name for name in apart if apart[name] <= within_m), key=apart.__getitem__))
+
+
+def within_outline(positions: FloatArray, outline: FloatArray) -> BoolArray:
+    """Which positions (N, 2) are within an outline (M, 2), by the even-odd rule."""
+    x, y = positions.T
+    inside = np.zeros(len(positions), dtype=bool)
+    for (ax, ay), (bx, by) in zip(outline, np.roll(outline, -1, axis=0), strict=True):
+        crosses = (ay > y) != (by > y)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            inside ^= crosses & (x < (bx - ax) * (y - ay) / (by - ay) + ax)
+    return inside
+
+
+def check_labels(labels: MapLabels) -> MapLabels:
+    """The labels, without blanks around them, if a map may keep them.
+
+    Raises:
+        InvalidInput: there are too many tags; one is empty or given twice, or something is too long or not printable.
+    """
+    tags = tuple(tag.strip() for tag in labels.tags)
+    if len(tags) > MAX_TAGS or len(set(tags)) < len(tags) or not all(tags):
+        raise InvalidInput("The tags are not valid.", f"Give at most {MAX_TAGS}, each once, and none empty.")
+    cleaned = MapLabels(labels.site.strip(), labels.floor.strip(), tags)
+    for text in (cleaned.site, cleaned.floor, *tags):
+        if len(text) > _MAX_LENGTH or (text and not text.isprintable()):
+            raise InvalidInput(
+                f"{text[:_MAX_LENGTH]!r} is not a valid label.", f"Use at most {_MAX_LENGTH} characters."
+            )
+    return cleaned
+
+
 def check_names(names: MapNames) -> MapNames:
     """The names, if a map may keep them.
 
@@ -85,8 +144,12 @@ def check_outline(outline: FloatArray, what: str) -> FloatArray:
     """
     if not _MIN_CORNERS <= len(outline) <= MAX_CORNERS:
         raise InvalidInput(f"{what} has {len(outline)} corners.", f"Give {_MIN_CORNERS} to {MAX_CORNERS}.")
-    x, y = (outline - outline.mean(axis=0)).T
-    enclosed = abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1))) / 2
-    if not enclosed > 0:
+    if not _enclosed(outline) > 0:
         raise InvalidInput(f"{what} encloses nothing.", "Give corners that do not lie on one line.")
     return outline
+
+
+def _enclosed(outline: FloatArray) -> float:
+    """The area of a polygon (N, 2)."""
+    x, y = (outline - outline.mean(axis=0)).T
+    return abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1))) / 2

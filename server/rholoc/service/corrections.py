@@ -7,9 +7,10 @@ import numpy as np
 from rholoc import mapping
 from rholoc.errors import Conflict, InvalidInput
 from rholoc.geometry import FloatArray
-from rholoc.maps import Map, MapNames, NamedArea, NamedPoint
+from rholoc.maps import Map, MapLabels, MapNames, NamedArea, NamedPoint
 from rholoc.service.schemas import (
     CorrectionIn,
+    LabelsIn,
     NamesIn,
     NorthIn,
     OriginIn,
@@ -59,6 +60,8 @@ def corrected_map(map_: Map, wanted: CorrectionIn) -> Map:
             return mapping.remove_views(map_, wanted.first_view, wanted.last_view)
         case NamesIn():
             return mapping.set_names(map_, _names(wanted))
+        case LabelsIn():
+            return mapping.set_labels(map_, MapLabels(wanted.site, wanted.floor, tuple(wanted.tags)))
 
 
 def _names(wanted: NamesIn) -> MapNames:

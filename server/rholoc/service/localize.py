@@ -18,6 +18,8 @@ from rholoc.features import Extractor, FeatureSet
 from rholoc.geometry import ByteArray, FloatArray, Pose
 from rholoc.localization import TOO_LITTLE_TIME, AnyLocalizer, Localization, Query, Reason, likeliest_views
 from rholoc.maps import trust_of
+from rholoc.localization import TOO_LITTLE_TIME, Localization, Localizer, Query, Reason, likeliest_views
+from rholoc.maps import areas_at, points_near
 from rholoc.recordings.frames.image import SENT_FORMATS, decode_image
 from rholoc.service.localizers import Localizers
 from rholoc.service.queries import Frame, camera_for, feature_set, gravity_of, prior_of
@@ -36,6 +38,7 @@ from rholoc.trajectory import Scale
 _log = structlog.get_logger("rholoc.service")
 T = TypeVar("T")
 
+_NEAR_M = 2.0  # within which named points are told
 _DEGREES = np.array([1, 1, 1, *[180 / np.pi] * 3])
 
 
@@ -321,6 +324,8 @@ def answer_of(
         diagnosis=None if found.diagnosis is None else DiagnosisOut(**asdict(found.diagnosis)),
         near_prior=found.near_prior,
         camera=_estimated_camera(found),
+        areas=[] if given_out.pose is None else list(areas_at(info.names, given_out.pose.position)),
+        near=[] if given_out.pose is None else list(points_near(info.names, given_out.pose.position, _NEAR_M)),
         timings_ms={stage: round(value, 3) for stage, value in timings_ms.items()},
     )
 

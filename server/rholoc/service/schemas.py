@@ -11,7 +11,7 @@ from pydantic.config import JsonDict
 from rholoc.features import Channel
 from rholoc.jobs import JobState
 from rholoc.localization import Cause, Dof, Intrinsics, Reason
-from rholoc.maps import Correction, DensityKind, MapNames, MapWaypoint, Source
+from rholoc.maps import Correction, DensityKind, MapLabels, MapNames, MapWaypoint, Source
 from rholoc.progress import Stage
 from rholoc.reports import MapReport
 from rholoc.service.examples import CORRECTION, NAMES, REPORT, SOURCE, WAYPOINT, sent
@@ -332,6 +332,8 @@ class LocalizationOut(_Out):
                 "diagnosis": None,
                 "near_prior": None,
                 "camera": None,
+                "areas": ["kitchen"],
+                "near": [],
                 "frames": None,
                 "timings_ms": {
                     "queue": 0.1, "decode": 2.1, "extract": 11.0, "match": 9.5, "seed": 14.2, "ascend": 20.3,
@@ -367,6 +369,8 @@ class LocalizationOut(_Out):
     diagnosis: DiagnosisOut | None = Field(description="the most likely cause where there is no pose, else null")
     near_prior: bool | None = Field(description="whether the pose lies where the prior has it; null without a prior")
     camera: EstimatedCameraOut | None = Field(description="where `intrinsics` is 'unknown': the camera as estimated")
+    areas: list[str] = Field(description="the named areas of the map that the camera is in, the smallest first")
+    near: list[str] = Field(description="its named points within 2 m of the camera, the nearest first")
     frames: list[FramePoseOut] | None = Field(
         default=None, description="each frame's pose where several were sent; `pose` is the first one's"
     )
@@ -504,6 +508,7 @@ _SUMMARY: JsonDict = {
     "expected_error_m": 0.014,
     "consistency_m": 0.006,
     "camera": _CAMERA,
+    "labels": {"site": "plant 2", "floor": "1", "tags": []},
 }
 
 
@@ -535,6 +540,7 @@ class MapSummary(_Out):
         "how well it agrees with itself, not how right it is; null where none were left out"
     )
     camera: CameraIn
+    labels: MapLabels = Field(description="its site, floor and tags, as somebody said")
 
 
 class PreviousMap(_Out):
@@ -714,8 +720,18 @@ class NamesIn(_CorrectionIn):
     areas: list[NamedAreaIn] = Field(default_factory=list)
 
 
+class LabelsIn(_CorrectionIn):
+    """What the map belongs to, in place of what it said before."""
+
+    kind: Literal["labels"]
+    site: str = Field(default="", description="such as a building")
+    floor: str = Field(default="", description="of the site")
+    tags: list[str] = Field(default_factory=list, description="further words; 20 at most")
+
+
 CorrectionIn = Annotated[
-    OriginIn | NorthIn | WallIn | UpIn | ScaleIn | PlanIn | RegionIn | WalkIn | NamesIn, Field(discriminator="kind")
+    OriginIn | NorthIn | WallIn | UpIn | ScaleIn | PlanIn | RegionIn | WalkIn | NamesIn | LabelsIn,
+    Field(discriminator="kind"),
 ]
 
 CORRECTION_EXAMPLES: dict[str, Example] = {
@@ -736,6 +752,7 @@ CORRECTION_EXAMPLES: dict[str, Example] = {
             "areas": [{"name": "kitchen", "outline": [[0, 0], [4, 0], [4, 3], [0, 3]]}],
         }
     },
+    "labels": {"value": {"kind": "labels", "site": "plant 2", "floor": "1", "tags": ["night shift"]}},
 }
 
 

@@ -559,6 +559,7 @@ def _summary_of(name: str, map_: Map, size_bytes: int) -> dict[str, object]:
         "expected_error_m": expected_error_m(info),
         "consistency_m": consistency_m(info),
         "camera": _camera(info.camera),
+        "labels": info.labels,
     }
 
 

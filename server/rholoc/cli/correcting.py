@@ -1,0 +1,252 @@
+"""``rholoc map correct``: a map made right by what people know of the place."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from rholoc.cli import options
+from rholoc.cli.console import print_json, print_notice
+from rholoc.errors import InvalidInput
+
+if TYPE_CHECKING:
+    from rholoc.geometry import FloatArray
+    from rholoc.maps import Map
+
+app = typer.Typer(
+    no_args_is_help=True, help="Correct a map by what you know of the place; see `map info` for the result."
+)
+
+Out = Annotated[Path | None, typer.Option("--out", "-o", metavar="MAP.rho", help="Where to; default: the map itself.")]
+Direction = Annotated[str, typer.Option(metavar="X,Y,Z", help="A direction in the map's present frame.")]
+Outline = Annotated[str, typer.Option(metavar="'X Y, X Y, …'", help="Corners seen from above, m: three or more.")]
+
+
+@app.command()
+def origin(
+    map_file: options.MapFile,
+    at: Annotated[str, typer.Option(metavar="X,Y,Z", help="The point that becomes the origin, present frame.")],
+    out: Out = None,
+    as_json: options.Json = False,
+) -> None:
+    """Move the map's origin."""
+    from rholoc.mapping import set_origin
+
+    _correct(map_file, out, as_json, lambda map_: set_origin(map_, _vector(at, 3)))
+
+
+@app.command()
+def north(map_file: options.MapFile, direction: Direction, out: Out = None, as_json: options.Json = False) -> None:
+    """Turn the map about z so that a direction becomes y."""
+    from rholoc.mapping import set_north
+
+    _correct(map_file, out, as_json, lambda map_: set_north(map_, _vector(direction, 3)))
+
+
+@app.command()
+def wall(map_file: options.MapFile, direction: Direction, out: Out = None, as_json: options.Json = False) -> None:
+    """Turn the map about z so that a direction, along a wall, becomes x."""
+    from rholoc.mapping import set_wall
+
+    _correct(map_file, out, as_json, lambda map_: set_wall(map_, _vector(direction, 3)))
+
+
+@app.command()
+def up(
+    map_file: options.MapFile,
+    direction: Annotated[
+        str | None, typer.Option(metavar="X,Y,Z", help="What becomes z; default: as the map's views hold upright.")
+    ] = None,
+    out: Out = None,
+    as_json: options.Json = False,
+) -> None:
+    """Set the map upright."""
+    from rholoc.mapping import set_up
+
+    _correct(map_file, out, as_json, lambda map_: set_up(map_, None if direction is None else _vector(direction, 3)))
+
+
+@app.command()
+def scale(
+    map_file: options.MapFile,
+    start: Annotated[str, typer.Option(metavar="X,Y,Z", help="One end of a measured distance, present frame.")],
+    end: Annotated[str, typer.Option(metavar="X,Y,Z", help="The other end.")],
+    length: Annotated[float, typer.Option(metavar="METRES", min=0, help="How far apart they are in truth.")],
+    out: Out = None,
+    as_json: options.Json = False,
+) -> None:
+    """Correct the map's scale by a distance that was measured; the map is metric from then on."""
+    from rholoc.mapping import set_distance
+
+    _correct(map_file, out, as_json, lambda map_: set_distance(map_, _vector(start, 3), _vector(end, 3), length))
+
+
+@app.command()
+def plan(
+    map_file: options.MapFile,
+    pair: Annotated[
+        list[str], typer.Option(metavar="X,Y,Z=X,Y", help="A point of the map and where it is on the plan, m; repeat.")
+    ],
+    scaled: Annotated[bool, typer.Option("--scaled", help="Take the plan's scale, too.")] = False,
+    out: Out = None,
+    as_json: options.Json = False,
+) -> None:
+    """Lay the map over a floor plan, whose frame becomes the map's."""
+    import numpy as np
+
+    from rholoc.mapping import lay_over_plan
+
+    sides = [one.partition("=") for one in pair]
+    points = np.array([_vector(left, 3) for left, _, _ in sides])
+    places = np.array([_vector(right, 2) for _, _, right in sides])
+    _correct(map_file, out, as_json, lambda map_: lay_over_plan(map_, points, places, scaled))
+
+
+@app.command()
+def region(
+    map_file: options.MapFile,
+    outline: Outline,
+    keep: Annotated[str, typer.Option(metavar="inside|outside", help="Which landmarks stay.")],
+    bottom: Annotated[
+        float | None, typer.Option(metavar="METRES", help="The region's lowest z; default: none.")
+    ] = None,
+    top: Annotated[float | None, typer.Option(metavar="METRES", help="Its highest z; default: none.")] = None,
+    out: Out = None,
+    as_json: options.Json = False,
+) -> None:
+    """Remove the landmarks of a region, or all others."""
+    from rholoc.mapping import remove_region
+
+    if keep not in ("inside", "outside"):
+        raise InvalidInput(f"--keep is '{keep}'.", "Give inside or outside.")
+    _correct(
+        map_file,
+        out,
+        as_json,
+        lambda map_: remove_region(map_, _corners(outline), bottom, top, keep_inside=keep == "inside"),
+    )
+
+
+@app.command()
+def walk(
+    map_file: options.MapFile,
+    first: Annotated[int, typer.Option(metavar="VIEW", help="The first view to remove, by number from 0.")],
+    last: Annotated[int, typer.Option(metavar="VIEW", help="The last one.")],
+    out: Out = None,
+    as_json: options.Json = False,
+) -> None:
+    """Remove a piece of the walk, and what only it saw."""
+    from rholoc.mapping import remove_views
+
+    _correct(map_file, out, as_json, lambda map_: remove_views(map_, first, last))
+
+
+@app.command()
+def names(
+    map_file: options.MapFile,
+    point: Annotated[
+        list[str] | None, typer.Option(metavar="NAME=X,Y,Z", help="Name a point, or move one; repeat.")
+    ] = None,
+    area: Annotated[
+        list[str] | None, typer.Option(metavar="NAME='X Y, X Y, …'", help="Name an area, or redraw one; repeat.")
+    ] = None,
+    remove: Annotated[list[str] | None, typer.Option(metavar="NAME", help="Take a name away; repeat.")] = None,
+    out: Out = None,
+    as_json: options.Json = False,
+) -> None:
+    """Name points and areas; answers say which the camera is in or near. Other names stay."""
+    from rholoc.mapping import set_names
+    from rholoc.maps import MapNames, NamedArea, NamedPoint
+
+    def named(map_: Map) -> Map:
+        points = {one.name: one for one in map_.info.names.points}
+        areas = {one.name: one for one in map_.info.names.areas}
+        for name in remove or ():
+            if points.pop(name, None) is None and areas.pop(name, None) is None:
+                raise InvalidInput(f"Nothing is named {name}.", "`rholoc map info` lists the names.")
+        for name, _, place in (one.partition("=") for one in point or ()):
+            x, y, z = _vector(place, 3).tolist()
+            points[name] = NamedPoint(name, (x, y, z))
+        for name, _, corners in (one.partition("=") for one in area or ()):
+            areas[name] = NamedArea(name, tuple((x, y) for x, y in _corners(corners).tolist()))
+        return set_names(map_, MapNames(tuple(points.values()), tuple(areas.values())))
+
+    _correct(map_file, out, as_json, named)
+
+
+@app.command()
+def labels(
+    map_file: options.MapFile,
+    site: Annotated[str | None, typer.Option(help="Such as a building; default: as it was.")] = None,
+    floor: Annotated[str | None, typer.Option(help="Of the site; default: as it was.")] = None,
+    tag: Annotated[
+        list[str] | None, typer.Option(help="A further word, in place of those that it had; repeat.")
+    ] = None,
+    out: Out = None,
+    as_json: options.Json = False,
+) -> None:
+    """Say what the map belongs to: lists are grouped and searched by it."""
+    from rholoc.mapping import set_labels
+    from rholoc.maps import MapLabels
+
+    def labelled(map_: Map) -> Map:
+        known = map_.info.labels
+        return set_labels(
+            map_,
+            MapLabels(
+                known.site if site is None else site,
+                known.floor if floor is None else floor,
+                known.tags if tag is None else tuple(tag),
+            ),
+        )
+
+    _correct(map_file, out, as_json, labelled)
+
+
+def _correct(map_file: Path, out: Path | None, as_json: bool, corrected: Callable[[Map], Map]) -> None:
+    """Write the map's next version, and say what became of it."""
+    from rholoc.maps import load_map, save_map
+    from rholoc.maps.info import info_to_json
+
+    map_ = corrected(load_map(map_file))
+    target = out or map_file
+    save_map(map_, target)
+    done: dict[str, Any] = json.loads(info_to_json(map_.info))["corrections"][-1]
+    if as_json:
+        print_json(done)
+    else:
+        print_notice(f"{target}: version {map_.info.version}, {done['kind']} corrected, {len(map_)} landmarks.")
+
+
+def _vector(text: str, count: int) -> FloatArray:
+    """So many coordinates.
+
+    Raises:
+        InvalidInput: the text holds something else.
+    """
+    import numpy as np
+
+    try:
+        numbers = np.array([float(part) for part in text.replace(",", " ").split()])
+    except ValueError:
+        numbers = np.zeros(0)
+    if len(numbers) != count or not np.isfinite(numbers).all():
+        raise InvalidInput(
+            f"'{text}' is not {count} coordinates.", "Write them as " + "1.2,0.4,0"[: 4 * count - 1] + "."
+        )
+    return numbers
+
+
+def _corners(text: str) -> FloatArray:
+    """Corners (N, 2) of an outline.
+
+    Raises:
+        InvalidInput: the text holds something else.
+    """
+    import numpy as np
+
+    return np.array([_vector(corner, 2) for corner in text.split(",")])

@@ -1,0 +1,98 @@
+"""``rholoc map correct``: every kind of correction, and what is refused."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from rholoc.maps import MapLabels, load_map, save_map
+
+Run = Callable[..., tuple[int, str, str]]
+
+
+@pytest.fixture
+def hall(tmp_path: Path, point_room: Any) -> Path:
+    """A map's file."""
+    save_map(point_room.map_of(point_room.walk(20), "walk"), tmp_path / "hall.rho")
+    return tmp_path / "hall.rho"
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("origin", "--at", "1,2,0.5"),
+        ("north", "--direction", "1,1,0"),
+        ("wall", "--direction=-1,1,0"),
+        ("up", "--direction", "0,0.1,1"),
+        ("up",),
+        ("scale", "--start", "0,0,1", "--end", "0,2.1,1", "--length", "2.05"),
+        ("plan", "--pair", "0,0,0=4,2", "--pair", "1,0,0=4,3", "--scaled"),
+    ],
+    ids=" ".join,
+)
+def test_the_frame_moves_by_what_is_said(rholoc: Run, hall: Path, arguments: tuple[str, ...]) -> None:
+    before = load_map(hall)
+    status, out, err = rholoc("correct", arguments[0], hall, *arguments[1:], "--json")
+    assert (status, err) == (0, "")
+    done, after = json.loads(out), load_map(hall)
+    assert (done["kind"], done["version"]) == (arguments[0], after.info.version)
+    expected = done["scale"] * before.landmarks @ np.array(done["rotation"]).T + done["translation"]
+    np.testing.assert_allclose(after.landmarks, expected, atol=1e-4)
+
+
+def test_parts_are_removed(rholoc: Run, hall: Path) -> None:
+    status, _, err = rholoc(
+        "correct", "region", hall, "--outline", "0 -9, 9 -9, 9 9, 0 9", "--keep", "inside", "--top", 2
+    )
+    assert status == 0, err
+    left = load_map(hall).landmarks
+    assert (left[:, 0] >= 0).all()
+    assert 1 < left[:, 2].max() <= 2
+
+
+def test_names_and_labels_are_kept_beside_others(rholoc: Run, hall: Path, tmp_path: Path) -> None:
+    target = tmp_path / "named.rho"
+    rholoc("correct", "names", hall, "--point", "door=1,2,0", "--area", "hall=0 0, 4 0, 4 3", "-o", target)
+    assert load_map(hall).info.names.points == ()
+    rholoc("correct", "names", target, "--point", "table=0,1,0", "--remove", "hall")
+    names = load_map(target).info.names
+    assert ([one.name for one in names.points], names.areas) == (["door", "table"], ())
+    rholoc("correct", "labels", target, "--site", "plant 2", "--tag", "old")
+    status, out, _ = rholoc("correct", "labels", target, "--floor", "1")
+    assert (status, out) == (0, "")
+    assert load_map(target).info.labels == MapLabels("plant 2", "1", ("old",))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("origin", "--at", "1,2"), "'1,2' is not 3 coordinates"),
+        (("origin", "--at", "1,2,nan"), "is not 3 coordinates"),
+        (("region", "--outline", "0 0, 4 0", "--keep", "inside"), "has 2 corners"),
+        (("region", "--outline", "0 0, 4 0, 4 3", "--keep", "half"), "--keep is 'half'"),
+        (("names", "--remove", "attic"), "Nothing is named attic"),
+        (("labels", "--tag", "a", "--tag", "a"), "The tags are not valid"),
+        (("walk", "--first", 3, "--last", 99), "has the views 0 to"),
+    ],
+)
+def test_what_makes_no_sense_is_refused_in_one_line(
+    rholoc: Run, hall: Path, arguments: tuple[Any, ...], said: str
+) -> None:
+    content = hall.read_bytes()
+    status, out, err = rholoc("correct", arguments[0], hall, *arguments[1:])
+    assert (status, out) == (1, "")
+    assert said in err
+    assert err.count("\n") == 1
+    assert hall.read_bytes() == content
+
+
+def test_a_direction_needs_an_upright_map(rholoc: Run, hall: Path) -> None:
+    map_ = load_map(hall)
+    save_map(replace(map_, info=replace(map_.info, upright=False)), hall)
+    assert "not upright" in rholoc("correct", "wall", hall, "--direction", "1,0,0")[2]
