@@ -119,3 +119,11 @@ def test_one_place_or_two_points_fix_no_frame() -> None:
     with pytest.raises(InvalidWaypoints, match="at least 3"):
         check_waypoints_fix_frame(as_waypoints(np.eye(3)[:2]))
     check_waypoints_fix_frame(as_waypoints(np.eye(3)))
+
+
+def test_how_well_a_waypoint_was_measured_is_written_where_it_is_not_as_usual(tmp_path: Path) -> None:
+    places = [(0.0, 0.0, 1.0), (1.0, 0.0, 1.0), (1.0, 2.0, 1.0)]
+    waypoints = [Waypoint(f"W{i}", float("nan"), place, (0.02, 0.05, 0.2)[i]) for i, place in enumerate(places)]
+    write_waypoints_csv(tmp_path / "w.csv", waypoints)
+    found = read_waypoints_csv(tmp_path / "w.csv", FRAMES)
+    assert [(one.position, one.sigma_m) for one in found] == [(one.position, one.sigma_m) for one in waypoints]

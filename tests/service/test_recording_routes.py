@@ -5,8 +5,11 @@ from __future__ import annotations
 import json
 
 import httpx
+import numpy as np
 
 from rholoc.jobs import RecordingStore
+from rholoc.jobs.recording_notes import note_recording
+from rholoc.recordings import MemoryFrames, Recording
 
 VIDEO = b"\0\0\0\x18ftypmp42" + b"\0" * 3_000_000
 
@@ -109,3 +112,35 @@ def event(lines):
         name, _, value = line.partition(": ")
         fields[name] = value
     raise AssertionError("the events ended")
+
+
+def test_a_recording_is_corrected_and_mapped_again(service):
+    recording = upload(service, {"file": ("walk.mp4", VIDEO)}).json()["recording"]
+    url = f"{service.url}/v1/recordings/{recording}"
+    fresh = httpx.get(url).json()
+    assert (fresh["content"], fresh["thumbnail"], fresh["waypoints"], fresh["corrected"]) == (None, False, [], False)
+    folder = RecordingStore(service.settings.data_dir).folder(recording)
+    pictures = [np.full((90, 160, 3), 90, np.uint8)] * 60
+    note_recording(folder, Recording("walk", folder, MemoryFrames(pictures, 10.0)))
+    noted = httpx.get(url).json()
+    assert noted["content"] == {
+        "length_s": 5.9, "frames": 60, "width": 160, "height": 90, "format": "rholoc", "imu": False,
+    }  # fmt: skip
+    assert httpx.get(f"{url}/thumbnail.jpg").content.startswith(b"\xff\xd8\xff")
+    places = [[0, 0, 1.5], [2, 0, 1.5], [2, 3.5, 1.5]]
+    given = [{"name": f"W{i}", "position": place, "time_s": 2.0 * i, "sigma_m": 0.02} for i, place in enumerate(places)]
+    corrected = httpx.put(f"{url}/waypoints", json={"waypoints": given}).json()
+    assert (corrected["waypoints"], corrected["corrected"]) == (given, True)
+    for wrong in (given[:2], [*given[:2], {**given[2], "time_s": 6.5}], [{**given[0], "sigma_m": 7}, *given[1:]]):
+        answer = httpx.put(f"{url}/waypoints", json={"waypoints": wrong})
+        assert (answer.status_code, answer.json()["code"]) == (422, "invalid_waypoints")
+    again = httpx.post(f"{url}/jobs", json={"map": "hall-2", "frames": "10:50", "features": "lab"})
+    assert (again.status_code, again.json()["recording"], again.json()["map"]) == (202, recording, "hall-2")
+    assert again.headers["Location"] == f"/v1/jobs/{again.json()['id']}"
+    for wrong, code in (({"map": "../x"}, "invalid_name"), ({"map": "x", "frames": "a:b"}, "invalid_recording")):
+        assert httpx.post(f"{url}/jobs", json=wrong).json()["code"] == code
+    assert httpx.get(url).json()["waypoints"] == given
+    assert httpx.delete(f"{url}/waypoints").json()["corrected"] is False
+    nowhere = f"{service.url}/v1/recordings/{'0' * 32}"
+    assert httpx.get(nowhere).json()["code"] == "unknown_recording"
+    assert httpx.put(f"{nowhere}/waypoints", json={"waypoints": given}).json()["code"] == "unknown_recording"

@@ -5,6 +5,15 @@ from rholoc.jobs.embedded import EmbeddedWorker
 from rholoc.jobs.job import Job, JobKind, JobOptions, JobState
 from rholoc.jobs.pipeline import MappingPipeline, MappingTask, Pipeline
 from rholoc.jobs.queue import JobQueue
+from rholoc.jobs.recording_notes import (
+    RecordedWaypoint,
+    RecordingNotes,
+    correct_waypoints,
+    corrected_waypoints,
+    has_thumbnail,
+    read_notes,
+    read_thumbnail,
+)
 from rholoc.jobs.recording_store import PendingRecording, RecordingEntry, RecordingStore
 from rholoc.jobs.upload_store import Upload, UploadStore
 from rholoc.jobs.worker import Timing, Worker, run_worker
@@ -21,11 +30,18 @@ __all__ = [
     "MappingTask",
     "PendingRecording",
     "Pipeline",
+    "RecordedWaypoint",
     "RecordingEntry",
+    "RecordingNotes",
     "RecordingStore",
     "Timing",
     "Upload",
     "UploadStore",
     "Worker",
+    "correct_waypoints",
+    "corrected_waypoints",
+    "has_thumbnail",
+    "read_notes",
+    "read_thumbnail",
     "run_worker",
 ]

@@ -32,6 +32,7 @@ class JobOptions:
         camera: intrinsics as users write them (``fx,fy,cx,cy`` and so on), a stored camera's name, or None to take the
             recording's own.
         pictures: whether the map keeps a small picture of each view.
+        frames: a choice of the recording's frames by number, ``start:stop[:step]``; None takes all.
     """
 
     density: DensityKind = DensityKind.RAY
@@ -40,6 +41,7 @@ class JobOptions:
     camera: str | None = None
     kind: JobKind = JobKind.BUILD
     pictures: bool = False
+    frames: str | None = None
 
     @classmethod
     def from_json(cls, stored: Mapping[str, Any]) -> JobOptions:
@@ -51,6 +53,7 @@ class JobOptions:
             camera=stored["camera"],
             kind=JobKind(stored.get("kind", JobKind.BUILD)),  # jobs of before there were updates
             pictures=stored.get("pictures", False),
+            frames=stored.get("frames"),
         )
 
 

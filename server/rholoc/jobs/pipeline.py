@@ -9,6 +9,7 @@ from typing import Protocol
 
 from rholoc.errors import InvalidMap, UnknownMap
 from rholoc.jobs.job import JobKind, JobOptions
+from rholoc.jobs.recording_notes import WAYPOINTS_FILE, note_recording
 from rholoc.mapping import BuildOptions, UpdateOptions, build_map, update_map
 from rholoc.maps import CameraLibrary, Map, MapLibrary, load_map, save_map, trust_of
 from rholoc.progress import ProgressListener, Stage
@@ -26,6 +27,7 @@ class MappingTask:
         map_name: the name under which the map is published.
         options: how the map is built.
         max_frame_pixels: the most pixels a frame of the recording's video may have.
+        folder: where notes on the recording are kept, and waypoints that people gave in place of its own.
     """
 
     recording: Path
@@ -34,6 +36,7 @@ class MappingTask:
     map_name: str
     options: JobOptions
     max_frame_pixels: int = MAX_FRAME_PIXELS
+    folder: Path | None = None
 
 
 class Pipeline(Protocol):
@@ -68,7 +71,11 @@ class MappingPipeline:
         progress(Stage.READ, 0.0, "reading the recording")
         camera = CameraLibrary(task.maps_dir).named_in(task.options.camera)
         with frame_pixels_limited(task.max_frame_pixels):
-            recording = read_recording(task.recording, camera=camera, workdir=task.map_file.parent)
+            recording = read_recording(
+                task.recording, camera, task.options.frames, _corrected(task), workdir=task.map_file.parent
+            )
+            if task.folder is not None and task.options.frames is None and _corrected(task) is None:
+                note_recording(task.folder, recording)
         built = _updated(task, recording, progress) if _updates(task) else _built(task, recording, progress)
         partial = task.map_file.with_name(f"{os.getpid()}-{task.map_file.name}")
         save_map(built, partial)
@@ -88,6 +95,12 @@ class MappingPipeline:
         elif _published_id(library, task.map_name) != map_.info.id:
             library.put_file(task.map_name, task.map_file)
         return _doubts(map_)
+
+
+def _corrected(task: MappingTask) -> Path | None:
+    """The file of the waypoints that people gave in place of the recording's own, where they did."""
+    path = None if task.folder is None else task.folder / WAYPOINTS_FILE
+    return path if path is not None and path.is_file() else None
 
 
 def _updates(task: MappingTask) -> bool:

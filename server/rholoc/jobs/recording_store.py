@@ -246,6 +246,15 @@ class RecordingStore:
         folder = self._folder(recording_id)
         return folder / entry.files[0] if len(entry.files) == 1 else folder
 
+    def folder(self, recording_id: str) -> Path:
+        """Where the recording's files are.
+
+        Raises:
+            UnknownRecording: no recording has this id.
+        """
+        self.get(recording_id)
+        return self._folder(recording_id)
+
     def delete(self, recording_id: str) -> None:
         """Remove the recording.
 

@@ -213,6 +213,7 @@ class Worker:
             map_name=work.map_name,
             options=work.options,
             max_frame_pixels=self._limits.frame_pixels,
+            folder=self._recordings.folder(work.recording),
         )
 
     def _work_dir(self, lease: Lease) -> Path:

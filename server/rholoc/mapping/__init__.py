@@ -14,6 +14,7 @@ from rholoc.mapping.correcting import (
     set_wall,
 )
 from rholoc.mapping.forgetting import forget_recording
+from rholoc.mapping.frame_features import small_picture
 from rholoc.mapping.frames import levelled
 from rholoc.mapping.learning import UpdateOptions, update_map
 from rholoc.mapping.merging import merge_maps
@@ -38,5 +39,6 @@ __all__ = [
     "set_origin",
     "set_up",
     "set_wall",
+    "small_picture",
     "update_map",
 ]

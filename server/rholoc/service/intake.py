@@ -22,6 +22,7 @@ from rholoc.errors import (
 from rholoc.features import extractor_names, get_extractor
 from rholoc.jobs import JobKind, JobOptions
 from rholoc.maps import DensityKind, check_map_name, check_observations
+from rholoc.recordings import parse_frame_slice
 from rholoc.service.errors import InvalidRequest
 from rholoc.service.state import State
 from rholoc.trajectory import PoseMethod
@@ -43,7 +44,9 @@ UPLOAD_FAILURES: tuple[type[RholocError], ...] = (
 class RecordingFields(BaseModel):
     """The text fields beside the files of an uploaded recording."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(
+        extra="forbid", frozen=True, json_schema_extra={"example": {"map": "hall", "frames": "30:900"}}
+    )
 
     map: Annotated[str, Field(description="the name of the map to publish")]
     kind: JobKind = Field(default=JobOptions.kind, description="build a new map, or update the one of that name")
@@ -58,12 +61,16 @@ class RecordingFields(BaseModel):
         default=None,
         description="fx,fy,cx,cy[,k1,k2,p1,p2[,k3]] in pixels, or a stored camera's name; default: the recording's own",
     )
+    frames: str | None = Field(
+        default=None, description="only these frames, by number: start:stop[:step], like 30:900", examples=["30:900"]
+    )
 
 
 async def checked_options(fields: RecordingFields, service: State) -> JobOptions:
     """How to map a recording.
 
     Raises:
+        InvalidRecording: there can be no such choice of frames.
         InvalidName, InvalidInput, UnknownCamera: there can be no such map, are no such features, is no such camera.
         UnknownMap, InvalidMap: an update's map is not there, or does not learn.
     """
@@ -72,5 +79,14 @@ async def checked_options(fields: RecordingFields, service: State) -> JobOptions
     await run_in_threadpool(service.cameras.named_in, fields.camera)
     if fields.kind is JobKind.UPDATE:
         check_observations(await run_in_threadpool(service.library.get, fields.map), f"The map {fields.map}")
-    pictures = service.settings.keep_pictures
-    return JobOptions(fields.density, fields.features, fields.poses, fields.camera, fields.kind, pictures)
+    if fields.frames is not None:
+        parse_frame_slice(fields.frames)
+    return JobOptions(
+        fields.density,
+        fields.features,
+        fields.poses,
+        fields.camera,
+        fields.kind,
+        service.settings.keep_pictures,
+        fields.frames,
+    )

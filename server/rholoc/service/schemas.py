@@ -9,7 +9,7 @@ from pydantic import BaseModel, ConfigDict, FailFast, Field, Strict
 from pydantic.config import JsonDict
 
 from rholoc.features import Channel
-from rholoc.jobs import JobState
+from rholoc.jobs import JobState, RecordedWaypoint
 from rholoc.localization import Cause, Dof, Intrinsics, Reason
 from rholoc.maps import Correction, DensityKind, MapLabels, MapNames, MapWaypoint, Source
 from rholoc.progress import Stage
@@ -904,7 +904,26 @@ class JobList(_Out):
     more: bool = Field(default=False, description="Whether there are older ones: ask with `before`, the last one's id.")
 
 
-_RECORDING: JsonDict = {"id": _RECORDING_ID, "files": ["walk.mp4"], "size_bytes": 60_000_000, "created": 1767607200.0}
+_RECORDING: JsonDict = {
+    "id": _RECORDING_ID,
+    "files": ["walk.mp4"],
+    "size_bytes": 60_000_000,
+    "created": 1767607200.0,
+    "content": {"length_s": 31.2, "frames": 936, "width": 1280, "height": 720, "format": "video", "imu": False},
+    "thumbnail": True,
+}
+_RECORDED_WAYPOINT: JsonDict = {"name": "W1", "position": [2.0, 0.0, 1.5], "time_s": 8.4, "sigma_m": 0.02}
+
+
+class RecordingContent(_Out):
+    """What a job read in a recording."""
+
+    length_s: float
+    frames: int
+    width: int = Field(description="of a frame, px")
+    height: int
+    format: str = Field(description="how it is laid out")
+    imu: bool = Field(description="whether it has an IMU's table")
 
 
 class RecordingOut(_Out):
@@ -916,6 +935,41 @@ class RecordingOut(_Out):
     files: list[str]
     size_bytes: int
     created: float = Field(description="s since the epoch")
+    content: RecordingContent | None = Field(description="null until a job has read it")
+    thumbnail: bool = Field(description="whether there is a small picture of it, and whoever asks may see it")
+
+
+class WaypointIn(_In):
+    """A measured point of a recording."""
+
+    name: str
+    position: Vector3 = Field(description="m")
+    time_s: Number | None = Field(
+        default=None, description="when the camera was there, s on the recording's clock; default: known by the order"
+    )
+    sigma_m: Number = Field(default=0.02, description="how well the camera was held to it, m: 0.001 to 1")
+
+
+class WaypointsIn(_In):
+    """Waypoints in place of a recording's own, in the order of the walk."""
+
+    model_config = ConfigDict(
+        extra="forbid", frozen=True, json_schema_extra={"example": {"waypoints": [_RECORDED_WAYPOINT]}}
+    )
+
+    waypoints: list[WaypointIn] = Field(max_length=1000, description="three or more")
+
+
+class RecordingDetail(RecordingOut):
+    """A stored recording with its waypoints."""
+
+    model_config = ConfigDict(
+        frozen=True,
+        json_schema_extra={"example": {**_RECORDING, "waypoints": [_RECORDED_WAYPOINT], "corrected": False}},
+    )
+
+    waypoints: tuple[RecordedWaypoint, ...] = Field(description="as given by people, else as a job read them in it")
+    corrected: bool = Field(description="whether people gave them in place of the recording's own")
 
 
 class RecordingList(_Out):

@@ -6,11 +6,13 @@ import csv
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 
 from rholoc.errors import InvalidWaypoints
-from rholoc.recordings.recording import FrameSource, Waypoint
+from rholoc.geometry import FloatArray, IntArray
+from rholoc.recordings.recording import Waypoint
 from rholoc.recordings.tables.csv_table import parse_number, read_rows, require_columns, shortened
 
 MIN_WAYPOINTS = 3
@@ -27,7 +29,21 @@ _COLUMNS_HINT = (
 )
 
 
-def read_waypoints_csv(path: Path, frames: FrameSource) -> tuple[Waypoint, ...]:
+class FrameTimes(Protocol):
+    """As much of a recording's frames as its waypoints are checked against."""
+
+    @property
+    def times(self) -> FloatArray:
+        """(N,) seconds on the recording's clock, increasing."""
+        ...
+
+    @property
+    def numbers(self) -> IntArray:
+        """(N,) the frames' numbers as users know them."""
+        ...
+
+
+def read_waypoints_csv(path: Path, frames: FrameTimes) -> tuple[Waypoint, ...]:
     """Read waypoints under the header ``name,time,x,y,z`` or ``name,frame,x,y,z``, or ``name,x,y,z`` in their order.
 
     A further column ``sigma`` says how well each was measured, in metres; 0.02 where it is absent or empty.
@@ -55,15 +71,17 @@ def read_waypoints_csv(path: Path, frames: FrameSource) -> tuple[Waypoint, ...]:
 def write_waypoints_csv(path: Path, waypoints: Sequence[Waypoint]) -> None:
     """Write waypoints under the header ``name,time,x,y,z``: microseconds, tenths of a millimetre.
 
-    Without times where those are unknown.
+    Without times where those are unknown; with ``sigma`` where one was not measured as well as is usual.
     """
     ordered = any(np.isnan(waypoint.time) for waypoint in waypoints)
+    usual = all(waypoint.sigma_m == DEFAULT_SIGMA_M for waypoint in waypoints)
     with path.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(("name", "x", "y", "z") if ordered else ("name", "time", "x", "y", "z"))
+        writer.writerow(("name", *(() if ordered else ("time",)), "x", "y", "z", *(() if usual else ("sigma",))))
         for waypoint in waypoints:
             time = () if ordered else (f"{waypoint.time:.6f}",)
-            writer.writerow((waypoint.name, *time, *(f"{value:.4f}" for value in waypoint.position)))
+            sigma = () if usual else (f"{waypoint.sigma_m:.4f}",)
+            writer.writerow((waypoint.name, *time, *(f"{value:.4f}" for value in waypoint.position), *sigma))
 
 
 def check_waypoints_fix_frame(waypoints: Sequence[Waypoint]) -> None:
@@ -97,7 +115,7 @@ def _require_enough(waypoints: Sequence[Waypoint]) -> None:
         )
 
 
-def _waypoint(row: dict[str, str], line: int, moment: str | None, path: Path, frames: FrameSource) -> Waypoint:
+def _waypoint(row: dict[str, str], line: int, moment: str | None, path: Path, frames: FrameTimes) -> Waypoint:
     name = row["name"]
     if not name:
         raise InvalidWaypoints(f"{path.name}, row {line}: the waypoint has no name.")
@@ -133,7 +151,7 @@ def _sigma_m(row: dict[str, str], line: int, path: Path) -> float:
     return sigma_m
 
 
-def _time_of_frame(name: str, number: float, frames: FrameSource) -> float:
+def _time_of_frame(name: str, number: float, frames: FrameTimes) -> float:
     rows = np.flatnonzero(frames.numbers == number)
     if len(rows) == 0:
         raise InvalidWaypoints(

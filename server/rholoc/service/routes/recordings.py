@@ -3,14 +3,35 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import asdict
 from typing import Any
 
 from fastapi import APIRouter, Request, Response
 from fastapi.responses import JSONResponse
 from starlette.concurrency import run_in_threadpool
 
-from rholoc.errors import InvalidRecording, TooLarge
-from rholoc.jobs import JobKind, JobOptions, PendingRecording
+from rholoc.errors import (
+    InvalidRecording,
+    InvalidWaypoints,
+    StorageFull,
+    TooLarge,
+    UnknownPicture,
+    UnknownRecording,
+)
+from rholoc.jobs import (
+    JobKind,
+    JobOptions,
+    PendingRecording,
+    RecordedWaypoint,
+    RecordingEntry,
+    RecordingStore,
+    correct_waypoints,
+    corrected_waypoints,
+    has_thumbnail,
+    read_notes,
+    read_thumbnail,
+)
 from rholoc.maps import DensityKind
 from rholoc.recordings import (
     START_BYTES,
@@ -19,14 +40,23 @@ from rholoc.recordings import (
     check_file_name,
     check_file_start,
 )
-from rholoc.service.access import NEEDS_MAP, NEEDS_READ
+from rholoc.service.access import NEEDS_MAP, NEEDS_READ, granted_key
 from rholoc.service.bodies import media_type, read_multipart
 from rholoc.service.errors import InvalidRequest, UnsupportedMediaType, UnsupportedVersion
 from rholoc.service.intake import UPLOAD_FAILURES, RecordingFields, checked_options
 from rholoc.service.job_events import job_out
+from rholoc.service.keys import Scope
 from rholoc.service.openapi import BINARY, failures, request_body
 from rholoc.service.routes.uploads import begin_upload
-from rholoc.service.schemas import RecordingAccepted, RecordingList, RecordingOut
+from rholoc.service.schemas import (
+    JobOut,
+    RecordingAccepted,
+    RecordingDetail,
+    RecordingList,
+    RecordingOut,
+    WaypointIn,
+    WaypointsIn,
+)
 from rholoc.service.state import Service, State
 from rholoc.service.tus import RESUMABLE
 from rholoc.trajectory import PoseMethod
@@ -66,15 +96,78 @@ def _form_schema() -> dict[str, Any]:
 
 
 @router.get("", dependencies=[NEEDS_READ], summary="All recordings")
-async def list_recordings(service: Service) -> RecordingList:
+async def list_recordings(request: Request, service: Service) -> RecordingList:
     """Those that are stored whole, the newest first."""
-    entries = await run_in_threadpool(service.recordings.list)
-    return RecordingList(
-        recordings=[
-            RecordingOut(id=one.id, files=list(one.files), size_bytes=one.size_bytes, created=one.created)
-            for one in entries
-        ]
-    )
+    return await run_in_threadpool(_list, service.recordings, _may_see(request))
+
+
+@router.get(
+    "/{recording}",
+    dependencies=[NEEDS_READ],
+    summary="One recording",
+    responses=failures(UnknownRecording),
+)
+async def get_recording(recording: str, request: Request, service: Service) -> RecordingDetail:
+    """What it is, and its waypoints: as people gave them, else as a job read them in it."""
+    return await run_in_threadpool(_detail, service.recordings, recording, _may_see(request))
+
+
+@router.get(
+    "/{recording}/thumbnail.jpg",
+    dependencies=[NEEDS_MAP],
+    summary="A small picture of a recording",
+    response_class=Response,
+    responses={
+        200: {"description": "A picture.", "content": {"image/jpeg": {"schema": BINARY}}},
+        **failures(UnknownRecording, UnknownPicture),
+    },
+)
+async def get_thumbnail(recording: str, service: Service) -> Response:
+    """A frame of its beginning, once a job has read it."""
+    folder = await run_in_threadpool(service.recordings.folder, recording)
+    picture = await run_in_threadpool(read_thumbnail, folder)
+    if picture is None:
+        raise UnknownPicture("There is no picture of the recording yet.", "Wait until a job has read it.")
+    return Response(picture, media_type="image/jpeg", headers={"Cache-Control": "private, max-age=86400"})
+
+
+@router.put(
+    "/{recording}/waypoints",
+    dependencies=[NEEDS_MAP],
+    summary="Correct a recording's waypoints",
+    responses=failures(UnknownRecording, InvalidWaypoints, InvalidRequest, StorageFull),
+)
+async def put_waypoints(recording: str, wanted: WaypointsIn, request: Request, service: Service) -> RecordingDetail:
+    """They take the place of the recording's own whenever it is mapped from then on; the recording's files stay as they
+    are. Maps that there are stay, too."""
+    given = tuple(_recorded(one) for one in wanted.waypoints)
+    return await run_in_threadpool(_corrected, service.recordings, recording, given, _may_see(request))
+
+
+@router.delete(
+    "/{recording}/waypoints",
+    dependencies=[NEEDS_MAP],
+    summary="Take back corrected waypoints",
+    responses=failures(UnknownRecording),
+)
+async def delete_waypoints(recording: str, request: Request, service: Service) -> RecordingDetail:
+    """The recording is mapped with its own again."""
+    return await run_in_threadpool(_corrected, service.recordings, recording, None, _may_see(request))
+
+
+@router.post(
+    "/{recording}/jobs",
+    dependencies=[NEEDS_MAP],
+    status_code=202,
+    summary="Map a stored recording again",
+    responses=failures(UnknownRecording, *UPLOAD_FAILURES),
+)
+async def map_again(recording: str, wanted: RecordingFields, service: Service, response: Response) -> JobOut:
+    """With other options, corrected waypoints, fewer frames, or as another map. `Location` names the job."""
+    options = await checked_options(wanted, service)
+    job = await run_in_threadpool(service.jobs.submit, recording, wanted.map, options)
+    response.headers["Location"] = f"/v1/jobs/{job.id}"
+    return job_out(job)
 
 
 @router.post(
@@ -116,6 +209,54 @@ async def upload_recording(request: Request, service: Service) -> Response:
         raise
     accepted = RecordingAccepted(recording=entry.id, job=job_out(job))
     return JSONResponse(accepted.model_dump(mode="json"), 202, {"Location": f"/v1/jobs/{job.id}"})
+
+
+def _may_see(request: Request) -> bool:
+    """Whether whoever asks may see pictures of recordings."""
+    return granted_key(request)[0].allows(Scope.MAP)
+
+
+def _list(recordings: RecordingStore, may_see: bool) -> RecordingList:
+    shown = []
+    for one in recordings.list():
+        with suppress(UnknownRecording):  # deleted meanwhile
+            shown.append(RecordingOut.model_validate(_shown(recordings, one, may_see)))
+    return RecordingList(recordings=shown)
+
+
+def _shown(recordings: RecordingStore, entry: RecordingEntry, may_see: bool) -> dict[str, object]:
+    folder = recordings.folder(entry.id)
+    notes = read_notes(folder)
+    return {
+        "id": entry.id,
+        "files": list(entry.files),
+        "size_bytes": entry.size_bytes,
+        "created": entry.created,
+        "content": notes and {**asdict(notes), "length_s": notes.last_s - notes.first_s},
+        "thumbnail": may_see and has_thumbnail(folder),
+    }
+
+
+def _detail(recordings: RecordingStore, recording: str, may_see: bool) -> RecordingDetail:
+    entry, folder = recordings.get(recording), recordings.folder(recording)
+    notes = read_notes(folder)
+    given = corrected_waypoints(folder, notes)
+    own = () if notes is None else notes.waypoints
+    fields = {"waypoints": own if given is None else given, "corrected": given is not None}
+    return RecordingDetail.model_validate({**_shown(recordings, entry, may_see), **fields})
+
+
+def _corrected(
+    recordings: RecordingStore, recording: str, given: tuple[RecordedWaypoint, ...] | None, may_see: bool
+) -> RecordingDetail:
+    folder = recordings.folder(recording)
+    correct_waypoints(folder, given, read_notes(folder))
+    return _detail(recordings, recording, may_see)
+
+
+def _recorded(waypoint: WaypointIn) -> RecordedWaypoint:
+    x, y, z = waypoint.position
+    return RecordedWaypoint(waypoint.name, (x, y, z), waypoint.time_s, waypoint.sigma_m)
 
 
 async def _receive(request: Request, pending: PendingRecording, service: State) -> tuple[RecordingFields, JobOptions]:
