@@ -105,7 +105,7 @@ async def list_recordings(request: Request, service: Service) -> RecordingList:
     "/{recording}",
     dependencies=[NEEDS_READ],
     summary="One recording",
-    responses=failures(UnknownRecording),
+    responses=failures(UnknownRecording, InvalidRequest),
 )
 async def get_recording(recording: str, request: Request, service: Service) -> RecordingDetail:
     """What it is, and its waypoints: as people gave them, else as a job read them in it."""
@@ -119,7 +119,7 @@ async def get_recording(recording: str, request: Request, service: Service) -> R
     response_class=Response,
     responses={
         200: {"description": "A picture.", "content": {"image/jpeg": {"schema": BINARY}}},
-        **failures(UnknownRecording, UnknownPicture),
+        **failures(UnknownRecording, UnknownPicture, InvalidRequest),
     },
 )
 async def get_thumbnail(recording: str, service: Service) -> Response:
@@ -148,7 +148,7 @@ async def put_waypoints(recording: str, wanted: WaypointsIn, request: Request, s
     "/{recording}/waypoints",
     dependencies=[NEEDS_MAP],
     summary="Take back corrected waypoints",
-    responses=failures(UnknownRecording),
+    responses=failures(UnknownRecording, InvalidRequest),
 )
 async def delete_waypoints(recording: str, request: Request, service: Service) -> RecordingDetail:
     """The recording is mapped with its own again."""
