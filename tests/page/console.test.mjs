@@ -5,6 +5,9 @@ import { cameraAt, moved, nextWalk, sayFailures, sayPlace, summary } from "../..
 import { halfExtents, intrinsicsFor, intrinsicsOfFieldOfView, Known } from "../../client/page/console/intrinsics.js";
 import { summary as landscapeInWords, heights } from "../../client/page/console/landscape_view.js";
 import { matches } from "../../client/page/console/list_tools.js";
+});
+
+import { grouped, matches } from "../../client/page/console/list_tools.js";
 import { Motions } from "../../client/page/console/motions.js";
 import { clipped } from "../../client/page/console/plain_painter.js";
 import { sayPicked } from "../../client/page/console/scene.js";
@@ -206,4 +209,18 @@ test("of a line what is in the picture is drawn, also where it begins behind the
   assert.equal(clipped([2, 0, 1], [2, 5, 1]), null);
   assert.equal(clipped([-3, 0, 1], [0, 3, 1]), null); // past a corner
   assert.equal(clipped([0, 0, -1], [0, 0, -2]), null);
+});
+
+test("a list is grouped by name, what is in no group last, and what is in several in each", () => {
+  const items = [{ tags: ["b", "a"] }, { tags: [] }, { tags: ["b", ""] }];
+  assert.deepEqual(grouped(items, undefined), [{ title: null, items }]);
+  assert.deepEqual(
+    grouped(items, ({ tags }) => tags),
+    [
+      { title: "a", items: [items[0]] },
+      { title: "b", items: [items[0], items[2]] },
+      { title: "the others", items: [items[1]] },
+    ],
+  );
+  assert.deepEqual(grouped([], () => ["a"]), []);
 });

@@ -152,6 +152,7 @@ const KINDS = {
   region: t`region removed`,
   walk: t`piece of the walk removed`,
   names: t`names`,
+  labels: t`site, floor, tags`,
 };
 
 export async function showCorrections(main, name, signal) {

@@ -9,6 +9,7 @@ import { showJob, showJobs } from "./jobs.js";
 import { showMap } from "./map.js";
 import { showMaps } from "./maps.js";
 import { problem } from "./parts.js";
+import { showRecording } from "./recording.js";
 import { showRecordings } from "./recordings.js";
 import { showTry } from "./try.js";
 
@@ -20,6 +21,7 @@ const ROUTES = [
   [/^\/jobs$/, t`Jobs`, showJobs],
   [/^\/jobs\/([^/]+)$/, t`Job`, showJob],
   [/^\/recordings$/, t`Recordings`, showRecordings],
+  [/^\/recordings\/([^/]+)$/, t`Recording`, showRecording],
   [/^\/cameras$/, t`Cameras`, showCameras],
 ];
 

@@ -8,6 +8,7 @@ import { inPlainWords, mistakesIn, restsOnGivenPoses, Trust, trustOf, whatToDo }
 import { coverageView } from "./coverage_view.js";
 import { bytes, count, fileNames, length, when } from "./format.js";
 import { liveView } from "./live.js";
+import { placeOf } from "./maps.js";
 import { action, facts, loading, page, skeletons, tell } from "./parts.js";
 import { SceneView } from "./scene.js";
 import { readPoints, readScene } from "./scene_data.js";
@@ -143,6 +144,8 @@ function fillAbout(place, map, report) {
       { class: "card stack" },
       h("h2", {}, t`Details`),
       facts([
+        [t`Place`, placeOf(map)],
+        [t`Tags`, map.labels.tags.join(", ") || null],
         [t`Landmarks`, count(map.landmarks)],
         [t`Views`, count(map.views)],
         [t`Features`, t`${map.features}, ${map.density} densities`],
@@ -151,6 +154,11 @@ function fillAbout(place, map, report) {
         [t`Version`, t`${map.version}, of map ${map.id.slice(0, 8)}`],
         [t`Camera`, `${map.camera.width} × ${map.camera.height}, f ${map.camera.fx.toFixed(0)} px`],
       ]),
+      h(
+        "div",
+        { class: "row" },
+        action(t`Site, floor, tags`, () => label(map)),
+      ),
       map.previous && previous(map),
     ),
     h("section", { class: "card stack" }, h("h2", {}, t`Learned from`), sources(map)),
@@ -332,6 +340,29 @@ async function remove(name) {
     () => call("DELETE", path`v1/maps/${name}`),
   );
   if (done) location.hash = "#/maps";
+}
+
+/** Say what a map belongs to. */
+async function label({ name, labels }) {
+  const input = (value) => h("input", { value, maxlength: 100, autocomplete: "off" });
+  const [site, floor, tags] = [input(labels.site), input(labels.floor), input(labels.tags.join(", "))];
+  tags.removeAttribute("maxlength");
+  const done = await ask(
+    t`Site, floor, tags`,
+    [
+      h("p", { class: "muted" }, t`The list of maps is searched and grouped by them.`),
+      field(t`Site`, site),
+      field(t`Floor`, floor),
+      field(t`Tags`, tags, t`Words with commas between`),
+    ],
+    h("button", { class: "primary" }, t`Save`),
+    () => {
+      const words = tags.value.split(",").map((tag) => tag.trim());
+      const body = { kind: "labels", site: site.value, floor: floor.value, tags: words.filter(Boolean) };
+      return call("POST", path`v1/maps/${name}/corrections`, { body });
+    },
+  );
+  if (done) dispatchEvent(new HashChangeEvent("hashchange"));
 }
 
 async function merge(name) {

@@ -18,15 +18,22 @@ const ORDERS = [
   ["trust", t`those in doubt first`, (a, b) => Number(a.trusted ?? 0.5) - Number(b.trusted ?? 0.5)],
   ["size", t`the largest first`, (a, b) => b.size_bytes - a.size_bytes],
 ];
+/** @type {[string, string, (map: any) => string[]][]} */
+const GROUPS = [
+  ["site", t`by site`, ({ labels }) => [labels.site]],
+  ["floor", t`by floor`, ({ labels }) => [[labels.site, labels.floor].filter(Boolean).join(", ")]],
+  ["tag", t`by tag`, ({ labels }) => labels.tags],
+];
 
 export async function showMaps(main, _, signal) {
   const list = h("ul", { class: "cards", "aria-label": t`Maps` }, skeletons(3, "map-card"));
   let found = { maps: [], unreadable: {} };
-  const tools = listTools(
-    ORDERS,
-    (map) => map.name,
-    () => fillList(list, found, tools, signal),
-  );
+  const tools = listTools({
+    orders: ORDERS,
+    groups: GROUPS,
+    textOf: ({ name, labels }) => [name, labels.site, labels.floor, ...labels.tags].join(" "),
+    changed: () => fillList(list, found, tools, signal),
+  });
   const reload = () =>
     loading(
       list,
@@ -65,9 +72,14 @@ function fillList(list, { maps, unreadable }, tools, signal) {
   const shown = tools.chosen(maps);
   fill(
     list,
-    shown.map((map) => card(map, signal)),
+    shown.map(({ title, items }) => [
+      title !== null && h("li", { class: "whole-row" }, h("h2", {}, title)),
+      items.map((map) => card(map, signal)),
+    ]),
     broken,
-    !shown.length && maps.length > 0 && h("li", { class: "whole-row muted" }, t`No map has such a name.`),
+    !shown.some(({ items }) => items.length) &&
+      maps.length > 0 &&
+      h("li", { class: "whole-row muted" }, t`No map has such a name.`),
   );
 }
 
@@ -86,9 +98,11 @@ function card(map, signal) {
       trustBadge(trust),
       map.scale === "arbitrary" && h("span", { class: "badge warn" }, t`no unit of length`),
       !map.upright && h("span", { class: "badge warn" }, t`not upright`),
+      map.labels.tags.map((tag) => h("span", { class: "badge" }, tag)),
     ),
     trust === Trust.NO && h("p", { class: "small reason" }, inPlainWords(map.trust_reason)?.plain),
     facts([
+      [t`Place`, placeOf(map)],
       [t`Expected error`, map.expected_error_m === null ? t`unknown` : length(map.expected_error_m)],
       [t`Size`, t`${count(map.landmarks)} landmarks, ${bytes(map.size_bytes)}`],
       [t`Made`, when(map.created)],
@@ -96,6 +110,9 @@ function card(map, signal) {
     ]),
   );
 }
+
+/** Site and floor, or null where they are not said. */
+export const placeOf = ({ labels }) => [labels.site, labels.floor].filter(Boolean).join(", ") || null;
 
 async function showFromAbove(picture, map, signal) {
   const query = { landmarks: LANDMARKS_DRAWN, level: true };

@@ -5,22 +5,29 @@ import { call, get, path } from "../shared/api.js";
 import { ask, fill, h } from "../shared/dom.js";
 import { field, nameChoice } from "../shared/name_choice.js";
 import { t } from "../shared/text.js";
-import { bytes, fileNames, when } from "./format.js";
+import { bytes, duration, fileNames, when } from "./format.js";
 import { listTools } from "./list_tools.js";
 import { action, empty, loading, page, skeletons, stateBadge, tell } from "./parts.js";
+import { thumbnail } from "./recording.js";
 
 const FILES_SHOWN = 3;
 const ORDERS = [
   ["created", t`the newest first`, (a, b) => b.created - a.created],
   ["name", t`by file name`, (a, b) => a.files[0].localeCompare(b.files[0])],
   ["size", t`the largest first`, (a, b) => b.size_bytes - a.size_bytes],
+  ["length", t`the longest first`, (a, b) => (b.content?.length_s ?? 0) - (a.content?.length_s ?? 0)],
 ];
 
 export async function showRecordings(main, _, signal) {
   const list = h("div", {}, skeletons(3, "line"));
   let found = { recordings: [], jobs: [] };
-  const show = () => fillList(list, found, tools, reload);
-  const tools = listTools(ORDERS, (one) => searched(one, found.jobs), show);
+  const show = () => fillList(list, found, tools, reload, signal);
+  const tools = listTools({
+    orders: ORDERS,
+    groups: [["map", t`by map`, (one) => [...new Set(jobsOf(one, found.jobs).map((job) => job.map))]]],
+    textOf: (one) => searched(one, found.jobs),
+    changed: show,
+  });
   const reload = () =>
     loading(
       list,
@@ -106,7 +113,7 @@ function mapNameOf(name) {
   return plain.replace(/^[^A-Za-z0-9_]+/, "").slice(0, 64);
 }
 
-function fillList(place, { recordings, jobs }, tools, reload) {
+function fillList(place, { recordings, jobs }, tools, reload, signal) {
   if (!recordings.length) {
     fill(
       place,
@@ -118,7 +125,7 @@ function fillList(place, { recordings, jobs }, tools, reload) {
     );
     return;
   }
-  const heads = [t`Files`, t`Map and job`, t`Size`, t`Uploaded`, t`Actions`];
+  const heads = [t`Picture`, t`Files`, t`Length`, t`Map and job`, t`Size`, t`Uploaded`, t`Actions`];
   fill(
     place,
     h(
@@ -139,26 +146,37 @@ function fillList(place, { recordings, jobs }, tools, reload) {
         h(
           "tbody",
           {},
-          tools.chosen(recordings).map((one) => row(one, jobsOf(one, jobs), reload)),
+          tools
+            .chosen(recordings)
+            .map(({ title, items }) => [
+              title !== null && h("tr", {}, h("th", { scope: "rowgroup", colspan: heads.length }, title)),
+              items.map((one) => row(one, jobsOf(one, jobs), reload, signal)),
+            ]),
         ),
       ),
     ),
   );
 }
 
-function row(recording, jobs, reload) {
-  const { files } = recording;
+function row(recording, jobs, reload, signal) {
+  const { files, content } = recording;
   return h(
     "tr",
     {},
+    h("td", {}, thumbnail(recording, signal)),
     h(
       "td",
       {},
-      files.slice(0, FILES_SHOWN).join(", "),
-      files.length > FILES_SHOWN && t` and ${files.length - FILES_SHOWN} more`,
+      h(
+        "a",
+        { href: `#/recordings/${recording.id}` },
+        files.slice(0, FILES_SHOWN).join(", "),
+        files.length > FILES_SHOWN && t` and ${files.length - FILES_SHOWN} more`,
+      ),
       h("br"),
       h("code", { class: "muted", title: recording.id }, recording.id.slice(0, 8)),
     ),
+    h("td", {}, content ? duration(content.length_s) : "–"),
     h(
       "td",
       {},
