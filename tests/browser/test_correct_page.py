@@ -125,8 +125,24 @@ def test_a_map_is_laid_over_a_floor_plan(kind, desk_browser, service, hall, open
         expect(page.locator("form [role=status]")).to_contain_text("A to B")
         apply(page)
         done = hall()["corrections"][-1]
-        assert done["kind"] == "plan"
-        assert done["residual_m"] == pytest.approx(0, abs=1e-6)
+        assert done["kind"] == "floor-plan"
+        laid = hall()["corrections"][-2]
+        assert laid["kind"] == "plan"
+        assert laid["residual_m"] == pytest.approx(0, abs=1e-6)
+        kept = hall()["plan"]
+        assert kept["media_type"] == ("image/png" if kind == "picture" else "application/geo+json")
+        assert kept["m_per_unit"] == pytest.approx(20 / 400 if kind == "picture" else 1)
+        # at the next visit it is there, under the map
+        page.reload()
+        settled(page)
+        drawn = page.locator(".plan-view")
+        page.wait_for_timeout(300)
+        with_plan = drawn.screenshot()
+        page.get_by_role("button", name="Take the plan away").click()
+        expect(page.get_by_role("button", name="Take the plan away")).to_have_count(0)
+        page.wait_for_timeout(300)
+        assert hall()["plan"] is None
+        assert drawn.screenshot() != with_plan
 
 
 def test_what_the_server_refuses_is_said(desk_browser, service, hall, opened, settled, tmp_path):

@@ -65,7 +65,7 @@ def test_an_empty_map_comes_back(make_map, tmp_path: Path) -> None:
 
 def test_every_array_of_a_map_is_stored() -> None:
     assert {field.name for field in fields(Map)} == {
-        *ARRAY_NAMES, "info", "observations", "view_covariances", "colours", "cloud", "pictures", "densities",
+        *ARRAY_NAMES, "info", "observations", "view_covariances", "colours", "cloud", "pictures", "plan", "densities",
     }  # fmt: skip
 
 

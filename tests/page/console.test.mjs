@@ -4,9 +4,6 @@ import { test } from "node:test";
 import { cameraAt, moved, nextWalk, sayFailures, sayPlace, summary } from "../../client/page/console/coverage_view.js";
 import { halfExtents, intrinsicsFor, intrinsicsOfFieldOfView, Known } from "../../client/page/console/intrinsics.js";
 import { summary as landscapeInWords, heights } from "../../client/page/console/landscape_view.js";
-import { matches } from "../../client/page/console/list_tools.js";
-});
-
 import { grouped, matches } from "../../client/page/console/list_tools.js";
 import { Motions } from "../../client/page/console/motions.js";
 import { clipped } from "../../client/page/console/plain_painter.js";

@@ -137,3 +137,44 @@ def test_labels_say_what_a_map_belongs_to(site):
     for tags in (["a", "a"], [""], ["x" * 101], [str(number) for number in range(21)]):
         answer = correct(site, "hall", {"kind": "labels", "tags": tags})
         assert (answer.status_code, answer.json()["code"]) == (422, "invalid_input")
+
+
+def test_a_floor_plan_is_kept_and_moves_with_the_map(site):
+    url = f"{site.url}/v1/maps/hall"
+    picture = b"\x89PNG\r\n\x1a\n" + b"\0" * 100
+    placed = {"x": 1, "y": 2, "turn_deg": 10, "m_per_unit": 0.02}
+    kept = httpx.put(f"{url}/plan", params=placed, content=picture, headers={"Content-Type": "image/png"}).json()
+    assert kept["plan"] == {"media_type": "image/png", "corner": [1, 2], "turn_deg": 10, "m_per_unit": 0.02}
+    correct(site, "hall", {"kind": "origin", "at": [1, 0, 0]})
+    moved = correct(site, "hall", {"kind": "wall", "direction": [0, 1, 0]}).json()["plan"]
+    np.testing.assert_allclose([*moved["corner"], moved["turn_deg"]], [2, 0, -80], atol=1e-9)
+    taken = httpx.get(f"{url}/plan")
+    assert (taken.content, taken.headers["Content-Type"]) == (picture, "image/png")
+    assert (
+        correct(site, "hall", {"kind": "up", "direction": [0, 1, 1]}).json()["plan"] is None
+    )  # it lies on no floor now
+    gone = httpx.get(f"{url}/plan")
+    assert (gone.status_code, gone.json()["code"]) == (404, "unknown_picture")
+    httpx.post(f"{url}/restore")
+    assert httpx.get(f"{url}/plan").content == picture
+    assert httpx.delete(f"{url}/plan").json()["plan"] is None
+
+
+@pytest.mark.parametrize(
+    ("content", "kind", "query", "code"),
+    [
+        (b"no PNG", "image/png", {}, "invalid_input"),
+        (b"[1, 2]", "application/geo+json", {}, "invalid_input"),
+        (b"{", "application/geo+json", {}, "invalid_input"),
+        (b"<svg/>", "image/svg+xml", {}, "unsupported_media_type"),
+        (b"{}", "application/geo+json", {"m_per_unit": 0}, "invalid_request"),
+        (b"{}", "application/geo+json", {"x": "nan"}, "invalid_input"),
+        (b"\xff\xd8\xff" + b"\0" * 2**23, "image/jpeg", {}, "too_large"),
+    ],
+    ids=lambda value: value[:12] if isinstance(value, bytes) else None,
+)
+def test_what_is_no_floor_plan_is_refused(site, content, kind, query, code):
+    answer = httpx.put(
+        f"{site.url}/v1/maps/hall/plan", params=query, content=content, headers={"Content-Type": kind}, timeout=30
+    )
+    assert answer.json()["code"] == code

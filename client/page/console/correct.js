@@ -4,6 +4,7 @@ import { call, get, path, request } from "../shared/api.js";
 import { fill, h } from "../shared/dom.js";
 import { field } from "../shared/name_choice.js";
 import { t } from "../shared/text.js";
+import { keptPlan } from "./floor_plan.js";
 import { count, length, when } from "./format.js";
 import { action, loading, page, skeletons, tell } from "./parts.js";
 import { PlanPicture } from "./plan_picture.js";
@@ -152,6 +153,7 @@ const KINDS = {
   region: t`region removed`,
   walk: t`piece of the walk removed`,
   names: t`names`,
+  "floor-plan": t`floor plan`,
   labels: t`site, floor, tags`,
 };
 
@@ -172,9 +174,6 @@ export async function showCorrections(main, name, signal) {
     signal,
   );
 }
-
-/** Plans that maps were laid over, by the map's name, while this page is open: later corrections see them. */
-const laid = new Map();
 
 class Editor {
   constructor(name, signal) {
@@ -230,6 +229,7 @@ class Editor {
     ]);
     this.map = map;
     this.metric = map.scale === "metric";
+    this.kept = map.plan && (await keptPlan(map, signal));
     this.view.unit = this.metric ? "m" : t`units`;
     this.view.show(readScene(scene), map.names, map.waypoints);
     this.showHistory(versions);
@@ -299,7 +299,7 @@ class Editor {
   show() {
     const { shape } = this.tool;
     const { point, line, polygon, piece, pins } = this;
-    const plan = shape === Shape.PLAN && this.complete() ? this.plan.placed(pins, this.planPins) : laid.get(this.name);
+    const plan = shape === Shape.PLAN && this.complete() ? this.plan.placed(pins, this.planPins) : this.kept;
     if (shape === Shape.PLAN) this.view.set({ pins, plan });
     else if (shape === Shape.POINT) this.view.set({ point, plan });
     else this.view.set({ line: shape === Shape.LINE ? line : null, polygon, piece, plan });
@@ -425,8 +425,7 @@ class Editor {
     try {
       const wanted = { ...body, version: this.map.version };
       await call("POST", path`v1/maps/${this.name}/corrections`, { body: wanted, signal: this.signal });
-      if (body.kind === "plan") laid.set(this.name, this.plan.asFrame(this.pins, this.planPins));
-      else if (FRAME.has(body.kind)) laid.delete(this.name);
+      if (body.kind === "plan") await this.keepPlan();
       tell(t`Done. The version before can be restored.`);
       await this.load();
       this.clear();
@@ -435,6 +434,21 @@ class Editor {
     } finally {
       this.apply.disabled = !this.complete();
     }
+  }
+
+  /** Keep the plan with the map, whose frame is the plan's by now. */
+  async keepPlan() {
+    const { body, unit } = await this.plan.content();
+    const query = { m_per_unit: unit * this.plan.perPixel(this.pins, this.planPins) };
+    const headers = { "Content-Type": body.type };
+    await call("PUT", path`v1/maps/${this.name}/plan`, { query, headers, body, signal: this.signal });
+  }
+
+  async forgetPlan() {
+    await call("DELETE", path`v1/maps/${this.name}/plan`, { signal: this.signal });
+    tell(t`Done. The version before can be restored.`);
+    await this.load();
+    this.clear();
   }
 
   showNames() {
@@ -448,7 +462,7 @@ class Editor {
         h("span", {}, name, " ", h("span", { class: "muted small" }, what)),
         action(t`Delete`, () => remove(kind, name), "danger"),
       );
-    this.named.hidden = !points.length && !areas.length;
+    this.named.hidden = !points.length && !areas.length && !this.kept;
     fill(
       this.named,
       h("h2", {}, t`Names`),
@@ -457,6 +471,13 @@ class Editor {
         { class: "plain" },
         points.map(({ name }) => item("points", t`point`, name)),
         areas.map(({ name }) => item("areas", t`area`, name)),
+        this.kept &&
+          h(
+            "li",
+            { class: "row spread" },
+            h("span", { class: "muted" }, t`Floor plan`),
+            action(t`Take the plan away`, () => this.forgetPlan(), "danger"),
+          ),
       ),
     );
   }
@@ -508,7 +529,6 @@ class Editor {
   }
 }
 
-const FRAME = new Set(["origin", "north", "wall", "up", "scale"]); // after which a plan no longer lies right
 const difference = ([from, to]) => from.map((value, i) => to[i] - value);
 const others = (all, name) => all.filter((one) => one.name !== name);
 const shown = (value) => String(Number(value.toFixed(DIGITS)));

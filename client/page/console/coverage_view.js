@@ -3,6 +3,8 @@
 import { resolvedColour } from "../shared/colours.js";
 import { fill, h } from "../shared/dom.js";
 import { t } from "../shared/text.js";
+import { keptPlan } from "./floor_plan.js";
+import { drawFloorPlan } from "./plan_view.js";
 
 // The least number of landmarks in view, as a share of what suffices, and its colour: from plenty to none. Blue against
 // orange can be distinguished by everyone.
@@ -24,6 +26,7 @@ const GLOW_M = 0.4; // around the place of a request that failed
 const GLOW_PX = 10; // at the least
 const GLOW_ALPHA = 0.12;
 const MOST_GLOW = 0.6;
+const LEVEL = 1e-6; // how far an axis may be from the map's own
 const BARS_M = [0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50, 100];
 
 /**
@@ -42,7 +45,16 @@ export function coverageView(coverage, map, signal, look, failures = []) {
   const unit = map.scale === "metric" ? "m" : t`units`;
   const rose = { cell: null, heading: 0 };
   const next = nextWalk(coverage);
-  const draw = () => drawCoverage(canvas, coverage, map, unit, rose, next, failures);
+  let plan = /** @type {any} */ (null);
+  const draw = () => drawCoverage(canvas, coverage, map, unit, rose, next, failures, plan);
+  if (map.plan && isLevel(coverage))
+    keptPlan(map, signal).then(
+      (kept) => {
+        plan = kept;
+        draw();
+      },
+      () => {}, // without it, the drawing is as right as before
+    );
   const choose = (cell, heading) => {
     Object.assign(rose, { cell, heading });
     said.textContent = sayPlace(coverage, cell, heading, unit);
@@ -209,7 +221,10 @@ function roseAt(canvas, coverage, x, y) {
   };
 }
 
-function drawCoverage(canvas, coverage, map, unit, chosen, next, failures) {
+/** Whether the drawing is seen along the map's z, x to the right. */
+const isLevel = ({ axes }) => axes[0][0] > 1 - LEVEL && axes[1][1] > 1 - LEVEL;
+
+function drawCoverage(canvas, coverage, map, unit, chosen, next, failures, plan) {
   const ratio = Math.min(devicePixelRatio, 2);
   const wanted = placement(coverage, canvas.clientWidth, Infinity);
   const rows = coverage.cells.map((cell) => cell[1]);
@@ -221,6 +236,10 @@ function drawCoverage(canvas, coverage, map, unit, chosen, next, failures) {
   context.scale(ratio, ratio);
   const token = (name) => resolvedColour(canvas, name);
   const place = placement(coverage, width, height - BAR_HEIGHT);
+  if (plan) {
+    const [x, y] = place.point(plan.corner[0], plan.corner[1]);
+    drawFloorPlan(context, plan, [x, y], place.pixels / coverage.step, token("--muted"));
+  }
   drawRoses(context, coverage, place, token("--surface"));
   drawFailures(context, coverage, place, failures, token);
   if (chosen.cell !== null) drawChosen(context, coverage, place, chosen, token("--ink"));

@@ -1,7 +1,9 @@
 // Floor plans: pictures, and GeoJSON, whose lines are brought into metres.
 
+import { path, request } from "../shared/api.js";
 import { t } from "../shared/text.js";
 
+export const GEOJSON = "application/geo+json";
 const EARTH_M = 6371008.8; // its mean radius
 const MOST_LINES = 20_000;
 
@@ -9,14 +11,21 @@ const MOST_LINES = 20_000;
  * What a file holds: `{image, width, height}` of a picture, in pixels; or `{lines, width, height}` of GeoJSON, lists of
  * [x, y] in metres from its south-western corner.
  */
-export async function readPlan(file) {
-  if (/json$/i.test(file.type) || /\.(geo)?json$/i.test(file.name)) return planOfGeoJson(await file.text());
+export async function readPlan(file, name = file.name) {
+  if (/json$/i.test(file.type) || /\.(geo)?json$/i.test(name)) return planOfGeoJson(await file.text());
   try {
     const image = await createImageBitmap(file);
     return { image, width: image.width, height: image.height };
   } catch {
-    throw new Error(t`${file.name} is neither a picture nor GeoJSON.`);
+    throw new Error(t`${name} is neither a picture nor GeoJSON.`);
   }
+}
+
+/** The floor plan that a map keeps, as a `PlanView` draws it. */
+export async function keptPlan({ name, plan }, signal) {
+  const response = await request(path`v1/maps/${name}/plan`, { signal });
+  const { image, lines } = await readPlan(await response.blob(), t`The floor plan`);
+  return { image, lines, corner: plan.corner, turn: (plan.turn_deg * Math.PI) / 180, perPixel: plan.m_per_unit };
 }
 
 /** The lines of a GeoJSON text. */

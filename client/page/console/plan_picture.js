@@ -1,12 +1,16 @@
-// A floor plan beside a map: opened from this device, never uploaded, and points of it clicked.
+// A floor plan beside a map: opened from this device, points of it clicked, and kept with the map once it lies there.
 
 import { resolvedColour } from "../shared/colours.js";
 import { h } from "../shared/dom.js";
 import { field } from "../shared/name_choice.js";
 import { t } from "../shared/text.js";
-import { metresPerPixel, readPlan } from "./floor_plan.js";
+import { GEOJSON, metresPerPixel, readPlan } from "./floor_plan.js";
 import { tell } from "./parts.js";
 import { drawPin } from "./plan_view.js";
+
+const KEPT_AS_IT_IS = ["image/png", "image/jpeg", "image/webp"];
+const MOST_BYTES = 4_000_000; // larger pictures are made smaller
+const MOST_PX = 3000;
 
 /** `element` shows the plan; `clicked([x, y])` hears of points, from its lower left corner, in its own unit: pixels or metres. */
 export class PlanPicture {
@@ -58,7 +62,7 @@ export class PlanPicture {
     this.changed = changed;
     if (!metric) this.scale.checked = true;
     return [
-      field(t`Picture or GeoJSON`, this.file, t`It stays on this device.`),
+      field(t`Picture or GeoJSON`, this.file, t`It is kept with the map.`),
       field(t`Width of the plan, m`, this.width, metric ? t`Without it, the map's own scale tells.` : null),
       h("label", { class: "check" }, this.scale, t`The map takes the plan's scale`),
     ];
@@ -83,9 +87,17 @@ export class PlanPicture {
     return { image: this.plan.image, lines: this.plan.lines, corner, turn, perPixel };
   }
 
-  /** The same once the map has the plan's frame. */
-  asFrame(mapPins, planPins) {
-    return { ...this.placed(mapPins, planPins), corner: [0, 0], turn: 0 };
+  /** What is kept of it, as the service takes it: `{body, unit}`, the length of its unit in units of the plan. */
+  async content() {
+    const [file] = this.file.files;
+    if (!this.plan.image) return { body: new Blob([file], { type: GEOJSON }), unit: 1 };
+    if (KEPT_AS_IT_IS.includes(file.type) && file.size <= MOST_BYTES) return { body: file, unit: 1 };
+    const unit = Math.max(1, Math.max(...this.size) / MOST_PX);
+    const [width, height] = this.size.map((length) => Math.round(length / unit));
+    const canvas = h("canvas", { width, height });
+    canvas.getContext("2d").drawImage(this.plan.image, 0, 0, width, height);
+    const body = await new Promise((resolve) => canvas.toBlob(resolve, "image/webp"));
+    return { body, unit };
   }
 
   pin(points) {

@@ -151,7 +151,9 @@ export class PlanView {
     const { clientWidth: width, clientHeight: height } = this.canvas;
     context.fillStyle = colour("--surface");
     context.fillRect(0, 0, width, height);
-    if (this.figure.plan && this.side === Side.ABOVE) this.drawPlan(context, colour);
+    const { plan } = this.figure;
+    if (plan && this.side === Side.ABOVE)
+      drawFloorPlan(context, plan, pair(this.place([...plan.corner, 0])), this.scale, colour("--accent"));
     this.drawGrid(context, colour);
     const { landmarks, colours, views } = this.scene;
     context.fillStyle = colour("--muted");
@@ -238,29 +240,6 @@ export class PlanView {
     }
   }
 
-  drawPlan(context, colour) {
-    const { image, lines, corner, turn = 0, perPixel } = this.figure.plan;
-    context.save();
-    context.translate(...pair(this.place([...corner, 0])));
-    context.rotate(-turn);
-    if (image) {
-      const size = perPixel * this.scale;
-      context.globalAlpha = 0.6;
-      context.drawImage(image, 0, -image.height * size, image.width * size, image.height * size);
-    }
-    for (const line of lines ?? []) {
-      context.strokeStyle = colour("--accent");
-      context.lineWidth = 1.5;
-      context.beginPath();
-      line.forEach(([x, y], i) => {
-        if (i) context.lineTo(x * this.scale, -y * this.scale);
-        else context.moveTo(x * this.scale, -y * this.scale);
-      });
-      context.stroke();
-    }
-    context.restore();
-  }
-
   drawFigure(context, colour) {
     const { line, polygon, point, piece, pins } = this.figure;
     context.strokeStyle = context.fillStyle = colour("--bad");
@@ -288,6 +267,29 @@ export class PlanView {
     }
     for (const [i, pin] of (pins ?? []).entries()) drawPin(context, this.place(pin), "AB"[i], colour);
   }
+}
+
+/**
+ * A floor plan under a map, seen from above with y up: `corner` is where its lower left corner lies, in pixels, `scale` the
+ * pixels of a metre.
+ */
+export function drawFloorPlan(context, { image, lines, turn, perPixel }, corner, scale, stroke) {
+  const size = perPixel * scale;
+  context.save();
+  context.translate(...corner);
+  context.rotate(-turn);
+  if (image) {
+    context.globalAlpha = 0.6;
+    context.drawImage(image, 0, -image.height * size, image.width * size, image.height * size);
+  }
+  context.strokeStyle = stroke;
+  context.lineWidth = 1.5;
+  for (const line of lines ?? []) {
+    context.beginPath();
+    for (const [x, y] of line) context.lineTo(x * size, -y * size);
+    context.stroke();
+  }
+  context.restore();
 }
 
 /** A lettered mark. */

@@ -14,7 +14,18 @@ from rholoc.mapping import frames
 from rholoc.mapping.cutting import in_region, without_landmarks, without_views
 from rholoc.mapping.moving import move_map
 from rholoc.mapping.versions import as_corrected, noted
-from rholoc.maps import Correction, CorrectionKind, Map, MapInfo, MapLabels, MapNames, check_labels, check_names
+from rholoc.maps import (
+    Correction,
+    CorrectionKind,
+    FloorPlan,
+    Map,
+    MapInfo,
+    MapLabels,
+    MapNames,
+    check_labels,
+    check_names,
+    check_plan,
+)
 
 _Y_DEG = 90.0
 _MIN_PLAN_POINTS, _MAX_PLAN_POINTS = 2, 100
@@ -131,6 +142,17 @@ def set_names(map_: Map, names: MapNames) -> Map:
     """
     named = replace(map_, info=replace(map_.info, names=check_names(names)))
     return replace(named, info=noted(named.info, _correction(map_.info, CorrectionKind.NAMES)))
+
+
+def set_floor_plan(map_: Map, content: bytes, plan: FloorPlan | None) -> Map:
+    """The map with a floor plan to be kept with it: the file's ``content``, and where it lies; or without, for None.
+
+    Raises:
+        TooLarge, InvalidInput: it cannot be kept.
+    """
+    kept = None if plan is None else check_plan(content, plan)
+    planned = replace(map_, info=replace(map_.info, plan=kept), plan=content if kept else b"")
+    return replace(planned, info=noted(planned.info, _correction(map_.info, CorrectionKind.FLOOR_PLAN)))
 
 
 def set_labels(map_: Map, labels: MapLabels) -> Map:

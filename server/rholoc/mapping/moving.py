@@ -31,9 +31,11 @@ def move_map(map_: Map, similarity: Similarity) -> Map:
     covariances, R = map_.covariances.astype(np.float64), similarity.rotation
     turned = similarity.scale**2 * R @ covariances @ R.T
     densities = FORMS[map_.info.density].from_arrays(map_.densities.moved(similarity).arrays(), landmarks)
+    info = _moved_info(map_.info, similarity)
     moved = replace(
         map_,
-        info=_moved_info(map_.info, similarity),
+        info=info,
+        plan=b"" if info.plan is None else map_.plan,
         landmarks=landmarks,
         covariances=((turned + turned.transpose(0, 2, 1)) / 2).astype(np.float32),
         T_map_camera=poses_from_rows(rows_from_poses(T_map_camera).astype(np.float32)),  # as files keep them
@@ -78,7 +80,8 @@ def _moved_info(info: MapInfo, similarity: Similarity) -> MapInfo:
         for waypoint in info.waypoints
     )
     names = moved_names(info.names, similarity)
-    return replace(info, waypoints=waypoints, names=names, report=_scaled_report(info.report, scale))
+    plan = None if info.plan is None else info.plan.moved(similarity)
+    return replace(info, waypoints=waypoints, names=names, plan=plan, report=_scaled_report(info.report, scale))
 
 
 def _scaled_report(report: MapReport, scale: float) -> MapReport:

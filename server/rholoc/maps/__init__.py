@@ -8,6 +8,7 @@ from rholoc.maps.coefficient_table import coefficient_table, write_coefficient_t
 from rholoc.maps.corrections import Correction, CorrectionKind
 from rholoc.maps.coverage import Coverage, coverage_of
 from rholoc.maps.export import landmark_sigmas, map_to_ply, map_to_vtp
+from rholoc.maps.floor_plan import MAX_PLAN_BYTES, FloorPlan, check_plan
 from rholoc.maps.gltf import map_to_gltf
 from rholoc.maps.info import MapInfo, MapWaypoint, Source
 from rholoc.maps.library import MapLibrary, MapStat, check_map_name
@@ -47,6 +48,7 @@ from rholoc.maps.trust import Trust, consistency_m, expected_error_m, trust_of
 from rholoc.maps.validation import check_usable, validate_map
 
 __all__ = [
+    "MAX_PLAN_BYTES",
     "CameraLibrary",
     "CameraProfile",
     "Cloud",
@@ -54,6 +56,7 @@ __all__ = [
     "CorrectionKind",
     "Coverage",
     "DensityKind",
+    "FloorPlan",
     "Map",
     "MapInfo",
     "MapLabels",
@@ -75,6 +78,7 @@ __all__ = [
     "check_names",
     "check_observations",
     "check_outline",
+    "check_plan",
     "check_usable",
     "cloud_to_bytes",
     "coefficient_table",

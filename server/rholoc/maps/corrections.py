@@ -18,6 +18,7 @@ class CorrectionKind(StrEnum):
     REGION = "region"  # landmarks of a region removed
     WALK = "walk"  # a piece of a walk removed
     NAMES = "names"  # names of points and areas
+    FLOOR_PLAN = "floor-plan"  # the floor plan that the map keeps
     LABELS = "labels"  # site, floor and tags of the map
 
 

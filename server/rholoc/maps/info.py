@@ -10,6 +10,7 @@ from rholoc.density import DensityKind
 from rholoc.errors import InvalidInput, InvalidMap
 from rholoc.geometry import Camera
 from rholoc.maps.corrections import Correction
+from rholoc.maps.floor_plan import FloorPlan
 from rholoc.maps.names import MapLabels, MapNames
 from rholoc.reports import MapReport, report_from_json, report_to_json
 
@@ -75,6 +76,7 @@ class MapInfo:
         waypoints: measured points.
         names: of points and areas.
         labels: site, floor and tags.
+        plan: the floor plan that it keeps; None where it keeps none.
         corrections: what people corrected since it was built, by version.
         report: what it found out about itself while it was built.
     """
@@ -91,6 +93,7 @@ class MapInfo:
     waypoints: tuple[MapWaypoint, ...] = ()
     names: MapNames = field(default_factory=MapNames)
     labels: MapLabels = field(default_factory=MapLabels)
+    plan: FloorPlan | None = None
     corrections: tuple[Correction, ...] = ()
     report: MapReport = field(default_factory=MapReport)
 

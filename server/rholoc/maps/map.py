@@ -40,6 +40,7 @@ class Map:
         colours: (F, 3) uint8, red, green and blue of each landmark in the pictures; None where they are not known.
         cloud: further points of the room, for people to see.
         pictures: (K,) a small JPEG of each view, empty for those of which none is kept; None where none is.
+        plan: the file of its floor plan, empty where it keeps none; ``info.plan`` says what it is.
         densities: of all features, in the form that the map has.
     """
 
@@ -58,6 +59,7 @@ class Map:
     colours: ByteArray | None = None
     cloud: Cloud = Cloud()  # noqa: RUF009 - it is frozen
     pictures: tuple[bytes, ...] | None = None
+    plan: bytes = b""
     densities: Densities = RayDensities()  # noqa: RUF009 - it is frozen
 
     def __len__(self) -> int:

@@ -65,6 +65,9 @@ _PICTURES: dict[str, tuple[str, tuple[int | None, ...]]] = {
     "picture_bytes": ("u1", (None,)),  # one JPEG after the other
     "picture_offsets": ("i8", (None,)),
 }
+_PLAN: dict[str, tuple[str, tuple[int | None, ...]]] = {
+    "plan_bytes": ("u1", (None,)),
+}
 _OBSERVATIONS: dict[str, tuple[str, tuple[int | None, ...]]] = {
     "extras/observation_pixels": ("u2", (None, 2)),
     "extras/view_sources": ("i4", (None,)),
@@ -188,13 +191,15 @@ def _packed(map_: Map) -> Arrays:
             "picture_bytes": np.frombuffer(b"".join(map_.pictures), dtype=np.uint8),
             "picture_offsets": np.concatenate([[0], ends]),
         }
+    if map_.plan:
+        arrays["plan_bytes"] = np.frombuffer(map_.plan, dtype=np.uint8)
     if map_.observations is not None:
         arrays |= {
             "extras/observation_pixels": _packed_pixels(map_, map_.observations),
             "extras/view_sources": map_.observations.view_sources,
             "extras/descriptor_sources": map_.observations.descriptor_sources,
         }
-    kinds = _ARRAYS | _VIEW_COVARIANCES | _COLOURS | _CLOUD | _PICTURES | _OBSERVATIONS
+    kinds = _ARRAYS | _VIEW_COVARIANCES | _COLOURS | _CLOUD | _PICTURES | _PLAN | _OBSERVATIONS
     packed = {name: np.asarray(array, dtype=f"<{kinds[name][0]}", order="C") for name, array in arrays.items()}
     for name, array in map_.densities.arrays().items():
         little_endian = array.dtype.newbyteorder("<")
@@ -231,6 +236,7 @@ def _unpacked(info: MapInfo, arrays: Arrays) -> Map:
         colours=arrays.get("colours"),
         cloud=_unpacked_cloud(arrays),
         pictures=_unpacked_pictures(arrays, len(arrays["view_times"])),
+        plan=_unpacked_plan(arrays),
         densities=_unpacked_densities(info.density, arrays),
         observations=None,
     )
@@ -280,6 +286,13 @@ def _unpacked_pictures(arrays: Arrays, views: int) -> tuple[bytes, ...] | None:
     if not (fit and np.all(np.diff(offsets) >= 0)):
         raise InvalidMap("The map contradicts itself: the views' pictures are broken.", _HINT)
     return tuple(whole[start:end] for start, end in pairwise(offsets.tolist()))
+
+
+def _unpacked_plan(arrays: Arrays) -> bytes:
+    if "plan_bytes" not in arrays:
+        return b""
+    _check_arrays(arrays, _PLAN)
+    return bytes(arrays["plan_bytes"].tobytes())
 
 
 def unpacked_poses(rows: FloatArray) -> FloatArray:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from rholoc.errors import InvalidMap
+from rholoc.errors import InvalidMap, RholocError
 from rholoc.geometry import FloatArray, IntArray
+from rholoc.maps.floor_plan import FloorPlan, check_plan
 from rholoc.maps.map import Map
 from rholoc.maps.observations import observations_fit
 
@@ -58,12 +59,23 @@ def validate_map(map_: Map) -> None:
     if map_.pictures is not None:
         _check(len(map_.pictures) == views, "views and their pictures differ in number")
         _check(all(one.startswith(_JPEG) for one in map_.pictures if one), "a view's picture is not a JPEG")
+    _check(bool(map_.plan) == (map_.info.plan is not None), "its floor plan and what it says of it do not fit together")
+    if map_.info.plan is not None:
+        _check(_is_plan(map_.plan, map_.info.plan), "its floor plan is not one")
     if map_.view_covariances is not None:
         _check(_all_covariances(map_.view_covariances, views), "its views' covariances are not valid")
     if map_.observations is not None:
         _check(observations_fit(map_, map_.observations), "its observations and its recordings do not fit together")
     _check(map_.densities.kind is map_.info.density, "it has densities of another form")
     _check(not (problem := map_.densities.problem(features)), problem)
+
+
+def _is_plan(content: bytes, plan: FloorPlan) -> bool:
+    try:
+        check_plan(content, plan)
+    except RholocError:
+        return False
+    return True
 
 
 def _check_cloud(map_: Map) -> None:

@@ -11,7 +11,7 @@ from pydantic.config import JsonDict
 from rholoc.features import Channel
 from rholoc.jobs import JobState, RecordedWaypoint
 from rholoc.localization import Cause, Dof, Intrinsics, Reason
-from rholoc.maps import Correction, DensityKind, MapLabels, MapNames, MapWaypoint, Source
+from rholoc.maps import Correction, DensityKind, FloorPlan, MapLabels, MapNames, MapWaypoint, Source
 from rholoc.progress import Stage
 from rholoc.reports import MapReport
 from rholoc.service.examples import CORRECTION, NAMES, REPORT, SOURCE, WAYPOINT, sent
@@ -579,6 +579,7 @@ class MapDetail(MapSummary):
                 "previous": None,
                 "names": sent(NAMES),
                 "corrections": [sent(CORRECTION)],
+                "plan": None,
                 "points": 24180,
                 "pictures": False,
                 "levelling": None,
@@ -592,6 +593,9 @@ class MapDetail(MapSummary):
     previous: PreviousMap | None = Field(description="the map that it replaced, which can be restored")
     names: MapNames = Field(description="of points and areas")
     corrections: tuple[Correction, ...] = Field(description="what people corrected in it, the last one last")
+    plan: FloorPlan | None = Field(
+        description="the floor plan that it keeps, and where it lies; null where there is none"
+    )
     points: int = Field(description="how many further points of the room it keeps, for people to see")
     pictures: bool = Field(description="whether it keeps pictures of its views, and this server shows them")
     levelling: list[list[float]] | None = Field(

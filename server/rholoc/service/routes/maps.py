@@ -36,8 +36,10 @@ from rholoc.geometry import Camera
 from rholoc.jobs import JobKind, JobOptions
 from rholoc.localization import localizer_of
 from rholoc.localization.landscape import presence_of
-from rholoc.mapping import forget_recording, levelled, merge_maps
+from rholoc.mapping import forget_recording, levelled, merge_maps, set_floor_plan
 from rholoc.maps import (
+    MAX_PLAN_BYTES,
+    FloorPlan,
     Map,
     MapInfo,
     MapLibrary,
@@ -52,13 +54,14 @@ from rholoc.maps import (
     read_coefficient_table,
     trust_of,
 )
+from rholoc.maps.floor_plan import MEDIA_TYPES
 from rholoc.pictures.rendering import Rendering
 from rholoc.reports import CoverageReport
 from rholoc.service.access import NEEDS_ADMIN, NEEDS_MAP, NEEDS_READ
-from rholoc.service.bodies import save_body
+from rholoc.service.bodies import media_type, read_body, save_body
 from rholoc.service.compute import Effort
 from rholoc.service.corrections import corrected_map
-from rholoc.service.errors import InvalidRequest
+from rholoc.service.errors import InvalidRequest, UnsupportedMediaType
 from rholoc.service.examples import REPORT, sent
 from rholoc.service.exports import ExportRequest, is_long
 from rholoc.service.files import OpenedFile
@@ -300,6 +303,65 @@ async def correct_map(
     return await run_in_threadpool(_detail, service, map_name)
 
 
+@router.put(
+    "/{map_name}/plan",
+    dependencies=[NEEDS_MAP],
+    summary="Keep a floor plan with a map",
+    responses=failures(*_FAILURES, InvalidInput, InvalidRequest, UnsupportedMediaType, TooLarge, Conflict, StorageFull),
+    openapi_extra=request_body({kind: {"schema": BINARY} for kind in MEDIA_TYPES}),
+)
+async def put_plan(
+    map_name: str,
+    request: Request,
+    service: Service,
+    x: Annotated[float, Query(description="where its lower left corner lies, m, map frame")] = 0.0,
+    y: Annotated[float, Query(description="where its lower left corner lies, m, map frame")] = 0.0,
+    turn_deg: Annotated[float, Query(description="how far its lower edge is turned from the map's x towards y")] = 0.0,
+    m_per_unit: Annotated[float, Query(gt=0, description="how long a pixel is, or a metre of GeoJSON")] = 1.0,
+) -> MapDetail:
+    """The body is a picture (PNG, JPEG, WebP) or GeoJSON. The plan moves with the map when its frame is corrected. The map
+    with it is its next version, and the one before can be restored."""
+    kind = media_type(request)
+    if kind not in MEDIA_TYPES:
+        raise UnsupportedMediaType(f"A floor plan cannot be {kind or 'nothing'}.", f"Send {', '.join(MEDIA_TYPES)}.")
+    await run_in_threadpool(service.library.stat, map_name)
+    content = await read_body(request, MAX_PLAN_BYTES)
+    plan = FloorPlan(kind, (x, y), turn_deg, m_per_unit)
+    return await run_in_threadpool(_planned, service, map_name, content, plan)
+
+
+@router.get(
+    "/{map_name}/plan",
+    dependencies=[NEEDS_READ],
+    summary="A map's floor plan",
+    response_class=Response,
+    responses={
+        200: {"description": "The file.", "content": {kind: {"schema": BINARY} for kind in MEDIA_TYPES}},
+        **failures(*_FAILURES, UnknownPicture),
+    },
+)
+async def get_plan(map_name: str, request: Request, service: Service) -> Response:
+    """As it was sent; `plan` of the map says where it lies."""
+    etag = etag_of(await run_in_threadpool(service.library.stat, map_name), "plan")
+    if _is_kept(request, etag):
+        return _unchanged(etag)
+    map_ = await run_in_threadpool(service.library.get, map_name)
+    if map_.info.plan is None:
+        raise UnknownPicture(f"The map {map_name} has no floor plan.", "Send one with PUT.")
+    return Response(map_.plan, media_type=map_.info.plan.media_type, headers=_caching(etag))
+
+
+@router.delete(
+    "/{map_name}/plan",
+    dependencies=[NEEDS_MAP],
+    summary="Take a map's floor plan away",
+    responses=failures(*_FAILURES, Conflict, StorageFull),
+)
+async def delete_plan(map_name: str, service: Service) -> MapDetail:
+    """The map stays where it lies."""
+    return await run_in_threadpool(_planned, service, map_name, b"", None)
+
+
 @router.post(
     "/{map_name}/update",
     dependencies=[NEEDS_MAP],
@@ -511,6 +573,11 @@ def _unchanged(etag: str) -> Response:
     return Response(status_code=304, headers=_caching(etag))
 
 
+def _planned(service: State, name: str, content: bytes, plan: FloorPlan | None) -> MapDetail:
+    service.library.replace(name, set_floor_plan(service.library.get(name), content, plan))
+    return _detail(service, name)
+
+
 def _check_learns(library: MapLibrary, name: str) -> None:
     check_observations(library.get(name), f"The map {name}")
 
@@ -585,6 +652,7 @@ def _detail_of(name: str, map_: Map, size_bytes: int, before: MapInfo | None) ->
         "previous": None if before is None else _previous(1, before),
         "names": map_.info.names,
         "corrections": map_.info.corrections,
+        "plan": map_.info.plan,
         "points": len(map_.cloud),
         "pictures": map_.pictures is not None,
         "levelling": None if rotation is None else rotation.tolist(),
