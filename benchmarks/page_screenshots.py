@@ -2,7 +2,8 @@
 
     python benchmarks/page_screenshots.py [OUT]
 
-Starts a service of its own with the shipped map, trusted and, under another name, not. Needs Chromium.
+Simulates a walk, maps it, and starts a service of its own with the map, trusted and, under another name, not. It takes
+some three minutes. Needs Chromium.
 """
 
 from __future__ import annotations
@@ -19,16 +20,21 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import httpx
 import uvicorn
 from fastapi import FastAPI
 from playwright.sync_api import Browser, Page, sync_playwright
 
-from rholoc.mapping.report import map_statistics
-from rholoc.maps import load_map, save_map
+from rholoc.jobs import RecordingStore
+from rholoc.jobs.recording_notes import note_recording
+from rholoc.mapping import BuildOptions, build_map, set_labels, set_names
+from rholoc.maps import Map, MapLabels, MapNames, NamedArea, NamedPoint, save_map
+from rholoc.recordings import Recording, read_recording
 from rholoc.service import Settings, create_app
 from rholoc.service.live import ASKER
 from rholoc.service.schemas import LocalizationOut
+from rholoc.simulation import simulate_recording
 
 ROOT = Path(__file__).parents[1]
 OUT = ROOT / "docs" / "page"
@@ -43,9 +49,15 @@ PAGES = {
     "try": "#/try/testsite",
     "jobs": "#/jobs",
     "recordings": "#/recordings",
+    "recording": "#/recordings/RECORDING",
     "cameras": "#/cameras",
     "record": "record",
 }
+NAMES = MapNames(
+    points=(NamedPoint("charger", (0.4, 3.2, 0.3)),),
+    areas=(NamedArea("lounge", ((-1.0, -1.0), (2.0, -1.0), (2.0, 1.5), (-1.0, 1.5))),),
+)
+TRIED_FRAME = 300
 FAILING = 0.05  # of a robot's requests
 QUALITY = 70  # of the JPEG files
 TALLEST_PX = 1800
@@ -60,32 +72,42 @@ def main() -> None:
     out = Path(sys.argv[1]) if len(sys.argv) > 1 else OUT
     out.mkdir(parents=True, exist_ok=True)
     folder = Path(tempfile.mkdtemp())
-    url, server = start(folder)
-    fill(url)
+    simulate_recording(folder / "walk")
+    walk = read_recording(folder / "walk")
+    url, server = start(folder, build_map([walk], BuildOptions(pictures=True)))
+    recording = fill(url, folder, walk)
+    pages = {name: f"{url}/{where.replace('RECORDING', recording)}" for name, where in PAGES.items()}
+    tried = folder / "tried.jpg"
+    cv2.imwrite(str(tried), next(iter(walk.frames.images([TRIED_FRAME]))))
     try:
         with sync_playwright() as playwright:
             arguments = ["--no-sandbox", "--enable-unsafe-swiftshader"]
             browser = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=arguments)
             for device in WINDOWS:
                 for scheme in SCHEMES:
-                    take_all(browser, url, device, scheme, out)
+                    take_all(browser, pages, tried, device, scheme, out)
             browser.close()
     finally:
         server.should_exit = True
         shutil.rmtree(folder, ignore_errors=True)
 
 
-def start(folder: Path) -> tuple[str, uvicorn.Server]:
-    """A service with the shipped map as ``testsite``, and one like it whose walk is in doubt as ``hall``."""
+def start(folder: Path, map_: Map) -> tuple[str, uvicorn.Server]:
+    """A service with the map as ``testsite``, and one like it whose walk is in doubt as ``hall``."""
     maps = folder / "maps"
     maps.mkdir()
-    map_ = load_map(ROOT / "maps" / "testsite.rho")
-    report = replace(map_.info.report, coverage=map_statistics(map_).coverage)
-    (walk,) = report.trajectories
-    doubted = replace(report, trajectories=(replace(walk, trusted=False, why=WHY),))
-    save_map(replace(map_, info=replace(map_.info, report=report)), maps / "testsite.rho")
+    (walk,) = map_.info.report.trajectories
+    doubted = replace(map_.info.report, trajectories=(replace(walk, trusted=False, why=WHY),))
     save_map(replace(map_, info=replace(map_.info, report=doubted)), maps / "hall.rho")
-    settings = Settings(maps_dir=maps, data_dir=folder / "data", worker=False, live=True, keep_failures=True)
+    save_map(set_labels(set_names(map_, NAMES), MapLabels("Plant 2", "1", ("showroom",))), maps / "testsite.rho")
+    settings = Settings(
+        maps_dir=maps,
+        data_dir=folder / "data",
+        worker=False,
+        live=True,
+        keep_failures=True,
+        keep_pictures=True,
+    )
     app = create_app(settings)
     server = uvicorn.Server(uvicorn.Config(app, log_level="error"))
     listener = socket.create_server(("127.0.0.1", 0))
@@ -115,24 +137,30 @@ def ask(app: FastAPI, server: uvicorn.Server) -> None:
         time.sleep(0.2)
 
 
-def fill(url: str) -> None:
-    """A camera, and a recording with its job."""
+def fill(url: str, folder: Path, walk: Recording) -> str:
+    """A camera, and a recording with its job; returns the recording's id."""
     camera = json.loads((ROOT / "maps" / "queries" / "camera.json").read_text())
     known = {name: camera[name] for name in ("width", "height", "fx", "fy", "cx", "cy")}
     httpx.put(f"{url}/v1/cameras/phone", json=known).raise_for_status()
-    walk = {"file": ("walk.mp4", b"\0\0\0\x18ftypmp42" + b"\0" * 5_000_000)}
-    httpx.post(f"{url}/v1/recordings", files=walk, data={"map": "stairs"}, timeout=60).raise_for_status()
+    video = {"file": ("walk.mp4", (folder / "walk" / "video.mp4").read_bytes())}
+    answer = httpx.post(f"{url}/v1/recordings", files=video, data={"map": "stairs"}, timeout=60)
+    recording: str = answer.raise_for_status().json()["recording"]
+    note_recording(RecordingStore(folder / "data").folder(recording), walk)
+    return recording
 
 
-def take_all(browser: Browser, url: str, device: str, scheme: str, out: Path) -> None:
+def take_all(browser: Browser, pages: dict[str, str], tried: Path, device: str, scheme: str, out: Path) -> None:
     """Every page on one device in one colour scheme."""
     context = browser.new_context(viewport=WINDOWS[device], color_scheme=scheme, locale="en-GB")
     page = context.new_page()
     page.set_default_timeout(120_000)
-    for name, address in PAGES.items():
-        page.goto(f"{url}/{address}")
+    for name, address in pages.items():
+        page.goto(address)
         page.locator("main h1").first.wait_for()
         page.locator("main [aria-busy]").first.wait_for(state="detached")
+        if name == "map":
+            page.get_by_role("button", name="more points").click()
+            page.get_by_role("button", name="Landmarks only").wait_for()
         if name == "live":
             page.get_by_role("button", name="Live").click()
             page.locator("section tbody tr").nth(2).wait_for()
@@ -144,7 +172,7 @@ def take_all(browser: Browser, url: str, device: str, scheme: str, out: Path) ->
             page.mouse.move(box["x"] + 0.22 * box["width"], box["y"] + 0.25 * box["height"])
             page.mouse.up()
         if name == "try":
-            page.get_by_label("Picture or trajectory").set_input_files(ROOT / "maps" / "queries" / "1.jpg")
+            page.get_by_label("Picture or trajectory").set_input_files(tried)
             page.locator(".answer .badge").wait_for()
         page.wait_for_timeout(1500)
         save(page, out / f"{name}-{device}-{scheme}.jpg")
