@@ -319,8 +319,8 @@ async def put_plan(
     turn_deg: Annotated[float, Query(description="how far its lower edge is turned from the map's x towards y")] = 0.0,
     m_per_unit: Annotated[float, Query(gt=0, description="how long a pixel is, or a metre of GeoJSON")] = 1.0,
 ) -> MapDetail:
-    """The body is a picture (PNG, JPEG, WebP) or GeoJSON. With it, this is the next version of the map; the one before can
-    be restored. The plan moves with the map when its frame is corrected."""
+    """The body is a picture (PNG, JPEG, WebP) or GeoJSON. This is the map's next version; the one before can be
+    restored. The plan moves with the map when its frame is corrected."""
     kind = media_type(request)
     if kind not in MEDIA_TYPES:
         raise UnsupportedMediaType(f"A floor plan cannot be {kind or 'nothing'}.", f"Send {', '.join(MEDIA_TYPES)}.")
