@@ -16,7 +16,17 @@ from PIL import Image
 from scipy.spatial.transform import Rotation
 
 from rholoc.mapping.report import map_statistics
-from rholoc.maps import Map, MapNames, NamedPoint, landmark_sigmas, map_to_gltf, map_to_ply, map_to_scene, map_to_vtp
+from rholoc.maps import (
+    Cloud,
+    Map,
+    MapNames,
+    NamedPoint,
+    landmark_sigmas,
+    map_to_gltf,
+    map_to_ply,
+    map_to_scene,
+    map_to_vtp,
+)
 from rholoc.pictures.map_preview import preview_png
 
 
@@ -137,6 +147,15 @@ def test_gltf_holds_coloured_landmarks_and_each_walk(room_map: Map) -> None:
     up = Rotation.from_quat(root["rotation"]).apply([0, 0, 1])
     np.testing.assert_allclose(up, [0, 1, 0], atol=1e-12)
     assert "door" in {document["nodes"][child]["name"] for child in root["children"]}
+
+
+def test_gltf_holds_further_points_as_a_mesh_of_their_own(room_map: Map) -> None:
+    cloud = Cloud(np.ones((3, 3), np.float32), np.full((3, 3), 200, np.uint8), np.zeros(3, np.int32))
+    content = map_to_gltf(replace(room_map, cloud=cloud))
+    document = json.loads(content[20 : 20 + struct.unpack_from("<I", content, 12)[0]])
+    (mesh,) = (mesh for mesh in document["meshes"] if mesh["name"] == "further points")
+    counts = [document["accessors"][accessor]["count"] for accessor in mesh["primitives"][0]["attributes"].values()]
+    assert counts == [3, 3]
 
 
 @pytest.mark.parametrize(("features", "views"), [(0, 0), (1, 1)])

@@ -25,8 +25,8 @@ _Z_UP_TO_Y_UP = [-0.7071067811865476, 0.0, 0.0, 0.7071067811865476]  # quaternio
 
 
 def map_to_gltf(map_: Map) -> bytes:
-    """A map as GLB: landmarks as points, in the colours of the pictures where the map knows them, and the path of each
-    recording as a line; named points and waypoints are empty nodes with their names. Metres.
+    """A map as GLB: landmarks as points, in the colours of the pictures where the map knows them; the further points of
+    its cloud as another mesh; the path of each recording as a line; named points and waypoints as empty nodes. Metres.
     """
     file = _File()
     children: list[int] = []
@@ -35,6 +35,9 @@ def map_to_gltf(map_: Map) -> bytes:
         if map_.colours is not None:
             attributes["COLOR_0"] = file.colours(map_.colours)
         children.append(file.mesh("landmarks", attributes, _POINTS))
+    if len(map_.cloud):
+        attributes = {"POSITION": file.positions(map_.cloud.positions), "COLOR_0": file.colours(map_.cloud.colours)}
+        children.append(file.mesh("further points", attributes, _POINTS))
     for source, rows in _walks(map_):
         if len(rows) > 1:
             children.append(file.mesh(source, {"POSITION": file.positions(map_.view_positions[rows])}, _LINE_STRIP))
