@@ -95,7 +95,7 @@ def test_a_recording_s_page_is_accessible_and_fits_a_phone(desk_browser, stored,
 def test_maps_are_labelled_searched_and_grouped(desk_browser, stored, opened, settled):
     running, _ = stored
     with opened(desk_browser, running.url, "maps/shed") as page:
-        settled(page).get_by_role("button", name="Site, floor, tags").click()
+        page.get_by_role("button", name="Site, floor, tags").click()
         dialog = page.get_by_role("dialog")
         dialog.get_by_label("Site").fill("yard")
         dialog.get_by_label("Tags").fill("wood, old ,")

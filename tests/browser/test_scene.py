@@ -98,9 +98,10 @@ def painted(page) -> int:
     return int((np.abs(shot[..., ::-1].astype(int) - MAGENTA).max(axis=2) < 30).sum())
 
 
-def test_more_points_pictures_and_a_level_room(desk_browser, leaning, opened, settled):
+def test_more_points_pictures_and_a_level_room(desk_browser, leaning, opened):
     with opened(desk_browser, leaning.url, "maps/leaning", failures=1) as page:  # of the picture that is not there
-        expect(settled(page).get_by_text("Levelled for display: up is estimated")).to_be_visible()
+        expect(page.get_by_text("Levelled for display: up is estimated")).to_be_visible()
+        expect(page.get_by_role("button", name="more points")).to_be_visible()
         waypoint, origin = (page.locator(".scene-labels span", has_text=text) for text in ("W1", re.compile("^z$")))
         # the waypoint is 1.5 m under the origin in the map's own axes
         assert at(waypoint)[1] < at(origin)[1]

@@ -50,7 +50,7 @@ def test_a_map_is_put_renamed_replaced_taken_and_deleted(service, picture_world,
 
 
 def test_the_preview_is_a_picture(service):
-    answer = httpx.get(service.url + "/v1/maps/room/preview.png", timeout=30)
+    answer = httpx.get(service.url + "/v1/maps/room/preview.png", timeout=120)
     assert answer.headers["Content-Type"] == "image/png"
     picture = cv2.imdecode(np.frombuffer(answer.content, np.uint8), cv2.IMREAD_COLOR)
     assert min(picture.shape[:2]) > 500
