@@ -17,9 +17,7 @@ from rholoc.errors import DeadlineExceeded, InvalidCamera, InvalidDescriptors
 from rholoc.features import Extractor, FeatureSet
 from rholoc.geometry import ByteArray, FloatArray, Pose
 from rholoc.localization import TOO_LITTLE_TIME, AnyLocalizer, Localization, Query, Reason, likeliest_views
-from rholoc.maps import trust_of
-from rholoc.localization import TOO_LITTLE_TIME, Localization, Localizer, Query, Reason, likeliest_views
-from rholoc.maps import areas_at, points_near
+from rholoc.maps import areas_at, points_near, trust_of
 from rholoc.recordings.frames.image import SENT_FORMATS, decode_image
 from rholoc.service.localizers import Localizers
 from rholoc.service.queries import Frame, camera_for, feature_set, gravity_of, prior_of
