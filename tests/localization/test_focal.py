@@ -11,7 +11,7 @@ from rholoc.density import Evidence
 from rholoc.geometry import Pose
 from rholoc.localization import Cause, Intrinsics, Localizer, Query
 from rholoc.localization.ascent import ascend_with_focal, freed_focal
-from rholoc.localization.focal import _sensible
+from rholoc.localization.focal import _sensible, check_focal
 from rholoc.localization.types import Dof
 from rholoc.localization.verification import evidence_of, verify
 from rholoc.maps import Map
@@ -116,3 +116,22 @@ def test_the_ascent_finds_the_focal_length(point_room: Any) -> None:
 def test_cameras_of_20_to_120_degrees_exist(point_room: Any, scale: float, sensible: bool) -> None:
     """From 0.3 to 3.5 times the longer side; the room's camera has 520 of 640 px."""
     assert _sensible(point_room.camera, scale) == sensible
+
+
+@pytest.mark.parametrize(("scale", "belief"), [(1.0, 1.0), (0.85, 0.3), (1.1, 0.86)])
+def test_what_the_matches_say_of_a_given_focal_length(
+    localizer: Localizer, point_room: Any, scale: float, belief: float
+) -> None:
+    truth, camera = corners(point_room)[0], point_room.camera.zoomed(scale)
+    seen = point_room.see(truth, 700)
+    query = Query(seen, camera)
+    verified = verify(localizer.index, query, camera.rays(seen.pixels), truth.T_map_camera)
+    assert verified is not None
+    found = check_focal(localizer.index, query, verified, localizer.index.match_everywhere(seen))
+    assert found.focal_px == pytest.approx(point_room.camera.focal, rel=0.02)
+    assert found.belief == pytest.approx(belief, abs=0.12)
+    if scale == 1.0:
+        assert found.moved_m < 0.02
+    else:
+        assert 0.1 < found.moved_m < 1.0
+        assert abs(found.focal_px - point_room.camera.focal) < 3 * found.sigma_px < 0.2 * found.focal_px

@@ -2,9 +2,18 @@
 
 from __future__ import annotations
 
-import numpy as np
+from dataclasses import replace
+from typing import Any
 
+import numpy as np
+import pytest
+
+from rholoc.features import FeatureSet, Metric
+from rholoc.features.matching import LIMITS
+from rholoc.geometry import ByteArray, Pose
 from rholoc.localization import Localizer
+from rholoc.localization.map_index import MapIndex
+from rholoc.localization.matches import guided_chances
 from rholoc.maps import Map
 
 
@@ -16,3 +25,122 @@ def test_what_was_seen_alike_is_what_the_views_that_share_most_saw(localizer: Lo
     more = localizer.index.seen_alike(of_view[7], 3)
     assert (more & seen).sum() == seen.sum()
     assert localizer.index.seen_alike(of_view[7], len(of_view)).sum() == len(np.unique(room_map.observation_features))
+
+
+_COUNTS = np.array([1, 3, 2, 1, 4, 2])  # of descriptors, by landmark
+_OWNERS = np.repeat(np.arange(6), _COUNTS)
+
+
+@pytest.fixture
+def small(room_map: Map) -> MapIndex:
+    """Six landmarks with several descriptors each, the last two on another channel, seen by five views."""
+    rng = np.random.default_rng(4)
+    descriptors = rng.integers(0, 256, (len(_OWNERS), 32), dtype=np.uint8)
+    views = np.repeat(np.arange(5), 3)
+    features = np.concatenate([[0, 1, 2], [1, 2, 3], [2, 3, 4], [3, 4, 5], [0, 4, 5]])
+    return MapIndex(
+        replace(
+            room_map,
+            channels=np.array([0, 0, 0, 0, 1, 1], np.uint8),
+            landmarks=room_map.landmarks[:6],
+            covariances=room_map.covariances[:6],
+            descriptors=descriptors,
+            descriptor_features=_OWNERS.astype(np.int32),
+            view_times=room_map.view_times[:5],
+            T_map_camera=room_map.T_map_camera[:5],
+            observation_views=views.astype(np.int32),
+            observation_features=features.astype(np.int32),
+        )
+    )
+
+
+def _hamming(a: ByteArray, b: ByteArray) -> int:
+    return int(np.unpackbits(a ^ b).sum())
+
+
+def test_rows_of_descriptors_are_those_of_the_landmarks(small: MapIndex) -> None:
+    for asked in ([0], [4, 1], [5, 5, 2], [3, 0, 4]):
+        expected = np.concatenate([np.flatnonzero(landmark == _OWNERS) for landmark in asked])
+        np.testing.assert_array_equal(small.descriptor_rows(np.array(asked)), expected)
+
+
+def test_a_landmark_is_as_far_as_its_nearest_descriptor_and_never_across_channels(small: MapIndex) -> None:
+    rng = np.random.default_rng(1)
+    channels = np.array([0, 1, 0, 1], np.uint8)
+    zeros = np.zeros(4, np.float32)
+    features = FeatureSet(np.zeros((4, 2), np.float32), channels, rng.integers(0, 256, (4, 32), np.uint8), zeros, zeros)
+    detections, landmarks = (pairs.ravel() for pairs in np.meshgrid(np.arange(4), np.arange(6), indexing="ij"))
+    found = small.distances_to(features, detections, landmarks)
+    for detection, landmark, distance in zip(detections, landmarks, found, strict=True):
+        if channels[detection] != small.map.channels[landmark]:
+            assert distance == np.inf
+            continue
+        own = small.map.descriptors[landmark == _OWNERS]
+        assert distance == min(_hamming(features.descriptors[detection], one) for one in own)
+    across = small.distances_to(features, np.array([0]), np.array([5]))
+    np.testing.assert_array_equal(across, [np.inf])
+
+
+def test_what_views_saw(small: MapIndex) -> None:
+    np.testing.assert_array_equal(small.seen_from(np.array([0])), [0, 1, 2])
+    np.testing.assert_array_equal(small.seen_from(np.array([4, 1])), [0, 1, 2, 3, 4, 5])
+    np.testing.assert_array_equal(small.seen_from(np.zeros(0, np.int64)), [])
+    expected = [[3, 2, 1, 0, 1], [2, 3, 2, 1, 0], [1, 2, 3, 2, 1], [0, 1, 2, 3, 2], [1, 0, 1, 2, 3]]
+    np.testing.assert_array_equal(small.covisibility, expected)
+
+
+def test_the_maps_covariance_is_of_the_views_that_saw_most(small: MapIndex) -> None:
+    assert small.map_covariance(np.array([0]), np.zeros(3), 2) is None
+    sigmas_m = np.array([1.0, 2.0, 3.0, 4.0, 5.0])
+    known = np.array([np.diag([s**2] * 3 + [0.0] * 3) for s in sigmas_m]).astype(np.float32)
+    index = MapIndex(replace(small.map, view_covariances=known))
+    first = index.map_covariance(np.array([0, 1, 2]), np.zeros(3), 1)
+    assert first is not None
+    np.testing.assert_allclose(first, known[0], rtol=1e-6)
+    both = index.map_covariance(np.array([1, 2, 3]), np.zeros(3), 2)  # view 1 saw three of them, view 0 two
+    assert both is not None
+    np.testing.assert_allclose(np.diag(both)[:3], (3 * 4.0 + 2 * 1.0) / 5, rtol=1e-6)
+
+
+def test_matches_near_a_pose_are_mutual_near_and_alike(localizer: Localizer, point_room: Any) -> None:
+    """Against all pairs, one by one."""
+    index, truth, radius_px = localizer.index, point_room.walk(9)[4], 12.0
+    features = point_room.see(truth, 42)
+    found, by_chance = index.match_near(features, point_room.camera, truth.T_map_camera, radius_px)
+    pixels = point_room.camera.project((index.landmarks - truth.position) @ truth.R_map_camera)
+    may_be = index.present(truth.position) & point_room.camera.contains(pixels)
+    apart = np.linalg.norm(features.pixels[:, None] - pixels, axis=2)
+    close = (apart <= radius_px) & may_be
+    np.testing.assert_allclose(by_chance, 1 - (1 - index.chance_of_likeness) ** close.sum(axis=1))
+    distances = np.full(apart.shape, np.inf)
+    rows = np.nonzero(close)
+    distances[rows] = index.distances_to(features, *rows)
+    distances[distances > LIMITS[Metric.HAMMING].loose] = np.inf
+    best = np.isfinite(distances) & (distances == distances.min(1, keepdims=True)) & (distances == distances.min(0))
+    assert len(found) > 80
+    order = np.lexsort((found.landmarks, found.detections))
+    np.testing.assert_array_equal(np.column_stack([found.detections, found.landmarks])[order], np.argwhere(best))
+    np.testing.assert_allclose(found.chances[order], guided_chances(distances[best], Metric.HAMMING))
+    nothing = features.take(np.zeros(0, np.int64))
+    for some, pose in ((nothing, truth), (features, Pose.from_heading(np.array([90.0, 0, 0]), truth.heading))):
+        none, chances = index.match_near(some, point_room.camera, pose.T_map_camera, radius_px)
+        assert len(none) == 0
+        np.testing.assert_array_equal(chances, np.zeros(len(some)))
+
+
+def test_chance_finds_no_likeness_among_random_descriptors_and_all_among_equal_ones(small: MapIndex) -> None:
+    assert small.chance_of_likeness == 0.0
+    equal = MapIndex(replace(small.map, descriptors=np.zeros_like(small.map.descriptors)))
+    assert equal.chance_of_likeness == 1.0
+    half = small.map.descriptors.copy()
+    half[:6] = 0  # the landmarks 0, 1 and 2: of the pairs of strangers on one channel …
+    pairs = [(a, b) for a in range(13) for b in range(13) if _OWNERS[a] != _OWNERS[b] and (a < 7) == (b < 7)]
+    alike = np.mean([a < 6 and b < 6 for a, b in pairs])
+    assert MapIndex(replace(small.map, descriptors=half)).chance_of_likeness == pytest.approx(alike, abs=0.02)
+
+
+@pytest.mark.parametrize(("roll_deg", "upright", "seen"), [(2.0, True, True), (6.0, True, False), (2.0, False, False)])
+def test_a_map_of_upright_views(room_map: Map, roll_deg: float, upright: bool, seen: bool) -> None:
+    poses = [Pose.from_heading(np.zeros(3), np.array([1.0, 0.0, 0.0]), np.deg2rad(roll_deg)).T_map_camera] * 60
+    info = replace(room_map.info, upright=upright)
+    assert MapIndex(replace(room_map, info=info, T_map_camera=np.array(poses))).seen_upright == seen

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,12 +11,14 @@ import pytest
 from rholoc.density import Evidence
 from rholoc.geometry import Pose, pose_distances
 from rholoc.localization import Localizer
+from rholoc.localization.map_index import MapIndex
 from rholoc.localization.matches import Matches
 from rholoc.localization.ransac import lo_ransac
 from rholoc.localization.rivals import sureness
 from rholoc.localization.seeds import minimal_samples, place_of_prior, view_votes, vote_for_places
 from rholoc.localization.support import Support
 from rholoc.localization.types import Prior
+from rholoc.maps import Map
 
 TRUE = Pose.from_heading(np.array([0.3, -0.2, 1.4]), np.array([0.8, 0.6, 0.0]), 0.1).T_map_camera
 
@@ -119,3 +122,21 @@ def test_of_two_poses_the_better_supported_is_surer() -> None:
     assert sureness(Support(40.0, 12.0), Support(40.0, 0.0)) == pytest.approx(1 / (1 + np.exp(1)))
     assert sureness(Support(1e6, 0.0), Support(0.0, 0.0)) == pytest.approx(1.0)
     assert sureness(Support(0.0, 0.0), Support(1e6, 0.0)) == pytest.approx(0.0, abs=1e-12)
+
+
+def test_views_of_the_same_are_places_once_each(room_map: Map) -> None:
+    """Two views that saw the same: each is the other's nearest companion, and none comes twice."""
+    features = np.concatenate([[0, 1, 2], [0, 1, 2], [3, 4]])
+    index = MapIndex(
+        replace(
+            room_map,
+            view_times=room_map.view_times[:3],
+            T_map_camera=room_map.T_map_camera[:3],
+            observation_views=np.array([0, 0, 0, 1, 1, 1, 2, 2], np.int32),
+            observation_features=features.astype(np.int32),
+        )
+    )
+    matches = Matches(np.arange(5), np.arange(5), np.full(5, 0.5))
+    views = [place.view for place in vote_for_places(index, matches, 9, 1, None)]
+    assert sorted(views) == [0, 1, 2]
+    assert [place.view for place in vote_for_places(index, matches, 9, 4, None)] == [0, 2]
