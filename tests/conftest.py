@@ -230,8 +230,9 @@ def serve(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ServeFunction]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("rholoc.service.middleware._REFUSAL_TAKES_S", 0.0)
         yield start
-    for server, thread in started:
+    for server, _ in started:  # all at once: one by one they wait for each other
         server.should_exit = True
+    for _, thread in started:
         thread.join(10)
 
 

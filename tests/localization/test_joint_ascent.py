@@ -71,6 +71,12 @@ def test_no_frame_moves_further_than_half_a_metre_at_once() -> None:
     np.testing.assert_allclose(turned[1], [0.05, 0, 0, 0, 0, -0.3], rtol=1e-3, atol=1e-9)
 
 
+def test_where_nothing_is_known_a_step_still_goes_uphill() -> None:
+    slope = np.r_[np.full(6, 1e-8), np.full(6, -1e-8)]
+    step = _bounded(slope, np.zeros((12, 12))).ravel()
+    assert np.all(step * slope > 0)
+
+
 def _evidence(T_map_camera: FloatArray, seed: int, count: int = 30, false: int = 0) -> Evidence:
     """Exact sightings of points ahead of a camera; the last ``false`` of them of something else."""
     rng = np.random.default_rng(seed)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ from rholoc.features import FeatureSet
 from rholoc.geometry import Pose, pose_matrix
 from rholoc.localization import Cause, Dof, Localizer, Prior, Query, Reason
 from rholoc.localization.seeds import place_of_prior
+from rholoc.maps import Map
 
 
 def _off(answer: Any, truth: Pose) -> tuple[float, float]:
@@ -224,3 +226,20 @@ def test_a_deadline_that_has_passed_is_an_answer(localizer: Localizer, point_roo
 def test_descriptors_of_another_kind_are_refused(localizer: Localizer, point_room: Any) -> None:
     with pytest.raises(InvalidDescriptors, match="128 bytes"):
         localizer.localize(Query(FeatureSet.empty(128), point_room.camera))
+
+
+@pytest.mark.parametrize(
+    ("roll_deg", "upright", "dof", "keeps_gravity"),
+    [(1.0, True, Dof.AUTO, True), (8.0, True, Dof.FREE, True), (1.0, False, Dof.FREE, False)],
+)
+def test_a_query_is_freed_of_what_means_nothing_in_a_map(
+    room_map: Map, point_room: Any, roll_deg: float, upright: bool, dof: Dof, keeps_gravity: bool
+) -> None:
+    poses = [Pose.from_heading(np.zeros(3), np.array([1.0, 0.0, 0.0]), np.deg2rad(roll_deg)).T_map_camera] * 60
+    map_ = replace(room_map, info=replace(room_map.info, upright=upright), T_map_camera=np.array(poses))
+    features = point_room.see(point_room.walk(9)[4], 0)
+    query = Query(features, point_room.camera, Dof.AUTO, gravity=np.array([0.0, 1.0, 0.0]))
+    adapted = Localizer(map_).adapted(query)
+    assert adapted.dof is dof
+    assert (adapted.gravity is not None) == keeps_gravity
+    assert Localizer(map_).adapted(replace(query, dof=Dof.UPRIGHT)).dof is Dof.UPRIGHT

@@ -144,3 +144,15 @@ def test_a_map_of_upright_views(room_map: Map, roll_deg: float, upright: bool, s
     poses = [Pose.from_heading(np.zeros(3), np.array([1.0, 0.0, 0.0]), np.deg2rad(roll_deg)).T_map_camera] * 60
     info = replace(room_map.info, upright=upright)
     assert MapIndex(replace(room_map, info=info, T_map_camera=np.array(poses))).seen_upright == seen
+
+
+def test_a_map_without_views_was_seen_by_nobody_upright(room_map: Map) -> None:
+    none = np.zeros(0, np.int32)
+    map_ = replace(
+        room_map,
+        view_times=room_map.view_times[:0],
+        T_map_camera=room_map.T_map_camera[:0],
+        observation_views=none,
+        observation_features=none,
+    )
+    assert not MapIndex(map_).seen_upright
