@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from rholoc.geometry import FloatArray, umeyama
 from rholoc.recordings import Imu
 from rholoc.trajectory.inertial.gyroscope import GyroCalibration, calibrate_gyro
-from rholoc.trajectory.initialization.inertial_start import InertialStart, inertial_start
+from rholoc.trajectory.initialization.inertial_start import InertialStart, _covered, _integrated, inertial_start
 from rholoc.trajectory.visual.directions import PairDirection
 
 _BIAS = np.array([0.08, -0.05, 0.06])  # m/s²
@@ -102,3 +102,40 @@ def test_directions_worse_than_they_claim_do_not_shrink_the_walk(walk: _Walk) ->
         off = one.direction + rng.normal(0, np.radians(1.5), 3)
         noisy.append(replace(one, direction=off / np.linalg.norm(off), sigma_rad=float(np.radians(0.7))))
     assert umeyama(walk.started(noisy).positions, walk.true).scale == pytest.approx(1, abs=0.25)
+
+
+_FORCE = np.array([0.3, -0.5, 9.9])  # m/s², in the world's axes
+_KEYFRAMES_S = np.array([0.105, 0.4, 1.0, 1.733])
+_GYRO = GyroCalibration(0.0, 0.0, np.zeros(3), 0.0, np.eye(3), False, 0.0, 0.0)
+
+
+def _imu(turn_rad_s: float) -> Imu:
+    """Two seconds at 200 Hz of one force, felt by an IMU that turns about the world's z axis."""
+    times = np.arange(0, 2, 0.005)
+    turned = Rotation.from_rotvec(times[:, None] * [0, 0, turn_rad_s])
+    felt = turned.inv().apply(np.tile(_FORCE, (len(times), 1)))
+    return Imu(times, felt, np.tile([0, 0, turn_rad_s], (len(times), 1)), True, None)
+
+
+@pytest.mark.parametrize("turn_rad_s", [0.0, 0.8])
+def test_a_constant_force_makes_speed_and_way(turn_rad_s: float) -> None:
+    R = Rotation.from_rotvec(_KEYFRAMES_S[:, None] * [0, 0, turn_rad_s]).as_matrix()
+    speed, way, by_v, by_p = _integrated(_imu(turn_rad_s), _GYRO, _KEYFRAMES_S, R)
+    dt = np.diff(_KEYFRAMES_S)[:, None]
+    np.testing.assert_allclose(speed, _FORCE * dt, atol=2e-3)
+    np.testing.assert_allclose(way, _FORCE * dt**2 / 2, atol=2e-3)
+    middle = Rotation.from_rotvec(0.5 * (_KEYFRAMES_S[1:] + _KEYFRAMES_S[:-1])[:, None] * [0, 0, turn_rad_s])
+    np.testing.assert_allclose(by_v, -dt[:, :, None] * middle.as_matrix(), atol=0.02)
+    np.testing.assert_allclose(by_p[:, 2, 2], -(dt[:, 0] ** 2) / 2, atol=1e-9)
+    if turn_rad_s == 0:
+        np.testing.assert_allclose(by_p, -(dt[:, :, None] ** 2) / 2 * np.eye(3), atol=1e-9)
+
+
+def test_an_interval_is_covered_by_a_table_without_a_gap() -> None:
+    imu = _imu(0.0)
+    kept = (imu.times < 0.5) | (imu.times > 0.9)
+    torn = replace(imu, times=imu.times[kept], acceleration=imu.acceleration[kept])
+    torn = replace(torn, angular_velocity=imu.angular_velocity[kept])
+    keyframes_s = np.array([-0.1, 0.1, 0.4, 0.6, 0.8, 1.0, 1.5, 1.9, 2.1])
+    assert _covered(keyframes_s, torn).tolist() == [False, True, False, False, False, True, True, False]
+    assert _covered(keyframes_s, imu).tolist() == [False, True, True, True, True, True, True, False]

@@ -1,0 +1,165 @@
+"""Single steps of a reconstruction, by known values."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from rholoc.geometry import BoolArray, Camera, FloatArray, Similarity, pose_matrix
+from rholoc.progress import Stage
+from rholoc.recordings import GRAVITY
+from rholoc.trajectory.optimization.adjustment import GIVEN, GUESSED, Fix, InertialState, Problem, State
+from rholoc.trajectory.reconstruction.figures import median_depth_of, scale_sigma_of, spread_covariances
+from rholoc.trajectory.reconstruction.from_imu import _of_corrected_scale
+from rholoc.trajectory.reconstruction.outcome import moved
+from rholoc.trajectory.reconstruction.rounds import AdjustmentProgress, _cleaned, camera_sigmas
+from rholoc.trajectory.reconstruction.waypoints import _noise_factor, _with_waypoints_met
+from rholoc.trajectory.visual.tracks import Observations
+
+CAMERA = Camera(640, 480, 500.0, 500.0, 320.0, 240.0)
+
+
+def _state(positions: FloatArray, points: FloatArray | None = None, inertial: bool = True) -> State:
+    """Cameras at positions (K, 3) that all look along x."""
+    R = Rotation.from_matrix([[0, 0, 1], [-1, 0, 0], [0, -1, 0]]).as_matrix()
+    T = pose_matrix(np.tile(R, (len(positions), 1, 1)), positions)
+    points = np.zeros((0, 3)) if points is None else points
+    if not inertial:
+        return State(T, points, CAMERA)
+    velocities = positions + 1.0
+    biases = np.zeros((len(positions), 6))
+    return State(T, points, CAMERA, InertialState(velocities, biases, np.eye(4), 0.0, np.array([0.0, 0.0, -GRAVITY])))
+
+
+@dataclass
+class _Adjusted:
+    """Stands in for what an adjustment found: a covariance that grows with the keyframe's number."""
+
+    state: State
+    used: BoolArray = field(default_factory=lambda: np.zeros(0, np.bool_))
+    axis: int = 0
+    asked: list[int] = field(default_factory=list)
+
+    def covariances(self, keyframes: list[int]) -> FloatArray:
+        self.asked = list(keyframes)
+        found = np.tile(1e-8 * np.eye(6), (len(keyframes), 1, 1))
+        found[:, self.axis, self.axis] = np.array(keyframes, dtype=np.float64)
+        return found
+
+
+def test_no_waypoints_leave_the_noise_as_it_was_assumed() -> None:
+    assert _noise_factor([]) == 1.0
+
+
+@pytest.mark.parametrize(
+    ("sigmas", "factor"),
+    [
+        ([np.sqrt(3)] * 4, 1.0),  # off by one sigma along each of three axes
+        ([1.0, 2.0], np.sqrt((2 + 1 + 4) / (2 + 6))),
+        ([0.0] * 50, 0.4),
+        ([30.0] * 5, 2.0),
+    ],
+)
+def test_the_noise_of_waypoints_follows_how_far_they_are_off(sigmas: list[float], factor: float) -> None:
+    assert _noise_factor(sigmas) == pytest.approx(factor)
+
+
+def test_intrinsics_are_corrected_as_far_as_they_may_be_wrong() -> None:
+    assert camera_sigmas(None) is GUESSED
+    assert camera_sigmas(replace(CAMERA, distortion=(0.1, 0.0, 0.0, 0.0))) is GIVEN
+    assert camera_sigmas(replace(CAMERA, distortion=(0.1, 0.0, 0.0, 0.0, 0.01))) is None
+
+
+def test_a_walk_whose_accelerometer_read_too_much_shrinks() -> None:
+    state = _state(np.arange(12.0).reshape(4, 3), np.full((2, 3), 5.0))
+    found = _of_corrected_scale(state, 1.25)
+    np.testing.assert_allclose(found.positions, state.positions / 1.25)
+    np.testing.assert_allclose(found.points, 4.0)
+    np.testing.assert_array_equal(found.R_map_camera, state.R_map_camera)
+    assert found.inertial is not None
+    assert state.inertial is not None
+    np.testing.assert_allclose(found.inertial.velocities, state.inertial.velocities / 1.25)
+    np.testing.assert_allclose(found.inertial.gravity, [0, 0, -GRAVITY / 1.25])
+    np.testing.assert_allclose(state.positions[1], [3, 4, 5])  # the one before is what it was
+
+
+def test_in_another_frame_everything_turns_with_the_walk() -> None:
+    state = _state(np.arange(12.0).reshape(4, 3), np.arange(6.0).reshape(2, 3))
+    quarter = Rotation.from_euler("x", 90, degrees=True).as_matrix()
+    found = moved(state, Similarity(2.0, quarter, np.array([1.0, 0.0, 0.0])))
+    np.testing.assert_allclose(found.positions, 2 * state.positions @ quarter.T + [1, 0, 0])
+    np.testing.assert_allclose(found.points, 2 * state.points @ quarter.T + [1, 0, 0])
+    np.testing.assert_allclose(found.R_map_camera, quarter @ state.R_map_camera)
+    assert found.inertial is not None
+    assert state.inertial is not None
+    np.testing.assert_allclose(found.inertial.velocities, 2 * state.inertial.velocities @ quarter.T)
+    np.testing.assert_allclose(found.inertial.gravity, [0, GRAVITY, 0], atol=1e-12)
+    without = moved(_state(np.zeros((2, 3)), inertial=False), Similarity.identity())
+    assert without.inertial is None
+
+
+@pytest.mark.parametrize(("count", "computed"), [(20, 7), (5, 60), (2, 2)])
+def test_covariances_between_those_computed_are_interpolated(count: int, computed: int) -> None:
+    adjusted = _Adjusted(_state(np.zeros((count, 3))))
+    found = spread_covariances(adjusted, count, computed)
+    assert len(adjusted.asked) == min(count, computed)
+    assert (adjusted.asked[0], adjusted.asked[-1]) == (0, count - 1)
+    np.testing.assert_allclose(found[:, 0, 0], np.arange(count), atol=1e-12)
+    np.testing.assert_allclose(found[:, 5, 5], 1e-8)
+
+
+def test_the_scales_sigma_is_that_of_the_furthest_keyframe_along_the_way() -> None:
+    positions = np.array([[1.0, 1.0, 0.0], [2.0, 1.0, 0.0], [6.0, 1.0, 0.0], [3.0, 1.0, 0.0]])
+    assert scale_sigma_of(_Adjusted(_state(positions))) == pytest.approx(np.sqrt(2) / 5)
+    assert scale_sigma_of(_Adjusted(_state(positions), axis=1)) == pytest.approx(1e-4 / 5)
+
+
+def test_the_median_depth_is_of_points_ahead() -> None:
+    points = np.array([[3.0, 9.0, 9.0], [5.0, 0.0, 0.0], [8.0, 0.0, 0.0], [-7.0, 0.0, 0.0], [90.0, 0.0, 0.0]])
+    state = _state(np.array([[0.0, 0, 0], [1.0, 0, 0]]), points)
+    keyframes, tracks = np.array([0, 0, 1, 0, 1]), np.array([0, 1, 2, 3, 4])
+    used = np.array([True, True, True, True, False])
+    adjusted = _Adjusted(state, used)
+    observations = Observations(keyframes, tracks, np.zeros((5, 2)))
+    assert median_depth_of(observations, adjusted) == 5.0  # of 3, 5 and 7
+
+
+def test_sightings_far_off_the_usual_are_left_out() -> None:
+    """Five points, each seen from three keyframes alike."""
+    observations = Observations(np.tile([0, 1, 2], 5), np.repeat(np.arange(5), 3), np.arange(30.0).reshape(15, 2))
+    problem = Problem(np.arange(2.0), observations)
+
+    def cleaned(*off_px: float) -> tuple[list[float], float]:
+        kept = _cleaned(problem, observations, np.repeat(off_px, 3))
+        return kept.observations.pixels[::3, 0].tolist(), kept.pixel_sigma_px
+
+    seen, sigma_px = cleaned(0.2, 0.4, 0.45, 2.4, 2.6)
+    assert seen == [0, 6, 12, 18]
+    assert sigma_px == pytest.approx(0.45 / 1.177)
+    assert cleaned(1.0, 2.0, 3.0, 14.0, np.inf)[0] == [0, 6, 12]  # five times 2.5, the median of what is finite
+    assert cleaned(*[0.01] * 5) == ([0, 6, 12, 18, 24], 0.35)
+
+
+def test_waypoints_that_are_met_or_cannot_be_bend_nothing() -> None:
+    state = _state(np.array([[float(i), 0.0, 0.0] for i in range(6)]))
+    near = tuple(Fix(k, (k + 0.1, 0.0, 0.0), 0.02) for k in (0, 2, 5))
+    turned = Rotation.from_euler("z", 20, degrees=True).apply(state.positions)
+    far = tuple(Fix(k, tuple(turned[k].tolist()), 0.02) for k in (0, 2, 5))
+    assert _with_waypoints_met(state, near, ()) is state
+    by_pictures = replace(state, inertial=None)
+    assert _with_waypoints_met(by_pictures, far, ()) is by_pictures
+    bent = _with_waypoints_met(state, far, ())
+    assert np.linalg.norm(bent.positions - turned, axis=1).max() < 0.2
+
+
+def test_progress_is_a_share_of_the_poses_stage() -> None:
+    heard: list[tuple[Stage, float, str]] = []
+    steps = AdjustmentProgress(lambda stage, fraction, text="": heard.append((stage, fraction, text)))
+    steps.step(0.6, 0.8, "one")(0.5)
+    steps.step(0.9, 1.5, "two")(1.0)
+    assert [stage for stage, *_ in heard] == [Stage.POSES] * 4
+    assert [fraction for _, fraction, _ in heard] == pytest.approx([0.6, 0.7, 0.9, 0.99])
+    assert [text for *_, text in heard] == ["one", "one", "two", "two"]
