@@ -76,6 +76,7 @@ export async function showScene(view, map, signal) {
   if (map.pictures)
     view.pictureOf = (number) => objectUrl(path`v1/maps/${map.name}/views/${number}/picture.jpg`, { signal });
   view.offerCloud(map.points, async () => readPoints(await fetched("points")));
+  view.featureOf = (number) => get(path`v1/maps/${map.name}/features/${number}`, { signal });
   view.showMap(readScene(await fetched("scene")), map.waypoints, map.scale === "metric", map.names, map.levelling);
 }
 

@@ -7,6 +7,7 @@ import { t } from "../shared/text.js";
 import { count, length } from "./format.js";
 import { lookAt, multiply, perspective, project, rotation } from "./matrix.js";
 import { painterOf } from "./painter.js";
+import { presenceLines } from "./presence_lines.js";
 import { inOrder, quantiles, SHOWN, shuffledOrder } from "./samples.js";
 import { STRIDE_LANDMARK, STRIDE_VIEW } from "./scene_data.js";
 import { cross, floor, floorOf, frustum, headings, outlines, segments, walk } from "./scene_lines.js";
@@ -84,6 +85,7 @@ export class SceneView {
     this.count = this.budget = 0;
     this.cloud = null;
     this.pictureOf = null; // gives the address of a view's picture, where pictures are kept
+    this.featureOf = null; // gives where a landmark may be seen from, and the views that saw it
     this.view = { target: [0, 0, 0], distance: 5, turn: -0.9, tilt: 0.6 };
     this.home = this.view;
     this.painter = painterOf(this.canvas);
@@ -211,7 +213,10 @@ export class SceneView {
   /** Mark what was picked and say what it is; of a view with the ways to the next ones, and its picture if it is kept. */
   showPicked(found) {
     this.said.hidden = !found;
+    this.picked = found;
     this.setLines("picked", "--accent", found ? cross(found.position, AXIS / 4) : []);
+    this.setLines("presence", "--accent", []);
+    this.setLines("sightings", "--muted", []);
     if (!found) return;
     const views = this.scene.views.length / STRIDE_VIEW;
     const step = (by, text) =>
@@ -240,6 +245,22 @@ export class SceneView {
       ),
     );
     if (isView && this.pictureOf) this.showPicture(picture, found.view);
+    if (!isView && this.featureOf) this.showPresence(found);
+  }
+
+  /** Show where a landmark that was picked may be seen from, and which views saw it. */
+  async showPresence(found) {
+    try {
+      const feature = await this.featureOf(found.landmark);
+      if (this.picked !== found) return;
+      const at = (view) => this.scene.views.subarray(view * STRIDE_VIEW, view * STRIDE_VIEW + 3);
+      this.setLines("presence", "--accent", presenceLines(feature), 0.45);
+      const sightings = feature.views.flatMap((view) => [...feature.position, ...at(view)]);
+      this.setLines("sightings", "--muted", sightings, 0.6);
+      this.said.append(h("p", {}, t`Seen in ${feature.views.length} pictures; it is looked for within the cone.`));
+    } catch {
+      // gone meanwhile, or of a map that does not remember who saw what: the landmark itself is marked
+    }
   }
 
   async showPicture(image, view) {
@@ -496,7 +517,11 @@ function nearest({ landmarks, views }, distance) {
   if (view >= 0) return viewAt(views, view / STRIDE_VIEW);
   const landmark = best(landmarks, STRIDE_LANDMARK);
   if (landmark < 0) return null;
-  return { position: [...landmarks.subarray(landmark, landmark + 3)], deviation: landmarks[landmark + 3] };
+  return {
+    landmark: landmark / STRIDE_LANDMARK,
+    position: [...landmarks.subarray(landmark, landmark + 3)],
+    deviation: landmarks[landmark + 3],
+  };
 }
 
 /** A view by its number, as it is picked. */

@@ -207,6 +207,8 @@ export const GERMAN = {
   "uncertainty ": "Unsicherheit ",
   "Colour by uncertainty": "Nach Unsicherheit färben",
   "Colours of the pictures": "Farben der Bilder",
+  "Seen in {0} pictures; it is looked for within the cone.":
+    "In {0} Bildern gesehen; gesucht wird sie innerhalb des Kegels.",
   "Landmark at {0} {1}, known to {2}": "Landmarke bei {0} {1}, auf {2} bekannt",
   "Picture {0} of the walk, from {1} {2}, looking {3}°": "Bild {0} des Rundgangs, von {1} {2}, Blick nach {3}°",
 
