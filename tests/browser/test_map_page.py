@@ -259,6 +259,32 @@ def test_the_room_has_the_colours_of_its_pictures_and_is_clicked(desk_browser, r
         expect(page.get_by_role("button", name="Colours of the pictures")).to_have_count(0)
 
 
+def test_a_landmark_that_is_clicked_shows_where_it_may_be_seen_from(
+    desk_browser, running, picture_world, opened, settled
+):
+    map_ = picture_world.map_
+    colours = np.tile(np.array([[230, 20, 160]], np.uint8), (len(map_), 1))
+    (running.settings.maps_dir / "clicked.rho").write_bytes(map_to_bytes(replace(map_, colours=colours)))
+
+    def pixels(page) -> np.ndarray:
+        page.wait_for_timeout(300)
+        shot = cv2.imdecode(np.frombuffer(page.locator("canvas.scene-canvas").screenshot(), np.uint8), 1)
+        return shot.astype(int)
+
+    with opened(desk_browser, running.url, "maps/clicked") as page:
+        settled(page)
+        before = pixels(page)
+        rows, columns = np.nonzero(np.abs(before - [160, 20, 230]).max(axis=2) < 20)
+        middle = np.argmin(np.abs(rows - np.median(rows)) + np.abs(columns - np.median(columns)))
+        with page.expect_response("**/features/*"):
+            page.locator("canvas.scene-canvas").click(position={"x": int(columns[middle]), "y": int(rows[middle])})
+        said = page.locator(".scene-said")
+        expect(said).to_contain_text(re.compile("Landmark at"))
+        expect(said).to_contain_text(re.compile(r"Seen in \d+ pictures"))
+        drawn = np.abs(pixels(page) - before).max(axis=2) > 10
+        assert drawn.sum() > 500  # the cone, and lines to the views
+
+
 def test_a_german_browser_is_spoken_to_in_german(desk_browser, running, opened, settled):
     with opened(desk_browser, running.url, "maps/doubtful", locale="de-DE") as page:
         expect(settled(page).get_by_text("Auf diese Karte ist kein Verlass.")).to_be_visible()
