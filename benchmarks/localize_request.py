@@ -2,9 +2,9 @@
 
     python benchmarks/localize_request.py MAP.rho FRAMES --camera fx,fy,cx,cy --frames 200:400 [--priors]
 
-Starts the service, pinned to one core, on 127.0.0.1, posts the frames as they are one after another, and prints the
-median and the 90th percentile of each stage; with ``--priors`` again, with priors off by a little, by more, and wholly.
-Ends by itself.
+Starts the service, pinned to one core, on 127.0.0.1, posts the frames as they are one after another, and prints what a
+request costs it in CPU, and the median and the 90th percentile of each stage on the clock; with ``--priors`` again,
+with priors off by a little, by more, and wholly. Ends by itself.
 """
 
 from __future__ import annotations
@@ -97,14 +97,22 @@ def prior_fields(kind: PriorKind, pose: dict[str, Any] | None, rng: np.random.Ge
 
 @dataclass
 class Answers:
-    """What a run of requests was answered: milliseconds by stage, and the poses."""
+    """What a run of requests was answered: CPU milliseconds a request, milliseconds by stage, and the poses."""
 
+    cpu_ms: float = 0.0
     spent: dict[str, list[float]] = field(default_factory=dict)
     poses: list[dict[str, Any] | None] = field(default_factory=list)
 
 
+def cpu_seconds(pid: int) -> float:
+    """What a process has used so far, all its threads."""
+    ticks = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[11:13]
+    return sum(map(int, ticks)) / os.sysconf("SC_CLK_TCK")
+
+
 def post_frames(
     port: int,
+    pid: int,
     files: list[Path],
     fields: dict[str, str],
     kind: PriorKind = PriorKind.NONE,
@@ -112,6 +120,7 @@ def post_frames(
 ) -> Answers:
     """One request a frame, with a prior near the known pose; ``round trip`` is what the caller sees."""
     answers, rng = Answers(), np.random.default_rng(0)
+    before_s = cpu_seconds(pid)
     with httpx.Client(base_url=f"http://127.0.0.1:{port}", timeout=30) as client:
         for number, file in enumerate(files):
             content = file.read_bytes()
@@ -126,6 +135,7 @@ def post_frames(
             answers.poses.append(body["pose"])
             for stage, value in {**body["timings_ms"], "round trip": elapsed_ms}.items():
                 answers.spent.setdefault(stage, []).append(value)
+    answers.cpu_ms = 1e3 * (cpu_seconds(pid) - before_s) / len(files)
     return answers
 
 
@@ -159,11 +169,11 @@ def main() -> None:
         port = free_port()
         service = start(folder, port)
         try:
-            post_frames(port, files[:2], fields)  # the first request builds the map's index
-            plain = post_frames(port, files, fields)
+            post_frames(port, service.pid, files[:2], fields)  # the first request builds the map's index
+            plain = post_frames(port, service.pid, files, fields)
             runs = {PriorKind.NONE: plain}
             if args.priors:
-                runs |= {kind: post_frames(port, files, fields, kind, plain.poses) for kind in _OFF}
+                runs |= {kind: post_frames(port, service.pid, files, fields, kind, plain.poses) for kind in _OFF}
         finally:
             service.terminate()
             service.wait(20)
@@ -171,6 +181,7 @@ def main() -> None:
         print(f"{len(files)} requests, one core, {kind}; {sum(p is not None for p in answers.poses)} localized")
         if kind is not PriorKind.NONE:
             print(f"  against no prior: {apart_cm(plain, answers)}")
+        print(f"  CPU of the service: {answers.cpu_ms:.1f} ms a request")
         print(f"{'stage':12}{'median ms':>12}{'90 % ms':>12}")
         for stage, values in answers.spent.items():
             print(f"{stage:12}{np.median(values):12.1f}{np.percentile(values, 90):12.1f}")

@@ -44,7 +44,7 @@ def to_feature_set(
     if descriptors is None or not keypoints:
         return FeatureSet.empty(descriptor_bytes)
     return FeatureSet(
-        pixels=np.array([k.pt for k in keypoints], dtype=np.float32),
+        pixels=np.asarray(cv2.KeyPoint.convert(keypoints), dtype=np.float32),
         channels=np.full(len(keypoints), channel, dtype=np.uint8),
         descriptors=np.asarray(descriptors, dtype=np.uint8),
         sizes=np.array([k.size for k in keypoints], dtype=np.float32),

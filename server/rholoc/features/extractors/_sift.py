@@ -67,7 +67,7 @@ class SiftExtractor:
         if descriptors is None or not keypoints:
             return FeatureSet.empty(self.descriptor_bytes)
         scale = np.array([width / size[0], height / size[1]])
-        pixels = (np.array([k.pt for k in keypoints]) + 0.5) * scale - 0.5  # pixel centres stay where they are
+        pixels = (np.asarray(cv2.KeyPoint.convert(keypoints)) + 0.5) * scale - 0.5  # pixel centres stay where they are
         sizes = np.array([k.size for k in keypoints]) * float(np.sqrt(scale.prod()))
         return FeatureSet(
             pixels=pixels.astype(np.float32),

@@ -2,4 +2,4 @@
 
 from rholoc.features.extractors._sift import SiftExtractor
 
-EXTRACTOR = SiftExtractor("sift48", longest_px=400, quick_px=320, descriptor_bytes=48, exact=True)
+EXTRACTOR = SiftExtractor("sift48", longest_px=400, quick_px=288, descriptor_bytes=48, exact=True)
