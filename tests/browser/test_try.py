@@ -139,6 +139,19 @@ def test_no_answer_claims_to_be_certain(desk_browser, running, pictures, opened,
         expect(page.locator(".answer")).to_contain_text("confidence over 99 %")
 
 
+def test_an_answer_says_which_named_areas_the_camera_is_in(desk_browser, running, pictures, opened, settled):
+    with opened(desk_browser, running.url, "try/room") as page:
+        settled(page)
+
+        def named(route):
+            route.fulfill(json={**route.fetch().json(), "areas": ["kitchen", "flat"], "near": ["table"]})
+
+        page.route("**/localize*", named)
+        take(page, pictures / "frame.png")
+        expect(page.locator(".answer")).to_contain_text("kitchen, flat")
+        expect(page.locator(".answer")).to_contain_text("table")
+
+
 def test_a_map_that_is_not_trusted_says_so_beside_its_answers(desk_browser, running, pictures, opened, settled):
     with opened(desk_browser, running.url, "try/doubtful") as page:
         take(settled(page), pictures / "frame.png")

@@ -231,6 +231,8 @@ class Trial {
           t`Position`,
           pose ? pose.position.map((value) => value.toFixed(2)).join(", ") + (metric ? " m" : t` units`) : "–",
         ],
+        [t`In the area`, found.areas.join(", ") || null],
+        [t`Near the point`, found.near.join(", ") || null],
         [t`Heading`, pose ? pose.heading.map((value) => value.toFixed(2)).join(", ") : "–"],
         [t`Off by about`, offBy(found, known, metric)],
         [

@@ -707,6 +707,8 @@ export const GERMAN = {
   "Within, m": "Genau auf, m",
   "Without a time, the camera paused at each in this order. Three or more, not on one line.":
     "Ohne Zeit hielt die Kamera in dieser Reihenfolge an jedem an. Mindestens drei, nicht auf einer Geraden.",
+  "In the area": "Im Bereich",
+  "Near the point": "Beim Punkt",
   "Add a waypoint": "Wegpunkt hinzufügen",
   "Save waypoints": "Wegpunkte speichern",
   "as the recording says": "wie in der Aufnahme angegeben",

@@ -8,6 +8,7 @@ import numpy as np
 
 from rholoc.density import DensityKind
 from rholoc.geometry import IntArray, ranges
+from rholoc.maps.cloud import Cloud
 from rholoc.maps.map import Map
 
 
@@ -46,5 +47,7 @@ def part_of(map_: Map, views: IntArray) -> MapPart:
         observation_views=np.repeat(np.arange(len(views), dtype=np.int32), last - first),
         observation_features=own.astype(np.int32),
         observations=None,
+        cloud=Cloud(),
+        pictures=None,
     )
     return MapPart(part, features.astype(np.int64))
