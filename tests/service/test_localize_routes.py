@@ -16,7 +16,7 @@ import pytest
 from rholoc.features import get_extractor
 from rholoc.localization import Localizer
 
-STAGES = {"queue", "decode", "extract", "match", "seed", "ascend", "verify", "diagnose", "total"}
+STAGES = {"queue", "load", "decode", "extract", "match", "seed", "ascend", "verify", "diagnose", "total"}
 
 
 def descriptor_query(world, **options):

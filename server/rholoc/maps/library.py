@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import os
 import re
 import threading
@@ -15,6 +16,7 @@ from rholoc.errors import Conflict, InvalidInput, InvalidMap, InvalidName, Unkno
 from rholoc.maps.files import replace_file
 from rholoc.maps.info import MapInfo
 from rholoc.maps.map import Map
+from rholoc.maps.map_cache import MapCache, Signature
 from rholoc.maps.rho_file import SUFFIX, load_info, load_map, map_to_bytes
 
 _NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9._-]{0,63}")
@@ -70,18 +72,23 @@ class MapStat:
     name: str
     size_bytes: int
     modified: float
-    signature: tuple[int, int, int]
+    signature: Signature
 
 
 class MapLibrary:
     """Maps as ``NAME.rho`` in one folder; safe to share between threads, and between processes for all but renaming.
 
     A map that was got stays as it was when the file is replaced or deleted; the next :meth:`get` sees the new one.
+
+    Args:
+        folder: of the maps.
+        cache_bytes: what the maps that are kept in memory may take, with what is derived from them.
     """
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, cache_bytes: float = math.inf) -> None:
         self.folder = folder
-        self._cache: dict[str, tuple[tuple[int, int, int], Map]] = {}
+        self._cache = MapCache(cache_bytes)
+        self._known_readable: dict[str, Signature] = {}
         self._lock = threading.RLock()  # of what changes the folder
         self._reading: dict[str, threading.Lock] = {}
 
@@ -91,12 +98,15 @@ class MapLibrary:
         return sorted(file.stem for file in files if is_name(file.stem) and file.stem != _ALL)
 
     def readable(self) -> list[str]:
-        """The names of those maps, sorted, whose files are maps; they are in memory from then on."""
+        """The names of those maps, sorted, whose files are maps; each file is read once to know."""
         return [name for name in self.names() if self._is_readable(name)]
 
     def _is_readable(self, name: str) -> bool:
         try:
-            self.get(name)
+            signature = self.stat(name).signature
+            if self._known_readable.get(name) != signature:
+                self.get(name)
+                self._known_readable[name] = signature
         except (UnknownMap, InvalidMap):
             return False
         return True
@@ -132,20 +142,24 @@ class MapLibrary:
             InvalidMap: its file is not a map.
         """
         try:
-            signature = self.stat(name).signature
-            cached = self._cache.get(name)
-            if cached is not None and cached[0] == signature:
-                return cached[1]
+            map_ = self._cache.get(name, self.stat(name).signature)
+            if map_ is not None:
+                return map_
             with self._reading.setdefault(name, threading.Lock()):
                 signature = self.stat(name).signature
-                cached = self._cache.get(name)
-                if cached is None or cached[0] != signature:
+                map_ = self._cache.get(name, signature)
+                if map_ is None:
                     # Were the file replaced since its signature was taken, the next call would load it again: no harm.
-                    cached = self._cache[name] = (signature, load_map(self.path(name)))
-                return cached[1]
+                    map_ = load_map(self.path(name))
+                    self._cache.put(name, signature, map_)
+                return map_
         except (UnknownMap, InvalidMap):
-            self._cache.pop(name, None)
+            self._cache.drop(name)
             raise
+
+    def keeps(self, name: str, map_: Map) -> bool:
+        """Whether this very map is the one in memory under a name: not replaced, and not gone for want of room."""
+        return self._cache.holds(name, map_)
 
     def put(self, name: str, map_: Map) -> None:
         """Store a map under a name, replacing the one that was there.
@@ -289,7 +303,7 @@ class MapLibrary:
             UnknownMap: there is no such map.
         """
         with self._lock:
-            self._cache.pop(name, None)
+            self._cache.drop(name)
             try:
                 self.path(name).unlink()
             except FileNotFoundError as error:
@@ -316,7 +330,7 @@ class MapLibrary:
                 path.unlink(missing_ok=True)
             for path in self._previous_paths(name):
                 path.rename(path.with_name(new_name + path.name.removeprefix(name)))
-            self._cache.pop(name, None)
+            self._cache.drop(name)
 
     def _make_folder(self) -> None:
         try:

@@ -112,7 +112,7 @@ def create_app(settings: Settings | None = None) -> FastAPI:
 def _start(settings: Settings, metrics: Metrics) -> State:
     for folder in (settings.maps_dir, settings.data_dir):
         folder.mkdir(parents=True, exist_ok=True)
-    library = MapLibrary(settings.maps_dir)
+    library = MapLibrary(settings.maps_dir, settings.map_cache_bytes)
     recordings, jobs = RecordingStore(settings.data_dir), JobQueue(settings.data_dir, settings.jobs_database)
     compute = ComputePool(settings.concurrency, settings.queue_length)
     metrics.gauge("rholoc_jobs", "Mapping jobs", "state", lambda: {str(state): n for state, n in jobs.counts().items()})

@@ -102,6 +102,7 @@ def localize_frame(
         localizers,
         lambda localizer: _localize(frame, localizer, features, deadline_s, clock),
         lambda found: (found.localized, found.confidence),
+        clock,
         passing_over,
     )
     return answer_of(name, localizer, found, clock, frame.options.with_matches)
@@ -138,7 +139,7 @@ def likeliest_places(
             for found in likeliest_views(localizer, features.by(localizer.extractor), most)
         )
 
-    each_map(names, localizers, ask, passing_over)
+    each_map(names, localizers, ask, clock, passing_over)
     return PlacesOut(places=sorted(places, key=lambda place: -place.score)[:most])
 
 
@@ -147,6 +148,7 @@ def best_map(
     localizers: Localizers,
     localize: Callable[[AnyLocalizer], T],
     sureness: Callable[[T], tuple[bool, float]],
+    clock: Stopwatch,
     passing_over: bool,
 ) -> tuple[str, AnyLocalizer, T]:
     """The map whose answer is the surest: its name, its localizer and the answer.
@@ -163,13 +165,17 @@ def best_map(
         if best is None or sureness(found) > sureness(best[2]):
             best = (name, localizer, found)
 
-    each_map(names, localizers, ask, passing_over)
+    each_map(names, localizers, ask, clock, passing_over)
     assert best is not None
     return best
 
 
 def each_map(
-    names: Sequence[str], localizers: Localizers, ask: Callable[[str, AnyLocalizer], None], passing_over: bool
+    names: Sequence[str],
+    localizers: Localizers,
+    ask: Callable[[str, AnyLocalizer], None],
+    clock: Stopwatch,
+    passing_over: bool,
 ) -> None:
     """Ask maps, one after the other, and pass over those that a frame does not fit.
 
@@ -181,7 +187,9 @@ def each_map(
     refused: Exception | None = None
     for name in names:
         try:
-            ask(name, localizers.get(name))
+            with clock.stage("load"):
+                localizer = localizers.get(name)
+            ask(name, localizer)
             asked += 1
         except (InvalidCamera, InvalidDescriptors) as error:
             refused = refused or error
@@ -301,7 +309,7 @@ def answer_of(
     """A map's answer as it goes out."""
     info = localizer.map.info
     total_ms = 1000 * clock.elapsed_s
-    stages = dict.fromkeys(("queue", "decode", "extract", "match", "seed", "ascend", "verify", "diagnose"), 0.0)
+    stages = dict.fromkeys(("queue", "load", "decode", "extract", "match", "seed", "ascend", "verify", "diagnose"), 0.0)
     timings_ms = {**stages, **clock.stages_ms, "total": total_ms}
     given_out = found if found.localized else replace(found, pose=None, covariance=None)
     return LocalizationOut(

@@ -11,7 +11,8 @@ from rholoc.maps import Map, MapLibrary, check_usable
 class Localizers:
     """Keeps one localizer per map name. Safe to call from several threads.
 
-    A request that holds a localizer goes on with its map even when the map is replaced meanwhile.
+    A map that leaves the library's memory takes its localizer with it. A request that holds a localizer goes on with
+    its map even when the map is replaced meanwhile.
     """
 
     def __init__(self, library: MapLibrary, min_confidence: float) -> None:
@@ -27,6 +28,7 @@ class Localizers:
             InvalidName, UnknownMap, InvalidMap: as :meth:`MapLibrary.get` does.
         """
         map_ = self._library.get(name)
+        self._forget_unloaded()
         with self._building.setdefault(name, threading.Lock()):
             ready = self._ready.get(name)
             if ready is None or ready.map is not map_:
@@ -38,6 +40,12 @@ class Localizers:
         names = set(self._library.names())
         for name in [name for name in self._ready if name not in names]:
             self._ready.pop(name, None)
+
+    def _forget_unloaded(self) -> None:
+        """Drop the localizers of maps that left memory."""
+        for name, ready in list(self._ready.items()):
+            if not self._library.keeps(name, ready.map):
+                self._ready.pop(name, None)
 
     def _build(self, map_: Map) -> AnyLocalizer:
         check_usable(map_)

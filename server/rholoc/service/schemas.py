@@ -336,8 +336,8 @@ class LocalizationOut(_Out):
                 "near": [],
                 "frames": None,
                 "timings_ms": {
-                    "queue": 0.1, "decode": 2.1, "extract": 11.0, "match": 9.5, "seed": 14.2, "ascend": 20.3,
-                    "verify": 1.7, "diagnose": 0.0, "total": 59.4,
+                    "queue": 0.1, "load": 0.0, "decode": 2.1, "extract": 11.0, "match": 9.5, "seed": 14.2,
+                    "ascend": 20.3, "verify": 1.7, "diagnose": 0.0, "total": 59.4,
                 },
             }
         },
@@ -375,8 +375,8 @@ class LocalizationOut(_Out):
         default=None, description="each frame's pose where several were sent; `pose` is the first one's"
     )
     timings_ms: dict[str, float] = Field(
-        description="milliseconds: queue, decode, extract, match, seed, ascend, verify, diagnose, total; "
-        "in a large map also place, which finds the place first"
+        description="milliseconds: queue, load (of a map that was not in memory), decode, extract, match, seed, "
+        "ascend, verify, diagnose, total; in a large map also place, which finds the place first"
     )
 
 

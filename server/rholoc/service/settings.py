@@ -17,6 +17,7 @@ from rholoc.service.guard import KeyPolicy
 
 _JOB_MEMORY_SHARE = 0.75
 _MAP_MEMORY_SHARE = 1 / 16
+_CACHE_MEMORY_SHARE = 1 / 4
 
 
 class Settings(BaseSettings):
@@ -72,6 +73,12 @@ class Settings(BaseSettings):
         ge=1,
         description="The largest map file that is taken in; default: a sixteenth of the machine's or the container's "
         "memory, for a map takes six times its file while it is checked.",
+    )
+    map_cache_bytes: int = Field(
+        default_factory=lambda: int(_CACHE_MEMORY_SHARE * machine_memory_bytes()),
+        ge=0,
+        description="What the maps that were asked last may take in memory; those asked longest ago leave for others. "
+        "Default: a quarter of the machine's or the container's memory. The one asked last always stays.",
     )
     export_time_limit_s: float = Field(
         default=300, gt=0, description="How long the export of a map into another format may take."

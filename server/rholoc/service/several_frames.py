@@ -92,6 +92,7 @@ def localize_frames(
         localizers,
         lambda localizer: _localize(frames, localizer, features, deadline_s, clock),
         lambda found: (found.first.localized, found.first.confidence),
+        clock,
         passing_over,
     )
     answer = answer_of(name, localizer, joint.first, clock, with_matches=False)

@@ -1,0 +1,73 @@
+"""The maps that are in memory: those asked last, as many as there is room for."""
+
+from __future__ import annotations
+
+import threading
+from collections import OrderedDict
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from rholoc.maps.map import Map
+
+Signature = tuple[int, int, int]
+
+_WITH_ITS_INDEX = 2  # times a map's own bytes: what a localizer derives from it takes about as much again
+
+
+@dataclass(frozen=True, eq=False)
+class _Entry:
+    signature: Signature
+    map: Map
+    size_bytes: int
+
+
+class MapCache:
+    """Maps by name, of which those asked longest ago leave when there is no room. Safe to share between threads.
+
+    Args:
+        most_bytes: what all of them may take, with what is derived from them; the last one stays, however large.
+    """
+
+    def __init__(self, most_bytes: float) -> None:
+        self._most_bytes = most_bytes
+        self._entries: OrderedDict[str, _Entry] = OrderedDict()
+        self._lock = threading.Lock()
+
+    def get(self, name: str, signature: Signature) -> Map | None:
+        """The map of that name, if it is here and its file has that signature."""
+        with self._lock:
+            entry = self._entries.get(name)
+            if entry is None or entry.signature != signature:
+                return None
+            self._entries.move_to_end(name)
+            return entry.map
+
+    def put(self, name: str, signature: Signature, map_: Map) -> None:
+        """Take in a map; others leave for it."""
+        with self._lock:
+            self._entries[name] = _Entry(signature, map_, memory_bytes(map_))
+            self._entries.move_to_end(name)
+            total = sum(entry.size_bytes for entry in self._entries.values())
+            while total > self._most_bytes and len(self._entries) > 1:
+                total -= self._entries.popitem(last=False)[1].size_bytes
+
+    def drop(self, name: str) -> None:
+        """Let a map go, if it is here."""
+        with self._lock:
+            self._entries.pop(name, None)
+
+    def holds(self, name: str, map_: Map) -> bool:
+        """Whether this very map is the one that is here under a name."""
+        entry = self._entries.get(name)
+        return entry is not None and entry.map is map_
+
+
+def memory_bytes(map_: Map) -> int:
+    """About what a map takes in memory, with what a localizer derives from it."""
+    arrays = [getattr(map_, field.name) for field in fields(map_)]
+    arrays += (
+        [] if map_.observations is None else [getattr(map_.observations, f.name) for f in fields(map_.observations)]
+    )
+    arrays += map_.densities.arrays().values()
+    return _WITH_ITS_INDEX * sum(array.nbytes for array in arrays if isinstance(array, np.ndarray))
