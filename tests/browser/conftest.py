@@ -195,7 +195,7 @@ def settled() -> Callable[[Page], Page]:
 
     def settle(page: Page) -> Page:
         expect(page.locator("main h1, main h2").first).to_be_visible()
-        expect(page.locator("main [aria-busy]")).to_have_count(0)
+        expect(page.locator("main [aria-busy]")).to_have_count(0, timeout=120_000)  # pictures are drawn meanwhile
         return page
 
     return settle

@@ -9,7 +9,7 @@ from rholoc.errors import Conflict, InvalidName, NotFound
 from rholoc.service import keys as key_store
 from rholoc.service.access import Access, RouteAccess
 from rholoc.service.errors import CrossSite, InvalidRequest
-from rholoc.service.guard import KeyPolicy, check_query, check_same_site, keys_needed
+from rholoc.service.guard import KeyPolicy, _address, check_query, check_same_site, keys_needed
 from rholoc.service.keys import KeyStore, Scope
 from rholoc_client import Client, Forbidden, Unauthorized
 
@@ -202,3 +202,8 @@ def test_of_many_keys_only_the_one_that_was_sent_is_read(tmp_path, monkeypatch):
         assert store.find(secret).name == name
     assert store.find("another") is None
     assert len(read) == len(secrets)
+
+
+def test_the_address_of_a_client_where_it_has_one():
+    assert _address({"client": ("10.0.0.7", 4711)}) == "10.0.0.7"
+    assert _address({"client": None}) == _address({}) == ""
