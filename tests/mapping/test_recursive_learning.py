@@ -89,7 +89,7 @@ def test_the_map_is_whole_and_localizes(before: Map, after: Map, point_room: Any
 
 @pytest.mark.parametrize("forgetting", [0.0, -1.0, 1.5, float("nan")])
 def test_an_impossible_forgetting_is_refused(before: Map, forgetting: float) -> None:
-    with pytest.raises(InvalidInput, match="not possible"):
+    with pytest.raises(InvalidInput, match="not a valid forgetting factor"):
         check_forgetting(before, forgetting)
 
 
