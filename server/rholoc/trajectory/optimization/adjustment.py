@@ -20,7 +20,7 @@ import numpy as np
 from gtsam.symbol_shorthand import B, C, D, E, G, L, S, V, X
 
 from rholoc.errors import MappingFailed
-from rholoc.geometry import BoolArray, Camera, FloatArray, angles_between, cross, pose_matrix
+from rholoc.geometry import BoolArray, Camera, FloatArray, IntArray, angles_between, cross, pose_matrix
 from rholoc.recordings import GRAVITY, Imu
 from rholoc.trajectory.inertial.gyroscope import GyroCalibration, longest_interval_s
 from rholoc.trajectory.visual.tracks import Observations
@@ -47,8 +47,11 @@ _GAUGE_SIGMA = 1e-4
 _TIE_SIGMA_RAD, _TIE_SIGMA_M = 2e-4, 5e-4
 _FIXED = 1e-9
 _COARSE, _FINE = 1e-3, 2e-4  # the share of the cost by which a step must lower it to be followed by another
+_FEWEST_SEEN = 4  # sightings that hold a keyframe by themselves
+_UNSEEN_SIGMA_RAD = 1.0  # of a keyframe that nothing holds
 _FIRST_DAMPING = 10.0
 _SETTLING_STEPS = 6
+_SHARES = (1.0, 0.5, 0.25)  # of a step that leads up, at which it is tried again with every point settled anew
 _HOLDS = (1e-2, 0.3, 10.0)  # how firmly points are held where a step fails with less
 
 
@@ -211,7 +214,7 @@ class Adjusted:
         for system in _with_points_held(self._graph.linearize(self._values), self._held):
             with contextlib.suppress(RuntimeError):  # gtsam's word for a singular system
                 return system.eliminateMultifrontal(self._ordering)
-        raise MappingFailed("What was measured leaves the shape of the walk open.", "Walk further, and in loops.")
+        raise _shape_left_open()
 
 
 def adjust(
@@ -230,6 +233,9 @@ def adjust(
         iterations: at most so many.
         progress: is called with the fraction of them that is done.
         coarsely: end sooner, for sightings are judged anew by what comes out, and all is adjusted again.
+
+    Raises:
+        MappingFailed: what was measured leaves the shape of the walk open.
     """
     points, used = _usable_points(problem.observations, state, problem.pixel_sigma_px)
     state = replace(state, points=points)
@@ -239,12 +245,14 @@ def adjust(
     _add_sightings(graph, values, problem, state, used)
     if problem.imu is not None and state.inertial is not None:
         _add_imu(graph, values, problem, problem.imu, state, state.inertial)
+    _hold_unseen(graph, values, problem.observations.keyframes[used], state)
     _add_fixes(graph, problem.fixes)
     if not problem.fixes:
         _fix_gauge(graph, values, state, metric=state.inertial is not None)
     ordering = _ordering(values, problem.observations, used)
     held = functools.cache(lambda firmness: _held_points(problem.observations, state, used, firmness))
-    values, cost = _solve(graph, values, ordering, held, iterations, _COARSE if coarsely else _FINE, progress)
+    descent = _Descent(graph, ordering, held, lambda values: _with_points_settled(values, problem, state, used))
+    values, cost = descent.solve(values, iterations, _COARSE if coarsely else _FINE, progress)
     return Adjusted(_state_of(values, problem, state, used), used, cost, graph, values, ordering, held)
 
 
@@ -293,18 +301,21 @@ def _usable_points(observations: Observations, state: State, sigma_px: float) ->
     often = np.bincount(observations.tracks[near], minlength=observations.points) >= _FEWEST_SIGHTINGS
     good = (parallax_deg > _MIN_PARALLAX_DEG) & often
     used = near & good[observations.tracks]
-    return _settled(points, observations, used, state, sigma_px), used
+    return _settled(points, _some(observations, used), state, sigma_px), used
 
 
-def _settled(
-    points: FloatArray, observations: Observations, used: BoolArray, state: State, sigma_px: float
-) -> FloatArray:
+def _some(observations: Observations, used: BoolArray) -> Observations:
+    """Those that are used; points keep their numbers."""
+    return Observations(observations.keyframes[used], observations.tracks[used], observations.pixels[used])
+
+
+def _settled(points: FloatArray, observations: Observations, state: State, sigma_px: float) -> FloatArray:
     """The points (M, 3) where their sightings fit best while all else is held (Gauss–Newton, Cauchy's weights).
 
     The nearest point to the rays is not yet that; the joint problem would spend its first iterations on the way there.
     """
-    tracks, T = observations.tracks[used], state.T_map_camera[observations.keyframes[used]]
-    measured = state.camera.undistort(observations.pixels[used])
+    tracks, T = observations.tracks, state.T_map_camera[observations.keyframes]
+    measured = state.camera.undistort(observations.pixels)
     scale = _CAUCHY_PIXELS * sigma_px / state.camera.focal
     points = points.copy()
     for _ in range(_SETTLING_STEPS):
@@ -484,6 +495,16 @@ def _tie(k: int, rate: FloatArray, noise: gtsam.noiseModel.Base) -> gtsam.Custom
     return gtsam.CustomFactor(noise, [C(k), X(k), V(k), E(0), S(0)], error)
 
 
+def _hold_unseen(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, seeing: IntArray, state: State) -> None:
+    """Keyframes that neither enough points nor the IMU place stay about where they are."""
+    extent = float(np.linalg.norm(np.ptp(state.positions, axis=0)))
+    noise = gtsam.noiseModel.Diagonal.Sigmas(np.repeat([_UNSEEN_SIGMA_RAD, max(extent, 1e-9)], 3))
+    sightings = np.bincount(seeing, minlength=len(state.T_map_camera))
+    for k in np.flatnonzero(sightings < _FEWEST_SEEN).tolist():
+        if not values.exists(X(k)):
+            graph.add(gtsam.PriorFactorPose3(C(k), values.atPose3(C(k)), noise))
+
+
 def _add_fixes(graph: gtsam.NonlinearFactorGraph, fixes: Sequence[Fix]) -> None:
     for fix in fixes:
         noise = robust(_CAUCHY_WAYPOINTS, gtsam.noiseModel.Isotropic.Sigma(3, fix.sigma_m))
@@ -508,47 +529,78 @@ def _fix_gauge(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, state: S
     graph.add(gtsam.RangeFactorPose3(C(0), C(far), float(away[far]), noise))
 
 
-def _solve(
-    graph: gtsam.NonlinearFactorGraph,
-    values: gtsam.Values,
-    ordering: gtsam.Ordering,
-    held: Callable[[float], gtsam.GaussianFactorGraph],
-    iterations: int,
-    tolerance: float,
-    progress: Callable[[float], None],
-) -> tuple[gtsam.Values, float]:
-    cost = graph.error(values)
-    for done in range(iterations):
-        before = cost
-        values, cost = _stepped(graph, values, ordering, held, cost)
-        progress((done + 1) / iterations)
-        if before - cost <= tolerance * before:
-            break
-    return values, cost
+@dataclass(frozen=True, eq=False)
+class _Descent:
+    """How the problem is solved.
 
+    Attributes:
+        graph: its factors.
+        ordering: in which its unknowns are eliminated.
+        held: how firmly → what keeps the points about where they are.
+        settled: values → the same with all points where their sightings fit best.
+    """
 
-def _stepped(
-    graph: gtsam.NonlinearFactorGraph,
-    values: gtsam.Values,
-    ordering: gtsam.Ordering,
-    held: Callable[[float], gtsam.GaussianFactorGraph],
-    cost: float,
-) -> tuple[gtsam.Values, float]:
-    """A step of Gauss and Newton; where it leads up, one of Levenberg and Marquardt, which takes thrice the time."""
-    for system in _with_points_held(graph.linearize(values), held):
+    graph: gtsam.NonlinearFactorGraph
+    ordering: gtsam.Ordering
+    held: Callable[[float], gtsam.GaussianFactorGraph]
+    settled: Callable[[gtsam.Values], gtsam.Values]
+
+    def solve(
+        self, values: gtsam.Values, iterations: int, tolerance: float, progress: Callable[[float], None]
+    ) -> tuple[gtsam.Values, float]:
+        """The values that cost least, and what they cost; ends at a step that lowers the cost by less than a share."""
+        cost = self.graph.error(values)
+        for done in range(iterations):
+            before = cost
+            values, cost = self._stepped(values, cost)
+            progress((done + 1) / iterations)
+            if before - cost <= tolerance * before:
+                break
+        return values, cost
+
+    def _stepped(self, values: gtsam.Values, cost: float) -> tuple[gtsam.Values, float]:
+        """A step of Gauss and Newton; where none leads down, one of Levenberg and Marquardt, at thrice the time.
+
+        Where a long step leads up, it is mostly the points that have not come along: it is tried again, whole and in
+        part, with every point settled anew.
+        """
+        for system in _with_points_held(self.graph.linearize(values), self.held):
+            try:
+                step = system.optimize(self.ordering)
+            except RuntimeError:  # gtsam's word for a singular system
+                continue
+            for there in self._along(values, step):
+                lower = self.graph.error(there)
+                if lower < cost:
+                    return there, lower
+        parameters = gtsam.LevenbergMarquardtParams()
+        parameters.setlambdaInitial(_FIRST_DAMPING)
+        parameters.setOrdering(self.ordering)
+        optimizer = gtsam.LevenbergMarquardtOptimizer(self.graph, values, parameters)
         try:
-            there = values.retract(system.optimize(ordering))
-        except RuntimeError:  # gtsam's word for a singular system
-            continue
-        lower = graph.error(there)
-        if lower < cost:
-            return there, lower
-    parameters = gtsam.LevenbergMarquardtParams()
-    parameters.setlambdaInitial(_FIRST_DAMPING)
-    parameters.setOrdering(ordering)
-    optimizer = gtsam.LevenbergMarquardtOptimizer(graph, values, parameters)
-    optimizer.iterate()
-    return optimizer.values(), optimizer.error()
+            optimizer.iterate()
+        except RuntimeError:
+            raise _shape_left_open() from None
+        return optimizer.values(), optimizer.error()
+
+    def _along(self, values: gtsam.Values, step: gtsam.VectorValues) -> Iterator[gtsam.Values]:
+        yield values.retract(step)
+        for share in _SHARES:
+            yield self.settled(values.retract(step.scale(share)))
+
+
+def _with_points_settled(values: gtsam.Values, problem: Problem, state: State, used: BoolArray) -> gtsam.Values:
+    moved = _state_of(values, problem, state, used)
+    sightings = _some(problem.observations, used)
+    points = _settled(triangulate(sightings, moved)[0], sightings, moved, problem.pixel_sigma_px)
+    there = gtsam.Values(values)
+    for track in np.unique(sightings.tracks).tolist():
+        there.update(L(track), points[track])
+    return there
+
+
+def _shape_left_open() -> MappingFailed:
+    return MappingFailed("What was measured leaves the shape of the walk open.", "Walk further, and in loops.")
 
 
 def _with_points_held(

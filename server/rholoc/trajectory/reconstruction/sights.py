@@ -15,6 +15,7 @@ from rholoc.geometry import Camera, FloatArray, IntArray
 from rholoc.progress import ProgressListener
 from rholoc.trajectory.visual.flow import Flow
 from rholoc.trajectory.visual.matching import VerifiedPair, match_keyframes
+from rholoc.trajectory.visual.parallax import only_turned
 from rholoc.trajectory.visual.rolling_shutter import RollingShutter
 from rholoc.trajectory.visual.tracks import Observations, followed_corners, matched_features
 from rholoc.trajectory.visual.two_view import PairRotation
@@ -82,12 +83,21 @@ class Evidence:
 
 
 def gather_evidence(sights: Sights, camera: Camera, felt: Rotation | None, progress: ProgressListener) -> Evidence:
-    """Sightings by followed corners and by matched features, and rotations between keyframes."""
+    """Sightings by followed corners and by matched features, and rotations between keyframes.
+
+    Raises:
+        MappingFailed: the camera only turned.
+    """
     corners, rotations = followed_corners(sights.flow, sights.rows, camera, felt, sights.shutter)
     planes = [camera.undistort(features.pixels.astype(np.float64)) for features in sights.features]
     sequential, loops = match_keyframes(
         sights.features, planes, camera.focal, sights.times, felt, _is_followed(sights), progress
     )
+    if only_turned(sequential, planes):
+        raise MappingFailed(
+            "The camera only turned where it stood, so nothing shows how far away things are.",
+            "Walk through the room, sideways where you can.",
+        )
     return Evidence(corners, rotations, sequential, loops)
 
 

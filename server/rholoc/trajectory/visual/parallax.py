@@ -1,0 +1,50 @@
+"""Whether the camera went anywhere: what shifts between two pictures beyond what turning explains."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from rholoc.geometry import FloatArray
+from rholoc.trajectory.visual.matching import VerifiedPair
+
+_LEAST_SHIFT_RAD = 0.0025  # of a walk; the detector's noise is half of it
+_MOST = 0.95  # of the pairs
+_FITS = 3  # of the rotation, each to the half of the matches that the last one fits best
+
+
+def only_turned(pairs: Sequence[VerifiedPair], planes: Sequence[FloatArray]) -> bool:
+    """Whether the camera turned where it stood: then nothing shows how far away anything is.
+
+    Args:
+        pairs: of keyframes close in time.
+        planes: of each keyframe, its features (N, 2) on the plane z = 1.
+    """
+    return bool(pairs) and float(np.quantile(shifts(pairs, planes), _MOST)) < _LEAST_SHIFT_RAD
+
+
+def shifts(pairs: Sequence[VerifiedPair], planes: Sequence[FloatArray]) -> FloatArray:
+    """(P,) of each pair of keyframes, the median over its matches of what the best rotation leaves, radians.
+
+    A camera that turns where it stands leaves the detector's noise; one that walks leaves the parallax of what it sees.
+    """
+    return np.array([_shift(pair, planes) for pair in pairs])
+
+
+def _shift(pair: VerifiedPair, planes: Sequence[FloatArray]) -> float:
+    first, second = (
+        _rays(planes[keyframe][pair.matches[:, side]]) for side, keyframe in enumerate((pair.first, pair.second))
+    )
+    fitted = np.ones(len(first), dtype=np.bool_)
+    for _ in range(_FITS):
+        turn, _ = Rotation.align_vectors(second[fitted], first[fitted])
+        off = np.linalg.norm(second - turn.apply(first), axis=1)
+        fitted = off <= np.median(off)
+    return float(np.median(off))
+
+
+def _rays(plane: FloatArray) -> FloatArray:
+    rays = np.column_stack([plane, np.ones(len(plane))])
+    return np.asarray(rays / np.linalg.norm(rays, axis=1, keepdims=True))
