@@ -170,3 +170,24 @@ def test_gravity_is_free_where_the_waypoints_are_not_level() -> None:
     assert np.all(free >= GRAVITY)
     assert upright[0] < level[0] < 0.1
     assert upright[2] == level[2] == pytest.approx(0.05)
+
+
+def test_a_keyframe_that_sees_nothing_stays_and_says_that_it_is_not_known() -> None:
+    T = arc(_CAMERAS)
+    observations = _sightings(T, cloud(_POINTS), 0.5, 0)
+    seeing = observations.keyframes != 5
+    some = Observations(observations.keyframes[seeing], observations.tracks[seeing], observations.pixels[seeing])
+    problem = Problem(np.arange(_CAMERAS) / 2, some, pixel_sigma_px=0.5)
+    start = State(_disturbed(T, 0), np.zeros((_POINTS, 3)), CAMERA)
+    adjusted = adjust(problem, start, 8)
+    np.testing.assert_allclose(adjusted.state.T_map_camera[5], start.T_map_camera[5], atol=1e-6)
+    unknown, known = adjusted.covariances([5, 6])
+    assert np.trace(unknown[:3, :3]) > 100 * np.trace(known[:3, :3])
+
+
+def test_a_walk_of_which_nothing_is_measured_stays() -> None:
+    nothing = Observations(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 2)))
+    T = arc(_CAMERAS)
+    problem = Problem(np.arange(_CAMERAS) / 2, nothing, camera_sigmas=GUESSED)
+    adjusted = adjust(problem, State(T, np.zeros((0, 3)), CAMERA), 5)
+    np.testing.assert_allclose(adjusted.state.positions, T[:, :3, 3], atol=1e-6)

@@ -86,7 +86,7 @@ def gather_evidence(sights: Sights, camera: Camera, felt: Rotation | None, progr
     """Sightings by followed corners and by matched features, and rotations between keyframes.
 
     Raises:
-        MappingFailed: the camera only turned.
+        MappingFailed: the camera stayed in one place.
     """
     corners, rotations = followed_corners(sights.flow, sights.rows, camera, felt, sights.shutter)
     planes = [camera.undistort(features.pixels.astype(np.float64)) for features in sights.features]
@@ -95,7 +95,7 @@ def gather_evidence(sights: Sights, camera: Camera, felt: Rotation | None, progr
     )
     if only_turned(sequential, planes):
         raise MappingFailed(
-            "The camera only turned where it stood, so nothing shows how far away things are.",
+            "The camera stayed in one place; turning alone does not show how far away things are.",
             "Walk through the room, sideways where you can.",
         )
     return Evidence(corners, rotations, sequential, loops)

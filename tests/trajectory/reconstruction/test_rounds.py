@@ -1,0 +1,48 @@
+"""Adjusting in rounds: from far off, sightings that look wrong at first are right in the end."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from scene import CAMERA, in_pixels
+
+from rholoc.geometry import FloatArray, pose_matrix, umeyama
+from rholoc.progress import silent
+from rholoc.trajectory.optimization.adjustment import GUESSED, Problem, State
+from rholoc.trajectory.reconstruction.rounds import AdjustmentProgress, adjusted_in_rounds
+from rholoc.trajectory.visual.tracks import Observations
+
+_CAMERAS, _POINTS = 40, 1200
+
+
+def _outward(count: int, turn_rad: float, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
+    """A way around the middle of a room looking at its walls, and what hangs there."""
+    angles = np.linspace(0, turn_rad, count)
+    ahead = np.column_stack([np.sin(angles), np.cos(angles), np.zeros(count)])
+    right = np.column_stack([np.cos(angles), -np.sin(angles), np.zeros(count)])
+    down = np.tile([0.0, 0.0, -1.0], (count, 1))
+    around = rng.uniform(0, 2 * np.pi, _POINTS)
+    walls = np.column_stack([np.sin(around), np.cos(around)]) * rng.uniform(2.5, 4, (_POINTS, 1))
+    return pose_matrix(np.stack([right, down, ahead], axis=2), 1.2 * ahead), np.column_stack(
+        [walls, rng.uniform(-1, 1, _POINTS)]
+    )
+
+
+def test_a_focal_length_far_off_is_found_though_the_walk_is_bent_by_it() -> None:
+    """Around a room, from rotations that are short by as much as the guessed focal length is long."""
+    rng = np.random.default_rng(0)
+    T, points = _outward(_CAMERAS, 2 * np.pi, rng)
+    pixels = np.array([in_pixels(points, one) for one in T])
+    ahead = np.einsum("kij,nki->nkj", T[:, :3, :3], points[:, None] - T[None, :, :3, 3])[..., 2].T > 0.3
+    inside = np.all((pixels >= 0) & (pixels < [CAMERA.width, CAMERA.height]), axis=2)
+    keyframes, tracks = np.nonzero(ahead & inside)
+    observations = Observations(keyframes, tracks, pixels[keyframes, tracks] + rng.normal(0, 0.1, (len(tracks), 2)))
+    guess = replace(CAMERA, fx=1.08 * CAMERA.fx, fy=1.08 * CAMERA.fy, distortion=(0.0, 0.0, 0.0, 0.0))
+    problem = Problem(np.arange(_CAMERAS) / 2, observations, camera_sigmas=GUESSED, pixel_sigma_px=0.5)
+    bent, _ = _outward(_CAMERAS, 2 * np.pi / 1.08, rng)
+    start = State(bent, np.zeros((_POINTS, 3)), guess)
+    _, adjusted = adjusted_in_rounds(problem, start, AdjustmentProgress(silent), (0.0, 1.0), 3)
+    assert abs(adjusted.state.camera.fx / CAMERA.fx - 1) < 0.015
+    to_truth = umeyama(adjusted.state.positions[1:], T[1:, :3, 3])
+    assert np.median(np.linalg.norm(to_truth.points(adjusted.state.positions) - T[:, :3, 3], axis=1)) < 0.03
