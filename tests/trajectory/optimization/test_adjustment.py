@@ -183,11 +183,3 @@ def test_a_keyframe_that_sees_nothing_stays_and_says_that_it_is_not_known() -> N
     np.testing.assert_allclose(adjusted.state.T_map_camera[5], start.T_map_camera[5], atol=1e-6)
     unknown, known = adjusted.covariances([5, 6])
     assert np.trace(unknown[:3, :3]) > 100 * np.trace(known[:3, :3])
-
-
-def test_a_walk_of_which_nothing_is_measured_stays() -> None:
-    nothing = Observations(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 2)))
-    T = arc(_CAMERAS)
-    problem = Problem(np.arange(_CAMERAS) / 2, nothing, camera_sigmas=GUESSED)
-    adjusted = adjust(problem, State(T, np.zeros((0, 3)), CAMERA), 5)
-    np.testing.assert_allclose(adjusted.state.positions, T[:, :3, 3], atol=1e-6)

@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
-from rholoc.geometry import FloatArray
+from rholoc.geometry import FloatArray, aligning_rotation
 from rholoc.trajectory.visual.matching import VerifiedPair
 
 _LEAST_SHIFT_RAD = 0.0025  # of a walk; the detector's noise is half of it
@@ -39,8 +38,8 @@ def _shift(pair: VerifiedPair, planes: Sequence[FloatArray]) -> float:
     )
     fitted = np.ones(len(first), dtype=np.bool_)
     for _ in range(_FITS):
-        turn, _ = Rotation.align_vectors(second[fitted], first[fitted])
-        off = np.linalg.norm(second - turn.apply(first), axis=1)
+        R_second_first = aligning_rotation(first[fitted], second[fitted])
+        off = np.linalg.norm(second - first @ R_second_first.T, axis=1)
         fitted = off <= np.median(off)
     return float(np.median(off))
 
