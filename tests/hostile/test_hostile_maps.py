@@ -114,7 +114,7 @@ def test_what_cannot_be_rehearsed_is_not_published(http, picture_world, monkeypa
     def fail(*_args):
         raise IndexError("index 3 is out of bounds")
 
-    monkeypatch.setattr("rholoc.service.routes.maps.Localizer", fail)
+    monkeypatch.setattr("rholoc.service.routes.maps.localizer_of", fail)
     refused(http.put("/v1/maps/room", content=picture_world.rho(version=9)))
 
 
