@@ -60,7 +60,7 @@ def check_focal(index: MapIndex, query: Query, verified: Verified, matches: Matc
         matches: of a place, made without any idea of the pose; or those around the pose.
     """
     camera, T = query.camera, verified.optimum.T_map_camera
-    if _fits(index, query, verified):
+    if _fits(index, query, verified, matches):
         return FocalEstimate(camera.focal, camera.focal, 0.0, 1.0)
     total, sigma, gain = 1.0, np.inf, 0.0
     tolerances_px: tuple[float, ...] = _FIRST_TOLERANCES_PX
@@ -87,14 +87,20 @@ def check_focal(index: MapIndex, query: Query, verified: Verified, matches: Matc
     return FocalEstimate(focal_px, min(_SIGMAS * sigma, 1.0) * focal_px, moved_m, belief)
 
 
-def _fits(index: MapIndex, query: Query, verified: Verified) -> bool:
-    """Whether the matches around a pose leave no doubt of the focal length: most frames' do not."""
-    camera, wide = query.camera, verified.wide
-    if len(wide) < ENOUGH_MATCHES:
-        return False
-    evidence = evidence_of(index, wide, camera.rays(query.features.pixels), camera)
-    moved_m, gain = freed_focal(evidence, verified.optimum.T_map_camera, _WIDE_RADIUS_PX, query.dof)
-    return moved_m < _FITTING_M and gain < _FITTING_NATS
+def _fits(index: MapIndex, query: Query, verified: Verified, matches: Matches) -> bool:
+    """Whether neither the matches around a pose nor those of its place leave a doubt of the focal length.
+
+    Most frames' do not. Those around the pose alone would not do: a wrong focal length leaves out what contradicts it.
+    """
+    camera, T = query.camera, verified.optimum.T_map_camera
+    for some in (verified.wide, matches):
+        if len(some) < ENOUGH_MATCHES:
+            return False
+        evidence = evidence_of(index, some, camera.rays(query.features.pixels), camera)
+        moved_m, gain = freed_focal(evidence, T, _WIDE_RADIUS_PX, query.dof)
+        if moved_m >= _FITTING_M or gain >= _FITTING_NATS:
+            return False
+    return True
 
 
 def focal_seed(index: MapIndex, matches: Matches, query: Query, samples: int) -> tuple[FloatArray, Camera] | None:
