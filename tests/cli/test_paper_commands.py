@@ -75,7 +75,7 @@ def test_a_table_needs_its_camera(rholoc: Run, table: Path) -> None:
     arguments = ("--camera", "520,520,319.5,239.5", "--size", "huge")
     status, _, errors = rholoc("paper", "fit", table, "-o", out, *arguments)
     assert status == 1
-    assert "'huge' is no size" in errors
+    assert "'huge' is not an image size" in errors
 
 
 def test_the_camera_may_stand_beside_the_table(rholoc: Run, table: Path, point_room: Any) -> None:

@@ -87,3 +87,9 @@ def test_an_inverted_file_of_few_descriptors_is_exact() -> None:
     inverted = DescriptorIndex(stored, np.zeros(30, np.uint8), Metric.HAMMING, inverted=True)
     asked = _features(_random(10, 32, 6))
     np.testing.assert_array_equal(plain.nearest(asked, 3)[1], inverted.nearest(asked, 3)[1])
+
+
+@pytest.mark.parametrize("metric", list(Metric))
+def test_no_descriptors_have_no_distances(metric: Metric) -> None:
+    none = np.zeros((0, 32), dtype=np.uint8)
+    assert descriptor_distances(none, none, metric).shape == (0,)

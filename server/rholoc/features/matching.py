@@ -94,6 +94,8 @@ def descriptor_distances(a: ByteArray, b: ByteArray, metric: Metric) -> FloatArr
         differing = a ^ b
         words = differing.view(np.uint64) if a.shape[1] % 8 == 0 else differing  # eight bytes at a time are quicker
         return np.asarray(np.bitwise_count(words).sum(axis=1, dtype=np.int32).astype(np.float32))
+    if len(a) == 0:  # OpenCV makes nothing of nothing
+        return np.zeros(0, dtype=np.float32)
     difference = cv2.absdiff(a, b).astype(np.float32)  # of bytes: eight times as fast as of floats
     return np.asarray(np.sqrt(np.einsum("nd,nd->n", difference, difference)))
 

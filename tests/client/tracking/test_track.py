@@ -258,7 +258,7 @@ def test_a_map_without_scale_takes_no_odometry() -> None:
     track = Track()
     track.frame(0.0, np.eye(4))
     track.ask()
-    with pytest.raises(InvalidTrack, match="unit of length"):
+    with pytest.raises(InvalidTrack, match="scale is unknown"):
         track.answered(Answer(np.eye(4), EXACT, 0.97, metric=False))
 
 
