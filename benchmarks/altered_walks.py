@@ -22,10 +22,9 @@ import cv2
 import numpy as np
 
 from measuring import SHARED_DATA, flat, position_errors, print_table, rounded, scale_between
-from real_walks import KITCHEN_CAMERA, between, place
+from real_walks import KITCHEN_CAMERA, between, place, with_frames
 from rholoc.geometry import ByteArray, FloatArray, IntArray
 from rholoc.recordings import FrameSource, Recording, read_recording
-from rholoc.recordings.selection import SelectedFrames
 
 NAMES = ("bedroom_night", "android_livingroom", "euroc_v101", "redkitchen")
 COLUMNS = {
@@ -81,14 +80,6 @@ def redrawn(recording: Recording, alter: Alter, size: tuple[int, int] | None = N
         frames=AlteredFrames(frames, frames.times, order, size or frames.size, alter),
         frame_intrinsics=None,
     )
-
-
-def some(recording: Recording, rows: IntArray) -> Recording:
-    """The same walk with some of its frames."""
-    poses = recording.poses
-    if poses is not None:
-        poses = replace(poses, known=poses.known[rows], T_map_camera=poses.T_map_camera[rows])
-    return replace(recording, frames=SelectedFrames(recording.frames, rows), poses=poses, frame_intrinsics=None)
 
 
 def backward(recording: Recording) -> Recording:
@@ -210,7 +201,7 @@ def cropped(recording: Recording) -> Recording:
 def with_frames_lost(recording: Recording) -> Recording:
     """Three in ten, at random."""
     kept = np.random.default_rng(2).random(len(recording.frames.times)) > 0.3
-    return some(recording, np.flatnonzero(kept))
+    return with_frames(recording, np.flatnonzero(kept))
 
 
 def stamped_roughly(recording: Recording) -> Recording:
@@ -227,7 +218,7 @@ def twice_a_second(recording: Recording) -> Recording:
     """Two pictures a second, no IMU: a folder of photographs."""
     times = recording.frames.times
     wanted = np.arange(times[0], times[-1], 0.5)
-    return replace(some(recording, np.unique(np.abs(times[:, None] - wanted).argmin(axis=0))), imu=None)
+    return replace(with_frames(recording, np.unique(np.abs(times[:, None] - wanted).argmin(axis=0))), imu=None)
 
 
 ALTERATIONS: dict[str, Callable[[Recording], Recording]] = {

@@ -38,7 +38,7 @@ from measuring import (
 )
 from rholoc.errors import RholocError
 from rholoc.evaluation import trajectory_errors
-from rholoc.geometry import ByteArray, FloatArray
+from rholoc.geometry import ByteArray, FloatArray, IntArray
 from rholoc.localization import Dof, Localizer, Query
 from rholoc.mapping import BuildOptions, build_map
 from rholoc.recordings import FrameSource, Recording, Waypoint, read_recording
@@ -93,7 +93,12 @@ class SpoiledFrames:
 
 def between(recording: Recording, start_s: float, end_s: float) -> Recording:
     """The frames of a span of time; the IMU's table stays whole."""
-    rows = np.flatnonzero((recording.frames.times >= start_s) & (recording.frames.times < end_s))
+    times = recording.frames.times
+    return with_frames(recording, np.flatnonzero((times >= start_s) & (times < end_s)))
+
+
+def with_frames(recording: Recording, rows: IntArray) -> Recording:
+    """The same walk with some of its frames."""
     poses = recording.poses
     if poses is not None:
         poses = replace(poses, known=poses.known[rows], T_map_camera=poses.T_map_camera[rows])

@@ -6,18 +6,21 @@ feature sets; everything behind it is the real thing.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import pytest
 
 from rholoc.features import Channel, FeatureSet
 from rholoc.geometry import BoolArray, ByteArray, Camera, FloatArray, IntArray
 from rholoc.progress import ProgressListener, silent
 from rholoc.recordings import Imu, Recording, Waypoint
 from rholoc.simulation import PHONE_CAMERA, Walk, make_walk, measure_imu, measure_waypoints
+from rholoc.trajectory import PoseMethod, Trajectory, estimate
 from rholoc.trajectory.visual.flow import Flow
 
 DELAY_S = 0.03  # between the clocks of camera and IMU
@@ -187,3 +190,16 @@ def _points(count: int, seed: int) -> FloatArray:
     wall = rng.integers(0, 2, count)
     points[np.arange(count), wall] = _WALLS_M[wall, rng.integers(0, 2, count)]
     return points
+
+
+def estimated(walk: SyntheticWalk, recording: Recording, method: PoseMethod = PoseMethod.VISUAL_INERTIAL) -> Trajectory:
+    """A recording's trajectory, its front end replaced by the walk's and its child process by a call."""
+
+    def call(function: Callable[..., Any], *args: Any, progress: ProgressListener, stage: object) -> Any:
+        return function(*args, progress)
+
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(estimate, "track_corners", walk.track_corners)
+        patched.setattr(estimate, "KeyframeFeatures", walk.keyframe_features)
+        patched.setattr(estimate, "run_in_child", call)
+        return estimate.estimate_trajectory(recording, method)

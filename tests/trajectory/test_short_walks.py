@@ -2,29 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any
-
 import numpy as np
 import pytest
-from synthetic_walk import DELAY_S, SyntheticWalk
+from synthetic_walk import DELAY_S, SyntheticWalk, estimated
 
 from rholoc.geometry import FloatArray, pose_distances, umeyama
-from rholoc.recordings import Recording, Waypoint
-from rholoc.trajectory import PoseMethod, Scale, Trajectory, estimate
+from rholoc.recordings import Waypoint
+from rholoc.trajectory import PoseMethod, Scale, Trajectory
 
 _WRONG_M = 0.3
-
-
-def _estimated(walk: SyntheticWalk, recording: Recording, method: PoseMethod) -> Trajectory:
-    def call(function: Callable[..., Any], *args: Any, progress: Any, stage: object) -> Any:
-        return function(*args, progress)
-
-    with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(estimate, "track_corners", walk.track_corners)
-        patched.setattr(estimate, "KeyframeFeatures", walk.keyframe_features)
-        patched.setattr(estimate, "run_in_child", call)
-        return estimate.estimate_trajectory(recording, method)
 
 
 @pytest.fixture(scope="module")
@@ -48,7 +34,7 @@ def _truth(walk: SyntheticWalk, found: Trajectory) -> FloatArray:
 
 
 def test_with_imu_and_waypoints_one_of_which_is_wrong(walk: SyntheticWalk) -> None:
-    found = _estimated(walk, walk.recording(waypoints=_waypoints(walk)), PoseMethod.VISUAL_INERTIAL)
+    found = estimated(walk, walk.recording(waypoints=_waypoints(walk)), PoseMethod.VISUAL_INERTIAL)
     off_m, off_rad = pose_distances(found.T_map_camera, _truth(walk, found))
     report = found.report
     assert found.scale is Scale.METRIC
@@ -71,7 +57,7 @@ def test_with_imu_and_waypoints_one_of_which_is_wrong(walk: SyntheticWalk) -> No
 
 
 def test_by_pictures_alone_the_shape_is_right(walk: SyntheticWalk) -> None:
-    found = _estimated(walk, walk.recording(imu=None, waypoints=()), PoseMethod.VISUAL)
+    found = estimated(walk, walk.recording(imu=None, waypoints=()), PoseMethod.VISUAL)
     assert found.scale is Scale.ARBITRARY
     to_truth = umeyama(found.T_map_camera[:, :3, 3], _truth(walk, found)[:, :3, 3])
     off_m, off_rad = pose_distances(to_truth.poses(found.T_map_camera), _truth(walk, found))

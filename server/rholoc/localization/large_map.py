@@ -180,9 +180,7 @@ class LargeMapLocalizer:
         check_kind(query.features, self.extractor)
         clock = _Clock(query.deadline_s)
         given = query.features
-        query = replace(
-            query, more_features=query.more_features or (lambda: given)
-        )  # which are looked at quickly first
+        query = replace(query, more_features=query.more_features or (lambda: given))  # first a quick look
         if query.prior is not None:
             near = views_by_prior(self.map.view_positions, self.map.view_headings, query.prior)
             if len(near):

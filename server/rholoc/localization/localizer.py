@@ -217,10 +217,8 @@ class Localizer:
 
     def attempt(self, query: Query) -> Localization | None:
         """The answer where the features at hand give a sure one, None otherwise; no more of them are looked for."""
-        watch = _Stopwatch(query.deadline_s)
-        search = self._search(self.adapted(query), watch)
-        found = search.outcome(self.options.conclusive)
-        return self._answer(search) if found is not None and found.confidence >= self.options.conclusive else None
+        search = self._sure_search(query, _Stopwatch(query.deadline_s))
+        return None if search is None else self._answer(search)
 
     def view_votes(self, features: FeatureSet) -> FloatArray:
         """(K,) how strongly a picture's features speak for each view of the map; no pose is looked for."""
@@ -253,6 +251,10 @@ class Localizer:
         """A look at what few features point to first; None unless more can be had and that is sure."""
         if query.more_features is None or query.intrinsics is Intrinsics.UNKNOWN:
             return None
+        return self._sure_search(query, watch)
+
+    def _sure_search(self, query: Query, watch: _Stopwatch) -> _Search | None:
+        """A search by the features at hand; None unless it is conclusive."""
         search = self._search(self.adapted(query), watch)
         found = search.outcome(self.options.conclusive)
         return search if found is not None and found.confidence >= self.options.conclusive else None

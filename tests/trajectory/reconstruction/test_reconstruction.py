@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
-from synthetic_walk import DELAY_S, SyntheticWalk
+from synthetic_walk import DELAY_S, SyntheticWalk, estimated
 
 from rholoc.errors import MappingFailed
 from rholoc.evaluation.odometry import measure_odometry
 from rholoc.geometry import FloatArray, umeyama
-from rholoc.progress import ProgressListener
-from rholoc.recordings import Recording, Waypoint
+from rholoc.recordings import Waypoint
 from rholoc.simulation import PHONE_CAMERA
-from rholoc.trajectory import PoseMethod, Scale, Trajectory, estimate
+from rholoc.trajectory import PoseMethod, Scale, Trajectory
 
 pytestmark = pytest.mark.slow
 
@@ -35,21 +32,6 @@ def torn() -> SyntheticWalk:
     return SyntheticWalk(blank=_WALLS_S)
 
 
-def _estimated(
-    walk: SyntheticWalk, recording: Recording, method: PoseMethod = PoseMethod.VISUAL_INERTIAL
-) -> Trajectory:
-    """The trajectory, its front end replaced by the walk's and its child process by a call."""
-
-    def call(function: Callable[..., Any], *args: Any, progress: ProgressListener, stage: object) -> Any:
-        return function(*args, progress)
-
-    with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(estimate, "track_corners", walk.track_corners)
-        patched.setattr(estimate, "KeyframeFeatures", walk.keyframe_features)
-        patched.setattr(estimate, "run_in_child", call)
-        return estimate.estimate_trajectory(recording, method)
-
-
 def _off_m(walk: SyntheticWalk, found: Trajectory) -> FloatArray:
     return np.linalg.norm(found.T_map_camera[:, :3, 3] - walk.T_map_camera[found.rows, :3, 3], axis=1)
 
@@ -57,7 +39,7 @@ def _off_m(walk: SyntheticWalk, found: Trajectory) -> FloatArray:
 @pytest.fixture(scope="module")
 def measured(walk: SyntheticWalk) -> Trajectory:
     """With IMU and waypoints at their times."""
-    return _estimated(walk, walk.recording())
+    return estimated(walk, walk.recording())
 
 
 def test_pictures_imu_and_waypoints_place_all_to_a_centimetre(walk: SyntheticWalk, measured: Trajectory) -> None:
@@ -78,7 +60,7 @@ def test_pictures_imu_and_waypoints_place_all_to_a_centimetre(walk: SyntheticWal
 
 
 def test_odometry_looks_for_no_features_and_meets_no_waypoint(walk: SyntheticWalk) -> None:
-    found = _estimated(walk, walk.recording(), PoseMethod.ODOMETRY)
+    found = estimated(walk, walk.recording(), PoseMethod.ODOMETRY)
     assert found.report.loop_pairs == 0
     assert found.scale is Scale.METRIC
     assert found.upright
@@ -100,7 +82,7 @@ def test_its_covariance_holds_its_errors(walk: SyntheticWalk, measured: Trajecto
 def test_waypoints_in_order_and_an_imu_of_unknown_mounting(walk: SyntheticWalk) -> None:
     unknown = replace(walk.imu, R_camera_imu=None)
     in_order = tuple(replace(waypoint, time=float("nan")) for waypoint in walk.waypoints)
-    found = _estimated(walk, walk.recording(imu=unknown, waypoints=in_order))
+    found = estimated(walk, walk.recording(imu=unknown, waypoints=in_order))
     assert found.report.trusted, found.report.why
     assert np.median(_off_m(walk, found)) < 0.01
     assert list(found.report.waypoint_times_s) == ["START", "W1", "W2", "W3", "E"]
@@ -108,7 +90,7 @@ def test_waypoints_in_order_and_an_imu_of_unknown_mounting(walk: SyntheticWalk) 
 
 
 def test_the_imu_alone_gives_scale_and_gravity(walk: SyntheticWalk) -> None:
-    found = _estimated(walk, walk.recording(waypoints=()))
+    found = estimated(walk, walk.recording(waypoints=()))
     assert found.scale is Scale.METRIC
     assert found.upright
     to_truth = umeyama(found.T_map_camera[:, :3, 3], walk.T_map_camera[found.rows, :3, 3])
@@ -117,8 +99,8 @@ def test_the_imu_alone_gives_scale_and_gravity(walk: SyntheticWalk) -> None:
     np.testing.assert_allclose(found.T_map_camera[0, :3, 3], 0, atol=1e-9)
 
 
-def test_an_unknown_camera_is_estimated(walk: SyntheticWalk) -> None:
-    found = _estimated(walk, walk.recording(camera=None))
+def test_an_unknown_camera_isestimated(walk: SyntheticWalk) -> None:
+    found = estimated(walk, walk.recording(camera=None))
     assert found.camera.focal == pytest.approx(PHONE_CAMERA.focal, rel=0.02)
     assert found.report.camera is not None
     assert abs(found.camera.fx - PHONE_CAMERA.fx) < 4 * found.report.camera.focal_sigma_px
@@ -128,7 +110,7 @@ def test_an_unknown_camera_is_estimated(walk: SyntheticWalk) -> None:
 def test_a_waypoint_wrong_by_15_cm_is_named_and_left_out(walk: SyntheticWalk, measured: Trajectory) -> None:
     x, y, z = walk.waypoints[2].position
     wrong = replace(walk.waypoints[2], position=(x, y + 0.15, z))
-    found = _estimated(walk, walk.recording(waypoints=(*walk.waypoints[:2], wrong, *walk.waypoints[3:])))
+    found = estimated(walk, walk.recording(waypoints=(*walk.waypoints[:2], wrong, *walk.waypoints[3:])))
     assert found.report.waypoint_mistake is not None
     assert "W2" in found.report.waypoint_mistake
     assert all(name not in found.report.waypoint_mistake for name in ("START", "W1", "W3", "E:"))
@@ -137,7 +119,7 @@ def test_a_waypoint_wrong_by_15_cm_is_named_and_left_out(walk: SyntheticWalk, me
 
 
 def test_a_second_before_a_blank_wall_is_bridged_by_the_imu(torn: SyntheticWalk) -> None:
-    found = _estimated(torn, torn.recording())
+    found = estimated(torn, torn.recording())
     off_m = _off_m(torn, found)
     blank = np.any([(found.times >= a) & (found.times < b) for a, b in _WALLS_S], axis=0)
     assert np.median(off_m) < 0.015
@@ -148,7 +130,7 @@ def test_a_second_before_a_blank_wall_is_bridged_by_the_imu(torn: SyntheticWalk)
 def test_without_an_imu_the_larger_piece_is_published_and_the_missing_seconds_are_named() -> None:
     """A blank wall at two thirds of the walk, and another room behind it."""
     torn = SyntheticWalk(blank=((19.5, 21.0),), other_room_from_s=20.0)
-    found = _estimated(torn, torn.recording(imu=None, waypoints=()), PoseMethod.VISUAL)
+    found = estimated(torn, torn.recording(imu=None, waypoints=()), PoseMethod.VISUAL)
     assert found.times.max() < 20
     assert found.report.missing
     last = found.report.missing[-1]
@@ -167,7 +149,7 @@ def test_a_useless_imu_falls_back_to_pictures_and_says_so(walk: SyntheticWalk, u
         imu = replace(walk.imu, angular_velocity=rng.normal(0, 1.5, walk.imu.angular_velocity.shape))
     else:
         imu = replace(walk.imu, times=walk.imu.times + 1000)
-    found = _estimated(walk, walk.recording(imu=imu))
+    found = estimated(walk, walk.recording(imu=imu))
     assert np.median(_off_m(walk, found)) < 0.03
     reason = found.report.imu.not_observable["all"]
     assert "from the pictures alone" in reason
@@ -176,11 +158,11 @@ def test_a_useless_imu_falls_back_to_pictures_and_says_so(walk: SyntheticWalk, u
 def test_a_recording_that_shows_nothing_fails_with_a_plain_reason() -> None:
     blank = SyntheticWalk(blank=((0.0, 99.0),))
     with pytest.raises(MappingFailed, match=r"[A-Z].*\. (Walk|Keep|Move)"):
-        _estimated(blank, blank.recording(waypoints=()))
+        estimated(blank, blank.recording(waypoints=()))
 
 
 def test_waypoints_of_another_walk_are_refused(walk: SyntheticWalk) -> None:
     places = ((0.0, 0.0, 0.0), (9.0, 0.0, 0.0), (0.0, 9.0, 0.0), (5.0, 5.0, 5.0), (-9.0, 2.0, 1.0))
     elsewhere = tuple(Waypoint(w.name, w.time, place) for w, place in zip(walk.waypoints, places, strict=True))
     with pytest.raises(MappingFailed, match="misses the waypoints"):
-        _estimated(walk, walk.recording(waypoints=elsewhere))
+        estimated(walk, walk.recording(waypoints=elsewhere))

@@ -216,9 +216,7 @@ async def find_places(
     clock = Stopwatch()
     names, every = await _named(maps, service)
     with service.held_bodies.hold() as look:
-        frame = await _sent(request, options.options(), service, look)
-        if not isinstance(frame, Frame):
-            raise InvalidRequest("Places are found for one picture at a time.", "Send one picture.")
+        frame = await _sent_alone(request, options, service, look, "Places are found for one picture at a time.")
         for name in [] if every else names:
             service.library.stat(name)
         settings = service.settings
@@ -240,9 +238,7 @@ async def see_landscape(map_name: str, request: Request, service: Service, optio
     clock = Stopwatch()
     service.library.stat(map_name)
     with service.held_bodies.hold() as look:
-        frame = await _sent(request, options.options(), service, look)
-        if not isinstance(frame, Frame):
-            raise InvalidRequest("Several frames have no landscape together.", "Send one picture.")
+        frame = await _sent_alone(request, options, service, look, "Several frames have no landscape together.")
         frame = await _with_stored_camera(frame, service)
         settings = service.settings
         return await service.compute.run(
@@ -350,6 +346,16 @@ async def _late_answer(name: str, localizers: Localizers, clock: Stopwatch) -> L
             return late_answer(name, await run_in_threadpool(localizers.get, name), clock)
     except TimeoutError:
         raise DeadlineExceeded("The deadline passed while the map was being loaded.", "Try again.") from None
+
+
+async def _sent_alone(
+    request: Request, options: OptionParameters, service: State, look: PieceListener, refusal: str
+) -> Frame:
+    """One picture or descriptor set; several frames are refused in the words given."""
+    frame = await _sent(request, options.options(), service, look)
+    if not isinstance(frame, Frame):
+        raise InvalidRequest(refusal, "Send one picture.")
+    return frame
 
 
 async def _sent(request: Request, options: dict[str, Any], service: State, look: PieceListener) -> Frame | _SentFrames:

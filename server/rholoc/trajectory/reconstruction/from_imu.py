@@ -10,15 +10,15 @@ from scipy.spatial.transform import Rotation
 
 from rholoc.geometry import Camera, FloatArray, pose_matrix
 from rholoc.recordings import GRAVITY, Imu, Waypoint
-from rholoc.trajectory.frame.map_frame import frame_of_first_camera, frame_of_waypoints, up_by_gravity
+from rholoc.trajectory.frame.map_frame import up_by_gravity
 from rholoc.trajectory.frame.upright import rotation_to_upright
 from rholoc.trajectory.inertial.gyroscope import GyroCalibration
 from rholoc.trajectory.initialization.inertial_start import InertialStart, inertial_start
 from rholoc.trajectory.initialization.rotation_averaging import average_rotations
 from rholoc.trajectory.optimization.adjustment import Adjusted, InertialState, Problem, State, adjust
-from rholoc.trajectory.reconstruction.figures import median_depth_of, scale_sigma_of
+from rholoc.trajectory.reconstruction.figures import scale_sigma_of
 from rholoc.trajectory.reconstruction.loops import with_loops_closed
-from rholoc.trajectory.reconstruction.outcome import InertialFigures, Reconstruction, Solved, finished
+from rholoc.trajectory.reconstruction.outcome import InertialFigures, Reconstruction, finished
 from rholoc.trajectory.reconstruction.rounds import (
     ITERATIONS,
     LAST_ITERATIONS,
@@ -27,7 +27,7 @@ from rholoc.trajectory.reconstruction.rounds import (
     camera_sigmas,
 )
 from rholoc.trajectory.reconstruction.sights import Evidence, Sights
-from rholoc.trajectory.reconstruction.waypoints import held_by_waypoints
+from rholoc.trajectory.reconstruction.waypoints import in_map_frame
 from rholoc.trajectory.visual.camera_guess import calibrate_by_flow
 from rholoc.trajectory.visual.directions import PairDirection, direction_between
 from rholoc.trajectory.visual.matching import VerifiedPair
@@ -119,7 +119,7 @@ def solve_with_imu(
     evidence, problem, adjusted = with_loops_closed(sights, evidence, problem, adjusted, progress)
     problem, adjusted, accelerometer_scale = _accelerometer_corrected(problem, adjusted, progress)
     scale_sigma = scale_sigma_of(adjusted)
-    solved = _in_map_frame(problem, adjusted, waypoints, scale_sigma, evidence, progress)
+    solved = in_map_frame(problem, adjusted, waypoints, up_by_gravity(), scale_sigma, evidence.loops, progress)
     inertial = solved.adjusted.state.inertial
     assert inertial is not None
     figures = InertialFigures(
@@ -146,24 +146,6 @@ def _accelerometer_corrected(
         return problem, adjusted, 1.0
     problem = replace(problem, imu=replace(problem.imu, acceleration=problem.imu.acceleration / read))
     return problem, adjust(problem, _of_corrected_scale(adjusted.state, read), LAST_ITERATIONS, progress), read
-
-
-def _in_map_frame(
-    problem: Problem,
-    adjusted: Adjusted,
-    waypoints: Sequence[tuple[Waypoint, ...]],
-    scale_sigma: float,
-    evidence: Evidence,
-    progress: AdjustmentProgress,
-) -> Solved:
-    """Held by the waypoints, where there are any; else the frame is the first camera's, upright."""
-    T, (up, why_up) = adjusted.state.T_map_camera, up_by_gravity()
-    if not waypoints:
-        depth = median_depth_of(problem.observations, adjusted)
-        return Solved(problem, adjusted, frame_of_first_camera(T, up, why_up, depth, scale_sigma))
-    frame = frame_of_waypoints(problem.times, T, waypoints, up, why_up, scale_sigma)
-    problem = replace(problem, level_sigma_rad=problem.level_sigma_rad if frame.upright else None)
-    return held_by_waypoints(problem, adjusted.state, frame, evidence.loops, progress)
 
 
 def _of_corrected_scale(state: State, read: float) -> State:

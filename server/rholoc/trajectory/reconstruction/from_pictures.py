@@ -10,15 +10,14 @@ import numpy as np
 from rholoc.errors import MappingFailed
 from rholoc.geometry import Camera, FloatArray, IntArray, pose_matrix
 from rholoc.recordings import Waypoint
-from rholoc.trajectory.frame.map_frame import frame_of_first_camera, frame_of_waypoints, up_by_pictures
+from rholoc.trajectory.frame.map_frame import up_by_pictures
 from rholoc.trajectory.initialization.global_positioning import global_positions
 from rholoc.trajectory.initialization.rotation_averaging import average_rotations
-from rholoc.trajectory.optimization.adjustment import Adjusted, Problem, State
-from rholoc.trajectory.reconstruction.figures import median_depth_of
-from rholoc.trajectory.reconstruction.outcome import Reconstruction, Solved, finished
+from rholoc.trajectory.optimization.adjustment import Problem, State
+from rholoc.trajectory.reconstruction.outcome import Reconstruction, finished
 from rholoc.trajectory.reconstruction.rounds import AdjustmentProgress, adjusted_in_rounds, camera_sigmas
 from rholoc.trajectory.reconstruction.sights import ADVICE, Evidence, Sights
-from rholoc.trajectory.reconstruction.waypoints import held_by_waypoints
+from rholoc.trajectory.reconstruction.waypoints import in_map_frame
 from rholoc.trajectory.visual.tracks import Observations, pieces_of
 from rholoc.trajectory.visual.two_view import PairRotation
 
@@ -46,22 +45,10 @@ def solve_from_pictures(
     observations = numbered.take(numbered.keyframes >= 0)
     problem = Problem(sights.times[members], observations, camera_sigmas=camera_sigmas(sights.camera))
     problem, adjusted = adjusted_in_rounds(problem, state, progress, (0.45, 0.75), _ROUNDS_OF_PICTURES)
-    solved = _in_map_frame(problem, adjusted, waypoints, progress)
+    up = up_by_pictures(adjusted.state.R_map_camera)
+    solved = in_map_frame(problem, adjusted, waypoints, up, None, (), progress)
     part = finished(solved, len(evidence.loops), sights.camera is not None, None, reason)
     return _of_all(part, members, len(sights.rows))
-
-
-def _in_map_frame(
-    problem: Problem, adjusted: Adjusted, waypoints: Sequence[tuple[Waypoint, ...]], progress: AdjustmentProgress
-) -> Solved:
-    """Held by the waypoints, where there are any; else the frame is the first camera's, of no known size."""
-    T = adjusted.state.T_map_camera
-    up, why_up = up_by_pictures(adjusted.state.R_map_camera)
-    if not waypoints:
-        depth = median_depth_of(problem.observations, adjusted)
-        return Solved(problem, adjusted, frame_of_first_camera(T, up, why_up, depth, None))
-    frame = frame_of_waypoints(problem.times, T, waypoints, up, why_up)
-    return held_by_waypoints(problem, adjusted.state, frame, (), progress)
 
 
 def _of_all(part: Reconstruction, members: IntArray, count: int) -> Reconstruction:

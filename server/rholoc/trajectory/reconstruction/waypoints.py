@@ -7,12 +7,14 @@ from dataclasses import replace
 
 import numpy as np
 
+from rholoc.recordings import Waypoint
 from rholoc.recordings.tables.waypoints import DEFAULT_SIGMA_M
 from rholoc.trajectory.checks.blame import LeftOut, held_against, leave_out, worst
-from rholoc.trajectory.frame.map_frame import MapFrame
-from rholoc.trajectory.frame.waypoint_alignment import MAX_GAP_S
+from rholoc.trajectory.frame.map_frame import MapFrame, frame_of_first_camera, frame_of_waypoints
+from rholoc.trajectory.frame.waypoint_alignment import MAX_GAP_S, UpMeasurement
 from rholoc.trajectory.optimization.adjustment import Adjusted, Fix, Problem, State, adjust
 from rholoc.trajectory.optimization.pose_graph import RelativePose, bend
+from rholoc.trajectory.reconstruction.figures import median_depth_of
 from rholoc.trajectory.reconstruction.outcome import Solved, moved
 from rholoc.trajectory.reconstruction.rounds import FAR_M, ITERATIONS, LAST_ITERATIONS, AdjustmentProgress
 from rholoc.trajectory.visual.matching import VerifiedPair
@@ -23,7 +25,32 @@ _FEWEST_TRUSTED = 3  # waypoints, below which none is taken out
 _MAX_MISTAKES = 0.34  # the share of the waypoints that may be found mistaken
 
 
-def held_by_waypoints(
+def in_map_frame(
+    problem: Problem,
+    adjusted: Adjusted,
+    waypoints: Sequence[tuple[Waypoint, ...]],
+    up: tuple[UpMeasurement | None, str],
+    scale_sigma: float | None,
+    loops: Sequence[VerifiedPair],
+    progress: AdjustmentProgress,
+) -> Solved:
+    """Held by the waypoints, where there are any; else the frame is the first camera's, as upright as ``up`` says.
+
+    Args:
+        up: the upward direction, and what to say about it.
+        scale_sigma: how well the walk's size is known, relative; None where nothing measured it.
+        loops: between keyframes that show the same place.
+    """
+    T = adjusted.state.T_map_camera
+    if not waypoints:
+        depth = median_depth_of(problem.observations, adjusted)
+        return Solved(problem, adjusted, frame_of_first_camera(T, *up, depth, scale_sigma))
+    frame = frame_of_waypoints(problem.times, T, waypoints, *up, scale_sigma)
+    problem = replace(problem, level_sigma_rad=problem.level_sigma_rad if frame.upright else None)
+    return _held_by_waypoints(problem, adjusted.state, frame, loops, progress)
+
+
+def _held_by_waypoints(
     problem: Problem,
     state: State,
     frame: MapFrame,
