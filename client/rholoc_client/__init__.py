@@ -7,8 +7,8 @@
         if answer.localized:
             print(answer.pose.position, answer.pose.heading, answer.confidence)
 
-:class:`Tracker` keeps track of a camera between answers; it needs NumPy (``rholoc-client[tracking]``), and OpenCV
-where pictures are all there is (``rholoc-client[pictures]``).
+:class:`Tracker` keeps track of a camera between answers; it needs NumPy (``rholoc-client[tracking]``), and OpenCV to
+track by pictures alone (``rholoc-client[pictures]``).
 """
 
 from __future__ import annotations
@@ -154,7 +154,7 @@ _OF_TRACKING = ("AsyncTracker", "ImuNoise", "OdometryNoise", "TrackOptions", "Tr
 
 
 def __getattr__(name: str) -> Any:
-    """What needs NumPy is imported when it is first used: all else does without."""
+    """Import what needs NumPy when it is first used: everything else works without."""
     if name in _OF_TRACKING:
         from rholoc_client import tracking
 

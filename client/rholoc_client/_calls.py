@@ -1,4 +1,4 @@
-"""What both clients share: each method's request, and the reading of its answer."""
+"""What both clients share: each method's request, and how its answer is read."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from rholoc_client.models import (
 
 T = TypeVar("T")
 
-Standing = tuple[int, str | None]  # of an upload: the bytes that the service has; once it has all, the job's id
+Standing = tuple[int, str | None]  # of an upload: how many bytes the service has; the job's id once it has all
 Outcome = httpx.Response | httpx.TransportError
 Maps = str | Sequence[str] | None  # one map, several, or all
 
@@ -44,7 +44,7 @@ _TUS = {"Tus-Resumable": "1.0.0"}
 class Call(Generic[T]):
     """One request and how to read its answer.
 
-    ``idempotent``: doing it twice is the same as doing it once. ``answers``: error statuses that are answers too.
+    ``idempotent``: sending it twice does no harm. ``answers``: error statuses that are answers all the same.
     """
 
     method: str
@@ -59,12 +59,12 @@ class Call(Generic[T]):
 
 
 def result_of(call: Call[T], outcome: Outcome) -> T:
-    """The answer, or the error that it is.
+    """What the answer says.
 
     Raises:
-        ConnectionFailed: nothing was answered.
+        ConnectionFailed: there was no answer.
         ServiceError: the service answered with an error.
-        InvalidAnswer: what came is not of this service.
+        InvalidAnswer: the answer is not this service's.
     """
     if isinstance(outcome, httpx.TransportError):
         raise ConnectionFailed(f"{outcome.request.url} did not answer: {str(outcome) or type(outcome).__name__}.")
@@ -112,7 +112,7 @@ def localize_features(maps: Maps, features: Features, options: Mapping[str, Any]
 
 
 def find_places(maps: Maps, image: ImageLike, limit: int) -> Call[list[Place]]:
-    """The likeliest views for a picture."""
+    """The most similar views for a picture."""
     content, media_type = encoded(image)
     names = maps if isinstance(maps, str) else _several(maps)["maps"]
     return Call(
@@ -182,7 +182,7 @@ def localize_options(
     intrinsics: str | None = None,
     with_matches: bool = False,
 ) -> dict[str, Any]:
-    """The options of a localization as the service takes them; what is None is left out."""
+    """The options of a localization as the service takes them, without those that are None."""
     given = {
         "camera": _chosen(camera),
         "prior": None if prior is None else prior_fields(prior),
@@ -252,7 +252,7 @@ def rename_map(name: str, new_name: str) -> Call[MapSummary]:
 
 
 def update_map(name: str, fields: Mapping[str, Any]) -> Call[Job]:
-    """Learn a stored recording into a map; the answer is the job that does."""
+    """Learn a stored recording into a map; the answer is the job that does this."""
     return _post(f"{_map_path(name)}/update", _without_none(fields), _job)
 
 
@@ -306,7 +306,7 @@ def delete_map(name: str) -> Call[None]:
 def begin_upload(name: str, length: int, fields: Mapping[str, str | None]) -> Call[str]:
     """Announce a recording's file of ``length`` bytes; the answer is the recording's id.
 
-    Should it be announced twice, the service forgets the one that stays empty.
+    If it is announced twice, the service drops the one that stays empty.
     """
     metadata_fields = {"filename": name, **_without_none(fields)}
     metadata = ",".join(f"{key} {_base64(value.encode())}" for key, value in metadata_fields.items())

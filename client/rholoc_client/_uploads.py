@@ -1,4 +1,4 @@
-"""Recordings → what is uploaded, piece by piece, so that a broken connection costs one piece at most."""
+"""Uploads of recordings, piece by piece, so that a broken connection costs one piece at most."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from rholoc_client._calls import Call, begin_upload, continue_upload, get_job, u
 from rholoc_client.errors import ChecksumMismatch, Conflict, ConnectionFailed, InvalidAnswer, InvalidRecording
 from rholoc_client.models import Job
 
-UploadProgress = Callable[[int, int], None]  # bytes that the service has, bytes in all
+UploadProgress = Callable[[int, int], None]  # bytes that the service has, total bytes
 
 _PIECE_BYTES = 4 * 2**20
 _WAYPOINTS_FILE = "waypoints.csv"
@@ -24,16 +24,16 @@ _PACKED = frozenset({".jpg", ".jpeg", ".png", ".webp", ".mp4", ".mov", ".webm", 
 def upload_steps(
     name: str, file: BinaryIO, fields: Mapping[str, str | None], retries: int, progress: UploadProgress | None
 ) -> Generator[Call[Any], Any, Job]:
-    """The calls of an upload, one after the other; each is sent its answer, or thrown its error.
+    """The calls of an upload, one after another: the caller sends each call's answer back in, or throws its error.
 
-    After a piece that failed, the service is asked what it has. What it has is not sent again.
+    After a piece that failed, the service is asked what it has, and that is not sent again.
 
     Args:
         name: the file's name.
-        file: what is uploaded.
+        file: what to upload.
         fields: how the service is to use it.
         retries: how often in a row a piece may fail.
-        progress: hears of every piece that arrived.
+        progress: called after every piece that arrived.
 
     Returns:
         The mapping job.

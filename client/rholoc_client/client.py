@@ -1,4 +1,4 @@
-"""The clients: one that waits, one for asyncio, with the same methods."""
+"""The clients: a blocking one, and one for asyncio with the same methods."""
 
 from __future__ import annotations
 
@@ -38,15 +38,15 @@ _PIECE_TIMEOUT_S = 60.0  # of an upload; the last one is answered once the recor
 
 
 class Client:
-    """The service, for programs that wait for its answers. Safe to share between threads; use it in a ``with``.
+    """The service, for programs that block on its answers. Safe to share between threads; use it in a ``with``.
 
     Args:
         base_url: where the service is, ``http://host:port``.
-        api_key: sent as a bearer token where the service asks for one.
+        api_key: sent as a bearer token, where the service requires one.
         timeout_s: how long to wait for a connection, and for each piece of an answer.
         retries: how often to ask again when the service is busy, or when the connection failed and asking twice
             does no harm; with exponential back-off, jitter, and the service's ``Retry-After``.
-        transport: another way to the service than the network, as httpx has them.
+        transport: an httpx transport to use instead of the network.
 
     Every method raises :class:`ConnectionFailed`, :class:`InvalidAnswer`, or the :class:`ServiceError` that the
     service answered with.
@@ -91,15 +91,15 @@ class Client:
         """Where a picture was taken. "No pose" is an answer: look at ``localized``.
 
         Args:
-            maps: a map's name; several names or None for all, of which the surest answers.
+            maps: a map's name; or several names, or None for all: the most confident answer is returned.
             image: a JPEG or PNG as bytes or as a path, or an array (H, W, 3) BGR or (H, W) grey of uint8.
-            camera: the picture's intrinsics, or a stored camera's name; without, the map's own serve where they fit.
+            camera: the picture's intrinsics, or a stored camera's name; None: the map's own, where they fit.
             prior: where the pose is expected.
             dof: "auto" (the service's default: 6, roll being improbable where the map's own views were upright), 5 (the
                 camera does not roll) or 6.
             gravity: the direction of gravity (down) in the camera frame.
             deadline_ms: how long the service may take.
-            intrinsics: "unknown" where nothing is known of the camera; the answer's ``camera`` has it as estimated.
+            intrinsics: "unknown" if the camera is not known; the answer's ``camera`` is then the estimated one.
             with_matches: whether the answer's ``agreeing`` lists the matches that agree with the pose.
         """
         options = localize_options(camera, prior, dof, gravity, deadline_ms, intrinsics, with_matches)
@@ -119,7 +119,7 @@ class Client:
         """Where several frames were taken, whose poses relative to each other are known: one answer for all.
 
         Args:
-            maps: a map's name; several names or None for all, of which the surest answers.
+            maps: a map's name; or several names, or None for all: the most confident answer is returned.
             frames: 2 to 10 of them: of a rig, or of one camera with its own odometry.
             camera: the intrinsics of the frames that have none of their own, or a stored camera's name.
             dof: as for one frame.
@@ -130,10 +130,10 @@ class Client:
         return self._send(_calls.localize_frames(maps, frames, camera, dof, sigma_m, sigma_deg, deadline_ms))
 
     def places(self, maps: Maps, image: ImageLike, *, limit: int = 10) -> list[Place]:
-        """Which views a picture is most like, the likeliest first; without a pose, and quicker than with one.
+        """Which views a picture resembles most, the best match first; without a pose, and faster than with one.
 
         Args:
-            maps: a map's name; several names, or None for all.
+            maps: a map's name; or several names, or None for all.
             image: as for :meth:`localize`.
             limit: how many views at most.
         """
@@ -169,7 +169,7 @@ class Client:
         return self._send(_calls.map_report(name))
 
     def map_report_picture(self, name: str) -> bytes:
-        """The map's report as PNG: where it works and where not, how wrong it was, what its landmarks are worth."""
+        """The map's report as PNG: where it works and where not, how consistent it is, how exact its landmarks are."""
         return self._send(_calls.map_report_picture(name))
 
     def map_preview(self, name: str) -> bytes:
@@ -177,7 +177,7 @@ class Client:
         return self._send(_calls.map_preview(name))
 
     def upload_map(self, name: str, source: Path | bytes) -> MapSummary:
-        """Put a ``.rho`` file, or a map as CSV, under a name, replacing the map that was there."""
+        """Publish a ``.rho`` file, or a map as CSV, under a name, replacing any map of that name."""
         return self._send(_calls.upload_map(name, _content(source)))
 
     def download_map(
@@ -190,7 +190,7 @@ class Client:
             format: ``rho``; ``csv``, which can be uploaded again; ``observations``, ``trajectory``: tables; ``ply``,
                 ``vtp``, ``gltf``: landmarks and views; ``surfaces``: where densities peak; ``png``: a picture.
             degree: of ``csv``: tensor densities fitted with it; None: the map's own densities.
-            features: of ``surfaces``: whose; None: of those seen most often.
+            features: of ``surfaces``: whose; None: those seen most often.
         """
         return self._send(_calls.download_map(name, format, degree, features))
 
@@ -232,15 +232,15 @@ class Client:
         return self._send(_calls.restore_map(name, number))
 
     def cameras(self) -> list[CameraProfile]:
-        """All cameras that the service keeps under a name."""
+        """All cameras that are stored under a name."""
         return self._send(_calls.list_cameras())
 
     def camera(self, name: str) -> CameraProfile:
-        """One of them."""
+        """One stored camera."""
         return self._send(_calls.get_camera(name))
 
     def put_camera(self, name: str, camera: Camera, calibration: Mapping[str, Any] | None = None) -> CameraProfile:
-        """Store a camera, ``width`` and ``height`` included, under a name; requests may name it then."""
+        """Store a camera, including its ``width`` and ``height``, under a name that requests may then use."""
         return self._send(_calls.put_camera(name, camera, calibration))
 
     def delete_camera(self, name: str) -> None:
@@ -264,23 +264,23 @@ class Client:
         waypoints: Path | None = None,
         progress: UploadProgress | None = None,
     ) -> Job:
-        """Upload a recording and have it mapped. A broken connection is taken up again where it broke.
+        """Upload a recording and have it mapped. If the connection breaks, the upload resumes where it stopped.
 
         Args:
-            path: a video, a ZIP file, or a recording's folder, which is packed on the way.
+            path: a video, a ZIP file, or a recording's folder, which is packed first.
             map_name: the name of the map to publish.
             kind: "build" a new map, or "update" the one of that name; None: build.
             features, density, poses: how to build it; the service's defaults where None.
             camera: the intrinsics, or the name of a stored camera, instead of the recording's own.
             waypoints: a CSV file of measured waypoints; in a ZIP file it is ``waypoints.csv``.
-            progress: hears of the bytes that the service has, and of bytes in all.
+            progress: called with how many bytes the service has, and how many there are.
         """
         fields = _recording_fields(map_name, kind, features, density, poses, camera)
         with opened_recording(path, waypoints) as (name, file):
             return self._run(upload_steps(name, file, fields, self._backoff.retries, progress))
 
     def jobs(self, before: str | None = None) -> list[Job]:
-        """The newest 500 jobs, the newest first; ``before``: of those that are older than the job with this id."""
+        """The newest 500 jobs, the newest first; ``before``: only those older than the job with this id."""
         return self._send(_calls.list_jobs(before))
 
     def job(self, job_id: str) -> Job:
@@ -303,7 +303,7 @@ class Client:
         poll_s: float = 1.0,
         progress: JobProgress | None = None,
     ) -> Job:
-        """Wait until a job has published its map; ``progress`` hears of the job at every look.
+        """Wait until a job has published its map; ``progress`` is called with the job at every poll.
 
         Raises:
             JobFailed: it failed or was cancelled.
@@ -319,7 +319,7 @@ class Client:
             time.sleep(_next_look_s(job, deadline, poll_s))
 
     def readiness(self) -> dict[str, str]:
-        """What the service checks of itself: "ok" or what is wrong, by name."""
+        """The service's checks of itself by name: "ok", or what is wrong."""
         return self._send(_calls.readiness())
 
     def _run(self, steps: Generator[Call[Any], Any, T]) -> T:

@@ -4,7 +4,7 @@
 
     RholocClientError
     ├── ConnectionFailed            the service cannot be reached, or the connection broke
-    ├── InvalidAnswer               what answered is not the service, or another version of it
+    ├── InvalidAnswer               the answer is not the service's, or of another version of it
     ├── JobFailed                   the job that was waited for ended without a map
     ├── WaitTimedOut                the job that was waited for did not end in time
     ├── InvalidTrack                a tracker's input is invalid: times that go backward, poses that are not rigid
@@ -12,7 +12,7 @@
         ├── InvalidInput            what was sent cannot be used
         │   ├── InvalidRequest      a parameter is missing or of the wrong type
         │   ├── InvalidImage        not an image, truncated, too large
-        │   ├── InvalidCamera       intrinsics missing or absurd
+        │   ├── InvalidCamera       intrinsics missing or impossible
         │   ├── InvalidDescriptors  a descriptor set of wrong length, shape or number
         │   ├── InvalidName         not a valid map name
         │   ├── InvalidRecording    a recording that cannot be read
@@ -27,12 +27,12 @@
         │   ├── UnknownPicture
         │   ├── UnknownJob
         │   └── UnknownRoute        an older service, or a wrong base URL
-        ├── Unauthorized            no API key was sent, or one that is not good any more
+        ├── Unauthorized            no API key was sent, or one that is no longer valid
         ├── Forbidden               the API key's scope does not allow this
-        ├── CrossSite               a page of another site asked
+        ├── CrossSite               a page of another site sent the request
         ├── MethodNotAllowed
         ├── Conflict                the request contradicts the present state
-        ├── MappingFailed           no trustworthy map came of a recording
+        ├── MappingFailed           no trustworthy map could be made from a recording
         ├── Cancelled               the work was cancelled
         ├── TooLarge                the upload exceeds the service's limit
         ├── StorageFull             the service's disk is full
@@ -42,7 +42,7 @@
         ├── DeadlineExceeded        the deadline passed
         ├── UnsupportedVersion      the service speaks another version of the upload protocol
         ├── ChecksumMismatch        the bytes of an upload were changed on the way
-        └── Internal                an error of the service's own
+        └── Internal                the service itself failed
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ class ConnectionFailed(RholocClientError):
 
 
 class InvalidAnswer(RholocClientError):
-    """What answered is not the service, or another version of it."""
+    """The answer is not the service's, or of another version of it."""
 
 
 class InvalidTrack(RholocClientError):
@@ -114,7 +114,7 @@ class InvalidImage(InvalidInput):
 
 
 class InvalidCamera(InvalidInput):
-    """Intrinsics are missing or physically absurd."""
+    """Intrinsics are missing or physically impossible."""
 
     code = "invalid_camera"
 
@@ -234,7 +234,7 @@ class Conflict(ServiceError):
 
 
 class MappingFailed(ServiceError):
-    """No map that can be trusted came of a recording."""
+    """No map that can be trusted could be made from a recording."""
 
     code = "mapping_failed"
 
@@ -270,7 +270,7 @@ class RequestTimeout(ServiceError):
 
 
 class Busy(ServiceError):
-    """The service's queue is full, and was at every retry."""
+    """The service's queue is full, and stayed so at every retry."""
 
     code = "busy"
 
@@ -288,7 +288,7 @@ class UnsupportedVersion(ServiceError):
 
 
 class ChecksumMismatch(ServiceError):
-    """The bytes of an upload were changed on the way, again and again."""
+    """The bytes of an upload were changed on the way, repeatedly."""
 
     code = "checksum_mismatch"
 

@@ -1,4 +1,4 @@
-"""What is sent and what is answered, as frozen dataclasses."""
+"""Requests and answers as frozen dataclasses."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Vector3 = tuple[float, float, float]
 class Camera:
     """Intrinsics in pixels; pixel (0, 0) is the centre of the top-left pixel.
 
-    ``width`` and ``height`` are the size of the images that they belong to; left out, the image's own.
+    ``width`` and ``height`` are the size of the images that they belong to; default: the image's own.
     ``distortion`` holds OpenCV's k1, k2, p1, p2[, k3[, k4, k5, k6]].
     """
 
@@ -30,7 +30,7 @@ class Camera:
 
 @dataclass(frozen=True)
 class CameraProfile:
-    """A camera that the service keeps under a name, and what is known of how good its intrinsics are."""
+    """A camera that is stored under a name, and how accurate its intrinsics are known to be."""
 
     name: str
     camera: Camera
@@ -39,9 +39,9 @@ class CameraProfile:
 
 @dataclass(frozen=True)
 class Prior:
-    """A pose that the answer is expected near: metres and unit vectors in the map frame.
+    """The pose near which the answer is expected: metres and unit vectors in the map frame.
 
-    ``quaternion_xyzw`` is the whole rotation, R_map_camera, where it is known: a heading alone says nothing of roll.
+    ``quaternion_xyzw`` is the whole rotation, R_map_camera, where it is known: a heading alone says nothing about roll.
     """
 
     position: Vector3
@@ -53,7 +53,7 @@ class Prior:
 
 @dataclass(frozen=True)
 class Features:
-    """The features of one image of ``width`` × ``height`` px, one entry each per feature.
+    """The features of one image of ``width`` × ``height`` px; each list has one entry per feature.
 
     Attributes:
         width, height: the size of the image in pixels.
@@ -111,14 +111,14 @@ class Pose:
     T_map_camera: tuple[tuple[float, ...], ...]
 
     def as_prior(self, radius_m: float = 1.0, radius_deg: float = 35.0) -> Prior:
-        """This pose as what the next one is expected near: how a robot keeps track."""
+        """This pose as the prior of the next request: how a robot keeps track."""
         return Prior(self.position, self.heading, radius_m, radius_deg, self.quaternion_xyzw)
 
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """The most likely cause for which there is no pose: its name for programs, a sentence on how it looks, and one on
-    what to try."""
+    """The most likely reason why there is no pose: a name for programs, a sentence that describes it, and one on what
+    to try."""
 
     cause: str
     message: str
@@ -153,14 +153,14 @@ class Localization:
         covariance: 6×6, of the position in metres and a small rotation about the map's axes in degrees, or None. The
             map's own uncertainty is part of it.
         confidence: 0..1, the probability that the pose is within 10 cm and 5° of the truth.
-        matches, inliers: how many matches spoke, and how many of them agree with the pose.
+        matches, inliers: how many matches there were, and how many of them agree with the pose.
         map, map_id, map_version: the map that answered.
         scale: "metric", or "arbitrary" where the map's unit of length is not the metre.
         timings_ms: milliseconds by stage, as the service measured them.
         map_trusted: whether the frame poses that the map was built on passed every check; None where it does not say.
         expected_error_m: how far the map itself is expected to be off here, root mean square; None where unknown.
         diagnosis: the most likely cause where there is no pose, else None.
-        near_prior: whether the pose lies where the prior has it; None without a prior.
+        near_prior: whether the pose is within the prior's radii; None without a prior.
         camera: the camera as estimated, where its intrinsics were unknown.
         focal_sigma_px: one sigma of its focal length.
         frames: each frame's pose and how many of its matches agree, where several were localized together; ``pose`` is
@@ -196,7 +196,7 @@ class Localization:
 
 @dataclass(frozen=True)
 class Place:
-    """A view of a map that a picture may show much the same as.
+    """A view of a map that may show much the same as the picture.
 
     Attributes:
         map, map_id, map_version: the map.
@@ -222,8 +222,8 @@ class MapSummary:
         trusted: whether the frame poses that it was built on passed every check; None where that is not known.
         trust_reason: why it is trusted, or which checks failed.
         expected_error_m: how far its poses are expected to be from the truth, root mean square; None where unknown.
-        consistency_m: the median distance at which frames of the same walk are localized from where the walk has them:
-            how well the map agrees with itself, not how right it is.
+        consistency_m: the median distance between where frames of the same walk are localized and where the walk has
+            them: how well the map agrees with itself, not how right it is.
     """
 
     name: str
@@ -255,7 +255,7 @@ class Job:
         progress: 0..1 over all stages.
         message: one line for people.
         log: the last lines of its log.
-        warnings: why its published map is not to be trusted, where that is so.
+        warnings: why its published map is not to be trusted; empty where it is.
         error_code, error_message, error_hint: why it failed, or None.
         created, started, ended: seconds since the epoch, or None.
         attempts: how many workers have taken it up.
@@ -280,12 +280,12 @@ class Job:
 
     @property
     def trusted(self) -> bool | None:
-        """Whether the map that it published is to be trusted, ``warnings`` say why not; None before that."""
+        """Whether the map that it published is to be trusted; ``warnings`` say why not. None before that."""
         return not self.warnings if self.state == "published" else None
 
     @property
     def has_ended(self) -> bool:
-        """Whether the job will not change any more by itself."""
+        """Whether the job will no longer change by itself."""
         return self.state in ("published", "failed", "cancelled")
 
 

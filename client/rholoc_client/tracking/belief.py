@@ -1,7 +1,7 @@
-"""What is believed of a camera's pose in the map, as a Gaussian: carried along by odometry, corrected by answers.
+"""The belief about a camera's pose in the map, a Gaussian: propagated by odometry, corrected by answers.
 
-A Kalman filter on the error of the pose. The error is a small motion in the map frame (:mod:`.rigid`), which is what
-the service's covariances are of, so that an answer is a measurement of the whole state.
+A Kalman filter on the error of the pose. The error is a small motion in the map frame (:mod:`.rigid`), as in the
+service's covariances, so that an answer is a measurement of the whole state.
 """
 
 from __future__ import annotations
@@ -14,16 +14,16 @@ import numpy as np
 
 from rholoc_client.tracking.rigid import FloatArray, carried, inverse, motion_between, moved, rotation
 
-_AVERAGED = 4.0  # answers next to each other err alike, so that none ever weighs less than a fifth of the belief
-_FADING_S = 1.5  # over which a camera that nobody sees moving comes to rest, as far as one can guess
+_AVERAGED = 4.0  # successive answers have correlated errors, so that none ever weighs less than a fifth of the belief
+_FADING_S = 1.5  # without odometry, the assumed velocity decays over this time
 _FOLLOWING_S = 0.1  # over which the velocity follows odometry's
-_LEARNED, _LEAST_BLIND_S = 0.8, 0.2  # of a guess that went wrong, how much is put down to the velocity
-_WANDER_M_S, _WANDER_RAD_S = 0.4, 0.6  # by how much a hand's velocity changes, once nobody says how it moves
+_LEARNED, _LEAST_BLIND_S = 0.8, 0.2  # how much of a wrong guess is attributed to the velocity
+_WANDER_M_S, _WANDER_RAD_S = 0.4, 0.6  # by how much a hand's velocity changes while there is no odometry
 
 
 @dataclass(frozen=True)
 class OdometryNoise:
-    """How well odometry knows its way.
+    """How accurate odometry is.
 
     Attributes:
         drift: one sigma of a distance travelled, as a share of it: 0.02 is 2 %.
@@ -45,7 +45,7 @@ class Step:
 
     Attributes:
         duration_s: how long it took.
-        T_before_now: (4, 4) the camera's pose in that of the frame before; None where nobody knows.
+        T_before_now: (4, 4) the camera's pose in that of the frame before; None where it is not known.
     """
 
     duration_s: float
@@ -53,7 +53,7 @@ class Step:
 
 
 class Belief(Protocol):
-    """A camera's pose in the map as it is believed to be."""
+    """The belief about a camera's pose in the map."""
 
     @property
     def T_map_camera(self) -> FloatArray:
@@ -72,15 +72,15 @@ class Belief(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class PoseBelief:
-    """A pose carried along by odometry.
+    """A pose propagated by odometry.
 
     Attributes:
         T_map_camera: (4, 4).
         covariance: (6, 6).
         noise: the odometry's.
         velocity: (6,) the motion of a second in the camera frame, for when odometry fails.
-        travelled_m, turned_rad: since the last answer: drift grows with the way, not with its root.
-        blind_s: for how long nobody has known how the camera moves.
+        travelled_m, turned_rad: since the last answer: drift grows with the distance, not with its root.
+        blind_s: for how long the camera's motion has not been known.
     """
 
     T_map_camera: FloatArray
@@ -93,7 +93,7 @@ class PoseBelief:
 
     @classmethod
     def at(cls, T_map_camera: FloatArray, covariance: FloatArray, noise: OdometryNoise) -> PoseBelief:
-        """What a first answer says."""
+        """The belief after a first answer."""
         return cls(T_map_camera, covariance, noise, np.zeros(6))
 
     def advanced(self, step: Step) -> PoseBelief:
@@ -127,14 +127,14 @@ class PoseBelief:
         )
 
     def _guessed(self, duration_s: float) -> PoseBelief:
-        """After some time in which the camera went on as before, or did not."""
+        """After some time without odometry, in which the camera is assumed to go on as before and slow down."""
         fading = math.exp(-self.blind_s / _FADING_S)
         motion = self.velocity * fading * duration_s
         T = self.T_map_camera.copy()
         T[:3, 3] += T[:3, :3] @ motion[:3]
         T[:3, :3] = T[:3, :3] @ rotation(motion[3:])
         blind_s = self.blind_s + duration_s
-        # A velocity's error grows with time, and the position's is its integral: with the square of the time at first.
+        # The velocity's error grows as the square root of time, and the position's error is its integral.
         position, angle = (
             (wander * blind_s**1.5) ** 2 - (wander * self.blind_s**1.5) ** 2 for wander in (_WANDER_M_S, _WANDER_RAD_S)
         )
@@ -149,7 +149,7 @@ class PoseBelief:
         motion = gain @ motion_between(self.T_map_camera, T_map_camera)
         posterior = symmetric((np.eye(6) - gain) @ prior)
         T, velocity = moved(self.T_map_camera, motion), self.velocity
-        if self.blind_s > 0:  # what was guessed wrong in that time was the velocity
+        if self.blind_s > 0:  # what was wrong in that time was the guessed velocity
             missed = np.concatenate([T[:3, :3].T @ motion[:3], T[:3, :3].T @ motion[3:]])
             velocity = velocity + _LEARNED * missed / max(self.blind_s, _LEAST_BLIND_S)
         return replace(
@@ -158,8 +158,8 @@ class PoseBelief:
 
 
 def squared_distance(belief: Belief, T_map_camera: FloatArray, covariance: FloatArray) -> float:
-    """How far an answer is from what is believed, squared, in sigmas of both (Mahalanobis): χ² with six degrees of
-    freedom where both are right."""
+    """The squared Mahalanobis distance between an answer and the belief, by the covariances of both: χ² with six
+    degrees of freedom if both are right."""
     apart = motion_between(belief.T_map_camera, T_map_camera)
     spread = belief.covariance + covariance * (1 + 1 / _AVERAGED)
     return float(apart @ np.linalg.solve(spread, apart))
@@ -172,10 +172,10 @@ def alignment(belief: Belief, T_odom_camera: FloatArray) -> tuple[FloatArray, Fl
 
 
 def symmetric(matrix: FloatArray) -> FloatArray:
-    """A matrix without what rounding made uneven of it."""
+    """A matrix without the asymmetry that comes from rounding."""
     return np.asarray((matrix + matrix.T) / 2)
 
 
 def _grown(rate: float, before: float, after: float) -> float:
-    """By how much a variance grows whose sigma is ``rate`` times the way."""
+    """By how much a variance grows whose sigma is ``rate`` times the distance."""
     return rate**2 * (after**2 - before**2)

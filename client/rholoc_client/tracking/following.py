@@ -1,4 +1,4 @@
-"""A track that makes its own odometry of pictures where nothing else says how the camera moves."""
+"""A track that makes its own odometry from pictures where the caller has none."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ class AnsweredMatches:
 
 
 class FollowedTrack:
-    """A :class:`Track`, and the motion of its pictures where the caller has no odometry.
+    """A :class:`Track` that follows its pictures where the caller has no odometry.
 
     Args:
         options: how it is kept.
-        camera: the intrinsics of the pictures; without, pictures are not followed.
+        camera: the intrinsics of the pictures; None: pictures are not followed.
     """
 
     def __init__(self, options: TrackOptions | None = None, camera: Camera | None = None) -> None:
@@ -44,7 +44,7 @@ class FollowedTrack:
 
     @property
     def follows_pictures(self) -> bool:
-        """Whether pictures are of use beyond those that are asked with: answers then need their matches."""
+        """Whether every picture is used, not only those sent to the service; answers then need their matches."""
         return self._motion is not None
 
     def imu(self, time_s: float, acceleration_m_s2: FloatArray, rate_rad_s: FloatArray) -> None:
@@ -52,12 +52,12 @@ class FollowedTrack:
         self._track.imu(time_s, acceleration_m_s2, rate_rad_s)
 
     def frame(self, time_s: float, T_odom_camera: FloatArray | None = None, picture: Any = None) -> Tracked:
-        """Take in a frame; where the camera is at it.
+        """Take in a frame, and say where the camera is.
 
         Args:
             time_s: when it was taken.
             T_odom_camera: (4, 4) by odometry, or None.
-            picture: (H, W, 3) BGR or (H, W) grey of uint8, to be followed where there never is odometry; or None.
+            picture: (H, W, 3) BGR or (H, W) grey of uint8, followed if there is never any odometry; or None.
 
         Raises:
             InvalidTrack: as :meth:`Track.frame`.
@@ -79,7 +79,7 @@ class FollowedTrack:
 
     @property
     def wants_answer(self) -> bool:
-        """Whether an answer for the last frame pays."""
+        """Whether asking for the last frame pays."""
         return self._track.wants_answer or (self._motion is not None and self._motion.is_short_of_points and self._may)
 
     @property
@@ -87,19 +87,19 @@ class FollowedTrack:
         return self._track.may_ask
 
     def ask(self) -> Question:
-        """Note that an answer for the last frame is being asked for."""
+        """Record that the last frame is being asked about."""
         if self._motion is not None:
             self._motion.keep()
         return self._track.ask()
 
     def unanswered(self) -> None:
-        """The question came to nothing."""
+        """Record that the question got no answer."""
         if self._motion is not None:
             self._motion.unanswered()
         self._track.unanswered()
 
     def answered(self, answer: Answer | None, matches: AnsweredMatches | None = None) -> None:
-        """The answer to the question; None where there is no pose."""
+        """Take in the answer to the question; None where there is no pose."""
         if answer is None:
             self.unanswered()
             return
@@ -117,7 +117,7 @@ class FollowedTrack:
         assert self._camera is not None
         try:
             from rholoc_client.tracking.pictures import PICTURE_NOISE, PictureMotion
-        except ImportError:  # OpenCV is an extra: without it, motion is guessed or the IMU's
+        except ImportError:  # OpenCV is an extra: without it, motion comes from the IMU or is guessed
             self._camera = None
             return
         height, width = picture.shape[:2]
@@ -126,10 +126,10 @@ class FollowedTrack:
 
 
 def fitted(camera: Camera, width: int, height: int) -> Camera:
-    """A camera for pictures of ``width`` × ``height`` px: scaled, where it belongs to others of the same shape.
+    """A camera for pictures of ``width`` × ``height`` px: scaled, if it belongs to another size of the same shape.
 
     Raises:
-        InvalidTrack: they are of another shape.
+        InvalidTrack: it belongs to another shape.
     """
     own_width, own_height = camera.width or width, camera.height or height
     if abs(own_width * height / (own_height * width) - 1) > _SAME_SHAPE:

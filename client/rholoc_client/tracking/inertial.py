@@ -1,4 +1,4 @@
-"""A pose carried along by an IMU alone: acceleration and rotation rate, integrated (strapdown navigation).
+"""A pose propagated by an IMU alone: acceleration and rotation rate, integrated (strapdown navigation).
 
 An error-state Kalman filter (Solà 2017, "Quaternion kinematics for the error-state Kalman filter", section 5, with the
 rotation's error from the left): position, velocity, rotation, and the biases of both sensors. Good for a second or two;
@@ -22,13 +22,13 @@ _POSE = [0, 1, 2, 6, 7, 8]  # of the state, what an answer measures
 
 @dataclass(frozen=True)
 class ImuNoise:
-    """How good an IMU is; the defaults are a phone's.
+    """How accurate an IMU is; the defaults are a phone's.
 
     Attributes:
         acceleration_m_s2, rate_rad_s: one sigma of a reading, times √second.
         acceleration_bias_m_s2, rate_bias_rad_s: one sigma of the biases at the start.
         acceleration_wander, rate_wander: by how much the biases change in a second (one sigma).
-        velocity_m_s: one sigma of the velocity at the start, of which an answer says nothing.
+        velocity_m_s: one sigma of the velocity at the start, about which an answer says nothing.
     """
 
     acceleration_m_s2: float = 0.05
@@ -45,7 +45,7 @@ class ImuReading:
     """One reading, in the camera's axes (x right, y down, z forward).
 
     Attributes:
-        duration_s: how long it stands for.
+        duration_s: the time that it covers.
         acceleration: (3,) m/s²; at rest it is gravity's reaction, 9.81 upwards.
         rate: (3,) the angular velocity, rad/s.
     """
@@ -57,7 +57,7 @@ class ImuReading:
 
 @dataclass(frozen=True, eq=False)
 class InertialBelief:
-    """A pose carried along by an IMU; the map's z axis points up.
+    """A pose propagated by an IMU; the map's z axis points up.
 
     Attributes:
         T_map_camera: (4, 4).
@@ -75,7 +75,7 @@ class InertialBelief:
 
     @classmethod
     def at(cls, T_map_camera: FloatArray, covariance: FloatArray, noise: ImuNoise) -> InertialBelief:
-        """What a first answer says: of velocity and biases nothing."""
+        """The belief after a first answer, which says nothing about velocity and biases."""
         P = np.zeros((15, 15))
         P[_VELOCITY, _VELOCITY] = np.eye(3) * noise.velocity_m_s**2
         P[_GYRO, _GYRO] = np.eye(3) * noise.rate_bias_rad_s**2
@@ -89,7 +89,7 @@ class InertialBelief:
         return np.asarray(self.state_covariance[np.ix_(_POSE, _POSE)])
 
     def advanced(self, reading: ImuReading) -> InertialBelief:
-        """After the time that a reading stands for."""
+        """After the time that a reading covers."""
         dt, R = reading.duration_s, self.T_map_camera[:3, :3]
         turn = (reading.rate - self.rate_bias) * dt
         midway = R @ rotation(turn / 2)

@@ -1,7 +1,7 @@
-"""How a camera moves, by its pictures alone: landmarks that an answer named are followed from frame to frame.
+"""How a camera moves, from its pictures alone: the landmarks of an answer are followed from frame to frame.
 
-An answer with matches says which pixels show which points of the map. Optical flow (Lucas and Kanade, pyramidal)
-follows the pixels, and the pose that shows the points there is a frame's. It needs OpenCV: the extra ``pictures``.
+An answer with matches says which pixels show which points of the map. Optical flow (pyramidal Lucas–Kanade) follows the
+pixels, and a frame's pose is the one that projects the points there. It needs OpenCV: the extra ``pictures``.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ from rholoc_client.tracking.belief import OdometryNoise
 from rholoc_client.tracking.rigid import FloatArray, inverse, pose, rotation
 
 PICTURE_NOISE = OdometryNoise(drift=0.03, turn_drift=0.02, heading_drift_deg_m=0.5, step_m=0.003, step_deg=0.05)
-"""How good it is: points seen again and again hold it, until they leave the picture."""
+"""How accurate it is: it does not drift while the same points stay in the picture."""
 
 _FEW_POINTS = 30
-_FEWEST_POINTS = 8  # there is no pose
+_FEWEST_POINTS = 8  # with fewer there is no pose
 _MOST_POINTS = 250
 _FLOW = {"winSize": (21, 21), "maxLevel": 4}
-_BACK_PX = 1.0  # flow forth and back ends where it began
+_BACK_PX = 1.0  # forward and backward flow must end where it began
 _TOLERANCES_PX = (60.0, 20.0, 8.0, 4.0)
 _ITERATIONS, _SETTLED = 5, 1e-5  # metres or radians
 _LEAST_DEPTH = 0.05  # in front of the camera, metres
@@ -44,7 +44,7 @@ class _Points:
 
 
 @dataclass(frozen=True, eq=False)
-class _Standing:
+class _FollowedFrame:
     """A frame: its time, its picture (H, W) in grey, its pose (4, 4) if it has one, and the points in it."""
 
     time_s: float
@@ -54,7 +54,7 @@ class _Standing:
 
 
 class PictureMotion:
-    """Odometry from pictures. Its frame is that of the map as the first answer had it; it drifts from there.
+    """Odometry from pictures. Its frame starts out as the map's, by the first answer, and drifts from there.
 
     Args:
         camera: the intrinsics; ``width`` and ``height`` are those of the pictures.
@@ -63,12 +63,12 @@ class PictureMotion:
     def __init__(self, camera: Camera) -> None:
         self._K = np.array([[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1.0]])
         self._distortion = np.array(camera.distortion, dtype=np.float64)
-        self._last: _Standing | None = None
-        self._kept: deque[_Standing] = deque(maxlen=_KEPT_PICTURES)
+        self._last: _FollowedFrame | None = None
+        self._kept: deque[_FollowedFrame] = deque(maxlen=_KEPT_PICTURES)
 
     @property
     def is_short_of_points(self) -> bool:
-        """Whether so few points are left that an answer pays."""
+        """Whether so few points are left that asking pays."""
         return self._last is not None and len(self._last.points.points) < _FEW_POINTS
 
     def follow(self, time_s: float, picture: np.ndarray) -> FloatArray | None:
@@ -101,41 +101,41 @@ class PictureMotion:
             np.reshape(np.asarray(landmarks, dtype=np.float64), (-1, 3))[:_MOST_POINTS],
             np.reshape(np.asarray(pixels, dtype=np.float64), (-1, 2))[:_MOST_POINTS],
         )
-        # The points alone show a pose that is a little off the answer's, which weighs them better. Motion is from one
-        # such pose to the next, so that it is the same little for both.
+        # The points alone give a pose slightly off the answer's, which weighs them better. Motion is from one such pose
+        # to the next, so that both are off by the same amount.
         placed = self._placed(seen, T_map_camera)
         T_map_seen, seen = (T_map_camera, seen) if placed is None else placed
         T_odom_camera = T_map_camera if asked.T_odom_camera is None else asked.T_odom_camera
         T_odom_map = T_odom_camera @ inverse(T_map_seen)
         seen = replace(seen, points=seen.points @ T_odom_map[:3, :3].T + T_odom_map[:3, 3])
         seen = _joined(seen, asked.points)
-        standing = replace(asked, T_odom_camera=T_odom_camera, points=seen)
-        way = [(standing.time_s, standing.T_odom_camera)]
+        last = replace(asked, T_odom_camera=T_odom_camera, points=seen)
+        path = [(last.time_s, last.T_odom_camera)]
         for frame in later:
-            standing = self._followed(standing, frame.time_s, frame.grey)
-            way.append((standing.time_s, standing.T_odom_camera))
-        self._last = standing
-        return way
+            last = self._followed(last, frame.time_s, frame.grey)
+            path.append((last.time_s, last.T_odom_camera))
+        self._last = last
+        return path
 
     def unanswered(self) -> None:
         """No answer came."""
         self._kept.clear()
 
-    def _followed(self, last: _Standing | None, time_s: float, grey: np.ndarray) -> _Standing:
-        nothing = _Standing(time_s, grey, None, _Points(np.zeros((0, 3)), np.zeros((0, 2))))
+    def _followed(self, last: _FollowedFrame | None, time_s: float, grey: np.ndarray) -> _FollowedFrame:
+        nothing = _FollowedFrame(time_s, grey, None, _Points(np.zeros((0, 3)), np.zeros((0, 2))))
         if last is None or last.T_odom_camera is None or len(last.points.points) < _FEWEST_POINTS:
             return nothing
         if last.grey.shape != grey.shape:
             return nothing
         points = _flowed(last.grey, grey, last.points)
         placed = self._placed(points, last.T_odom_camera)
-        return nothing if placed is None else _Standing(time_s, grey, *placed)
+        return nothing if placed is None else _FollowedFrame(time_s, grey, *placed)
 
     def _placed(self, points: _Points, T_guess: FloatArray) -> tuple[FloatArray, _Points] | None:
-        """The pose (4, 4) that shows points where they are, and those that agree with it.
+        """The pose (4, 4) that projects the points to their pixels, and the points that agree with it.
 
-        Gauss–Newton from a guess, the weights falling to 0 at a tolerance that narrows: flow has few outliers, and the
-        guess is the frame before, so that nothing need be drawn by chance.
+        Gauss–Newton from a guess, with weights that fall to 0 at a tolerance that narrows: flow has few outliers and
+        the guess is the frame before, so that no random sampling is needed.
         """
         if len(points.points) < _FEWEST_POINTS:
             return None
@@ -174,7 +174,7 @@ def _crosses(vectors: FloatArray) -> FloatArray:
 
 
 def _joined(new: _Points, old: _Points) -> _Points:
-    """New points, and those of old ones that lie elsewhere in the picture: motion does not hang on one answer's."""
+    """New points, and the old ones that lie elsewhere in the picture, so that motion does not depend on one answer."""
     if len(new.points) == 0 or len(old.points) == 0:
         return new if len(new.points) else old
     apart_px = np.linalg.norm(old.pixels[:, None] - new.pixels[None], axis=2).min(axis=1)
@@ -183,7 +183,7 @@ def _joined(new: _Points, old: _Points) -> _Points:
 
 
 def _flowed(before: np.ndarray, now: np.ndarray, points: _Points) -> _Points:
-    """The points where they are now; those that flow back to where they came from."""
+    """The points where they are now; only those whose backward flow ends where they came from."""
     start = points.pixels.astype(np.float32).reshape(-1, 1, 2)
     end, found, _ = cv2.calcOpticalFlowPyrLK(before, now, start, None, **_FLOW)  # type: ignore[call-overload]
     back, found_back, _ = cv2.calcOpticalFlowPyrLK(now, before, end, None, **_FLOW)  # type: ignore[call-overload]

@@ -1,5 +1,5 @@
 """Rigid motions as 4×4 matrices, and small motions as six numbers: position in metres, then a rotation vector in
-radians applied from the left, both in the map frame. That is what covariances of answers speak of."""
+radians applied from the left, both in the map frame. The covariances of answers are covariances of such motions."""
 
 from __future__ import annotations
 

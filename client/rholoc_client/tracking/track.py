@@ -1,8 +1,8 @@
-"""A track: what is believed of a camera's pose over time. No network, no threads, no clock of its own.
+"""A track: the belief about a camera's pose over time. No network, no threads, no clock of its own.
 
-Frames, odometry or IMU readings come in, and a pose for every frame goes out. The track says when an answer of the
-service would pay (:attr:`Track.wants_answer`), and takes it whenever it comes: answers speak of the frame that was
-asked with, so that what was believed then is corrected, and the steps since are taken once more.
+Frames, odometry or IMU readings come in, and a pose for every frame goes out. The track says when asking the service
+would pay (:attr:`Track.wants_answer`), and takes the answer whenever it comes: since it is about the frame that was
+asked about, the belief of that time is corrected, and the steps since are applied again.
 """
 
 from __future__ import annotations
@@ -27,21 +27,21 @@ from rholoc_client.tracking.rigid import (
     rigid,
 )
 
-_GATE = 22.5  # of χ² with six degrees of freedom: a right answer is farther once in a thousand times
-_UNTENABLE = 6  # answers that contradict a track, and each other: it is not true, whatever is
-_SURE = 0.8  # confidence from which one answer begins a track; of less it takes two that agree
-_LEAST_SIGMA_M, _LEAST_SIGMA_RAD = 0.005, math.radians(0.2)  # of an answer: no map is more exact
+_GATE = 22.5  # of χ² with six degrees of freedom: a right answer is beyond it once in a thousand times
+_UNTENABLE = 6  # after so many answers that contradict a track, and each other, it is given up
+_SURE = 0.8  # the confidence from which one answer begins a track; below, it takes two that agree
+_LEAST_SIGMA_M, _LEAST_SIGMA_RAD = 0.005, math.radians(0.2)  # of an answer: no map is more accurate
 _MOST_READINGS = 20_000  # of an IMU that wait for a frame
 _PATIENT_FAILURES = 6
 _LONGEST_WAIT_S = 3.0
-_LONGEST_GAP_S = 5.0  # between frames; beyond it a track begins anew
+_LONGEST_GAP_S = 5.0  # between frames; beyond it a track starts over
 _DEGREES = np.array([1.0, 1.0, 1.0, *[180 / math.pi] * 3])
 
 
 class TrackStatus(StrEnum):
-    """How far a pose is to be relied on."""
+    """How far a pose can be relied on."""
 
-    SEARCHING = "searching"  # no answer yet that a track could begin with: there is no pose
+    SEARCHING = "searching"  # no answer yet to begin a track with: there is no pose
     TRACKING = "tracking"  # the pose is as good as its covariance says
     LOST = "lost"  # too long without an answer: the pose is a guess
 
@@ -51,13 +51,13 @@ class TrackOptions:
     """How a track is kept.
 
     Attributes:
-        odometry: how good the odometry is.
-        imu: how good the IMU is, where there is no odometry.
-        answers_per_s: the most answers that are asked for.
-        drift_m: the uncertainty gained since the last answer at which the next one pays.
-        longest_s: after so long an answer pays in any case.
-        smoothing_s: a correction is let in over about this time, so that poses do not jerk; 0: at once.
-        jump_m, jump_deg: larger corrections are let in at once, and counted.
+        odometry: how accurate the odometry is.
+        imu: how accurate the IMU is, where there is no odometry.
+        answers_per_s: the most questions asked in a second.
+        drift_m: the uncertainty gained since the last answer at which asking pays.
+        longest_s: the time after which asking pays in any case.
+        smoothing_s: a correction is blended in over about this time, so that poses do not jerk; 0: at once.
+        jump_m, jump_deg: larger corrections are applied at once, and counted.
         lost_m, lost_deg: one sigma beyond which a pose is lost.
     """
 
@@ -86,15 +86,15 @@ class Tracked:
 
     Attributes:
         time_s: the frame's.
-        status: how far the pose is to be relied on.
+        status: how far the pose can be relied on.
         pose: in the map, or None while searching.
         covariance: 6×6 of the pose, of the position in metres and a small rotation about the map's axes in degrees.
         T_map_odom: 4×4, takes points of odometry's frame to the map; None without odometry.
         T_map_odom_covariance: 6×6 of it, at the origin of odometry's frame; units as of ``covariance``.
-        reset_counter: goes up by one whenever the pose jumps: what was derived from poses before is void.
-        since_answer_s: how long ago the frame was taken that the last answer of use was about; None before the first.
-        answers: how many answers were of use.
-        rejected: how many contradicted the track and were left aside.
+        reset_counter: goes up by one whenever the pose jumps: what was derived from earlier poses is void.
+        since_answer_s: the age of the frame that the last useful answer was about; None before the first.
+        answers: how many answers were useful.
+        rejected: how many contradicted the track and were ignored.
     """
 
     time_s: float
@@ -111,7 +111,7 @@ class Tracked:
 
 @dataclass(frozen=True, eq=False)
 class Answer:
-    """What the service says of one frame.
+    """What the service says about one frame.
 
     Attributes:
         T_map_camera: (4, 4).
@@ -134,15 +134,15 @@ class Answer:
         return cls(rigid(answer.pose.T_map_camera), covariance, answer.confidence, answer.scale == "metric")
 
     @property
-    def sober_covariance(self) -> FloatArray:
-        """The covariance (6, 6), nowhere smaller than any map allows."""
+    def inflated_covariance(self) -> FloatArray:
+        """The covariance (6, 6), plus what no map is more accurate than."""
         least = np.diag([_LEAST_SIGMA_M**2] * 3 + [_LEAST_SIGMA_RAD**2] * 3)
         return self.covariance + least
 
 
 @dataclass(frozen=True, eq=False)
 class _Hypothesis:
-    """A belief and how many answers it rests on."""
+    """A belief, and the number of answers that it is based on."""
 
     belief: PoseBelief | InertialBelief
     answers: int
@@ -153,15 +153,15 @@ class _Hypothesis:
         return replace(self, belief=self.belief.advanced(motion)) if isinstance(motion, Step) else self
 
     def agrees(self, answer: Answer) -> bool:
-        return squared_distance(self.belief, answer.T_map_camera, answer.sober_covariance) < _GATE
+        return squared_distance(self.belief, answer.T_map_camera, answer.inflated_covariance) < _GATE
 
     def corrected(self, answer: Answer) -> _Hypothesis:
-        return _Hypothesis(self.belief.corrected(answer.T_map_camera, answer.sober_covariance), self.answers + 1)
+        return _Hypothesis(self.belief.corrected(answer.T_map_camera, answer.inflated_covariance), self.answers + 1)
 
 
 @dataclass(frozen=True, eq=False)
 class Question:
-    """What was believed when an answer was asked for.
+    """The belief at the time of a question.
 
     Attributes:
         time_s: of the frame.
@@ -185,8 +185,8 @@ class _Pace:
     failures: int = 0
 
     def allows(self, time_s: float, in_haste: bool) -> bool:
-        """Whether a question may be asked. Two may follow each other at once, should there be haste; then none for as
-        long as both would have taken."""
+        """Whether a question may be asked. ``in_haste``, two may follow each other at once; then none for as long as
+        both would have taken."""
         if time_s < self.waiting_until_s or (len(self.due_s) == 2 and time_s < self.due_s[0] + 2 / self.answers_per_s):
             return False
         return in_haste or not self.due_s or time_s >= self.due_s[-1] + 1 / self.answers_per_s
@@ -195,7 +195,7 @@ class _Pace:
         self.due_s = (*self.due_s, time_s)[-2:]
 
     def came(self, of_use: bool, time_s: float) -> None:
-        """After a while of failures questions come more rarely."""
+        """Record how a question turned out: after several failures in a row, questions become rarer."""
         self.failures = 0 if of_use else self.failures + 1
         if self.failures > _PATIENT_FAILURES:
             wait_s = min(_LONGEST_WAIT_S, 2 ** (self.failures - _PATIENT_FAILURES) / self.answers_per_s)
@@ -204,7 +204,7 @@ class _Pace:
 
 @dataclass
 class _Standing:
-    """What changes with the answers."""
+    """The state that changes with the answers."""
 
     reset_counter: int = 0
     last_answer_s: float | None = None
@@ -242,11 +242,11 @@ class Track:
 
         Args:
             time_s: when it was read, on the frames' clock.
-            acceleration_m_s2: (3,) at rest gravity's reaction: 9.81 upwards.
+            acceleration_m_s2: (3,); at rest the reaction to gravity, 9.81 upwards.
             rate_rad_s: (3,) the angular velocity.
 
         Raises:
-            InvalidTrack: its time is not after the last reading's, or it is not of three finite numbers each.
+            InvalidTrack: its time is not after the last reading's, or a vector is not three finite numbers.
         """
         _check_time(time_s, self._imu_s, "reading")
         acceleration, rate = (np.asarray(one, dtype=np.float64) for one in (acceleration_m_s2, rate_rad_s))
@@ -258,7 +258,7 @@ class Track:
             self._readings.popleft()
 
     def frame(self, time_s: float, T_odom_camera: FloatArray | None = None) -> Tracked:
-        """Take in a frame; where the camera is at it.
+        """Take in a frame, and say where the camera is.
 
         Args:
             time_s: when it was taken.
@@ -276,7 +276,7 @@ class Track:
             self._has_odometry = True
         duration_s = 0.0 if self._time_s is None else time_s - self._time_s
         if duration_s > _LONGEST_GAP_S:
-            self._begin_anew()
+            self._start_over()
         elif self._time_s is not None:
             self._advance(duration_s, T_odom_camera)
         self._drop_readings(time_s)
@@ -286,7 +286,7 @@ class Track:
         return self.now()
 
     def now(self) -> Tracked:
-        """Where the camera was at the last frame, by all that is known."""
+        """Where the camera was at the last frame, by everything known now."""
         standing, time_s = self._standing, self._time_s
         if time_s is None:
             raise InvalidTrack("There is no frame yet.")
@@ -311,7 +311,7 @@ class Track:
 
     @property
     def wants_answer(self) -> bool:
-        """Whether an answer for the last frame pays: there is no pose, or it has become uncertain enough."""
+        """Whether asking about the last frame pays: there is no pose, or it has become too uncertain."""
         standing, options = self._standing, self.options
         if not self.may_ask:
             return False
@@ -323,10 +323,10 @@ class Track:
 
     @property
     def may_ask(self) -> bool:
-        """Whether an answer may be asked for, by the rate of questions, and none is being asked for."""
+        """Whether a question may be asked: none is open, and the rate allows it."""
         if self._time_s is None or self._question is not None:
             return False
-        # Of an IMU the first two answers are to be apart, for they give the velocity.
+        # With an IMU, the first two answers must be some time apart, because they give the velocity.
         in_haste = not self._standing.settled and (self._main is None or self._has_odometry)
         return self._pace.allows(self._time_s, in_haste)
 
@@ -335,7 +335,7 @@ class Track:
         _check_time(time_s, self._time_s, "frame")
 
     def ask(self) -> Question:
-        """Note that an answer for the last frame is being asked for; one at a time."""
+        """Record that the last frame is being asked about; one question at a time."""
         assert self._time_s is not None
         assert self._question is None
         self._question = Question(self._time_s, self._prior(), self._main, self._rival)
@@ -344,7 +344,7 @@ class Track:
         return self._question
 
     def unanswered(self) -> None:
-        """The question came to nothing: there was no pose, or the service did not answer."""
+        """Record that there was no pose, or that the service did not answer."""
         self._question = None
         assert self._time_s is not None
         self._pace.came(False, self._time_s)
@@ -352,11 +352,11 @@ class Track:
     def answered(
         self, answer: Answer | None, since: list[Step] | None = None, T_odom_camera: FloatArray | None = None
     ) -> None:
-        """The answer to the question.
+        """Take in the answer to the question.
 
         Args:
             answer: None where there is no pose.
-            since: the camera's steps from the question's frame to the last one, where they became known only now.
+            since: the camera's steps from the question's frame to the last one, if they only became known now.
             T_odom_camera: with ``since``: the camera's pose (4, 4) at the last frame by odometry, or None.
 
         Raises:
@@ -364,7 +364,7 @@ class Track:
         """
         question, time_s = self._question, self._time_s
         if question is None or time_s is None:
-            return  # a frame gap ended the track that had asked
+            return  # the track that asked ended at a gap between frames
         if answer is None:
             self.unanswered()
             return
@@ -380,10 +380,10 @@ class Track:
         self._question = None
         self._main, self._rival = _replayed(main, steps), _replayed(rival, steps)
         self._pace.came(of_use, time_s)
-        self._let_in(before)
+        self._blend_in(before)
 
     def _judged(self, question: Question, answer: Answer) -> tuple[_Hypothesis | None, _Hypothesis | None, bool]:
-        """The hypotheses after an answer, and whether it was of use; they are of the question's time."""
+        """The hypotheses after an answer, at the question's time, and whether the answer was useful."""
         standing, main, rival = self._standing, question.main, question.rival
         if main is not None and main.agrees(answer):
             return self._followed(main.corrected(answer), question.time_s, answer), None, True
@@ -397,14 +397,14 @@ class Track:
             was_settled = standing.settled
             followed = self._followed(rival, question.time_s, answer)
             standing.reset_counter += was_settled
-            self._offset = np.full(6, np.nan)  # whatever was shown is void
+            self._offset = np.full(6, np.nan)  # earlier poses are void
             return followed, None, True
         standing.rejected += 1
         standing.contradicted += 1
         return main, rival, False
 
     def _followed(self, main: _Hypothesis, time_s: float, answer: Answer) -> _Hypothesis:
-        """Note an answer that the track goes by."""
+        """Record an answer that the track accepts."""
         standing = self._standing
         standing.last_answer_s, standing.contradicted = time_s, 0
         standing.used += 1
@@ -416,12 +416,12 @@ class Track:
 
     def _hypothesis(self, answer: Answer) -> _Hypothesis:
         if self._imu_s is not None and not self._has_odometry:
-            inertial = InertialBelief.at(answer.T_map_camera, answer.sober_covariance, self.options.imu)
+            inertial = InertialBelief.at(answer.T_map_camera, answer.inflated_covariance, self.options.imu)
             return _Hypothesis(inertial, 1)
-        return _Hypothesis(PoseBelief.at(answer.T_map_camera, answer.sober_covariance, self.options.odometry), 1)
+        return _Hypothesis(PoseBelief.at(answer.T_map_camera, answer.inflated_covariance, self.options.odometry), 1)
 
-    def _let_in(self, before: FloatArray | None) -> None:
-        """Show a correction over time if it is small, else at once."""
+    def _blend_in(self, before: FloatArray | None) -> None:
+        """Apply a correction over time if it is small, else at once."""
         jumped = bool(np.isnan(self._offset).any())
         if self._main is None or before is None or jumped:
             self._offset = np.zeros(6)
@@ -446,7 +446,7 @@ class Track:
             self._since += motions
 
     def _read(self, start_s: float, end_s: float) -> list[ImuReading]:
-        """The IMU's readings of a stretch of time; the last one is held until its end."""
+        """The IMU's readings in an interval; the last one is held until its end."""
         found, at_s = [], start_s
         while self._readings and self._readings[0][0] <= end_s:
             time_s, acceleration, rate = self._readings.popleft()
@@ -463,8 +463,8 @@ class Track:
         while self._readings and self._readings[0][0] <= time_s:
             self._last_reading = self._readings.popleft()
 
-    def _begin_anew(self) -> None:
-        """After a long gap nothing is known any more."""
+    def _start_over(self) -> None:
+        """Forget everything, after a long gap."""
         standing = self._standing
         standing.reset_counter += standing.settled
         standing.settled, standing.contradicted = False, 0
@@ -476,7 +476,7 @@ class Track:
         return bool(sigmas[:3].max() > self.options.lost_m or math.degrees(sigmas[3:].max()) > self.options.lost_deg)
 
     def _prior(self) -> Prior | None:
-        """Where the frame's pose is expected; none where the track is in doubt: the answer is to be its own."""
+        """Where the frame's pose is expected; None while the track is in doubt, so that the answer is independent."""
         if self._main is None or not self._standing.settled or self._standing.contradicted:
             return None
         belief = self._main.belief

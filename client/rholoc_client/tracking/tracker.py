@@ -1,4 +1,4 @@
-"""The trackers: a :class:`FollowedTrack` whose questions the service answers, beside the caller's own work."""
+"""The trackers: a :class:`FollowedTrack` whose questions the service answers in the background."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from rholoc_client.tracking.following import AnsweredMatches, FollowedTrack
 from rholoc_client.tracking.rigid import FloatArray
 from rholoc_client.tracking.track import Answer, Question, Tracked, TrackOptions
 
-_PASSING = (Busy, ConnectionFailed, DeadlineExceeded, Internal, RequestTimeout, StorageUnavailable)
+_TEMPORARY = (Busy, ConnectionFailed, DeadlineExceeded, Internal, RequestTimeout, StorageUnavailable)
 _JPEG_QUALITY = 92
 
 
@@ -35,12 +35,12 @@ _Pending = TypeVar("_Pending", Future[Localization], asyncio.Task[Localization])
 
 
 class _Tracking(Generic[_Pending]):
-    """What both trackers share: a track, and how answers come into it."""
+    """What both trackers share: a track, and how it takes in answers."""
 
     def __init__(self, map_name: str, camera: Camera | None, options: TrackOptions | None) -> None:
         self.map_name = map_name
         self.last_error: RholocClientError | None = None
-        """Why the last question was not answered, should that pass by itself: the service is busy, or not reached."""
+        """Why the last question was not answered, if the cause is temporary: the service is busy, or out of reach."""
         self._camera = camera
         self._track = FollowedTrack(options, camera)
         self._pending: _Pending | None = None
@@ -50,11 +50,11 @@ class _Tracking(Generic[_Pending]):
 
         Args:
             time_s: when it was read; readings may run ahead of frames.
-            acceleration_m_s2: (3,) at rest gravity's reaction: 9.81 upwards.
+            acceleration_m_s2: (3,); at rest the reaction to gravity, 9.81 upwards.
             rate_rad_s: (3,) the angular velocity.
 
         Raises:
-            InvalidTrack: its time is not after the last reading's, or it is not of three finite numbers each.
+            InvalidTrack: its time is not after the last reading's, or a vector is not three finite numbers.
         """
         self._track.imu(time_s, acceleration_m_s2, rate_rad_s)
 
@@ -62,11 +62,11 @@ class _Tracking(Generic[_Pending]):
         return self._track.frame(time_s, T_odom_camera, _decoded(picture) if T_odom_camera is None else None)
 
     def _asking(self, question: Question) -> dict[str, Any]:
-        """What is asked with a question."""
+        """The options of a question's request."""
         return {"camera": self._camera, "prior": question.prior, "with_matches": self._track.follows_pictures}
 
     def _collect(self) -> None:
-        """Take in the answer to what is being asked, if it is there."""
+        """Take in the answer to the open question, if it has arrived."""
         pending = self._pending
         if pending is None or not pending.done():
             return
@@ -78,15 +78,15 @@ class _Tracking(Generic[_Pending]):
         self._came(None if failed is not None else pending.result(), failed)
 
     def _came(self, answer: Localization | None, error: RholocClientError | None) -> None:
-        """Take in what a question came to.
+        """Take in the outcome of a question.
 
         Raises:
-            ServiceError: one that will not pass.
+            ServiceError: one that is not temporary.
         """
         self.last_error = error
         if answer is None:
             self._track.unanswered()
-            if error is not None and not isinstance(error, _PASSING):
+            if error is not None and not isinstance(error, _TEMPORARY):
                 raise error
             return
         matches = answer.agreeing
@@ -106,7 +106,7 @@ class Tracker(_Tracking[Future[Localization]]):
                 if tracked.status is TrackStatus.TRACKING:
                     print(tracked.pose.position, tracked.reset_counter)
 
-    Questions are asked by a thread of its own, so that :meth:`track` does not wait for the service. Not safe to share
+    A background thread asks the questions, so that :meth:`track` does not wait for the service. Not safe to share
     between threads.
 
     Args:
@@ -132,7 +132,7 @@ class Tracker(_Tracking[Future[Localization]]):
         self.close()
 
     def close(self) -> None:
-        """Ask no more; what is being asked is awaited."""
+        """Stop asking, and wait for the open question."""
         self._thread.shutdown(cancel_futures=True)
 
     def track(self, time_s: float, picture: ImageLike | None, T_odom_camera: FloatArray | None = None) -> Tracked:
@@ -142,11 +142,11 @@ class Tracker(_Tracking[Future[Localization]]):
             time_s: when it was taken, seconds on any one clock.
             picture: as for :meth:`Client.localize`; None for a frame without one, which odometry alone places.
             T_odom_camera: (4, 4) the camera's pose by odometry: ARKit's, ARCore's, wheels', VIO's, in its own frame.
-                None: motion is read off the pictures (where OpenCV is installed), else off the IMU.
+                None: motion comes from the pictures (where OpenCV is installed), else from the IMU.
 
         Raises:
-            InvalidTrack: the time is not after the last frame's, or the pose is no rigid motion.
-            ServiceError: the service refused, and would again: there is no such map, the key is not good.
+            InvalidTrack: the time is not after the last frame's, or the pose is not a rigid motion.
+            ServiceError: the service refused, and would again: there is no such map, the key is not valid.
         """
         self._collect()
         tracked = self._frame(time_s, picture, T_odom_camera)
@@ -158,7 +158,7 @@ class Tracker(_Tracking[Future[Localization]]):
         return tracked
 
     def wait(self, timeout_s: float | None = None) -> Tracked:
-        """Wait until the question that is being asked has been answered; where the camera was at the last frame then.
+        """Wait for the answer to the open question; then say where the camera was at the last frame.
 
         Raises:
             TimeoutError: it took longer.
@@ -188,7 +188,7 @@ class AsyncTracker(_Tracking[asyncio.Task[Localization]]):
         await self.close()
 
     async def close(self) -> None:
-        """Ask no more."""
+        """Stop asking."""
         if self._pending is not None:
             self._pending.cancel()
             await asyncio.gather(self._pending, return_exceptions=True)
@@ -213,7 +213,7 @@ class AsyncTracker(_Tracking[asyncio.Task[Localization]]):
 
 
 def _decoded(picture: ImageLike | None) -> Any:
-    """A picture as an array; None where there is none, or OpenCV to decode it."""
+    """A picture as an array; None without a picture, or without OpenCV to decode it."""
     if picture is None or not isinstance(picture, bytes | Path):
         return picture
     try:
@@ -228,7 +228,7 @@ def _decoded(picture: ImageLike | None) -> Any:
 
 
 def _encoded(picture: ImageLike) -> ImageLike:
-    """A picture as it is sent: an array as JPEG, where OpenCV is there to make one."""
+    """A picture as it is sent: an array as JPEG, where OpenCV is installed."""
     if isinstance(picture, bytes | Path):
         return picture
     try:

@@ -1,4 +1,4 @@
-"""The worker beside a server: its configuration and its end come through the standard input."""
+"""The worker of a server: its standard input brings its configuration, and ends it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A job's build in a process of its own: it can be killed, and native code that crashes takes no worker with it."""
+"""A job's build in a process of its own: it can be killed, and a crash of native code does not end the worker."""
 
 from __future__ import annotations
 
@@ -49,14 +49,14 @@ def build_in_process(
     Args:
         pipeline: what to run.
         task: what to run it on.
-        note: hears of progress, at most every ``poll_s`` seconds.
-        check: called every ``poll_s`` seconds; raises Cancelled when the build is not wanted any more.
+        note: called with progress, at most every ``poll_s`` seconds.
+        check: called every ``poll_s`` seconds; raises Cancelled when the build is no longer wanted.
         poll_s: see there.
-        cancel_grace_s: how long the build may take to stop by itself when it is not wanted any more.
-        limits: what the build may take; looked at every ``poll_s`` seconds.
+        cancel_grace_s: how long the build may take to stop by itself once it is cancelled.
+        limits: what the build may take; checked every ``poll_s`` seconds.
 
     Raises:
-        Cancelled: it was not wanted any more. The process has ended.
+        Cancelled: by ``check``. The process has ended.
     """
     try:
         return run_in_child(
@@ -125,7 +125,7 @@ def describe(error: RholocError) -> Failure:
 
 
 def unexpected(error: Exception) -> Failure:
-    """The failure that a fault of the program makes; its traceback goes to the log only."""
+    """The failure that reports a bug; its traceback goes to the log only."""
     _log.error("A job failed unexpectedly.", exc_info=error)
     line = next(iter(str(error).splitlines()), "")
     return Failure(

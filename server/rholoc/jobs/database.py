@@ -31,7 +31,7 @@ jobs_table = sa.Table(
     sa.Column("progress", sa.Float, nullable=False),
     sa.Column("message", sa.Text, nullable=False),
     sa.Column("log", sa.JSON, nullable=False),
-    sa.Column("warnings", sa.JSON),  # null in jobs of before there were warnings
+    sa.Column("warnings", sa.JSON),  # null in jobs from before there were warnings
     sa.Column("error_code", sa.Text),
     sa.Column("error_message", sa.Text),
     sa.Column("error_hint", sa.Text),
@@ -61,7 +61,7 @@ def open_database(data_dir: Path, database_url: str | None = None) -> sa.Engine:
     Raises:
         StorageFull: the disk is full.
         InvalidInput: the URL is not valid, or its database cannot be reached.
-        Conflict: the file is there, and no SQLite database.
+        Conflict: the file exists, but is not an SQLite database.
     """
     with reporting_full_disk():
         Path(data_dir).mkdir(parents=True, exist_ok=True)
@@ -97,7 +97,7 @@ def _reporting_no_database(url: sa.URL) -> Iterator[None]:
 
 
 def _add_missing_columns(connection: sa.Connection, table: sa.Table) -> None:
-    """Bring a table that an earlier version made up to date: later columns are nullable, so old rows do without."""
+    """Bring a table of an earlier version up to date; later columns are nullable, so that old rows remain valid."""
     present = {column["name"] for column in sa.inspect(connection).get_columns(table.name)}
     for column in table.columns:
         if column.name not in present:

@@ -1,4 +1,4 @@
-"""A worker beside the server: a process of its own, so that mapping does not slow requests down."""
+"""A server's own worker: a separate process, so that mapping does not slow requests down."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _RESTART_AFTER_S = 2.0
 
 
 class EmbeddedWorker:
-    """Runs ``python -m rholoc.jobs`` as a child, starts it again should it die, and stops it with its parent."""
+    """Runs ``python -m rholoc.jobs`` as a child, restarts it if it dies, and stops it with its parent."""
 
     def __init__(
         self, data_dir: Path, maps_dir: Path, database_url: str | None = None, limits: BuildLimits | None = None
@@ -32,7 +32,7 @@ class EmbeddedWorker:
 
     @property
     def running(self) -> bool:
-        """Whether the child lives."""
+        """Whether the child is running."""
         return self._program is not None and self._program.running
 
     @property

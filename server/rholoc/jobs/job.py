@@ -16,8 +16,8 @@ from rholoc.trajectory import PoseMethod
 class JobKind(StrEnum):
     """What a job does with its recording."""
 
-    BUILD = "build"  # a new map, in place of one of its name
-    UPDATE = "update"  # learn it into the map of the name
+    BUILD = "build"  # makes a new map, replacing any of that name
+    UPDATE = "update"  # learns it into the map of that name
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ class JobOptions:
             features=stored["features"],
             poses=PoseMethod(stored["poses"]) if stored["poses"] else None,
             camera=stored["camera"],
-            kind=JobKind(stored.get("kind", JobKind.BUILD)),  # jobs of before there were updates
+            kind=JobKind(stored.get("kind", JobKind.BUILD)),  # missing in jobs from before there were updates
             pictures=stored.get("pictures", False),
             frames=stored.get("frames"),
         )
@@ -68,7 +68,7 @@ class JobState(StrEnum):
 
     @property
     def ended(self) -> bool:
-        """Whether the job will not change any more by itself."""
+        """Whether the job will no longer change by itself."""
         return self in (JobState.PUBLISHED, JobState.FAILED, JobState.CANCELLED)
 
 
@@ -85,7 +85,7 @@ class Job:
         progress: 0..1 over all stages.
         message: one line for people.
         log: the last lines of its log.
-        warnings: why its published map is not to be trusted, where that is so.
+        warnings: why its published map is not to be trusted; empty where it is.
         error_code, error_message, error_hint: set when it failed.
         created, started, ended: seconds since the epoch, or None.
         attempts: how many workers have taken it up.

@@ -1,4 +1,4 @@
-"""What a worker does for a job: build a map file from a recording, publish the file."""
+"""What a worker does for a job: builds a map file from a recording, and publishes it."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ class MappingTask:
 
     Attributes:
         recording: the file or folder that was uploaded.
-        map_file: where the built map goes until it is published. It exists only when it is complete.
+        map_file: where the built map is kept until it is published. It exists only once it is complete.
         maps_dir: the folder of published maps.
         map_name: the name under which the map is published.
         options: how the map is built.
         max_frame_pixels: the most pixels a frame of the recording's video may have.
-        folder: where notes on the recording are kept, and waypoints that people gave in place of its own.
+        folder: where notes on the recording are kept, and waypoints that replace its own.
     """
 
     recording: Path
@@ -42,15 +42,15 @@ class MappingTask:
 class Pipeline(Protocol):
     """The two steps of a job. Both may be run again after a crash, so both must be idempotent.
 
-    ``build`` runs in a process of its own that may be killed at any time; a pipeline can therefore be pickled.
+    ``build`` runs in a process of its own that may be killed at any time; a pipeline must therefore be picklable.
     """
 
     def build(self, task: MappingTask, progress: ProgressListener) -> None:
-        """Write ``task.map_file``, atomically; do nothing if it is there."""
+        """Write ``task.map_file``, atomically; do nothing if it exists."""
         ...
 
     def publish(self, task: MappingTask) -> tuple[str, ...]:
-        """Put ``task.map_file`` into the library, atomically; do nothing if it is there.
+        """Put ``task.map_file`` into the library, atomically; do nothing if it is there already.
 
         Returns:
             Why the map is not to be trusted, one line each.
@@ -62,7 +62,7 @@ class MappingPipeline:
     """The pipeline of the service: recording → map → library."""
 
     def build(self, task: MappingTask, progress: ProgressListener) -> None:
-        """Read the recording, build its map or learn it into the one there is, and save that.
+        """Read the recording, build its map or learn it into the existing one, and save the result.
 
         Raises: as :func:`rholoc.recordings.read_recording`, and :func:`rholoc.mapping.build_map` or ``update_map`` do.
         """
@@ -82,10 +82,10 @@ class MappingPipeline:
         partial.replace(task.map_file)
 
     def publish(self, task: MappingTask) -> tuple[str, ...]:
-        """Put the map into the library unless the one of that name is already this one.
+        """Put the map into the library, unless it is already there.
 
         Raises:
-            Conflict: the map that was updated is not the one in the library any more.
+            Conflict: the map that was updated is no longer the one in the library.
             InvalidName, InvalidMap, StorageFull, InvalidInput: as :meth:`rholoc.maps.MapLibrary.put_file` does.
         """
         library = MapLibrary(task.maps_dir)
@@ -98,7 +98,7 @@ class MappingPipeline:
 
 
 def _corrected(task: MappingTask) -> Path | None:
-    """The file of the waypoints that people gave in place of the recording's own, where they did."""
+    """The file of the waypoints that replace the recording's own; None where they were not corrected."""
     path = None if task.folder is None else task.folder / WAYPOINTS_FILE
     return path if path is not None and path.is_file() else None
 
@@ -121,7 +121,7 @@ def _updated(task: MappingTask, recording: Recording, progress: ProgressListener
 
 
 def _doubts(map_: Map) -> tuple[str, ...]:
-    """Why the frame poses that a map was built on are not trusted, where they are not."""
+    """Why the frame poses that a map was built on are not trusted; empty where they are."""
     trust = trust_of(map_.info)
     return tuple(f"The frame poses are not trusted: {why}" for why in trust.reasons if trust.trusted is False)
 

@@ -1,4 +1,4 @@
-"""The queue of mapping jobs, as the server and the command use it. It runs nothing itself."""
+"""The queue of mapping jobs, for the server and the command. It runs no jobs itself."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ APPLICATION = "rholoc"
 QUEUE_NAME = "rholoc-mapping"
 WORKFLOW_NAME = "rholoc-map-recording"
 
-# Pinned, so that a new release takes up the jobs of the one before. Change it only when the workflow's steps change
-# so much that a half-done job cannot be continued.
+# Pinned, so that a new release continues the jobs of the one before. Change it only if the workflow's steps change so
+# much that a half-done job cannot be continued.
 APPLICATION_VERSION = "1"
 
 
@@ -31,7 +31,7 @@ class JobQueue:
     """The queue of mapping jobs."""
 
     def __init__(self, data_dir: Path, database_url: str | None = None) -> None:
-        """Open the queue; its tables are made where they are missing.
+        """Open the queue, and create its tables where they are missing.
 
         Raises:
             StorageFull: the disk is full.
@@ -50,8 +50,8 @@ class JobQueue:
             recording_id: what to build it from.
             map_name: under which name to publish it.
             options: how to build it.
-            job_id: 32 hex digits, or None to make them. Submitting again under the same id changes nothing, so that
-                whoever does not know whether it was done can do it again.
+            job_id: 32 hex digits, or None for a new id. Submitting again under the same id changes nothing, so it is
+                safe to repeat.
 
         Raises:
             UnknownRecording: there is no such recording.
@@ -101,7 +101,7 @@ class JobQueue:
         """
         self._jobs.get(job_id)
         with reporting_full_database():
-            # DBOS need not know: whoever takes up or holds the job sees that it is not wanted, and ends its workflow.
+            # DBOS need not know: a worker that has or takes the job sees that it was cancelled, and ends its workflow.
             self._jobs.cancel(job_id)
         return self._jobs.get(job_id)
 
@@ -137,7 +137,7 @@ class JobQueue:
 
         Raises:
             UnknownRecording: no recording has this id.
-            Conflict: a job waits for it, or works on it.
+            Conflict: a job is waiting for it or working on it.
         """
         self._recordings.get(recording_id)
         if self._jobs.needs(recording_id):
@@ -145,16 +145,16 @@ class JobQueue:
         self._recordings.delete(recording_id)
 
     def delete_mapped_recordings(self, retention_s: float) -> None:
-        """Delete the recordings whose maps were published longer ago than ``retention_s``.
+        """Delete the recordings whose maps were published more than ``retention_s`` ago.
 
-        One that a later job failed on, or still needs, is kept.
+        Recordings that a later job failed on, or still needs, are kept.
         """
         for recording_id in self._jobs.mapped_before(time.time() - retention_s):
             with suppress(UnknownRecording):  # it was deleted before
                 self._recordings.delete(recording_id)
 
     def has_worker(self) -> bool:
-        """Whether a worker lives, here or elsewhere: it has lately said so."""
+        """Whether a worker is alive, here or elsewhere, by its last heartbeat."""
         return WorkerTable(self._engine).any_alive()
 
     def close(self) -> None:
@@ -173,7 +173,7 @@ class JobQueue:
 
 
 def open_client(engine: sa.Engine) -> DBOSClient:
-    """DBOS seen from outside its workflows, on our own connections."""
+    """A client of DBOS, for use outside its workflows, on our own connections."""
     return DBOSClient(system_database_engine=engine, application_name=APPLICATION)
 
 

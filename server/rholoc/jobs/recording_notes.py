@@ -1,6 +1,6 @@
-"""What is known of a stored recording beside its files: what a job read in it, and what people corrected since.
+"""What is known about a stored recording besides its files: what a job read from it, and corrected waypoints.
 
-All of it lies in hidden files of the recording's folder, which no upload can name.
+It is kept in hidden files of the recording's folder, which no upload can name.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ _THUMBNAIL_S = 1.0  # after the first frame: the first is often of the floor
 
 @dataclass(frozen=True)
 class RecordedWaypoint:
-    """A waypoint as people see it.
+    """A waypoint as users see it.
 
     Attributes:
-        name: what it is called.
+        name: its name.
         position: (3,) metres.
         time_s: on the recording's clock; None where only the order is known.
         sigma_m: how well the camera was held to it.
@@ -44,7 +44,7 @@ class RecordedWaypoint:
 
 @dataclass(frozen=True)
 class RecordingNotes:
-    """What a job read in a recording.
+    """What a job read from a recording.
 
     Attributes:
         first_s, last_s: the times of its first and last frame, on its own clock.
@@ -66,7 +66,7 @@ class RecordingNotes:
 
 
 def note_recording(folder: Path, recording: Recording) -> None:
-    """Keep what a recording is, and a small picture of it, in its folder."""
+    """Write notes on a recording, and a small picture of it, into its folder."""
     times, (width, height) = recording.frames.times, recording.frames.size
     notes = RecordingNotes(
         first_s=float(times[0]),
@@ -80,12 +80,12 @@ def note_recording(folder: Path, recording: Recording) -> None:
     )
     _write(folder / _NOTES_FILE, json.dumps(report_to_json(notes)).encode())
     row = int(np.searchsorted(times, times[0] + _THUMBNAIL_S).clip(0, len(times) - 1))
-    with contextlib.suppress(InvalidRecording):  # a damaged frame is the job's business
+    with contextlib.suppress(InvalidRecording):  # the job itself reports damaged frames
         _write(folder / _THUMBNAIL_FILE, small_picture(next(iter(recording.frames.images([row])))))
 
 
 def read_notes(folder: Path) -> RecordingNotes | None:
-    """What a job read in a recording; None where none has yet."""
+    """What a job read from a recording; None if none has read it yet."""
     try:
         return report_from_json(RecordingNotes, json.loads((folder / _NOTES_FILE).read_text(encoding="utf-8")))
     except (FileNotFoundError, NotADirectoryError, ValueError):
@@ -106,7 +106,7 @@ def has_thumbnail(folder: Path) -> bool:
 
 
 def corrected_waypoints(folder: Path, notes: RecordingNotes | None) -> tuple[RecordedWaypoint, ...] | None:
-    """The waypoints that people gave in place of the recording's own; None where they gave none."""
+    """The waypoints that replace the recording's own; None if they were not corrected."""
     path = folder / WAYPOINTS_FILE
     if not path.is_file():
         return None
@@ -116,11 +116,11 @@ def corrected_waypoints(folder: Path, notes: RecordingNotes | None) -> tuple[Rec
 def correct_waypoints(
     folder: Path, waypoints: tuple[RecordedWaypoint, ...] | None, notes: RecordingNotes | None
 ) -> None:
-    """Give a recording other waypoints than its own, or take them back where ``waypoints`` is None.
+    """Replace a recording's waypoints, or return to its own if ``waypoints`` is None.
 
     Raises:
-        InvalidWaypoints: they cannot be used; what was there stays.
-        StorageFull: the disk is full; what was there stays.
+        InvalidWaypoints: they cannot be used; nothing changes.
+        StorageFull: the disk is full; nothing changes.
     """
     path, arrived = folder / WAYPOINTS_FILE, folder / f"{WAYPOINTS_FILE}.new"
     if waypoints is None:
@@ -137,7 +137,7 @@ def correct_waypoints(
 
 @dataclass(frozen=True, eq=False)
 class _Span:
-    """The times of a recording's first and last frame; without numbers, as only times are corrected."""
+    """The times of a recording's first and last frame; no frame numbers, as corrected waypoints only have times."""
 
     times: FloatArray
     numbers: IntArray

@@ -1,4 +1,4 @@
-"""Recordings on disk: each a folder that is either complete or not there."""
+"""Recordings on disk: each a folder that is either complete or does not exist."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from typing import BinaryIO
 from rholoc.disk import reporting_full_disk, sync_folder
 from rholoc.errors import Conflict, InvalidRecording, TooLarge, UnknownRecording
 
-_ENTRY_FILE = ".entry.json"  # no uploaded file can be called so: their names start with no dot
+_ENTRY_FILE = ".entry.json"  # no uploaded file can have this name: theirs never start with a dot
 _PENDING_PREFIX = ".pending-"
 _PENDING_EXPIRES_S = 24 * 3600.0
 _MAX_NAME_LENGTH = 100
@@ -46,7 +46,7 @@ class RecordingEntry:
 class PendingRecording:
     """A recording that is being uploaded, in a hidden folder until :meth:`commit`.
 
-    As a context manager it is thrown away unless it was committed.
+    As a context manager it is discarded at the end, unless it was committed.
     """
 
     def __init__(self, root: Path, max_bytes: int | None) -> None:
@@ -70,7 +70,7 @@ class PendingRecording:
 
     @property
     def size_bytes(self) -> int:
-        """How much was written so far."""
+        """How much has been written so far."""
         return self._size_bytes
 
     def write(self, name: str, chunk: bytes) -> None:
@@ -100,7 +100,7 @@ class PendingRecording:
         self._size_bytes += len(chunk)
 
     def path(self, name: str) -> Path:
-        """Where a file that was written lies until the commit, whole.
+        """Where a file that was written is until the commit, completely flushed.
 
         Raises:
             StorageFull: the disk is full.
@@ -136,12 +136,12 @@ class PendingRecording:
         return entry
 
     def abort(self) -> None:
-        """Throw away what was written. Does nothing once the recording was committed or aborted."""
+        """Discard what was written. Does nothing once the recording was committed or aborted."""
         if self._ended:
             return
         self._ended = True
         if self._open is not None:
-            # Closing flushes, which fails again on a full disk; the file is going away anyhow.
+            # Closing flushes, which fails again on a full disk; the file is about to be removed anyway.
             _close_quietly(self._open[1])
         shutil.rmtree(self._folder, ignore_errors=True)
 
@@ -198,7 +198,7 @@ class RecordingStore:
 
     @contextmanager
     def new_folder(self) -> Iterator[Path]:
-        """A hidden folder beside the recordings, which is removed in the end unless it was renamed."""
+        """A hidden folder beside the recordings, which is removed at the end unless it was renamed."""
         folder = self.root / f"{_PENDING_PREFIX}{uuid.uuid4().hex}"
         folder.mkdir(parents=True)
         try:
@@ -207,7 +207,7 @@ class RecordingStore:
             shutil.rmtree(folder, ignore_errors=True)
 
     def adopt(self, folder: Path, recording_id: str, file_name: str) -> RecordingEntry:
-        """Make a folder beside the recordings, with one whole file in it, a recording; all at once.
+        """Turn a folder beside the recordings, which holds one complete file, into a recording; all at once.
 
         Raises:
             StorageFull: the disk is full; the folder stays where it is.
@@ -278,7 +278,7 @@ class RecordingStore:
         return (path for path in self.root.iterdir() if is_recording_id(path.name))
 
     def _drop_abandoned(self) -> None:
-        """Remove uploads whose process died; a living upload is younger than a day."""
+        """Remove uploads whose process died: an upload in progress is younger than a day."""
         for folder in self.root.glob(f"{_PENDING_PREFIX}*"):
             try:
                 abandoned = time.time() - folder.stat().st_mtime > _PENDING_EXPIRES_S
@@ -294,7 +294,7 @@ def is_recording_id(text: str) -> bool:
 
 
 def _publish(folder: Path, root: Path, entry: RecordingEntry) -> None:
-    """Write the entry, make everything durable, and give the folder the name under which recordings are found."""
+    """Write the entry, make everything durable, and rename the folder so that the recording is found."""
     with (folder / _ENTRY_FILE).open("w", encoding="utf-8") as file:
         json.dump(asdict(entry), file)
         file.flush()

@@ -1,4 +1,4 @@
-"""The rows of jobs: what users see of them, and who may change them."""
+"""The database rows of jobs and workers, and who may change them."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from rholoc.jobs.job import Job, JobOptions, JobState
 from rholoc.progress import Stage
 
 LOG_LINES = 50
-MAX_LINE_LENGTH = 500  # of what a job says: others read it, too
+MAX_LINE_LENGTH = 500  # characters of a job's messages
 MAX_WARNINGS = 20
 DEAD_AFTER_S = 15.0  # since the last heartbeat
 _ID_LENGTH = 32
 
-# What part of a job's time a stage takes, roughly.
+# Roughly what share of a job's time each stage takes.
 _SHARES = {
     Stage.RECEIVED: 0.0,
     Stage.READ: 0.05,
@@ -54,7 +54,7 @@ class Lease:
 
 @dataclass(frozen=True)
 class JobWork:
-    """What a worker needs to know of a job."""
+    """What a worker needs to know about a job."""
 
     recording: str
     map_name: str
@@ -76,7 +76,7 @@ class JobTable:
         return _job(row)
 
     def list(self, most: int | None = None, before: str | None = None) -> list[Job]:
-        """The newest jobs, the newest first; ``before``: those older than the job with this id. Raises UnknownJob."""
+        """The newest jobs, the newest first; ``before``: only those older than this job. Raises UnknownJob."""
         wanted = sa.select(jobs_table).order_by(jobs_table.c.created.desc(), jobs_table.c.id.desc()).limit(most)
         if before is not None:
             job = self.get(before)
@@ -163,7 +163,7 @@ class JobTable:
     # What workers do
 
     def take_up(self, job_id: str, workflow: str) -> tuple[Lease, JobWork] | None:
-        """Hold the job, unless it was cancelled or retried meanwhile. A lease held on it before is lost."""
+        """Take a lease on the job, unless it was cancelled or retried in the meantime. Any earlier lease is lost."""
         with self._engine.begin() as connection:
             taken = connection.execute(
                 jobs_table.update()
@@ -185,12 +185,12 @@ class JobTable:
         return Lease(job_id, workflow, row["attempts"]), work
 
     def holds(self, lease: Lease) -> bool:
-        """Whether the lease is still good."""
+        """Whether the lease is still valid."""
         with self._engine.connect() as connection:
             return connection.execute(sa.select(jobs_table.c.id).where(*_held(lease))).first() is not None
 
     def note(self, lease: Lease, stage: Stage, fraction: float, message: str) -> None:
-        """Note progress; a line is added to the log when there is news."""
+        """Record progress; a new stage or message is added to the log."""
         message = shortened(message)
         with self._engine.begin() as connection:
             row = connection.execute(sa.select(jobs_table).where(*_held(lease))).mappings().first()
@@ -228,10 +228,10 @@ class JobTable:
         return self._update(lease, stage=Stage.PUBLISHED, message="publishing the map")
 
     def publish(self, lease: Lease, warnings: Sequence[str]) -> bool:
-        """Note that the job's map is published, and why it is not to be trusted where that is so.
+        """Record that the job's map is published, and any reasons why it is not to be trusted.
 
         Returns:
-            Whether the lease was still good; else nothing is noted.
+            Whether the lease was still valid; otherwise nothing is recorded.
         """
         kept = [shortened(warning) for warning in warnings[:MAX_WARNINGS]]
         lines = [*(f"warning: {warning}" for warning in kept), "published"]
@@ -239,7 +239,7 @@ class JobTable:
         return self._end(lease, JobState.PUBLISHED, "published", lines, **values)
 
     def fail(self, lease: Lease, failure: Failure) -> bool:
-        """Note why the job failed. Returns as :meth:`publish` does."""
+        """Record why the job failed. Returns as :meth:`publish` does."""
         message = shortened(failure.message)
         return self._end(
             lease,
@@ -281,7 +281,7 @@ class WorkerTable:
         self._engine = engine
 
     def beat(self, worker: str) -> None:
-        """Note that the worker lives."""
+        """Record that the worker is alive."""
         with self._engine.begin() as connection:
             changed = connection.execute(
                 workers_table.update().where(workers_table.c.id == worker).values(heartbeat=time.time())
@@ -309,7 +309,7 @@ class WorkerTable:
 
 
 def shortened(text: str) -> str:
-    """A line of a job: its beginning, where it is too long to be kept; well-formed, where it is not."""
+    """A job's message, cut to the length that is kept and made well-formed UTF-8."""
     line = text if len(text) <= MAX_LINE_LENGTH else f"{text[: MAX_LINE_LENGTH - 1]}…"
     return line.encode("utf-8", "replace").decode()
 

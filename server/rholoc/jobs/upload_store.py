@@ -1,4 +1,4 @@
-"""Uploads that survive lost connections: a file that grows piece by piece, and becomes a recording when it is whole."""
+"""Uploads that survive lost connections: files that grow piece by piece, and become recordings once complete."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _MAX_UNFINISHED = 100
 _RETRY_AFTER_S = 60.0
 _LOCK_TIMEOUT_S = 2.0
 _LOCK_POLL_S = 0.02
-_PLAN_FILE = ".upload.json"  # no uploaded file can be called so: their names start with no dot
+_PLAN_FILE = ".upload.json"  # no uploaded file can have this name: theirs never start with a dot
 
 
 @dataclass(frozen=True)
@@ -35,10 +35,10 @@ class Upload:
 
     Attributes:
         id: the id of the recording and of the job that it becomes, 32 hex digits.
-        length: the bytes of the whole file.
+        length: the size of the complete file in bytes.
         offset: how many of them are stored.
-        expires: seconds since the epoch, when an upload without further bytes is removed; None once it is whole.
-        job: the mapping job, once the upload is whole.
+        expires: when an upload without further bytes is removed, seconds since the epoch; None once it is complete.
+        job: the mapping job, once the upload is complete.
     """
 
     id: str
@@ -61,8 +61,8 @@ class _Plan:
 class UploadStore:
     """Unfinished uploads, each a hidden folder beside the recordings.
 
-    The length of the file is the offset, so no crash leaves the two at odds. Any number of processes may share the
-    folder.
+    The length of the file is the offset, so that no crash can make the two differ. Any number of processes may share
+    the folder.
     """
 
     def __init__(
@@ -76,7 +76,7 @@ class UploadStore:
         """Open the store.
 
         Args:
-            recordings: where whole uploads go.
+            recordings: where completed uploads go.
             jobs: where their jobs are queued.
             expires_after_s: how long an upload is kept without a further byte.
             max_files: how many files a ZIP file may hold.
@@ -92,9 +92,9 @@ class UploadStore:
         """Begin an upload of ``length`` bytes.
 
         Raises:
-            InvalidRecording: the name is no recording's, or there is nothing to upload.
-            StorageFull: the disk is full, or has no room for so much.
-            Busy: there are as many unfinished uploads as there may be.
+            InvalidRecording: the name is not a recording's, or there is nothing to upload.
+            StorageFull: the disk is full, or has too little room.
+            Busy: the limit of unfinished uploads is reached.
         """
         safe = sanitized(file_name).rsplit("/", 1)[-1]
         check_file_name(safe)
@@ -112,11 +112,11 @@ class UploadStore:
         return self.get(upload_id)
 
     def get(self, upload_id: str) -> Upload:
-        """Where the upload stands. One that is whole but has no job yet, because the server died, gets it now.
+        """Where the upload stands. One that is complete but has no job yet, because the server died, gets it now.
 
         Raises:
             UnknownRecording: no upload has this id, or it expired.
-            InvalidRecording, TooLarge: it is whole, and its content is no recording's. It is removed.
+            InvalidRecording, TooLarge: it is complete, and its content is not a recording's. It is removed.
             StorageFull: the disk is full.
         """
         try:
@@ -141,7 +141,7 @@ class UploadStore:
             UnknownRecording: there is no upload with this id, or it expired.
             Conflict: ``offset`` is not where the upload stands.
             TooLarge: more bytes than were declared.
-            InvalidRecording, TooLarge: the content is no recording's. The upload is removed.
+            InvalidRecording, TooLarge: the content is not a recording's. The upload is removed.
             StorageFull: the disk is full. What was stored before is kept.
         """
         standing = self.get(upload_id)
@@ -174,13 +174,13 @@ class UploadStore:
             raise unknown_recording(upload_id) from error
 
     def sweep(self) -> None:
-        """Remove the uploads that expired; those that are whole but have no job get it."""
+        """Remove the uploads that expired; those that are complete but have no job get it."""
         for plan_file in list(self._recordings.root.glob(f"*/{_PLAN_FILE}")):
             with suppress(RholocError):
                 self.get(plan_file.parent.name.removeprefix(_PREFIX))
 
     def _check_room(self) -> None:
-        """Refuse an upload beyond those that there may be; expired ones do not count."""
+        """Refuse an upload beyond the limit of unfinished ones; expired ones do not count."""
         if self._unfinished() < self._max_unfinished:
             return
         self.sweep()
@@ -192,7 +192,7 @@ class UploadStore:
         return sum(1 for _ in self._recordings.root.glob(f"{_PREFIX}*"))
 
     def _whole(self, upload_id: str) -> Upload:
-        """The upload that has become a recording, its job queued if that had not been done."""
+        """An upload that has become a recording; queues its job if that was not done yet."""
         entry = self._recordings.get(upload_id)
         plan_file = self._recordings.root / upload_id / _PLAN_FILE
         with suppress(FileNotFoundError):
@@ -234,11 +234,11 @@ class UploadStore:
 
     @contextmanager
     def _locked(self, upload_id: str) -> Iterator[_Plan]:
-        """The plan of an unfinished upload that nobody else changes meanwhile.
+        """The plan of an unfinished upload, locked against other requests.
 
         Raises:
             FileNotFoundError: there is no such upload.
-            Busy: somebody else is at it for longer than a request waits.
+            Busy: another request holds the lock for too long.
         """
         folder = self._folder(upload_id)
         descriptor = os.open(folder, os.O_RDONLY)
@@ -250,13 +250,13 @@ class UploadStore:
 
 
 def _lock(descriptor: int) -> None:
-    """Lock a file without keeping a thread from other requests for long. Raises Busy."""
-    last_s = time.monotonic() + _LOCK_TIMEOUT_S
+    """Lock a file without blocking a thread for long. Raises Busy."""
+    deadline_s = time.monotonic() + _LOCK_TIMEOUT_S
     while True:
         try:
             return fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            if time.monotonic() > last_s:
+            if time.monotonic() > deadline_s:
                 raise Busy("Another request is working on this upload.", "Try again.") from None
             time.sleep(_LOCK_POLL_S)
 

@@ -1,4 +1,4 @@
-"""A worker: takes jobs from the queue, one at a time, and finishes those of workers that died."""
+"""A worker: takes jobs from the queue one at a time, and takes over those of workers that died."""
 
 from __future__ import annotations
 
@@ -39,9 +39,9 @@ class Timing:
     """How quickly workers notice things.
 
     Attributes:
-        poll_s: how often the queue is asked for jobs, and a running job whether it is still wanted.
-        heartbeat_s: how often a worker says that it lives.
-        dead_after_s: how old the last heartbeat of a dead worker is.
+        poll_s: how often the queue is polled for jobs, and a running job is checked for cancellation.
+        heartbeat_s: how often a worker's heartbeat is recorded.
+        dead_after_s: the age of the last heartbeat at which a worker counts as dead.
         cancel_grace_s: how long a cancelled build may take to stop by itself.
     """
 
@@ -52,10 +52,10 @@ class Timing:
 
 
 class Worker:
-    """A worker, of which a process has one at most.
+    """A worker; at most one per process.
 
-    DBOS brings the durable queue and remembers which steps were done; this class adds what it leaves to its users:
-    an identity, a heartbeat, and the handing over of a dead worker's jobs.
+    DBOS provides the durable queue and remembers which steps were done; this class adds what it leaves to its users: an
+    identity, a heartbeat, and taking over a dead worker's jobs.
     """
 
     def __init__(
@@ -81,7 +81,7 @@ class Worker:
         self._left_before: set[str] = set()
 
     def start(self) -> None:
-        """Begin to take jobs, in threads and processes of its own.
+        """Begin to take jobs, in its own threads and processes.
 
         Raises:
             StorageFull: the disk is full.
@@ -115,7 +115,7 @@ class Worker:
         with self._idle:
             leases = set(self._leases)
         for lease in leases:
-            # First the row, then DBOS: the next worker may take the job up from the moment DBOS has it.
+            # First the row, then DBOS: another worker may take the job as soon as DBOS has it.
             self._jobs.release(lease)
             self._client.resume_workflows([lease.workflow], queue_name=QUEUE_NAME)
         with self._idle:
@@ -134,7 +134,7 @@ class Worker:
         return map_recording
 
     def _work(self, job_id: str, workflow: str) -> None:
-        """The workflow. A worker that continues it finds the results of the steps that were done."""
+        """The workflow. A worker that continues it finds the results of completed steps."""
         taken = self._jobs.take_up(job_id, workflow)
         if taken is None:
             return
@@ -160,7 +160,7 @@ class Worker:
             ended = self._jobs.fail(lease, published)
         else:
             ended = self._jobs.publish(lease, published)
-        if ended:  # else another worker has the job, and needs the map that was built
+        if ended:  # otherwise another worker has the job, and needs the map that was built
             shutil.rmtree(self._work_dir(lease), ignore_errors=True)
 
     def _too_often(self, lease: Lease) -> Failure | None:
@@ -220,9 +220,9 @@ class Worker:
         return self._data_dir / "work" / lease.workflow
 
     def _clear_unwanted_work(self) -> None:
-        """Remove what jobs left behind that ended while no worker had them, or were cancelled."""
+        """Remove the files of jobs that were cancelled, or ended while no worker had them."""
         folders = list((self._data_dir / "work").glob("*"))
-        wanted = self._jobs.wanted_workflows()  # asked for after the folders were listed: a new job's is not removed
+        wanted = self._jobs.wanted_workflows()  # after listing the folders, so that a new job's is not removed
         for folder in folders:
             if folder.name not in wanted:
                 shutil.rmtree(folder, ignore_errors=True)
@@ -234,7 +234,7 @@ class Worker:
             _log.exception("progress of job %s could not be noted", lease.job)
 
     def _check_held(self, lease: Lease) -> None:
-        """Raises Cancelled when the job is not this worker's any more."""
+        """Raises Cancelled if this worker no longer has the job."""
         try:
             held = self._jobs.holds(lease)
         except SQLAlchemyError:
@@ -252,10 +252,10 @@ class Worker:
                 _log.exception("the heartbeat failed; it is tried again")
 
     def _sweep(self) -> None:
-        """Hand the jobs of dead workers to living ones, and begin again those that a broken database stopped.
+        """Hand the jobs of dead workers to living ones, and restart those that a database failure stopped.
 
-        Two workers may do so for the same job at the same time. The job then starts twice, the second start takes the
-        lease of the first, and the first stops.
+        Two workers may do this for the same job at the same time. The job then starts twice; the second start takes the
+        lease, and the first one stops.
         """
         living = self._workers.living(self._timing.dead_after_s)
         pending = self._client.list_workflows(status="PENDING", name=WORKFLOW_NAME, load_input=False, load_output=False)
@@ -269,9 +269,9 @@ class Worker:
             self._client.rewind_workflow(workflow, queue_name=QUEUE_NAME)
 
     def _left_behind(self, own: set[str]) -> set[str]:
-        """Of this worker's pending workflows those that no thread of it works on, now or at the sweep before.
+        """This worker's pending workflows that none of its threads works on, neither now nor at the last sweep.
 
-        A full disk that keeps a workflow's end from being noted leaves it so.
+        This happens when a full disk prevents a workflow's end from being recorded.
         """
         with self._idle:
             left = own - {lease.workflow for lease in self._leases}
@@ -279,11 +279,11 @@ class Worker:
         return found
 
     def _stopped_workflows(self) -> set[str]:
-        """Workflows that ended without the end of their job: the database failed when it was to be noted."""
+        """Workflows that ended while their job did not: the database failed when its end was to be recorded."""
         wanted = self._jobs.wanted_workflows()
         known = self._client.list_workflows(workflow_ids=list(wanted), load_input=False, load_output=False)
         ended = {workflow.workflow_id for workflow in known if workflow.status not in _ACTIVE}
-        # Asked again: a workflow that ended between the two questions has noted its job's end before.
+        # Queried again: a workflow that ended between the two queries had recorded its job's end before.
         return ended & self._jobs.wanted_workflows() if ended else ended
 
 
@@ -297,7 +297,7 @@ def run_worker(
     limits: BuildLimits | None = None,
     stop: threading.Event | None = None,
 ) -> None:
-    """Work until SIGINT, SIGTERM or ``stop``. To be called in the main thread of a process that does nothing else.
+    """Work until SIGINT, SIGTERM or ``stop``. Call it in the main thread of a process that does nothing else.
 
     Raises:
         StorageFull: the disk is full.
@@ -305,7 +305,7 @@ def run_worker(
     stop = stop or threading.Event()
 
     def ask_to_stop(_signal: int, _frame: FrameType | None) -> None:
-        # Not in the handler itself: the main thread may hold the event's lock, on its way into the wait below.
+        # Not in the handler itself: the main thread may hold the event's lock on its way into the wait below.
         threading.Thread(target=stop.set).start()
 
     for number in (signal.SIGINT, signal.SIGTERM):

@@ -1,4 +1,4 @@
-"""Other processes: how they are started, watched, limited and ended, with all that they started in turn."""
+"""Other processes: starts, watches, limits and ends them, together with those that they started in turn."""
 
 from rholoc.processes.async_program import AsyncProgram
 from rholoc.processes.child import ChildDied, ChildFailed, run_in_child

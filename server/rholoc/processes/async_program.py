@@ -10,12 +10,12 @@ from contextlib import suppress
 
 from rholoc.processes.program import BACKGROUND_NICENESS
 
-# It steps back before it imports anything, which is most of the work of a program that is soon given up.
+# It lowers its priority before it imports anything: imports are most of the work of a program that is soon cancelled.
 _NICED = "import os, runpy, sys; os.nice(int(sys.argv[2])); runpy.run_module(sys.argv[1], run_name='__main__')"
 
 
 class AsyncProgram:
-    """A Python module that runs as a niced process: a line of JSON asks it for something, its output answers."""
+    """A Python module that runs as a process of low priority: requests are lines of JSON, its output is the answer."""
 
     def __init__(self, process: asyncio.subprocess.Process) -> None:
         assert process.stdin is not None
@@ -30,7 +30,7 @@ class AsyncProgram:
 
         Args:
             module: a module's name.
-            collect_errors: whether :meth:`end` returns what it writes to its standard error; else that goes to ours.
+            collect_errors: whether :meth:`end` returns its standard error; otherwise that goes to ours.
         """
         pipe = asyncio.subprocess.PIPE
         errors = pipe if collect_errors else None
@@ -39,7 +39,7 @@ class AsyncProgram:
 
     @property
     def running(self) -> bool:
-        """Whether it has not ended."""
+        """Whether it is still running."""
         return self._process.returncode is None
 
     async def ask(self, request: Mapping[str, object]) -> None:
@@ -49,7 +49,7 @@ class AsyncProgram:
             await self._requests.drain()
 
     async def read(self, size: int, timeout_s: float) -> bytes:
-        """At most ``size`` bytes of its output, as soon as there are any; none at its end.
+        """Up to ``size`` bytes of its output, as soon as there are any; empty at its end.
 
         Raises:
             TimeoutError: there were none in time.
@@ -72,7 +72,7 @@ class AsyncProgram:
         return await self._process.wait(), errors
 
     async def kill(self) -> None:
-        """End it, if it has not ended by itself, and close its pipes; whoever reads finds its output at an end."""
+        """End it, if it is still running, and close its pipes; readers see the end of its output."""
         if self.running:
             with suppress(ProcessLookupError):
                 self._process.kill()

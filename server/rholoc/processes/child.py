@@ -1,4 +1,4 @@
-"""A function in a child process, so that native code can be killed and may crash without taking us along."""
+"""Runs a function in a child process, so that native code can be killed, or crash, without harm to this process."""
 
 from __future__ import annotations
 
@@ -77,22 +77,22 @@ def run_in_child(
 ) -> Result:
     """Call ``function(*args, listener)`` in a new process and return what it returns.
 
-    Function, arguments and result must be picklable. The process ends with this one, however that ends. When
-    ``progress`` or ``check`` raises, it is killed with all that it started, and the error passed on.
+    Function, arguments and result must be picklable. The process ends with this one, however that ends. If ``progress``
+    or ``check`` raises, it is killed with everything that it started, and the error is raised.
 
     Args:
         function: a module's function whose last parameter is a progress listener.
         args: its other arguments.
-        progress: hears here of the progress that the function reports, of every stage the latest, at most every
+        progress: called here with the progress that the function reports: the latest of each stage, at most every
             ``poll_s`` seconds.
         check: called every ``poll_s`` seconds.
         poll_s: see there.
         grace_s: how long the function may take to stop by itself after ``progress`` or ``check`` raised
             :class:`rholoc.errors.Cancelled`, which its listener then raises too.
-        limits: what the process may take; looked at every ``poll_s`` seconds.
+        limits: what the process may take; checked every ``poll_s`` seconds.
         niceness: added to this process's.
-        own_group: whether it leads a process group of its own, as limits of memory need.
-        quiet: whether what native libraries print is dropped.
+        own_group: whether it leads a process group of its own, which memory limits need.
+        quiet: whether the output of native libraries is discarded.
 
     Raises:
         RholocError: the function raised it.
@@ -135,10 +135,10 @@ def _follow(
     limits: Limits,
 ) -> _Returned | _Raised:
     """Wait for the answer, passing on progress."""
-    last_s = time.monotonic() + limits.time_s
+    deadline_s = time.monotonic() + limits.time_s
     while True:
         check()
-        alive = process.is_alive()  # asked first: what a dead process had sent is received below
+        alive = process.is_alive()  # checked first: what a dead process had sent is received below
         reports, answer = _receive(connection, time.monotonic() + poll_s)
         for report in reports:
             progress(report.stage, report.fraction, report.message)
@@ -146,14 +146,14 @@ def _follow(
             return answer
         if not alive:
             raise ChildDied(process.exitcode or 0)
-        if time.monotonic() > last_s:
+        if time.monotonic() > deadline_s:
             raise TimeLimitExceeded
         if process.pid is not None and group_memory_bytes(process.pid) > limits.memory_bytes:
             raise MemoryLimitExceeded
 
 
 def _receive(connection: Connection, until: float) -> tuple[list[_Progress], _Returned | _Raised | None]:
-    """What comes until the time given, of each stage the latest; or until the answer, as soon as it comes."""
+    """The latest progress of each stage that arrives until the time given, or until the answer; and the answer."""
     latest: dict[Stage, _Progress] = {}
     try:
         while connection.poll(max(0.0, until - time.monotonic())):
@@ -164,7 +164,7 @@ def _receive(connection: Connection, until: float) -> tuple[list[_Progress], _Re
             if time.monotonic() > until:
                 break
     except (EOFError, OSError):
-        time.sleep(_EXIT_TAKES_S)  # the process closed its end: it is about to be gone
+        time.sleep(_EXIT_TAKES_S)  # the process closed its end: it is about to exit
     return list(latest.values()), None
 
 
@@ -174,7 +174,7 @@ def _kill(process: SpawnProcess) -> None:
         return
     left = descendants(process.pid)
     with contextlib.suppress(ProcessLookupError, PermissionError):
-        # A group of its own holds also those whose parents have ended; without one, no group has this number.
+        # Its own group also includes processes whose parents have ended; without one, no group has this number.
         os.killpg(process.pid, signal.SIGKILL)
     process.kill()
     kill(left)
@@ -183,8 +183,8 @@ def _kill(process: SpawnProcess) -> None:
 
 
 def _main(connection: Connection, conditions: _Conditions, function: Callable[..., Any], args: tuple[Any, ...]) -> None:
-    """The child."""
-    signal.signal(signal.SIGTERM, signal.SIG_DFL)  # pycolmap's own handler may wait for itself for ever
+    """The child process."""
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)  # pycolmap's own handler may deadlock
     if conditions.own_group:
         os.setsid()
     os.nice(conditions.niceness)
@@ -193,7 +193,7 @@ def _main(connection: Connection, conditions: _Conditions, function: Callable[..
         _silence_native_code()
     listener = _Listener(connection)
     threading.Thread(target=_watch_parent, args=(connection, listener, conditions.own_group), daemon=True).start()
-    with contextlib.suppress(Cancelled):  # nobody is left to hear of it
+    with contextlib.suppress(Cancelled):  # there is nobody left to report it to
         listener.send(_answer(function, args, listener))
 
 
@@ -207,7 +207,7 @@ def _answer(function: Callable[..., Any], args: tuple[Any, ...], listener: Progr
 
 
 class _Listener:
-    """The function's progress listener: reports to the parent, and raises Cancelled when that wants no more."""
+    """The function's progress listener: reports to the parent, and raises Cancelled once the parent has cancelled."""
 
     def __init__(self, connection: Connection) -> None:
         self.cancelled = threading.Event()
@@ -233,7 +233,7 @@ class _Listener:
 
 
 def _watch_parent(connection: Connection, listener: _Listener, own_group: bool) -> None:
-    """Pass on the parent's wish to cancel; end with the parent, however it ends."""
+    """Pass on a cancellation by the parent; end with the parent, however it ends."""
     try:
         while True:
             connection.recv()
@@ -246,7 +246,7 @@ def _watch_parent(connection: Connection, listener: _Listener, own_group: bool) 
 
 
 def _silence_native_code() -> None:
-    """Native libraries print what they meet on the way; what matters comes back as an error."""
+    """Discard what native libraries print; what matters is raised as an error."""
     nowhere = os.open(os.devnull, os.O_WRONLY)
     for stream in (1, 2):
         os.dup2(nowhere, stream)

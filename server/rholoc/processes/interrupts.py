@@ -1,4 +1,4 @@
-"""SIGINT and SIGTERM while a command has processes to end."""
+"""SIGINT and SIGTERM in a command that has processes to end."""
 
 from __future__ import annotations
 
@@ -13,10 +13,11 @@ _INTERRUPTS = (signal.SIGINT, signal.SIGTERM)
 
 @contextmanager
 def interruptible() -> Iterator[None]:
-    """While it lasts, the first SIGINT or SIGTERM ends this process by way of every ``finally``; later ones wait.
+    """Within the block, the first SIGINT or SIGTERM raises KeyboardInterrupt, so that every ``finally`` runs; later
+    ones are ignored.
 
-    Python leaves SIGTERM to the system, and SIGINT too where whoever started it had that ignored. Within another one it
-    changes nothing.
+    By default Python leaves SIGTERM to the system, and SIGINT too if the process was started with it ignored. Nested
+    blocks change nothing.
     """
     if _interrupt in (signal.getsignal(number) for number in _INTERRUPTS):
         yield
@@ -37,9 +38,9 @@ def _interrupt(_signal: int, _frame: FrameType | None) -> None:
 
 @contextmanager
 def interrupts_deferred() -> Iterator[None]:
-    """SIGINT and SIGTERM act when the block is left: one that came while a process starts would lose track of it.
+    """Defer SIGINT and SIGTERM to the end of the block: an interrupt while a process starts would lose track of it.
 
-    Only the main thread is ever interrupted; in others it changes nothing.
+    Only the main thread is ever interrupted; in other threads this changes nothing.
     """
     if threading.current_thread() is not threading.main_thread():
         yield

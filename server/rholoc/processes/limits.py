@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 _CONTAINER_MEMORY = Path("/sys/fs/cgroup/memory.max")
-_RESERVED_BYTES = 2**30  # that libraries and threads reserve and never touch
+_RESERVED_BYTES = 2**30  # address space that libraries and threads reserve and never touch
 
 
 @dataclass(frozen=True)
@@ -18,7 +18,7 @@ class Limits:
 
     Attributes:
         time_s: how long it may run.
-        memory_bytes: how much memory it and the processes that it starts may hold together; watched on Linux alone.
+        memory_bytes: how much memory it and the processes that it starts may hold together; enforced on Linux only.
     """
 
     time_s: float = math.inf
@@ -26,7 +26,7 @@ class Limits:
 
 
 class LimitExceeded(Exception):
-    """A process took more than it may, and was killed."""
+    """A process exceeded a limit, and was killed."""
 
 
 class TimeLimitExceeded(LimitExceeded):
@@ -48,7 +48,7 @@ def machine_memory_bytes() -> float:
 
 
 def limit_own_memory(memory_bytes: float) -> None:
-    """Make one large allocation fail at once; slow growth is for whoever watches this process."""
+    """Make a single too large allocation fail at once; the parent process watches for slow growth."""
     if math.isfinite(memory_bytes):
         _, hard = resource.getrlimit(resource.RLIMIT_DATA)
         soft = int(memory_bytes) + _RESERVED_BYTES

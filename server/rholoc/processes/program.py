@@ -1,4 +1,4 @@
-"""A ``python -m`` program beside this one, which ends it with all that it started."""
+"""A ``python -m`` program as a child process, which is ended with everything that it started."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from typing import IO
 from rholoc.processes.interrupts import interrupts_deferred
 from rholoc.processes.tree import descendants, kill
 
-BACKGROUND_NICENESS = 10  # of what has time: requests of localization come first
+BACKGROUND_NICENESS = 10  # for work that is not urgent: localization requests come first
 
 
 class Program:
-    """A Python module that runs as a process. It leads a session of its own: Ctrl-C reaches only whoever started it.
+    """A Python module that runs as a process. It leads its own session, so that Ctrl-C only reaches its parent.
 
     Args:
-        module: what ``python -m`` runs.
+        module: the module for ``python -m``.
         arguments: of its command line.
-        first_input: what it finds on its standard input, which then stays open: its end asks the program to end.
+        first_input: written to its standard input, which then stays open: closing it asks the program to end.
         stdout: as for :class:`subprocess.Popen`.
         stderr: likewise.
     """
@@ -43,7 +43,7 @@ class Program:
         )
         if first_input is not None:
             assert self._process.stdin is not None
-            with suppress(BrokenPipeError):  # it has died already
+            with suppress(BrokenPipeError):  # it has already died
                 self._process.stdin.write(first_input)
                 self._process.stdin.flush()
 
@@ -54,23 +54,23 @@ class Program:
 
     @property
     def running(self) -> bool:
-        """Whether it has not ended."""
+        """Whether it is still running."""
         return self._process.poll() is None
 
     def wait(self) -> tuple[int, str]:
-        """Wait for its end; returns its exit status and, where that is a pipe, what it wrote to its standard error."""
+        """Wait for its end; returns its exit status and, if that is a pipe, its standard error."""
         _, errors = self._process.communicate()
         return self._process.returncode, (errors or b"").decode(errors="replace")
 
     def stop(self, grace_s: float = 0.0) -> None:
-        """Ask the program to end; kill what is left of it, and of what it started, after ``grace_s`` seconds."""
-        left = set(descendants(self.pid))  # asked while the program lives: it is what holds them together
+        """Ask the program to end; after ``grace_s`` seconds, kill what is left of it and of what it started."""
+        left = set(descendants(self.pid))  # while the program lives: afterwards they can no longer be found
         if grace_s > 0 and self.running:
             self._ask_to_end()
             with suppress(subprocess.TimeoutExpired):
                 self._process.wait(grace_s)
             left.update(descendants(self.pid))
-        self._process.kill()  # first, or it would start others again
+        self._process.kill()  # first, or it could start others again
         kill(left)
         self._process.wait()
         for stream in (self._process.stdin, self._process.stdout, self._process.stderr):
@@ -94,7 +94,7 @@ def running_program(
     stdout: int | IO[bytes] | None = None,
     stderr: int | IO[bytes] | None = None,
 ) -> Iterator[Program]:
-    """A :class:`Program` while the block lasts; an interrupt that comes as it starts waits until it can be stopped."""
+    """A :class:`Program` for the duration of the block; an interrupt while it starts is deferred until it runs."""
     program: Program | None = None
     try:
         with interrupts_deferred():
@@ -106,7 +106,7 @@ def running_program(
 
 
 def call_when_input_ends(end: Callable[[], object]) -> None:
-    """Call a function in a thread once the standard input ends: whoever started this program stopped it, or died."""
+    """Call a function in a thread once the standard input ends: the parent has stopped this program, or died."""
 
     def wait() -> None:
         while sys.stdin.buffer.read(1):

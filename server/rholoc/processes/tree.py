@@ -1,4 +1,4 @@
-"""The processes of this machine: who started whom, and how much memory they hold. Empty where there is no /proc."""
+"""The processes of this machine: their parents, and how much memory they hold. Empty where there is no /proc."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def group_memory_bytes(group: int) -> int:
 
 
 def kill(pids: Iterable[int]) -> None:
-    """Kill processes; those that have ended already are passed over."""
+    """Kill processes; those that have already ended are skipped."""
     for pid in pids:
         with suppress(ProcessLookupError):
             os.kill(pid, signal.SIGKILL)

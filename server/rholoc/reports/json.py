@@ -40,7 +40,7 @@ def report_to_json(value: Any) -> Any:
 
 
 def report_from_json(kind: type[Report], value: Any) -> Report:
-    """The report that :func:`report_to_json` made JSON of; members that are not known are left out.
+    """The report from which :func:`report_to_json` made this JSON; unknown members are ignored.
 
     Raises:
         ValueError: a member is missing or of another type; names it.

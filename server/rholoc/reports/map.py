@@ -13,12 +13,12 @@ class CoverageReport:
     """How many landmarks a camera would see, by position and heading.
 
     Attributes:
-        share_sufficient: of all positions and headings, those that see enough landmarks to localize.
-        positions_sufficient: of all positions, those where some heading does.
+        share_sufficient: the share of positions and headings that see enough landmarks to localize.
+        positions_sufficient: the share of positions where some heading does.
         median: landmarks in view, over positions and headings.
         sufficient: how many landmarks are enough.
         origin: (3,) the position of cell (0, 0), metres, map frame.
-        axes: (2, 3) unit vectors along which a cell's first and second number count.
+        axes: (2, 3) unit vectors of a cell's first and second index.
         step: between cells, metres.
         pitch_deg: how far the camera looks above the plane.
         headings_deg: (H,) from the first axis towards the second.
@@ -134,10 +134,10 @@ class MapReport:
         landmark_sigma_median_m, landmark_sigma_p90_m: the landmarks' largest standard deviations along an axis.
         coverage: where the map works.
         held_out: how consistent it is.
-        expected_error: how wrong it expects to be.
+        expected_error: how far it expects to be off.
         trajectories: of the recordings that it was built from.
         coaching: about the same recordings.
-        learned: what it learned or forgot since, by version.
+        learned: what it has learned or forgotten since, by version.
     """
 
     features: int | None = None

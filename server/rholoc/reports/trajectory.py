@@ -32,7 +32,7 @@ class ImuReport:
     """How the IMU relates to the camera, and what its accelerometer measured.
 
     Attributes:
-        not_observable: what could not be found out, and why.
+        not_observable: what could not be estimated, and why.
         time_offset_s: what to add to a frame's time to get the IMU's.
         time_offset_sigma_s: its standard deviation.
         gyro_bias_rad_per_s: (3,).
@@ -40,12 +40,12 @@ class ImuReport:
         R_camera_imu: (3, 3) the mounting.
         R_camera_imu_contradicts_recording: whether the recording stated another mounting.
         mounting_sigma_deg: the mounting's standard deviation.
-        rotation_residual_deg: how far camera and gyroscope turn apart from keyframe to keyframe, median.
+        rotation_residual_deg: the median angle between camera's and gyroscope's rotation from keyframe to keyframe.
         frames_contradicted: frames that were dropped because the gyroscope contradicts their rotation.
         scale_sigma: the relative standard deviation of the scale.
         up_sigma_deg: the standard deviation of the upward direction.
         accelerometer_bias_m_s2: (3,).
-        lever_m: (3,) the IMU's place in the camera's axes.
+        lever_m: (3,) the IMU's position in the camera's axes.
         acceleration_residual_m_s2: the accelerations' median residual.
         accelerometer_scale: what the accelerometer reads for one m/s², by gravity's length.
     """
@@ -70,7 +70,7 @@ class ImuReport:
 
 @dataclass(frozen=True)
 class InertialComparison:
-    """How far the IMU integrated between waypoints is from the trajectory.
+    """How far the IMU's motion, integrated between waypoints, is from the trajectory.
 
     Attributes:
         why: one line on why there is no comparison, where there is none.
@@ -93,7 +93,7 @@ class MissingSpan:
 
     Attributes:
         start_s, end_s: seconds from the start of the recording.
-        why: what they show instead, to follow them in a sentence: "shows a blank wall".
+        why: what they show instead, as it continues a sentence: "shows a blank wall".
     """
 
     start_s: float
@@ -112,7 +112,7 @@ class TrajectoryReport:
         why: one line: which checks failed, or why the poses are trusted.
         up: one line on what fixes the upward direction.
         scale: one line on what fixes the scale.
-        keyframes: how many were to be placed.
+        keyframes: how many were chosen.
         landmarks: points of the reconstruction.
         reprojection_error_px: their mean.
         loop_pairs: pairs of keyframes, far apart in time, that show the same place.
@@ -124,9 +124,9 @@ class TrajectoryReport:
         inertial: the comparison with the integrated IMU.
         waypoints_tilt_deg: between the waypoints' z axis and the measured upward direction.
         waypoint_times_s: when the camera was at each waypoint, by name.
-        waypoint_residuals_m: how far the trajectory misses each waypoint; None for one that was left out.
+        waypoint_residuals_m: how far the trajectory misses each waypoint; None for one that was not used.
         waypoint_mistake: one line on a waypoint that contradicts all others.
-        waypoint_sigmas: how far each waypoint is from where all else has it, in standard deviations of the two.
+        waypoint_sigmas: how far each waypoint is from where everything else has it, in standard deviations of the two.
         expected_error_m: of the positions, by the adjustment's covariance: the median over the frames.
         expected_error_deg: of the rotations, likewise.
         missing: the seconds that could not be placed, and why.

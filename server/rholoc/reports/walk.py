@@ -22,12 +22,12 @@ class WarningKind(StrEnum):
     LOW_IMU_RATE = "low_imu_rate"
     IMU_GAP = "imu_gap"
     FRAME_GAP = "frame_gap"
-    REPEATED_TIMES = "repeated_times"  # rows or frames whose time does not advance, left out
+    REPEATED_TIMES = "repeated_times"  # rows or frames whose time does not advance; they are ignored
     FRAME_COUNT = "frame_count"  # the video and its table of times differ
     NO_OVERLAP = "no_overlap"  # the IMU does not cover the frames
     SCALE_UNKNOWN = "scale_unknown"  # the poses' unit of length is not stated
     CAMERA_UNSUPPORTED = "camera_unsupported"  # intrinsics of a model that is not pinhole
-    NOT_USED = "not_used"  # something in the recording that is left aside
+    NOT_USED = "not_used"  # something in the recording that is ignored
     NO_IMAGES = "no_images"  # times of frames without the frames
 
 
@@ -73,16 +73,16 @@ class Advice:
 
 @dataclass(frozen=True)
 class WalkFigures:
-    """What was measured of a walk; None where nothing could be.
+    """What was measured about a walk; None where it could not be.
 
     Attributes:
-        turn_deg_s: the speed of turning, degrees a second, that is exceeded in a tenth of the walk.
+        turn_deg_s: the turning speed, degrees a second, that is exceeded in a tenth of the walk.
         brightness: the median over frames of their mean grey level, 0 to 255.
         bare_share: the share of frames that show too few corners.
         pauses: how many of the waypoints were rested at, where there are waypoints and an IMU.
         waypoints: how many waypoints there are.
-        nearest_return: how near the second half of the walk comes to the first, as a share of the way between; small
-            where the walk closes a loop, 1 where it is straight.
+        nearest_return: how near the second half of the walk comes to the first, as a share of the distance walked in
+            between; small where the walk closes a loop, 1 where it is straight.
     """
 
     turn_deg_s: float | None = None

@@ -21,24 +21,24 @@ from starlette.types import Scope as RequestScope
 from rholoc.service.errors import Forbidden
 from rholoc.service.keys import ApiKey, Scope
 
-_KEY = "api_key"  # by which key
-_GRANTED = "granted"  # where the guard leaves what the request's key allows
-_FOUND = "found_route"  # and the route that it found
+_KEY = "api_key"  # members of a request's state: its key,
+_GRANTED = "granted"  # what the key allows,
+_FOUND = "found_route"  # and its route
 _bearer = HTTPBearer(
     scheme_name="ApiKey",
-    description="A key from `rholoc key create`. A server that listens on its own machine alone needs none.",
+    description="A key from `rholoc key create`. A server that only listens on its own machine needs none.",
     auto_error=False,
 )
 
 
 def grant(request_scope: RequestScope, scope: Scope, key: ApiKey | None = None) -> None:
-    """Note what a request may do, and the key that says so; None where none is needed."""
+    """Record what a request may do, and its key: None where no key is needed."""
     state = request_scope.setdefault("state", {})
     state[_GRANTED], state[_KEY] = scope, key
 
 
 def granted_key(request: Request) -> tuple[Scope, float | None, bool]:
-    """What a request may do, until when (seconds since the epoch; None: for ever), and whether that needed a key."""
+    """What a request may do, until when (seconds since the epoch; None: forever), and whether a key was required."""
     key: ApiKey | None = getattr(request.state, _KEY, None)
     return getattr(request.state, _GRANTED), None if key is None else key.expires, key is not None
 
@@ -50,7 +50,7 @@ def found_route(request_scope: RequestScope) -> RouteAccess | None:
 
 
 def forbidden(held: Scope, needed: Scope) -> Forbidden:
-    """The error of a key whose scope is too small."""
+    """The error for a key whose scope is too small."""
     return Forbidden(
         f"This API key may not do that: its scope is {held}, and {needed} is needed.", "Use a key of that scope."
     )
@@ -59,10 +59,10 @@ def forbidden(held: Scope, needed: Scope) -> Forbidden:
 def check_granted(
     request: Request, needed: SecurityScopes, _key: Annotated[HTTPAuthorizationCredentials | None, Security(_bearer)]
 ) -> None:
-    """The dependency of every route that needs a key: whatever runs was let in by the guard for its own scopes.
+    """The dependency of every route that needs a key: makes sure that the guard granted the route's scopes.
 
     Raises:
-        Forbidden: it was not.
+        Forbidden: it did not.
     """
     held: Scope | None = getattr(request.state, _GRANTED, None)
     for scope in map(Scope, needed.scopes):
@@ -82,7 +82,7 @@ def check_stream_granted(socket: WebSocket, needed: SecurityScopes) -> None:
     """As :func:`check_granted`, for a WebSocket.
 
     Raises:
-        Forbidden: it was not let in.
+        Forbidden: the scopes were not granted.
     """
     held: Scope | None = getattr(socket.state, _GRANTED, None)
     for scope in map(Scope, needed.scopes):
@@ -100,7 +100,7 @@ _CHECKS = (check_granted, check_stream_granted)
 
 
 def undeclared() -> Forbidden:
-    """The error of a route without a declaration: a mistake in the service, and harmless."""
+    """The error for a route without a declaration: a bug in the service, which exposes nothing."""
     return Forbidden("This route does not declare who may use it.", "Report this to whoever runs the service.")
 
 
@@ -121,7 +121,7 @@ class RouteAccess:
 
     Attributes:
         path: as in OpenAPI, with ``{parameters}``.
-        methods: those that the route takes.
+        methods: the HTTP methods that it supports.
         access: None where the route declares nothing.
         query: the names of its query parameters.
         parses_body: whether the framework reads and parses its body.
@@ -141,7 +141,7 @@ class FoundRoute:
 
     Attributes:
         route: the route that takes it, or None.
-        methods: what the path's routes take, where none takes the request's method; empty where no route has the path.
+        methods: those that the path supports, if the request's is not one of them; empty if no route has the path.
     """
 
     route: RouteAccess | None
@@ -149,12 +149,12 @@ class FoundRoute:
 
 
 def route_access(routes: Sequence[BaseRoute]) -> list[RouteAccess]:
-    """All routes, also those of included routers, in the order in which they are tried."""
+    """All routes, including those of included routers, in the order in which they are tried."""
     return [_route_access(context) for context in iter_route_contexts(routes)]
 
 
 def find_route(routes: Sequence[RouteAccess], request_scope: RequestScope) -> FoundRoute:
-    """The first route that takes a request's path and method; noted, so that :func:`found_route` returns it."""
+    """The first route for a request's path and method; recorded, so that :func:`found_route` returns it."""
     methods: frozenset[str] = frozenset()
     for route in routes:
         match, _ = route.context.matches(request_scope)

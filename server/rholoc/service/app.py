@@ -1,4 +1,4 @@
-"""The application: parts put together, errors given their shape."""
+"""The application: assembles the parts and turns errors into responses."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ from rholoc.service.errors import (
 )
 from rholoc.service.exports import Exports
 from rholoc.service.guard import Guard, SecurityHeaders
-from rholoc.service.housekeeping import keep_house
+from rholoc.service.housekeeping import clean_up_regularly
 from rholoc.service.job_events import JobEvents
 from rholoc.service.json_bodies import JsonBodies
 from rholoc.service.keys import KeyStore
@@ -51,7 +51,7 @@ from rholoc.service.state import State
 from rholoc.service.stream_count import OpenStreams
 from rholoc.service.tus import Tus
 
-_BODIES_AT_ONCE = 8  # of the largest that are allowed
+_BODIES_AT_ONCE = 8  # of the largest size allowed
 
 _DESCRIPTION = """\
 One walk with a phone makes a **map**; then any camera in that room posts a frame and gets back where it is and where it
@@ -70,11 +70,11 @@ def create_app(settings: Settings | None = None) -> FastAPI:
         app.state.rholoc = state = _start(settings, metrics)
         if state.worker is not None:
             state.worker.start()
-        house = asyncio.create_task(keep_house(state))
+        cleanup = asyncio.create_task(clean_up_regularly(state))
         try:
             yield
         finally:
-            house.cancel()
+            cleanup.cancel()
             if state.worker is not None:
                 state.worker.stop()
             state.compute.close()

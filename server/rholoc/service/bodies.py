@@ -54,11 +54,11 @@ async def limited_stream(request: Request, max_bytes: int) -> AsyncIterator[byte
 
 
 class HeldBodies:
-    """How much memory the bodies that are being read, or worked on, take together.
+    """Limits the memory that the bodies of all requests in progress take together.
 
     Args:
-        max_bytes: how much they may, beyond what each may in any case.
-        free_bytes: what each may in any case: as much as a camera's frame has.
+        max_bytes: the limit on what the bodies take beyond ``free_bytes`` each.
+        free_bytes: how much of each body does not count: about the size of a camera's frame.
     """
 
     def __init__(self, max_bytes: int, free_bytes: int = _FRAME_BYTES) -> None:
@@ -67,10 +67,10 @@ class HeldBodies:
 
     @contextmanager
     def hold(self) -> Iterator[PieceListener]:
-        """For as long as one body is needed; what it yields is shown each piece, in the event loop.
+        """Count one body for as long as it is needed. Call what this yields with each piece, in the event loop.
 
         Raises:
-            Busy: by the call of what is yielded: all that may be held is.
+            Busy: from that call, once the limit is reached.
         """
         length = taken = 0
 
@@ -89,11 +89,11 @@ class HeldBodies:
             self._left += taken
 
 
-async def read_body(request: Request, max_bytes: int, look: PieceListener = lambda _: None) -> bytes:
-    """The whole body; ``look`` is shown each piece as it comes. Raises as :func:`limited_stream` and it do."""
+async def read_body(request: Request, max_bytes: int, on_piece: PieceListener = lambda _: None) -> bytes:
+    """The whole body; calls ``on_piece`` with each piece as it arrives. Raises as it and :func:`limited_stream` do."""
     chunks = []
     async for chunk in limited_stream(request, max_bytes):
-        look(chunk)
+        on_piece(chunk)
         chunks.append(chunk)
     return b"".join(chunks)
 
@@ -114,7 +114,7 @@ class _Part:
 
 @dataclass
 class _Event:
-    """What the parser came upon: the start of a part (no data), or some of its data."""
+    """An event of the parser: the start of a part (no data), or some of its data."""
 
     part: _Part
     data: bytes
@@ -198,12 +198,12 @@ class _Parts:
 
 
 async def read_multipart(
-    request: Request, max_bytes: int, max_files: int, write: FileSink, look: PieceListener = lambda _: None
+    request: Request, max_bytes: int, max_files: int, write: FileSink, on_piece: PieceListener = lambda _: None
 ) -> dict[str, str]:
-    """Read a multipart body: files go to ``write`` as they come, the text fields are returned.
+    """Read a multipart body: passes files to ``write`` as they arrive, and returns the text fields.
 
     ``write`` takes a part's name, its filename and its next piece, the first of which is empty. It runs in a thread.
-    ``look`` is shown each piece of the body.
+    ``on_piece`` is called with each piece of the body.
 
     Raises:
         InvalidRequest: the body is malformed, incomplete, or has too many or too long text fields.
@@ -217,7 +217,7 @@ async def read_multipart(
     parts = _Parts(boundary, max_files + _MAX_FIELDS)
     fields: dict[str, bytearray] = {}
     async for chunk in limited_stream(request, max_bytes):
-        look(chunk)
+        on_piece(chunk)
         events = await run_in_threadpool(parts.feed, chunk)  # many small parts take a while
         files = [event for event in events if event.part.filename is not None]
         if files:

@@ -1,7 +1,7 @@
 """HTTPS without a domain: a certificate for this machine's addresses, signed by an authority of its own.
 
-Browsers give camera and motion sensors to pages over HTTPS only. The authority is made once and kept, so that a phone
-that was told to trust it trusts every later certificate too, whatever address the machine then has.
+Browsers give camera and motion sensors to pages over HTTPS only. The authority is created once and kept, so that a
+phone that trusts it also trusts later certificates, whatever address the machine then has.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ from rholoc.maps.files import replace_file
 _FOLDER = "tls"
 _LIFETIME = timedelta(days=397)  # browsers refuse certificates that live much longer
 _RENEWED_BEFORE = timedelta(days=30)
-_CLOCK_DIFFERENCE = timedelta(days=1)  # of a phone whose clock is behind
+_CLOCK_DIFFERENCE = timedelta(days=1)  # for phones whose clock is behind
 _ORGANIZATION = "rholoc"
-_SOMEWHERE = (
+_PROBED_ADDRESSES = (
     ("192.0.2.1", socket.AF_INET),
     ("2001:db8::1", socket.AF_INET6),
-)  # documentation addresses: routed, never met
+)  # documentation addresses: they have a route, and nobody behind it
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class Certificate:
 def addresses() -> tuple[str, ...]:
     """The addresses under which other devices may reach this machine, the likeliest first; no packet is sent."""
     found: list[str] = []
-    for target, family in _SOMEWHERE:
+    for target, family in _PROBED_ADDRESSES:
         with suppress(OSError), socket.socket(family, socket.SOCK_DGRAM) as probe:
             probe.connect((target, 9))
             found.append(probe.getsockname()[0])
@@ -56,11 +56,11 @@ def addresses() -> tuple[str, ...]:
 
 
 def server_certificate(data_dir: Path, names: tuple[str, ...]) -> Certificate:
-    """A certificate for ``names``, host names and addresses: the one that is kept, or a new one where that lacks a name
-    or ends within a month.
+    """A certificate for ``names``, host names and addresses: the stored one, or a new one if that lacks a name or
+    expires within a month.
 
     Raises:
-        InvalidInput: what is kept is damaged.
+        InvalidInput: the stored files are damaged.
         StorageFull: the disk is full.
     """
     folder = Path(data_dir) / _FOLDER

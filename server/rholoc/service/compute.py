@@ -1,4 +1,4 @@
-"""Bounded pools of threads for work that keeps a core busy: what takes long does not stand before what does not."""
+"""Bounded thread pools for CPU-bound work, in which short work never waits for long work."""
 
 from __future__ import annotations
 
@@ -23,29 +23,29 @@ _T = TypeVar("_T")
 _SMOOTHING = 0.2  # weight of the newest duration in the running mean
 _FIRST_GUESS_S = 0.2
 _CLOSE_TIMEOUT_S = 5.0
-_BUSY_AFTER_S = 0.1  # who sends a frame after the other is at work between them, too
+_BUSY_AFTER_S = 0.1  # between the frames of a client that sends one after another, the pool still counts as busy
 _NICENESS = 5  # of large work; more would let it hold the interpreter while it waits for a core
 _THREADS = "rholoc-compute"
 
 
 class Effort(Enum):
-    """How long work takes, as far as one can tell before it is done."""
+    """How long work is expected to take."""
 
-    ORDINARY = auto()  # as a camera's frame
+    ORDINARY = auto()  # like one camera frame
     LARGE = auto()  # many times that
 
 
 class ComputePool:
-    """Runs at most ``concurrency`` functions of either effort at a time; at most ``queue_length`` more of either wait.
+    """Runs up to ``concurrency`` functions of each effort at a time; up to ``queue_length`` more of each may wait.
 
     Large work has threads and a queue of its own, one thread fewer where there are several: however much of it there
-    is, ordinary work waits for none of it and has a core left. Used from the event loop's thread alone.
+    is, ordinary work never waits for it and has a core left. Use it from the event loop's thread only.
     """
 
     def __init__(self, concurrency: int, queue_length: int) -> None:
         self._lanes = {
             Effort.ORDINARY: _Lane(_THREADS, concurrency, queue_length, _keep_to_one_core),
-            Effort.LARGE: _Lane(f"{_THREADS}-large", max(1, concurrency - 1), queue_length, _step_back),
+            Effort.LARGE: _Lane(f"{_THREADS}-large", max(1, concurrency - 1), queue_length, _lower_priority),
         }
 
     @property
@@ -64,24 +64,24 @@ class ComputePool:
         return self._lanes[Effort.ORDINARY].full
 
     def check_room(self, effort: Effort) -> None:
-        """Refuse what would be refused, before anything is done for it. Raises Busy as :meth:`run` does."""
+        """Raise Busy if :meth:`run` would, before any work is done for a request."""
         self._lanes[effort].check_room()
 
     async def run(self, work: Callable[[], _T], effort: Effort = Effort.ORDINARY) -> _T:
-        """The result of ``work()``, computed in a thread. Who is cancelled while waiting leaves the queue.
+        """The result of ``work()``, computed in a thread. A call that is cancelled while it waits leaves the queue.
 
         Raises:
-            Busy: as many calls wait as may.
+            Busy: the queue is full.
         """
         return await self._lanes[effort].run(work)
 
     def close(self) -> None:
-        """Take no more, and wait for running work; but not long, for nobody waits for its result any more."""
+        """Accept no more work, and wait a few seconds for what is running: nobody needs its result any more."""
         for lane in self._lanes.values():
             lane.close()
-        last_s = time.monotonic() + _CLOSE_TIMEOUT_S
+        deadline_s = time.monotonic() + _CLOSE_TIMEOUT_S
         for thread in compute_threads():
-            thread.join(max(0.0, last_s - time.monotonic()))
+            thread.join(max(0.0, deadline_s - time.monotonic()))
 
 
 def compute_threads() -> list[threading.Thread]:
@@ -90,7 +90,7 @@ def compute_threads() -> list[threading.Thread]:
 
 
 class _Lane:
-    """A queue and its threads. Its counters need no lock, for only the event loop's thread uses them."""
+    """A queue and its threads. Its counters need no lock, because only the event loop's thread uses them."""
 
     def __init__(self, name: str, concurrency: int, queue_length: int, prepare: Callable[[], None]) -> None:
         self._executor = ThreadPoolExecutor(concurrency, thread_name_prefix=name, initializer=prepare)
@@ -137,18 +137,18 @@ class _Lane:
 
 
 def _from_thread(loop: asyncio.AbstractEventLoop, function: Callable[[], None]) -> None:
-    with suppress(RuntimeError):  # the loop is closed: nobody counts any more
+    with suppress(RuntimeError):  # the loop is closed: the counters no longer matter
         loop.call_soon_threadsafe(function)
 
 
 def _keep_to_one_core() -> None:
-    """Requests run beside each other; were each to spread over all cores too, they would wait for one another."""
-    faiss.omp_set_num_threads(1)  # OpenMP keeps this for each thread apart
+    """Requests run in parallel; if each also used all cores, they would wait for one another."""
+    faiss.omp_set_num_threads(1)  # OpenMP keeps this setting per thread
     cv2.setNumThreads(1)
 
 
-def _step_back() -> None:
+def _lower_priority() -> None:
     """As :func:`_keep_to_one_core`; and where cores are few, ordinary work gets them first."""
     _keep_to_one_core()
-    if sys.platform == "linux":  # where each thread has a priority of its own
+    if sys.platform == "linux":  # which has priorities per thread
         os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), _NICENESS)

@@ -1,4 +1,4 @@
-"""Connections of clients that send slowly, or nothing: given up, so that they cannot hold all there are."""
+"""Closes connections of clients that send slowly or nothing at all, so that they cannot take up all connections."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from rholoc.service.errors import RequestTimeout, error_body, error_headers, sta
 
 _HEAD_TIMEOUT_S = 20.0  # for a request's line and headers
 _LEAST_BYTES_PER_S = 500.0  # of a body, on average
-_LEFTOVER_BYTES_PER_S = 4e6  # of a body that was refused before it had come: reading it costs the others
+_LEFTOVER_BYTES_PER_S = 4e6  # of a body that was refused before it arrived: reading it slows the others down
 _RETRY_AFTER_S = 5.0
 _STREAMED_BYTES = 8 * 2**20  # of one message of a WebSocket
 
@@ -26,8 +26,8 @@ class PatientProtocol(H11Protocol):
     """Uvicorn's HTTP/1.1, which closes a connection whose request's head does not arrive in time.
 
     Uvicorn itself closes connections that are silent between requests, but not those that send a byte now and then.
-    Where there are too many connections, a new one takes the place of that which has been waiting for a request
-    longest; where each of them has one, the new one is answered with `busy`.
+    At the limit of connections, a new one replaces the one that has been idle for longest; if none is idle, the new one
+    is answered with `busy`.
     """
 
     head_timeout_s = _HEAD_TIMEOUT_S
@@ -51,7 +51,7 @@ class PatientProtocol(H11Protocol):
         waiting = [one for one in others if one.cycle is None or one.cycle.response_complete]
         if waiting:
             oldest = min(waiting, key=lambda one: one._waiting_since_s)
-            self.connections.discard(oldest)  # at once: many may come before it hears of its end
+            self.connections.discard(oldest)  # at once: many may come before its connection_lost is called
             oldest.transport.close()
         else:
             self.transport.write(_full_answer())
@@ -61,7 +61,7 @@ class PatientProtocol(H11Protocol):
         super().data_received(data)
         self._watch_head()
         answered = self.cycle is not None and self.cycle.response_complete
-        if answered and self.conn.their_state is h11.SEND_BODY:  # refused: what still comes is read for politeness
+        if answered and self.conn.their_state is h11.SEND_BODY:  # refused: the rest is read, slowly, and dropped
             self.transport.pause_reading()
             self.loop.call_later(len(data) / _LEFTOVER_BYTES_PER_S, self.transport.resume_reading)
 
@@ -88,7 +88,7 @@ class PatientProtocol(H11Protocol):
 
 
 def _full_answer() -> bytes:
-    """An answer for a connection whose request was not read."""
+    """The response to a connection whose request is not read."""
     error = Busy("The service has reached its limit of connections.", "Try again after Retry-After.", _RETRY_AFTER_S)
     body = json.dumps(error_body(error, uuid.uuid4().hex)).encode()
     headers = {"Content-Type": "application/json", "Content-Length": len(body), **error_headers(error)}
@@ -97,13 +97,13 @@ def _full_answer() -> bytes:
 
 
 def protocol_of(max_connections: int) -> type[PatientProtocol]:
-    """The protocol for a server that holds so many connections."""
+    """The protocol for a server with this limit of connections."""
     return type("PatientProtocol", (PatientProtocol,), {"max_connections": max_connections})
 
 
 def websocket_options(max_request_bytes: int) -> dict[str, Any]:
-    """Uvicorn's options for WebSockets: how long a message may be, and that none is packed, for what unpacks may be a
-    bomb."""
+    """Uvicorn's options for WebSockets: a limit on messages, and no compression, since a small compressed message may
+    expand to a huge one."""
     return {
         "ws": "websockets-sansio",
         "ws_max_size": min(max_request_bytes, _STREAMED_BYTES),
@@ -112,11 +112,11 @@ def websocket_options(max_request_bytes: int) -> dict[str, Any]:
 
 
 class SlowBodies:
-    """ASGI middleware: a body that stops coming, or trickles, ends its request.
+    """ASGI middleware that ends requests whose body stalls or trickles in.
 
     Args:
         app: what reads the bodies.
-        silence_s: how long nothing may come, and how far a body may be behind 500 bytes a second.
+        silence_s: how long nothing may arrive, and how far a body may lag behind 500 bytes a second.
     """
 
     def __init__(self, app: ASGIApp, silence_s: float) -> None:
@@ -137,7 +137,7 @@ class SlowBodies:
         async def receive_in_time() -> Message:
             nonlocal waited_s, received, whole
             if whole:
-                return await receive()  # which waits for the client to leave
+                return await receive()  # which waits for the client to disconnect
             begun = time.monotonic()
             try:
                 async with asyncio.timeout(self._silence_s):

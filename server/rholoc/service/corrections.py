@@ -1,4 +1,4 @@
-"""Corrections as they are sent, done to a map."""
+"""Applies corrections, as a client sends them, to a map."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ from rholoc.service.schemas import (
     WallIn,
 )
 
-_FARTHEST_M = 1e6  # a number beyond it is no place
+_FARTHEST_M = 1e6  # coordinates beyond it are refused
 
 
 def corrected_map(map_: Map, wanted: CorrectionIn) -> Map:
     """The map's next version.
 
     Raises:
-        Conflict: the map is another version by now, or the correction does not fit it.
+        Conflict: the map has another version by now, or the correction does not fit it.
         InvalidInput: the correction makes no sense.
     """
     if wanted.version not in (None, map_.info.version):
@@ -79,7 +79,7 @@ def _vector(numbers: list[float] | list[list[float]]) -> FloatArray:
     """Coordinates as an array.
 
     Raises:
-        InvalidInput: one is absurd.
+        InvalidInput: one is out of range.
     """
     array = np.array(numbers, dtype=np.float64)
     if not np.all(np.abs(array) <= _FARTHEST_M):

@@ -1,6 +1,6 @@
 """Errors over HTTP: one shape, stable codes, never a traceback.
 
-Every error of :mod:`rholoc.errors` has a status here; what HTTP itself adds is :class:`HttpError`.
+Every error of :mod:`rholoc.errors` has a status here; errors that only exist over HTTP are :class:`HttpError`.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from rholoc.errors import Busy, RholocError, StorageFull, StorageUnavailable
 
 
 class HttpError(RholocError):
-    """What only HTTP knows of."""
+    """An error that only exists over HTTP."""
 
     code = "http_error"
 
@@ -82,13 +82,13 @@ class UnsupportedVersion(HttpError):
 
 
 class ChecksumMismatch(HttpError):
-    """The bytes that came are not those that were sent; none of them is kept."""
+    """The bytes that arrived are not those that were sent; none of them are kept."""
 
     code = "checksum_mismatch"
 
 
 class Internal(HttpError):
-    """The service met an error of its own; its log has it under the request id."""
+    """The service itself failed; its log has the details under the request id."""
 
     code = "internal"
 
@@ -120,8 +120,8 @@ STATUS: Mapping[type[RholocError], int] = {
 
 TUS_VERSION = "1.0.0"  # the protocol of resumable uploads
 _NOT_WRITABLE = (errno.EROFS, errno.EACCES, errno.EPERM, errno.EIO)
-_DATABASE_ERRORS = (OperationalError, InterfaceError, DatabaseError)  # themselves: others are mistakes of ours
-_MAX_TEXT = 1000  # of a message: it may quote what was sent
+_DATABASE_ERRORS = (OperationalError, InterfaceError, DatabaseError)  # exactly: their subclasses are bugs of ours
+_MAX_TEXT = 1000  # characters of a message, which may quote what was sent
 
 
 def status_of(kind: type[RholocError]) -> int:
@@ -130,7 +130,7 @@ def status_of(kind: type[RholocError]) -> int:
 
 
 def error_classes() -> Iterator[type[RholocError]]:
-    """Every error class that an answer may carry the code of."""
+    """Every error class whose code may be in an answer."""
     waiting: list[type[RholocError]] = [RholocError]
     while waiting:
         kind = waiting.pop()
@@ -155,7 +155,7 @@ def as_rholoc_error(error: Exception) -> RholocError | None:
 
 
 def invalid_request(found: Any) -> InvalidRequest:
-    """One line of what pydantic found wrong first, and where."""
+    """The first problem that pydantic found, and where, in one line."""
     first = found[0]
     place = ".".join(str(part) for part in first["loc"] if part not in ("body", "query", "path")) or "the request"
     more = f" ({len(found) - 1} more)" if len(found) > 1 else ""
@@ -169,7 +169,7 @@ def error_body(error: RholocError, request_id: str) -> dict[str, str]:
 
 
 def error_headers(error: RholocError) -> dict[str, str]:
-    """``Retry-After`` in whole seconds where trying again may help; what to prove oneself with; which methods and which
+    """``Retry-After`` in whole seconds where trying again may help; how to authenticate; which methods and which
     version of tus are supported."""
     if isinstance(error, Busy):
         return {"Retry-After": str(max(1, round(error.retry_after_s)))}

@@ -1,4 +1,4 @@
-"""What the service really sends of a map, for the examples of its OpenAPI document."""
+"""What the service really sends about a map: the examples of the OpenAPI document."""
 
 from __future__ import annotations
 
@@ -115,5 +115,5 @@ REPORT = MapReport(
 
 
 def sent(value: object) -> Any:
-    """A dataclass as a response holds it."""
+    """A dataclass as it is serialized in a response."""
     return TypeAdapter(type(value)).dump_python(value, mode="json")

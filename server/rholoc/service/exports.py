@@ -1,4 +1,4 @@
-"""Exports of maps that take long: each made by a process that ends when nobody waits for it any more."""
+"""Long exports of maps: each is made by a process, which is ended once the client has gone."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class ExportRequest:
     Attributes:
         source: the map's file.
         title: what the map is called.
-        format: into what.
+        format: the format to write.
         degree: of CSV.
         features: of surfaces.
     """
@@ -55,7 +55,7 @@ class ExportRequest:
 
 
 def is_long(landmarks: int, format: ExportFormat, degree: int | None, features: Sequence[int] | None) -> bool:
-    """Whether an export is left to a process: by how many numbers it computes or writes."""
+    """Whether an export is made by a process of its own, judged by how many numbers it computes or writes."""
     match format:
         case ExportFormat.CSV:
             powers = 1 + (_DEGREE if degree is None else max(0, degree))
@@ -68,7 +68,7 @@ def is_long(landmarks: int, format: ExportFormat, degree: int | None, features: 
 
 
 class Exports:
-    """Makes exports, one at a time. Used from the event loop's thread alone."""
+    """Makes exports, one at a time. Use it from the event loop's thread only."""
 
     def __init__(self, time_limit_s: float) -> None:
         self._time_limit_s = time_limit_s
@@ -78,15 +78,15 @@ class Exports:
     async def answer(
         self, wanted: ExportRequest, headers: dict[str, str], is_gone: Callable[[], Awaitable[bool]]
     ) -> StreamingResponse:
-        """The answer that streams an export; its beginning is there when this returns.
+        """The response that streams an export; its first bytes are ready when this returns.
 
         Args:
             wanted: what to export.
-            headers: the answer's.
-            is_gone: whether nobody waits for it any more.
+            headers: the response's.
+            is_gone: whether the client has gone.
 
         Raises:
-            ClientDisconnect: nobody does.
+            ClientDisconnect: it has.
             InvalidMap, InvalidInput: the map or an option does not allow it.
             Busy: too many others wait, or the process was killed.
             DeadlineExceeded: it takes longer than the limit.
@@ -96,9 +96,9 @@ class Exports:
         self._open += 1
         export = _Export(self._time_limit_s)
         try:
-            await _unless(is_gone, self._turn.acquire())
+            await _unless_gone(is_gone, self._turn.acquire())
             try:
-                await _unless(is_gone, export.begin(wanted))
+                await _unless_gone(is_gone, export.begin(wanted))
             except BaseException:
                 self._turn.release()
                 raise
@@ -113,8 +113,8 @@ class Exports:
         self._turn.release()
 
 
-async def _unless(is_gone: Callable[[], Awaitable[bool]], work: Coroutine[Any, Any, object]) -> None:
-    """Do work, unless whoever waits for it goes: then it is cancelled. Raises ClientDisconnect."""
+async def _unless_gone(is_gone: Callable[[], Awaitable[bool]], work: Coroutine[Any, Any, object]) -> None:
+    """Do work, but cancel it when the client goes. Raises ClientDisconnect."""
     task = asyncio.create_task(work)
     try:
         while not (await asyncio.wait({task}, timeout=_LOOK_EVERY_S))[0]:
@@ -126,7 +126,7 @@ async def _unless(is_gone: Callable[[], Awaitable[bool]], work: Coroutine[Any, A
 
 
 class _Export:
-    """One process and what comes out of it."""
+    """One process and its output."""
 
     def __init__(self, time_limit_s: float) -> None:
         self._last_s = 0.0
@@ -150,7 +150,7 @@ class _Export:
                 raise Busy("The process that exports was killed.", "Try again after Retry-After.", _RETRY_AFTER_S)
 
     async def pieces(self) -> AsyncIterator[bytes]:
-        """What comes out, from the beginning."""
+        """The output, from its beginning."""
         assert self._program is not None
         piece = self._first
         while piece:
@@ -158,7 +158,7 @@ class _Export:
             piece = await self._read(self._program)
         status, _ = await self._program.end()
         if status:
-            raise ConnectionError("the process that exports was killed")  # breaks off the answer, so that it shows
+            raise ConnectionError("the process that exports was killed")  # breaks the response off, which clients see
 
     async def _read(self, program: AsyncProgram) -> bytes:
         try:
@@ -168,13 +168,13 @@ class _Export:
             raise DeadlineExceeded(f"The export takes longer than {self._time_limit_s:g} s.", hint) from None
 
     async def close(self) -> None:
-        """End the process, if it has not ended by itself."""
+        """End the process, if it is still running."""
         if self._program is not None:
             await self._program.kill()
 
 
 class _ExportAnswer(StreamingResponse):
-    """Ends the export with the answer, however that ends."""
+    """Ends the export when the response ends, however that happens."""
 
     def __init__(self, export: _Export, ended: Callable[[], None], headers: dict[str, str], media_type: str) -> None:
         super().__init__(export.pieces(), headers=headers, media_type=media_type)

@@ -1,4 +1,4 @@
-"""Answers that are files which others replace or delete meanwhile."""
+"""Responses with files that may be replaced or deleted while they are sent."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class OpenedFile(FileResponse):
         self._descriptor = os.open(path, os.O_RDONLY)
         try:
             status = os.fstat(self._descriptor)
-            # The system opens the same file again under this name, also when it has lost its own.
+            # This name opens the same file again, even once its own name is gone.
             same = f"/proc/self/fd/{self._descriptor}"
             super().__init__(same, headers=headers, media_type=media_type, stat_result=status)
         except BaseException:
@@ -28,7 +28,7 @@ class OpenedFile(FileResponse):
             raise
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Send it, and close it."""
+        """Send the file, and close it."""
         try:
             await super().__call__(scope, receive, send)
         finally:

@@ -1,4 +1,4 @@
-"""Who is let in: API keys, requests of other sites, and the headers that keep a browser safe."""
+"""Access control: API keys, requests from other sites, and security headers for browsers."""
 
 from __future__ import annotations
 
@@ -49,11 +49,11 @@ class KeyPolicy(StrEnum):
 
     AUTO = "auto"  # unless the server listens on this machine alone
     ALWAYS = "always"
-    NEVER = "never"  # something in front of the server asks who is there
+    NEVER = "never"  # something in front of the server authenticates clients
 
 
 class SecurityHeaders:
-    """ASGI middleware: the headers that every answer gives a browser."""
+    """ASGI middleware that adds the security headers to every response."""
 
     def __init__(self, app: ASGIApp) -> None:
         self._app = app
@@ -72,15 +72,15 @@ class SecurityHeaders:
 
 
 class Guard:
-    """ASGI middleware that lets in or raises, before any of the body is read.
+    """ASGI middleware that checks a request before any of its body is read.
 
-    It finds the route that a request is for, and what that route declares decides. Nothing passes that has no route, so
+    It finds the request's route and enforces what that route declares. A request without a route does not pass, so
     whatever is added to the application without a declaration stays closed.
 
     Args:
-        app: what is guarded.
-        routes: the application's.
-        keys: the keys there are.
+        app: the application to guard.
+        routes: its routes.
+        keys: the keys that exist.
         policy: when a request needs one.
         host: the address that the server listens on.
     """
@@ -98,7 +98,7 @@ class Guard:
         Raises:
             CrossSite: another site sent it.
             Unauthorized, Forbidden: it needs a key, or one that allows more, or nobody may use the route.
-            UnknownRoute, MethodNotAllowed: no route takes it; which only those who may read something learn.
+            UnknownRoute, MethodNotAllowed: no route takes it; only clients that may read anything learn this.
             InvalidRequest: the query has a name that the route does not know.
         """
         if scope["type"] in ("http", "websocket"):
@@ -143,19 +143,19 @@ def _address(scope: Scope) -> str:
 
 
 def _authorization(scope: Scope, headers: Headers) -> str:
-    """What a request proves itself with. A browser cannot give a WebSocket headers, but offer subprotocols."""
+    """A request's credentials. A browser cannot set headers on a WebSocket, but it can offer subprotocols."""
     offered = scope.get("subprotocols", ()) if scope["type"] == "websocket" else ()
     keys = [one.removeprefix(STREAM_KEY_PREFIX) for one in offered if one.startswith(STREAM_KEY_PREFIX)]
     return headers.get("authorization", f"Bearer {keys[0]}" if keys else "")
 
 
 def keys_needed(policy: KeyPolicy, host: str) -> bool:
-    """Whether a server that listens on ``host`` asks for keys."""
+    """Whether a server that listens on ``host`` requires keys."""
     return policy is KeyPolicy.ALWAYS or (policy is KeyPolicy.AUTO and not _is_loopback(host))
 
 
 def check_query(scope: Scope, route: RouteAccess) -> None:
-    """Refuse a query whose names the route does not know: a mistyped option would be ignored in silence.
+    """Refuse a query with a name that the route does not know: a mistyped option would be silently ignored.
 
     Raises:
         InvalidRequest: there is such a name.
@@ -170,10 +170,10 @@ def check_query(scope: Scope, route: RouteAccess) -> None:
 
 
 def check_same_site(method: str, headers: Headers, local_only: bool) -> None:
-    """Refuse what a page of another site has a browser send. Programs send none of these headers.
+    """Refuse what a page of another site makes a browser send. Programs send none of these headers.
 
-    A link from elsewhere to a page is let in. A server for this machine alone answers to no other name, or a foreign
-    site could take it on by pointing its own name here (DNS rebinding).
+    Following a link from another site is allowed. A server that only listens on this machine answers to local names
+    only: otherwise another site could reach it by pointing its own name here (DNS rebinding).
 
     Raises:
         CrossSite: another site sent it.

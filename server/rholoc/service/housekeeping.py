@@ -1,4 +1,4 @@
-"""What a server does beside answering: it removes what has expired."""
+"""Regular cleanup: removes what has expired."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ _DAY_S = 24 * 3600.0
 _log = structlog.get_logger("rholoc.service")
 
 
-async def keep_house(state: State) -> None:
-    """Until it is cancelled: remove expired uploads, pictures of maps that changed, recordings past their retention."""
+async def clean_up_regularly(state: State) -> None:
+    """Remove expired uploads, pictures of maps that changed, recordings past their retention, until cancelled."""
     while True:
         try:
             await run_in_threadpool(_clean, state)

@@ -1,4 +1,4 @@
-"""What the sender of an upload asks for, and whether it is possible."""
+"""The options of an upload, and whether they are possible."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ class RecordingFields(BaseModel):
     density: DensityKind = Field(default=JobOptions.density, description="the form of the densities")
     poses: PoseMethod | None = Field(
         default=None,
-        description="where frame poses come from; default: visual-inertial; of an update: the recording's own, else "
+        description="where frame poses come from; default: visual-inertial, or for an update the recording's own, else "
         "each frame is localized",
     )
     camera: str | None = Field(
@@ -70,9 +70,9 @@ async def checked_options(fields: RecordingFields, service: State) -> JobOptions
     """How to map a recording.
 
     Raises:
-        InvalidRecording: there can be no such choice of frames.
-        InvalidName, InvalidInput, UnknownCamera: there can be no such map, are no such features, is no such camera.
-        UnknownMap, InvalidMap: an update's map is not there, or does not learn.
+        InvalidRecording: the choice of frames is not valid.
+        InvalidName, InvalidInput, UnknownCamera: the map's name is not valid; no such features; no such camera.
+        UnknownMap, InvalidMap: the map to update does not exist, or cannot learn.
     """
     check_map_name(fields.map)
     get_extractor(fields.features)

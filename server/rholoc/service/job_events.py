@@ -1,4 +1,4 @@
-"""Jobs as they change, for any number of watchers: each job is looked up once for all who watch it."""
+"""Jobs as they change, for any number of watchers: each job is looked up once for all that watch it."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _MAX_KEPT = 1000  # jobs that were watched
 
 @dataclass(frozen=True)
 class JobEvent:
-    """A job at one moment. Its id is made from what it says: the same moment has the same id on every server."""
+    """The state of a job. Its id is a hash of the content: the same state has the same id on every server."""
 
     id: str
     data: str
@@ -32,14 +32,14 @@ class JobEvent:
 
 
 class JobEvents:
-    """The latest event of each job that is watched. Used from the event loop's thread alone."""
+    """The latest event of each job that is watched. Use it from the event loop's thread only."""
 
     def __init__(self, jobs: JobQueue) -> None:
         self._jobs = jobs
         self._looks: dict[str, tuple[float, asyncio.Task[JobEvent]]] = {}
 
     async def latest(self, job_id: str) -> JobEvent:
-        """How the job was at most half a second ago; one that had ended is looked up anew, for it may be tried again.
+        """The job's state, at most half a second old; one that had ended is looked up again, as it may be retried.
 
         Raises:
             UnknownJob: no job has this id.
@@ -61,7 +61,7 @@ def _has_ended(look: asyncio.Task[JobEvent]) -> bool:
 
 
 def job_out(job: Job) -> JobOut:
-    """A job as it goes out."""
+    """A job as it is sent."""
     error = None
     if job.error_code is not None:
         error = JobError(code=job.error_code, message=job.error_message or "", hint=job.error_hint or "")

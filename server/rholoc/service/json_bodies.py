@@ -1,4 +1,4 @@
-"""JSON from clients: measured before it is parsed, so that no body takes more time or memory than its limit says.
+"""JSON from clients: measured before it is parsed, so that no body takes more time or memory than its limits allow.
 
 A parser holds the interpreter until it is done, and a validator notes every error it finds. Counting the bytes that
 begin a value takes a thousandth of the time and bounds both.
@@ -54,11 +54,11 @@ class JsonLimits:
         """
         self.measured()(body)
 
-    def measured(self, further: PieceListener = lambda _: None) -> PieceListener:
-        """Measures a body piece by piece, so that one beyond the limits need not arrive; ``further`` is shown each too.
+    def measured(self, on_piece: PieceListener = lambda _: None) -> PieceListener:
+        """A listener that measures a body piece by piece, to refuse it early, and passes the pieces to ``on_piece``.
 
         Raises:
-            TooLarge: by the call, as :meth:`check` does.
+            TooLarge: from the listener, as :meth:`check` does.
         """
         length = values = members = 0
 
@@ -73,13 +73,13 @@ class JsonLimits:
                 raise TooLarge(f"The JSON holds more than {self.values} values.", "Send less.")
             if members > _MAX_MEMBERS:
                 raise TooLarge(f"The JSON's objects have more than {_MAX_MEMBERS} members.", "Send less.")
-            further(piece)
+            on_piece(piece)
 
         return measure
 
 
 def check_json(body: bytes, limits: JsonLimits) -> None:
-    """Refuse what is not plain JSON.
+    """Refuse a body that is not plain JSON.
 
     Raises:
         TooLarge: see :meth:`JsonLimits.check`.
@@ -93,7 +93,7 @@ def check_json(body: bytes, limits: JsonLimits) -> None:
 
 
 class JsonBodies:
-    """ASGI middleware for the routes whose bodies the framework parses: it sees only bodies that were checked."""
+    """ASGI middleware for routes whose bodies the framework parses, so that it only sees checked bodies."""
 
     def __init__(self, app: ASGIApp, max_bytes: int) -> None:
         self._app = app
@@ -116,7 +116,7 @@ class JsonBodies:
 
 
 def _replaying(body: bytes, receive: Receive) -> Callable[[], Awaitable[Message]]:
-    """``receive`` for whoever reads a body that was read already."""
+    """A ``receive`` that repeats a body that was already read."""
     messages: list[Message] = [{"type": "http.request", "body": body, "more_body": False}]
 
     async def replay() -> Message:

@@ -31,7 +31,7 @@ class Scope(StrEnum):
     ADMIN = "admin"  # delete maps
 
     def allows(self, wanted: Scope) -> bool:
-        """Whether a key of this scope may do what ``wanted`` is needed for."""
+        """Whether this scope includes ``wanted``."""
         order = list(Scope)
         return order.index(self) >= order.index(wanted)
 
@@ -41,7 +41,7 @@ class ApiKey:
     """What is known of a key; not the key itself.
 
     Attributes:
-        name: whose it is; unique.
+        name: says whose it is; unique.
         scope: what it allows.
         created: seconds since the epoch.
         expires: seconds since the epoch, or None.
@@ -61,8 +61,8 @@ class ApiKey:
 class KeyStore:
     """The keys in a data folder: a file each, named by the key's SHA-256.
 
-    A key is 32 random bytes, which cannot be found by guessing, hence no slow hash. What was made or revoked holds from
-    the next request on, in every process that shares the folder.
+    A key is 32 random bytes, which cannot be guessed, so a slow hash is not needed. New and revoked keys take effect
+    with the next request, in every process that shares the folder.
     """
 
     def __init__(self, data_dir: Path) -> None:

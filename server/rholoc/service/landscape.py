@@ -20,8 +20,8 @@ def landscape_of(frame: Frame, name: str, localizers: Localizers, settings: Sett
     """The landscape around the pose of a frame, or around the best optimum where it has no pose.
 
     Raises:
-        DeadlineExceeded: before it was done.
-        UnknownMap, InvalidMap, InvalidImage, InvalidCamera, InvalidDescriptors, InvalidInput: as the frame deserves.
+        DeadlineExceeded: the deadline passed first.
+        UnknownMap, InvalidMap, InvalidImage, InvalidCamera, InvalidDescriptors, InvalidInput: the request is not valid.
     """
     deadline_s = frame_deadline_s(frame.options.deadline_ms, settings)
     localizer = localizers.get(name)

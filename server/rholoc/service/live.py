@@ -1,4 +1,4 @@
-"""Who asks for poses now, and where requests failed: shown and kept only where the settings say so. In memory alone."""
+"""Who is asking for poses, and where requests failed: only if the settings enable it, and in memory only."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from rholoc.errors import Conflict
 from rholoc.service.schemas import LocalizationOut
 
 ASKER: ContextVar[str] = ContextVar("asker", default="")
-"""Whose request is being answered: the name of its key, or its address where no key was asked for."""
+"""Whose request is being answered: the name of its key, or its address where no key is required."""
 
 UNSURE_BELOW = 0.8  # a confidence
-LIVE_S = 10.0  # after which somebody who asks no more is no longer shown
+LIVE_S = 10.0  # how long a client is shown after its last request
 DAY_S = 24 * 3600.0
 _MAX_ASKERS = 1000
 _MAX_FAILURES = 20_000
-_LAST_KNOWN_S = 30.0  # how long the pose before says where a request without a pose was
+_LAST_KNOWN_S = 30.0  # how long a client's last pose says where a request without a pose was
 
 
 @dataclass(frozen=True)
@@ -27,14 +27,14 @@ class Sighting:
     """One answer.
 
     Attributes:
-        number: counted up with every answer of this server.
+        number: increases with every answer of this server.
         asker: who asked.
         map: its name.
         time: seconds since the epoch.
         position, heading: of the pose, or of the last one where this answer has none; None where none is known.
         T_map_camera: 4 × 4, likewise.
         localized: whether the answer has a pose of its own.
-        reason: why not.
+        reason: why it has none.
         confidence: 0 to 1.
         sigma_m: the pose's standard deviation along its worst axis.
     """
@@ -54,7 +54,7 @@ class Sighting:
 
 @dataclass(frozen=True)
 class Failure:
-    """Where a request found no pose, or an unsure one. Nobody's name.
+    """Where a request found no pose, or an unsure one; without who asked.
 
     Attributes:
         map: its name.
@@ -73,10 +73,10 @@ class Failure:
 
 
 class Live:
-    """The last answer for each asker, and the failures of a day. Used from the event loop's thread alone.
+    """The last answer for each asker, and the failures of a day. Use it from the event loop's thread only.
 
     Args:
-        shown: whether anybody may see who asks.
+        shown: whether it is shown who asks.
         keeps_failures: whether failures are kept.
     """
 
@@ -87,7 +87,7 @@ class Live:
         self.number = 0
 
     def note(self, answer: LocalizationOut, expected: Sequence[float] | None = None) -> None:
-        """Take note of an answer; ``expected`` is where the request's prior had the camera."""
+        """Record an answer; ``expected`` is the position of the request's prior."""
         if not (self._shown or self._keeps_failures):
             return
         now, asker = time.time(), ASKER.get()
@@ -108,7 +108,7 @@ class Live:
             confidence=answer.confidence,
             sigma_m=_worst_sigma(answer.covariance),
         )
-        self._latest[answer.map, asker] = sighting  # the last one last
+        self._latest[answer.map, asker] = sighting  # in the order of the answers
         if len(self._latest) > _MAX_ASKERS:
             del self._latest[next(iter(self._latest))]
         if self._keeps_failures:
@@ -126,7 +126,7 @@ class Live:
         self._failures.append(failure)
 
     def after(self, map_name: str, number: int) -> list[Sighting]:
-        """The last answer in a map for everyone who asked lately, if it came after answer ``number``.
+        """The last answer in a map to everyone who asked recently, if it came after answer ``number``.
 
         Raises:
             Conflict: this server does not show it.
@@ -138,7 +138,7 @@ class Live:
         return [one for one in found if one.map == map_name and one.number > number and one.time >= since]
 
     def failures(self, map_name: str) -> list[Failure]:
-        """Those of the last day in a map, the oldest first.
+        """The failures of the last day in a map, the oldest first.
 
         Raises:
             Conflict: this server does not keep them.

@@ -36,7 +36,7 @@ from rholoc.trajectory import Scale
 _log = structlog.get_logger("rholoc.service")
 T = TypeVar("T")
 
-_NEAR_M = 2.0  # within which named points are told
+_NEAR_M = 2.0  # named points within it are listed
 _DEGREES = np.array([1, 1, 1, *[180 / np.pi] * 3])
 
 
@@ -68,12 +68,12 @@ class Stopwatch:
 
 
 def frame_deadline_s(asked_ms: float | None, settings: Settings) -> float:
-    """How long after its request came in a frame is answered, whether it has a pose by then or not."""
+    """How long after its request arrived a frame is answered at the latest, with a pose or without."""
     return (asked_ms or settings.default_deadline_ms) / 1000
 
 
 def late_answer(name: str, localizer: AnyLocalizer, clock: Stopwatch) -> LocalizationOut:
-    """The answer of a map that was not asked in time."""
+    """The answer where the deadline passed before the map was searched."""
     return answer_of(name, localizer, too_late(), clock, with_matches=False)
 
 
@@ -85,14 +85,14 @@ def localize_frame(
     clock: Stopwatch,
     passing_over: bool = False,
 ) -> LocalizationOut:
-    """The best answer of the named maps: the surest pose, or the likeliest where none has a pose.
+    """The best answer of the named maps: the most confident pose, or the most confident answer if none has a pose.
 
-    With several maps, those whose kind of features or camera does not fit the frame are passed over; if
-    ``passing_over``, also those that cannot be asked for any other reason, as maps that nobody named.
+    Of several maps, those whose features or camera do not fit the frame are passed over; if ``passing_over``, so are
+    those that cannot be used for any other reason, which is right for maps that nobody named.
 
     Raises:
-        UnknownMap, InvalidMap, InvalidImage, InvalidCamera, InvalidDescriptors, InvalidInput: as the frame deserves;
-            from several maps only where none could be asked.
+        UnknownMap, InvalidMap, InvalidImage, InvalidCamera, InvalidDescriptors, InvalidInput: what was sent is not
+            valid; with several maps, only if none could be used.
     """
     clock.stages_ms["queue"] = 1000 * clock.elapsed_s
     deadline_s = frame_deadline_s(frame.options.deadline_ms, settings)
@@ -117,7 +117,7 @@ def likeliest_places(
     most: int,
     passing_over: bool,
 ) -> PlacesOut:
-    """The views of the named maps that a picture is most like, at most ``most`` of all of them.
+    """The views of the named maps that a picture resembles most, at most ``most`` in all.
 
     Raises:
         As :func:`localize_frame`.
@@ -147,22 +147,22 @@ def best_map(
     names: Sequence[str],
     localizers: Localizers,
     localize: Callable[[AnyLocalizer], T],
-    sureness: Callable[[T], tuple[bool, float]],
+    rank: Callable[[T], tuple[bool, float]],
     clock: Stopwatch,
     passing_over: bool,
 ) -> tuple[str, AnyLocalizer, T]:
-    """The map whose answer is the surest: its name, its localizer and the answer.
+    """The map whose answer ranks highest: its name, its localizer and the answer.
 
     Raises:
         InvalidCamera, InvalidDescriptors: the frame fits none of the maps.
-        RholocError: a map cannot be asked; if ``passing_over``, only where none can.
+        RholocError: a map cannot be used; if ``passing_over``, only where none can.
     """
     best: tuple[str, AnyLocalizer, T] | None = None
 
     def ask(name: str, localizer: AnyLocalizer) -> None:
         nonlocal best
         found = localize(localizer)
-        if best is None or sureness(found) > sureness(best[2]):
+        if best is None or rank(found) > rank(best[2]):
             best = (name, localizer, found)
 
     each_map(names, localizers, ask, clock, passing_over)
@@ -177,11 +177,11 @@ def each_map(
     clock: Stopwatch,
     passing_over: bool,
 ) -> None:
-    """Ask maps, one after the other, and pass over those that a frame does not fit.
+    """Ask maps one after another, passing over those that a frame does not fit.
 
     Raises:
         InvalidCamera, InvalidDescriptors: the frame fits none of the maps.
-        RholocError: a map cannot be asked; if ``passing_over``, only where none can.
+        RholocError: a map cannot be used; if ``passing_over``, only where none can.
     """
     asked = 0
     refused: Exception | None = None
@@ -245,13 +245,13 @@ class FrameFeatures:
         return self._extracted[extractor]
 
     def more_by(self, extractor: Extractor) -> Callable[[], FeatureSet] | None:
-        """What finds more features than the quick extractor does; None where there are no more."""
+        """A function that finds more features than the quick extractor does; None where there are no more."""
         image = self.image
         if image is None or extractor.quick is extractor:
             return None
 
         def more() -> FeatureSet:
-            if extractor not in self._extracted:  # the localizer counts its time
+            if extractor not in self._extracted:  # the localizer measures its time
                 self._extracted[extractor] = self._found(extractor, image)
             return self._extracted[extractor]
 
@@ -296,7 +296,7 @@ def _localize(
 
 
 def too_late() -> Localization:
-    """The answer where the deadline passed before the map was asked."""
+    """The localizer's answer where the deadline passed before it was asked."""
     nothing = np.zeros(0, np.int64)
     return Localization(
         False, Reason.DEADLINE, None, None, 0.0, 0, 0, np.zeros((0, 2)), nothing, diagnosis=TOO_LITTLE_TIME
@@ -306,7 +306,7 @@ def too_late() -> Localization:
 def answer_of(
     name: str, localizer: AnyLocalizer, found: Localization, clock: Stopwatch, with_matches: bool
 ) -> LocalizationOut:
-    """A map's answer as it goes out."""
+    """A map's answer as it is sent."""
     info = localizer.map.info
     total_ms = 1000 * clock.elapsed_s
     stages = dict.fromkeys(("queue", "load", "decode", "extract", "match", "seed", "ascend", "verify", "diagnose"), 0.0)
@@ -357,7 +357,7 @@ def _agreeing(localizer: AnyLocalizer, found: Localization) -> MatchesOut:
 
 
 def pose_out(pose: Pose) -> PoseOut:
-    """A pose as it goes out."""
+    """A pose as it is sent."""
     return PoseOut(
         position=pose.position.tolist(),
         heading=pose.heading.tolist(),

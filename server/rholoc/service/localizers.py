@@ -1,4 +1,4 @@
-"""The localizers of the maps that are served: one for each loaded map, swapped between two requests."""
+"""The localizers of the served maps: one for each loaded map, replaced between two requests."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from rholoc.maps import Map, MapLibrary, check_usable
 class Localizers:
     """Keeps one localizer per map name. Safe to call from several threads.
 
-    A map that leaves the library's memory takes its localizer with it. A request that holds a localizer goes on with
-    its map even when the map is replaced meanwhile.
+    A map that leaves the library's memory takes its localizer with it. A request keeps the localizer that it has, and
+    so its map, even if the map is replaced in the meantime.
     """
 
     def __init__(self, library: MapLibrary, min_confidence: float) -> None:
@@ -22,7 +22,7 @@ class Localizers:
         self._building: dict[str, threading.Lock] = {}
 
     def get(self, name: str) -> AnyLocalizer:
-        """The localizer of the map as it stands now; built when the map is new or was replaced.
+        """The localizer of the current map; built if the map is new or was replaced.
 
         Raises:
             InvalidName, UnknownMap, InvalidMap: as :meth:`MapLibrary.get` does.

@@ -1,4 +1,4 @@
-"""What the service counts, for Prometheus."""
+"""The service's metrics for Prometheus."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _SECONDS = (0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0, 60.0)
 
 
 class Metrics:
-    """The counters of one service, and gauges that are asked for when they are read."""
+    """The counters of one service, and gauges that are evaluated when they are read."""
 
     def __init__(self) -> None:
         self._registry = CollectorRegistry()
@@ -40,11 +40,11 @@ class Metrics:
         )
 
     def request(self, method: str, route: str, status: int, duration_s: float) -> None:
-        """Note a request that was answered."""
+        """Count a request that was answered."""
         self._requests.labels(method, route, str(status)).observe(duration_s)
 
     def localization(self, reason: str | None) -> None:
-        """Note a frame: ``reason`` says why it has no pose, if it has none."""
+        """Count a frame: ``reason`` says why it has no pose, if it has none."""
         self._localizations.labels(reason or "localized").inc()
 
     def gauge(self, name: str, text: str, label: str, read: Callable[[], Mapping[str, float]]) -> None:
@@ -52,7 +52,7 @@ class Metrics:
         self._registry.register(_Gauge(name, text, label, read))
 
     def text(self) -> bytes:
-        """All metrics, as Prometheus reads them; at most half a second old, for making the text takes a while."""
+        """All metrics in Prometheus's format; at most half a second old, because making the text takes a while."""
         with self._making:
             if time.monotonic() - self._made_s > _KEPT_S:
                 self._text, self._made_s = generate_latest(self._registry), time.monotonic()
@@ -70,7 +70,7 @@ class _Gauge(Collector):
         family = GaugeMetricFamily(self._name, self._text, labels=[self._label])
         try:
             values = self._read()
-        except Exception as error:  # whatever a database's driver raises: the other metrics are wanted all the more
+        except Exception as error:  # whatever a database's driver raises: the other metrics are still wanted
             _log.warning("gauge_unread", gauge=self._name, error=repr(error)[:200])
             values = {}
         for value, number in values.items():
@@ -79,7 +79,7 @@ class _Gauge(Collector):
 
 
 class Metered:
-    """ASGI middleware that notes every request under its route's path, so that names do not become labels."""
+    """ASGI middleware that counts every request under its route's path, so that names do not become labels."""
 
     def __init__(self, app: ASGIApp, metrics: Metrics) -> None:
         self._app = app

@@ -18,12 +18,12 @@ from rholoc.service.errors import Internal, as_rholoc_error, error_body, error_h
 REQUEST_ID_HEADER = "X-Request-ID"
 _REQUEST_ID = re.compile(r"[A-Za-z0-9._-]{1,64}")
 _REFUSED = 400  # statuses from here on
-_REFUSAL_TAKES_S = 0.02  # at least: who sends nonsense as fast as it is refused would keep the others waiting
+_REFUSAL_TAKES_S = 0.02  # at least: a client that repeats invalid requests without pause would starve the others
 _log = structlog.get_logger("rholoc.service")
 
 
 class RequestBoundary:
-    """ASGI middleware. Takes the caller's ``X-Request-ID`` if it is plain, else makes one.
+    """ASGI middleware. Takes the caller's ``X-Request-ID`` if it is well-formed, else makes one.
 
     An exception that nothing else turned into an answer becomes ``internal`` and is logged with its traceback.
     """
@@ -69,7 +69,7 @@ class RequestBoundary:
                 await answer(scope, receive, send_with_id)
 
     async def _open_socket(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Let a WebSocket in, or answer its handshake with the error for which it is not."""
+        """Accept a WebSocket, or answer its handshake with the error that prevents it."""
         request_id = _request_id(Headers(scope=scope).get(REQUEST_ID_HEADER))
         try:
             await self._app(scope, receive, send)

@@ -46,7 +46,7 @@ def failures(*kinds: type[RholocError]) -> dict[int | str, dict[str, Any]]:
 
 
 def install(app: FastAPI) -> None:
-    """Let ``app.openapi()`` define the models of bodies that are read by hand, and no error but ours."""
+    """Make ``app.openapi()`` define the models of bodies that are read by hand, and no errors but ours."""
 
     def openapi() -> dict[str, Any]:
         if app.openapi_schema is None:

@@ -1,7 +1,7 @@
-"""Frames first: while one is worked on, all that is not a frame waits after each of its steps.
+"""Frames first: while one is being localized, other requests wait after each of their steps.
 
-A frame's many small steps need the interpreter, of which there is one: what else runs in this process takes its time
-from them, on however many cores and of whatever priority.
+A frame takes many small steps that need the interpreter, which runs one thread at a time: anything else that runs in
+this process slows them down, however many cores there are and whatever its priority.
 """
 
 from __future__ import annotations
@@ -15,16 +15,16 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from rholoc.service.access import found_route
 from rholoc.service.keys import Scope as KeyScope
 
-_SHARE = 0.2  # of the time, for all that is not a frame
+_SHARE = 0.2  # of the time, for everything that is not a frame
 _LONGEST_S = 1.0
 
 
 class Pace:
-    """Who shares a pace takes, all together, ``share`` of the time at most, one after the other.
+    """Limits the steps of everything that shares it to ``share`` of the time in all.
 
     Args:
         share: of the time.
-        longest_s: nobody waits for longer after one step, however many wait.
+        longest_s: the longest wait after one step, however many are waiting.
         clock: the time in seconds.
     """
 
@@ -34,7 +34,7 @@ class Pace:
         self._share = share
         self._longest_s = longest_s
         self._clock = clock
-        self._free_s = 0.0  # when all that was done has been waited for
+        self._free_s = 0.0  # when the waits for all steps so far are over
 
     def delay_s(self, took_s: float) -> float:
         """How long to wait after a step that took so long."""
@@ -46,7 +46,7 @@ class Pace:
 class FramesFirst:
     """ASGI middleware: requests other than frames wait before each piece of their body and before their answer.
 
-    What was done since the piece before is what they wait for. Routes that localize, and those that are open to
+    How long depends on the time spent since the piece before. Routes that localize, and those that are open to
     everyone, never wait.
 
     Args:
@@ -74,7 +74,7 @@ class FramesFirst:
         async def receive_in_turn() -> Message:
             nonlocal since_s, whole
             if whole:
-                return await receive()  # which waits for the client to leave
+                return await receive()  # which waits for the client to disconnect
             await give_way()
             message = await receive()
             since_s, whole = time.monotonic(), not message.get("more_body", False)

@@ -28,9 +28,9 @@ _GUESSED_FOCAL = 0.8  # of the longer side: phones and webcams are near it
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """What was sent of one frame: an encoded image or a descriptor set, one of the two, and the options.
+    """One frame as it was sent: either an encoded image or a descriptor set, and the options.
 
-    ``stored`` is the camera that the options name, if they name one; ``effort`` is how long it takes to be localized.
+    ``stored`` is the camera that the options name, if any; ``effort`` is how long localizing the frame will take.
     """
 
     options: LocalizeOptions
@@ -41,23 +41,23 @@ class Frame:
 
 
 def effort_of(image: bytes) -> Effort:
-    """How long a picture takes to be localized, by its header."""
+    """How long localizing a picture will take, judged by its header."""
     return Effort.LARGE if visited_pixels(image) > _ORDINARY_PIXELS else Effort.ORDINARY
 
 
 def effort_of_set(body: bytes) -> Effort:
-    """How long a descriptor set takes, by how many lists its JSON has: one for each feature's pixel."""
+    """How long localizing a descriptor set will take, judged by the lists in its JSON: one for each feature's pixel."""
     return Effort.LARGE if body.count(b"[") > _ORDINARY_FEATURES else Effort.ORDINARY
 
 
 def camera_for(frame: Frame, size: tuple[int, int], map_camera: Camera) -> Camera:
     """The intrinsics of a frame of ``size`` (width, height) px: those stored under a name, or given, or the map's own.
 
-    Either are scaled where they belong to another size of the same aspect ratio. Where they are unknown, the
-    principal point is the image's centre and the focal length a guess.
+    They are scaled if they belong to another size of the same aspect ratio. If they are unknown, the principal point is
+    the image's centre and the focal length a guess.
 
     Raises:
-        InvalidCamera: the intrinsics are absurd, incomplete or for another aspect ratio.
+        InvalidCamera: the intrinsics are impossible, incomplete or for another aspect ratio.
     """
     if min(size) < 1:
         raise InvalidCamera(f"The camera's image size {size[0]}×{size[1]} is not possible.", _CAMERA_HINT)

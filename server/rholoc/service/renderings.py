@@ -1,7 +1,7 @@
-"""What is drawn and computed of maps to be looked at: made once for each version, by a process of its own, and kept.
+"""Pictures of maps and figures for people: made once for each version, by a process of its own, and kept.
 
-The threads that answer robots have no part in it: there is one process, niced, and what it made is served from a file,
-with an ETag, until the map changes.
+The threads that answer robots are not involved: there is one process, at low priority, and its output is served from a
+file, with an ETag, until the map changes.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from rholoc.maps import MapLibrary, MapStat
 from rholoc.pictures.rendering import Rendering
 from rholoc.processes import AsyncProgram
 
-_IDLE_S = 120.0  # after which the process is let go, and its memory with it
+_IDLE_S = 120.0  # after which the process is ended, which frees its memory
 _MAX_WAITING = 200
 _RETRY_AFTER_S = 5.0
 _ATTEMPTS = 2  # the process may be killed for its memory
@@ -37,13 +37,13 @@ class Rendered:
 
 
 def etag_of(stat: MapStat, *parts: object) -> str:
-    """An HTTP entity tag of what this version of rholoc makes of a map's file, and of further parts."""
+    """An HTTP entity tag of a map's file, of this version of rholoc, and of further parts."""
     text = repr((__version__, stat.name, stat.signature, *parts))
     return f'"{hashlib.blake2b(text.encode(), digest_size=12).hexdigest()}"'
 
 
 class Renderings:
-    """Renderings of a library's maps, kept in a folder. Used from the event loop's thread alone."""
+    """Renderings of a library's maps, kept in a folder. Use it from the event loop's thread only."""
 
     def __init__(self, folder: Path, library: MapLibrary) -> None:
         self._folder = folder
@@ -54,7 +54,7 @@ class Renderings:
         self._idle: asyncio.TimerHandle | None = None
 
     def etag(self, name: str, kind: Rendering) -> str:
-        """The tag of a rendering, whether it was made yet or not.
+        """The tag of a rendering, whether or not it has been made yet.
 
         Raises:
             InvalidName, UnknownMap: as :meth:`rholoc.maps.MapLibrary.stat`.
@@ -62,11 +62,11 @@ class Renderings:
         return etag_of(self._library.stat(name), kind)
 
     async def get(self, name: str, kind: Rendering) -> Rendered:
-        """A rendering of the map as it is now. Who asks while it is being made waits for the same work.
+        """A rendering of the map as it is now. Requests for one that is being made wait for the same work.
 
         Raises:
             InvalidName, UnknownMap, InvalidMap: there is no such map, or it cannot be read.
-            Busy: very many others are waited for, or the process that draws was killed.
+            Busy: too many others are waiting, or the process that draws was killed.
         """
         etag = await run_in_threadpool(self.etag, name, kind)
         path = self._folder / f"{etag.strip(chr(34))}-{kind}"
@@ -77,7 +77,7 @@ class Renderings:
         return Rendered(kept, etag)
 
     def _made(self, name: str, kind: Rendering, path: Path) -> asyncio.Task[None]:
-        """The work that makes a rendering: what is being made already is not made twice."""
+        """The task that makes a rendering; the same one while it is being made."""
         if path not in self._making:
             if len(self._making) >= _MAX_WAITING:
                 raise Busy("Too many pictures are being drawn.", "Try again after Retry-After.", _RETRY_AFTER_S)
@@ -117,7 +117,7 @@ class Renderings:
         return answer
 
     def sweep(self) -> None:
-        """Remove what was made of maps that are no longer there, or have changed since. Safe in any thread."""
+        """Remove renderings of maps that no longer exist or have changed. Safe in any thread."""
         current = set()
         for name in self._library.names():
             with suppress(RholocError):  # deleted meanwhile
@@ -127,7 +127,7 @@ class Renderings:
                 path.unlink(missing_ok=True)
 
     async def close(self) -> None:
-        """End the process; what is being made is given up."""
+        """End the process; a rendering that is being made is abandoned."""
         if self._idle is not None:
             self._idle.cancel()
         program, self._program = self._program, None

@@ -1,4 +1,4 @@
-"""What goes in and out over HTTP, with examples."""
+"""The models of requests and answers, with examples."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from rholoc.service.keys import Scope
 from rholoc.trajectory import PoseMethod, Scale
 
 _LARGEST_SIZE_PX = 2**31
-SizePx = Annotated[int, Strict(), Field(ge=-_LARGEST_SIZE_PX, le=_LARGEST_SIZE_PX)]  # what is possible, Camera says
+SizePx = Annotated[int, Strict(), Field(ge=-_LARGEST_SIZE_PX, le=_LARGEST_SIZE_PX)]  # Camera checks what is possible
 Number = Annotated[float, Strict()]  # neither text nor true and false
 Vector3 = Annotated[list[float], Field(min_length=3, max_length=3)]
 Vector2 = Annotated[list[Number], Field(min_length=2, max_length=2)]
@@ -62,7 +62,7 @@ class ErrorAnswer(_Out):
         },
     )
 
-    code: str = Field(description="Stable; what programs tell errors apart by.")
+    code: str = Field(description="Stable: programs tell errors apart by it.")
     message: str = Field(description="One line: what is wrong.")
     hint: str = Field(description="One line: what to do.")
     request_id: str = Field(description="The same as in the header X-Request-ID and in the service's log.")
@@ -72,8 +72,7 @@ class CameraIn(_In):
     """Intrinsics in pixels; pixel (0, 0) is the centre of the top-left pixel.
 
     ``width`` and ``height`` are the size of the images that the intrinsics belong to; for an image of the same aspect
-    ratio but another size they are scaled. Without ``fx`` the map's own camera serves where the aspect ratio is its
-    own.
+    ratio but another size they are scaled. Without ``fx`` the map's own camera is used if it has the same aspect ratio.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, json_schema_extra={"example": _CAMERA})
@@ -96,7 +95,7 @@ class CameraChoice(CameraIn):
 
 
 class CameraProfileIn(_In):
-    """A camera to store: its intrinsics, and how good they are known to be."""
+    """A camera to store: its intrinsics, and how accurate they are."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, json_schema_extra={"example": _PROFILE})
 
@@ -121,7 +120,7 @@ class CameraProfileOut(CameraProfileIn):
 
 
 class CameraList(_Out):
-    """All stored cameras, by name; a file that cannot be read is named apart."""
+    """All stored cameras, by name; files that cannot be read are listed separately."""
 
     model_config = ConfigDict(
         frozen=True, json_schema_extra={"example": {"cameras": [{"name": "pixel-7", **_PROFILE}], "unreadable": {}}}
@@ -132,7 +131,7 @@ class CameraList(_Out):
 
 
 class PriorIn(_In):
-    """A pose that the answer is expected near: a position and either a heading or a quaternion."""
+    """The pose near which the answer is expected: a position and either a heading or a quaternion."""
 
     model_config = ConfigDict(
         extra="forbid",
@@ -148,7 +147,7 @@ class PriorIn(_In):
 
 
 class LocalizeOptions(_In):
-    """How one frame is to be localized: the part ``request`` of a multipart body."""
+    """How to localize one frame: the part ``request`` of a multipart body."""
 
     model_config = ConfigDict(
         extra="forbid", frozen=True, json_schema_extra={"example": {"camera": _CAMERA, "dof": 6, "deadline_ms": 500}}
@@ -174,9 +173,9 @@ class LocalizeOptions(_In):
 
 
 class FirstError(FailFast):
-    """Of a list: its first error is reported, not each of a million."""
+    """Reports a list's first error, not each of a million."""
 
-    __hash__ = object.__hash__  # which a union asks for
+    __hash__ = object.__hash__  # which a union needs
 
 
 class FeaturesIn(_In):
@@ -282,7 +281,7 @@ class MatchesOut(_Out):
 
 
 class DiagnosisOut(_Out):
-    """The most likely cause for which there is no pose, and what to try."""
+    """The most likely reason why there is no pose, and what to try."""
 
     cause: Cause
     message: str = Field(description="one sentence: what it looks like")
@@ -367,7 +366,7 @@ class LocalizationOut(_Out):
     )
     agreeing: MatchesOut | None = Field(description="the matches behind `inliers`, where `with_matches` asks for them")
     diagnosis: DiagnosisOut | None = Field(description="the most likely cause where there is no pose, else null")
-    near_prior: bool | None = Field(description="whether the pose lies where the prior has it; null without a prior")
+    near_prior: bool | None = Field(description="whether the pose is within the prior's radii; null without a prior")
     camera: EstimatedCameraOut | None = Field(description="where `intrinsics` is 'unknown': the camera as estimated")
     areas: list[str] = Field(description="the named areas of the map that the camera is in, the smallest first")
     near: list[str] = Field(description="its named points within 2 m of the camera, the nearest first")
@@ -381,7 +380,7 @@ class LocalizationOut(_Out):
 
 
 class PlaceOut(_Out):
-    """A view of a map that a picture may show much the same as."""
+    """A view of a map that may show much the same as the picture."""
 
     map: str
     map_id: str
@@ -392,7 +391,7 @@ class PlaceOut(_Out):
 
 
 class PlacesOut(_Out):
-    """The likeliest views of all maps that were asked, the likeliest first."""
+    """The most similar views of all maps that were asked, the best match first."""
 
     model_config = ConfigDict(
         frozen=True,
@@ -416,7 +415,7 @@ class PlacesOut(_Out):
 
 
 class FeatureOut(_Out):
-    """A feature of a map, and where it may be seen from: a cone cut off at both ends."""
+    """A feature of a map, and where it may be seen from: a truncated cone."""
 
     model_config = ConfigDict(
         frozen=True,
@@ -441,20 +440,20 @@ class FeatureOut(_Out):
         description="the cone's axis: unit vector from the landmark to where it was seen from"
     )
     half_angle_deg: float = Field(description="between the cone's axis and its edge")
-    nearest: float = Field(description="from no nearer is it expected")
-    farthest: float = Field(description="from no further away is it expected")
-    views: list[int] = Field(description="that saw it, by number")
+    nearest: float = Field(description="the shortest distance from which it is expected to be seen")
+    farthest: float = Field(description="the longest distance from which it is expected to be seen")
+    views: list[int] = Field(description="the views that saw it, by number")
 
 
 class WayOut(_Out):
-    """The way of an ascent."""
+    """The path of an ascent."""
 
     positions: list[list[float]] = Field(description="x, y, z of the camera, step by step, the start first")
     gain_nats: float = Field(description="what the densities say for its end, Σ log((ε + ρ) / ε)")
 
 
 class LandscapeOut(_Out):
-    """What the densities of the features that a frame shows say around its pose."""
+    """The densities of the features that a frame shows, around its pose."""
 
     model_config = ConfigDict(
         frozen=True,
@@ -536,24 +535,25 @@ class MapSummary(_Out):
         description="how far its poses are expected to be from the truth, root mean square, m; null where unknown"
     )
     consistency_m: float | None = Field(
-        description="how far from where the walk has them frames of it, left out of the map, are localized, median, m: "
-        "how well it agrees with itself, not how right it is; null where none were left out"
+        description="median distance, m, between where frames of the walk that were held out of the map are localized "
+        "and where the walk has them: how well the map agrees with itself, not how right it is; null if none were held "
+        "out"
     )
     camera: CameraIn
-    labels: MapLabels = Field(description="its site, floor and tags, as somebody said")
+    labels: MapLabels = Field(description="its site, floor and tags, as people set them")
 
 
 class PreviousMap(_Out):
     """The map that a map replaced."""
 
-    number: int = Field(default=1, description="what restores it: 1 was replaced last")
+    number: int = Field(default=1, description="the number that restores it: 1 was replaced last")
     id: str
     version: int
     created: str = Field(description="ISO 8601, UTC")
 
 
 class MapVersions(_Out):
-    """The maps that a map replaced and that are kept, the last one first."""
+    """The maps that a map replaced and that are kept, the latest first."""
 
     model_config = ConfigDict(
         frozen=True,
@@ -566,7 +566,7 @@ class MapVersions(_Out):
 
 
 class MapDetail(MapSummary):
-    """A map with where it comes from and where it lies."""
+    """A map with its sources and its extent."""
 
     model_config = ConfigDict(
         frozen=True,
@@ -592,14 +592,14 @@ class MapDetail(MapSummary):
     bounds_m: list[list[float]] | None = Field(description="the lowest and the highest x, y, z of its landmarks")
     previous: PreviousMap | None = Field(description="the map that it replaced, which can be restored")
     names: MapNames = Field(description="of points and areas")
-    corrections: tuple[Correction, ...] = Field(description="what people corrected in it, the last one last")
+    corrections: tuple[Correction, ...] = Field(description="what people corrected in it, the latest last")
     plan: FloorPlan | None = Field(
         description="the floor plan that it keeps, and where it lies; null where there is none"
     )
     points: int = Field(description="how many further points of the room it keeps, for people to see")
     pictures: bool = Field(description="whether it keeps pictures of its views, and this server shows them")
     levelling: list[list[float]] | None = Field(
-        description="3×3, a rotation of the map for display, by which up is z and walls are parallel to x and y, both "
+        description="3×3, a rotation of the map for display that makes up z and walls parallel to x and y, both as "
         "estimated; null where the map is upright, or where up cannot be estimated"
     )
     live: bool = Field(default=False, description="whether this server shows who asks for poses in it")
@@ -607,7 +607,7 @@ class MapDetail(MapSummary):
 
 
 class MapList(_Out):
-    """All maps that are served, by name; a file that cannot be read is named apart."""
+    """All maps that are served, by name; files that cannot be read are listed separately."""
 
     model_config = ConfigDict(frozen=True, json_schema_extra={"example": {"maps": [_SUMMARY], "unreadable": {}}})
 
@@ -626,7 +626,7 @@ class MapPatch(_In):
 class _CorrectionIn(_In):
     version: int | None = Field(
         default=None,
-        description="the version that is corrected: where it is no longer the present one, nothing changes",
+        description="the version to correct: if it is no longer the present one, nothing changes",
     )
 
 
@@ -661,12 +661,12 @@ class UpIn(_CorrectionIn):
 
 
 class ScaleIn(_CorrectionIn):
-    """The distance of two points was measured: the map takes that scale, and is metric."""
+    """A measured distance between two points: the map takes that scale, and is metric from then on."""
 
     kind: Literal["scale"]
     start: Vector3 = Field(description="present frame")
     end: Vector3 = Field(description="present frame")
-    length_m: Number = Field(gt=0, description="how far apart they are in truth, m")
+    length_m: Number = Field(gt=0, description="the measured distance between them, m")
 
 
 class PlanPoint(_In):
@@ -677,7 +677,7 @@ class PlanPoint(_In):
 
 
 class PlanIn(_CorrectionIn):
-    """The map is laid over a floor plan, whose frame becomes the map's; heights stay."""
+    """The map is aligned with a floor plan, whose frame becomes the map's; heights stay."""
 
     kind: Literal["plan"]
     points: list[PlanPoint] = Field(description="two pairs or more")
@@ -685,7 +685,7 @@ class PlanIn(_CorrectionIn):
 
 
 class RegionIn(_CorrectionIn):
-    """The landmarks of a region are removed, or all others."""
+    """The landmarks inside a region are removed, or all others."""
 
     kind: Literal["region"]
     outline: list[Vector2] = Field(description="its corners, seen from above, m: 3 to 200")
@@ -699,7 +699,7 @@ class WalkIn(_CorrectionIn):
 
     kind: Literal["walk"]
     first_view: int = Field(description="its first view, by number in the map, from 0")
-    last_view: int = Field(description="its last view; it goes, too")
+    last_view: int = Field(description="its last view, inclusive")
 
 
 class NamedPointIn(_In):
@@ -717,7 +717,7 @@ class NamedAreaIn(_In):
 
 
 class NamesIn(_CorrectionIn):
-    """Names of points and areas, in place of those that the map has."""
+    """Names of points and areas, replacing those that the map has."""
 
     kind: Literal["names"]
     points: list[NamedPointIn] = Field(default_factory=list)
@@ -725,7 +725,7 @@ class NamesIn(_CorrectionIn):
 
 
 class LabelsIn(_CorrectionIn):
-    """What the map belongs to, in place of what it said before."""
+    """The map's site, floor and tags, replacing those that it has."""
 
     kind: Literal["labels"]
     site: str = Field(default="", description="such as a building")
@@ -761,7 +761,7 @@ CORRECTION_EXAMPLES: dict[str, Example] = {
 
 
 class UpdateIn(_In):
-    """A stored recording that a map is to learn."""
+    """A stored recording for a map to learn."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, json_schema_extra={"example": {"recording": _RECORDING_ID}})
 
@@ -787,7 +787,7 @@ class MergeIn(_In):
 
 
 class ForgetIn(_In):
-    """A recording that a map is to forget."""
+    """A recording for a map to forget."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, json_schema_extra={"example": {"source": "walk-1"}})
 
@@ -888,9 +888,9 @@ class JobOut(_Out):
     progress: float = Field(description="0..1 over all stages")
     message: str
     log: list[str]
-    warnings: list[str] = Field(description="why its published map is not to be trusted, where that is so")
+    warnings: list[str] = Field(description="why its published map is not to be trusted; empty where it is")
     trusted: bool | None = Field(
-        description="whether its published map is to be trusted, `warnings` say why not; null before it is published"
+        description="whether its published map is to be trusted; `warnings` say why not; null before it is published"
     )
     error: JobError | None
     created: float = Field(description="s since the epoch")
@@ -920,7 +920,7 @@ _RECORDED_WAYPOINT: JsonDict = {"name": "W1", "position": [2.0, 0.0, 1.5], "time
 
 
 class RecordingContent(_Out):
-    """What a job read in a recording."""
+    """What a job read from a recording."""
 
     length_s: float
     frames: int
@@ -940,7 +940,7 @@ class RecordingOut(_Out):
     size_bytes: int
     created: float = Field(description="s since the epoch")
     content: RecordingContent | None = Field(description="null until a job has read it")
-    thumbnail: bool = Field(description="whether there is a small picture of it, and whoever asks may see it")
+    thumbnail: bool = Field(description="whether there is a small picture of it that this client may see")
 
 
 class WaypointIn(_In):
@@ -949,13 +949,13 @@ class WaypointIn(_In):
     name: str
     position: Vector3 = Field(description="m")
     time_s: Number | None = Field(
-        default=None, description="when the camera was there, s on the recording's clock; default: known by the order"
+        default=None, description="when the camera was there, s on the recording's clock; default: found by the order"
     )
     sigma_m: Number = Field(default=0.02, description="how well the camera was held to it, m: 0.001 to 1")
 
 
 class WaypointsIn(_In):
-    """Waypoints in place of a recording's own, in the order of the walk."""
+    """Waypoints that replace a recording's own, in the order of the walk."""
 
     model_config = ConfigDict(
         extra="forbid", frozen=True, json_schema_extra={"example": {"waypoints": [_RECORDED_WAYPOINT]}}
@@ -972,8 +972,8 @@ class RecordingDetail(RecordingOut):
         json_schema_extra={"example": {**_RECORDING, "waypoints": [_RECORDED_WAYPOINT], "corrected": False}},
     )
 
-    waypoints: tuple[RecordedWaypoint, ...] = Field(description="as given by people, else as a job read them in it")
-    corrected: bool = Field(description="whether people gave them in place of the recording's own")
+    waypoints: tuple[RecordedWaypoint, ...] = Field(description="as corrected, else as a job read them from it")
+    corrected: bool = Field(description="whether they replace the recording's own")
 
 
 class RecordingList(_Out):
@@ -985,7 +985,7 @@ class RecordingList(_Out):
 
 
 class RecordingAccepted(_Out):
-    """An upload that is complete, and the mapping job that it started."""
+    """A completed upload, and the mapping job that it started."""
 
     model_config = ConfigDict(
         frozen=True, json_schema_extra={"example": {"recording": _RECORDING_ID, "job": {**_JOB, "state": "queued"}}}
@@ -1002,14 +1002,14 @@ class KeyIn(_In):
         extra="forbid", frozen=True, json_schema_extra={"example": {"scope": "read", "lifetime_s": 86400}}
     )
 
-    scope: Scope = Field(default=Scope.READ, description="what it allows; no more than the key that asks")
+    scope: Scope = Field(default=Scope.READ, description="what it allows; no more than the request's own key")
     lifetime_s: Number = Field(
-        default=86400, ge=60, le=31 * 86400, description="for how long it is good, s: a minute to 31 days"
+        default=86400, ge=60, le=31 * 86400, description="how long it is valid, s: a minute to 31 days"
     )
 
 
 class KeyOut(_Out):
-    """A key: whose it is and what it allows."""
+    """A key's name, and what it allows."""
 
     name: str
     scope: Scope
@@ -1042,8 +1042,8 @@ class HandedKeyOut(_Out):
         },
     )
 
-    key: str | None = Field(description="the key; null where the server asks for none")
-    name: str | None = Field(description="what it is revoked by")
+    key: str | None = Field(description="the key; null where the server requires none")
+    name: str | None = Field(description="the name to revoke it by")
     scope: Scope
     expires: float | None = Field(description="s since the epoch")
 
@@ -1068,7 +1068,7 @@ class Health(_Out):
 
 
 class Readiness(_Out):
-    """Whether the service can do its work, and what stands in the way."""
+    """Whether the service can do its work, and what prevents it."""
 
     model_config = ConfigDict(
         frozen=True, json_schema_extra={"example": {"ready": False, "checks": {"maps": "ok", "jobs": "not running"}}}

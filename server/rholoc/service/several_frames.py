@@ -30,14 +30,14 @@ from rholoc.service.settings import Settings
 
 @dataclass(frozen=True, eq=False)
 class Frames:
-    """What was sent of several frames; ``stored`` are the cameras that they name."""
+    """Several frames as they were sent."""
 
     query: FramesQuery
     frames: tuple[Frame, ...]
 
     @classmethod
     def of(cls, query: FramesQuery, images: dict[int, bytes], stored: dict[str, Camera]) -> Frames:
-        """From a request, the pictures that came beside it by number, and the stored cameras by name.
+        """From a request, the pictures sent beside it by number, and the stored cameras by name.
 
         Raises:
             InvalidInput: too few or too many frames, or one without a picture or features, or with both.

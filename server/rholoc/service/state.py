@@ -1,4 +1,4 @@
-"""What the routes share."""
+"""The parts of the service that its routes share."""
 
 from __future__ import annotations
 

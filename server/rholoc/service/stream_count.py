@@ -11,7 +11,7 @@ _RETRY_AFTER_S = 5.0
 
 
 class OpenStreams:
-    """How many streams are open. Used from the event loop's thread alone."""
+    """Counts the open streams, and limits them. Use it from the event loop's thread only."""
 
     def __init__(self, most: int) -> None:
         self._most = most
@@ -19,10 +19,10 @@ class OpenStreams:
 
     @contextmanager
     def one_more(self) -> Iterator[None]:
-        """For as long as a stream is open.
+        """Count a stream for as long as it is open.
 
         Raises:
-            Busy: as many are open as may be.
+            Busy: the limit is reached.
         """
         if self.count >= self._most:
             raise Busy(f"{self._most} streams are open, the most allowed.", "Try again later.", _RETRY_AFTER_S)

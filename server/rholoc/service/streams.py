@@ -1,4 +1,4 @@
-"""A stream of frames over a WebSocket → a pose for each. What is known lives as long as the connection."""
+"""A stream of frames over a WebSocket → a pose for each. Its state lives as long as the connection."""
 
 from __future__ import annotations
 
@@ -36,16 +36,16 @@ from rholoc_client.models import parse_localization
 from rholoc_client.tracking import Answer, AnsweredMatches, FollowedTrack, Question
 from rholoc_client.tracking.rigid import FloatArray, from_quaternion
 
-_FRAMES_PER_S = 100.0  # more are read as slowly as that
+_FRAMES_PER_S = 100.0  # messages are read no faster
 _BURST = 30
-_FOLLOWED_PIXELS = 1_000_000  # larger pictures are asked with, but not followed
+_FOLLOWED_PIXELS = 1_000_000  # larger pictures are localized, but not followed from frame to frame
 
 Localize = Callable[[Frame, Stopwatch], Coroutine[Any, Any, LocalizationOut]]
 
 
 @dataclass
 class _Pace:
-    """How fast messages are read: a little at once, then no faster than ``_FRAMES_PER_S``."""
+    """How fast messages are read: a short burst, then no faster than ``_FRAMES_PER_S``."""
 
     left: float = _BURST
     last_s: float = 0.0
@@ -122,7 +122,7 @@ class Stream:
         pending, self._pending = self._pending, None
         try:
             answer = pending.result()
-        except (Busy, DeadlineExceeded):  # the next one may find room, and time
+        except (Busy, DeadlineExceeded):  # the next question may find room, and time
             self._track.unanswered()
             return
         await self._service.compute.run(lambda: self._track.answered(answer))
@@ -176,7 +176,7 @@ class Stream:
 
 
 class _ServedTrack:
-    """A client's track, with what the service needs to ask itself."""
+    """The client's own track, asking the service from within."""
 
     def __init__(self, begin: Begin, stored: Camera | None, localizer: AnyLocalizer, options: TrackOptions) -> None:
         self._begin, self._stored, self._localizer, self._options = begin, stored, localizer, options
@@ -202,11 +202,11 @@ class _ServedTrack:
 
     @property
     def wants_answer(self) -> bool:
-        """Whether an answer for the last frame pays."""
+        """Whether localizing the last frame would pay."""
         return self._track is not None and self._track.wants_answer
 
     def ask(self, picture: bytes) -> Frame:
-        """What to localize for the question that the track now has."""
+        """The frame to localize for the track's current question."""
         assert self._track is not None
         question: Question = self._track.ask()
         prior = None if question.prior is None else PriorIn(**_lists(prior_fields(question.prior)))

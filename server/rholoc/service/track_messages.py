@@ -1,4 +1,4 @@
-"""What goes over a stream of frames (a WebSocket), as JSON text; pictures go between as binary messages."""
+"""The messages of a stream of frames (a WebSocket), as JSON text; pictures are binary messages between them."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class _Message(BaseModel):
 
 
 class OdometryNoiseIn(_Message):
-    """How good the odometry is: one sigma each."""
+    """How accurate the odometry is: one sigma each."""
 
     drift: float = Field(default=0.02, ge=0, le=1, description="of a distance, as a share of it")
     turn_drift: float = Field(default=0.01, ge=0, le=1, description="of an angle, as a share of it")
@@ -69,7 +69,7 @@ class Begun(_Message):
 
 
 class TrackedOut(_Message):
-    """The answer to a frame, and to whatever changes what is known of the last one."""
+    """The answer to a frame; also sent when a later answer changes what is known of the last one."""
 
     type: Literal["tracked"] = "tracked"
     time_s: float

@@ -1,6 +1,6 @@
 """tus 1.0, the protocol of resumable uploads (tus.io/protocols/resumable-upload): its headers, read and written.
 
-What is stored and when an upload is whole, :class:`rholoc.jobs.UploadStore` knows.
+:class:`rholoc.jobs.UploadStore` knows what is stored and when an upload is complete.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _OVERRIDE = "X-HTTP-Method-Override"
 
 
 class Tus:
-    """ASGI middleware: what the protocol asks of every request and every answer."""
+    """ASGI middleware: what the protocol requires of every request and every answer."""
 
     def __init__(self, app: ASGIApp) -> None:
         self._app = app
@@ -55,7 +55,7 @@ class Tus:
 
 
 def abilities(max_bytes: int) -> dict[str, str]:
-    """The headers that say what this server can do."""
+    """The headers that say what this server supports."""
     return {
         RESUMABLE: TUS_VERSION,
         "Tus-Version": TUS_VERSION,

@@ -1,4 +1,4 @@
-"""The web page: console, recorder, the API's description, and what they are made of under ``/web``."""
+"""The web page: the console, the recorder, the API's description; their files are under ``/web``."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ _SERVICE_WORKER = "service-worker.js"
 
 
 def web_folder() -> Path:
-    """Where the page's files are: in an installed package beside this module, in a checkout under ``client``."""
+    """The folder of the page's files: beside this module in an installed package, under ``client`` in a checkout."""
     installed = Path(__file__).parent / "web_files"
     return installed if installed.is_dir() else Path(__file__).parents[3] / "client" / "page"
 
 
 class _PageFiles(StaticFiles):
-    """Files that a browser keeps and asks about before each use: a new version is seen at once, and costs a 304."""
+    """Files that a browser caches and revalidates before each use: a new version is seen at once, at a 304's cost."""
 
     def file_response(self, full_path: str | os.PathLike[str], *args: object, **options: object) -> Response:
         response = super().file_response(full_path, *args, **options)  # type: ignore[arg-type]
@@ -39,7 +39,7 @@ class _PageFiles(StaticFiles):
 def install(app: FastAPI) -> None:
     """Serve the page's files with the app, to everyone."""
     for suffix, kind in _TYPES.items():
-        mimetypes.add_type(kind, suffix)  # what the operating system says of them differs
+        mimetypes.add_type(kind, suffix)  # operating systems disagree about them
     files = _PageFiles(directory=web_folder())
     served = {
         f"{PREFIX}/swagger/{{file:path}}": _file(_PageFiles(packages=[_SWAGGER_UI])),

@@ -19,7 +19,7 @@ router = APIRouter(prefix="/v1/cameras", tags=["cameras"])
 
 @router.get("", dependencies=[NEEDS_READ], summary="All cameras")
 async def list_cameras(service: Service) -> CameraList:
-    """The stored cameras by name; files that are not cameras are named apart."""
+    """The stored cameras by name; files that cannot be read are listed separately."""
     return await run_in_threadpool(_list, service.cameras)
 
 
@@ -30,7 +30,7 @@ async def list_cameras(service: Service) -> CameraList:
     responses=failures(UnknownCamera, InvalidName, InvalidCamera, InvalidRequest),
 )
 async def get_camera(camera: str, service: Service) -> CameraProfileOut:
-    """Its intrinsics, and how good they are known to be."""
+    """Its intrinsics, and how accurate they are."""
     return await run_in_threadpool(_profile, service.cameras, camera)
 
 
@@ -44,10 +44,9 @@ async def get_camera(camera: str, service: Service) -> CameraProfileOut:
     },
 )
 async def put_camera(camera: str, given: CameraProfileIn, service: Service, response: Response) -> CameraProfileOut:
-    """Requests that name it use it from now on; maps keep the camera that they were made with."""
+    """Requests that name it use it from then on; maps keep the camera that they were made with."""
     new = not service.cameras.path(camera).exists()
-    intrinsics = given.model_dump(exclude={"calibration", "distortion"})
-    profile = CameraProfile(Camera(**intrinsics, distortion=tuple(given.distortion)), given.calibration)
+    profile = CameraProfile(Camera.from_dict(given.model_dump(exclude={"calibration"})), given.calibration)
     await run_in_threadpool(service.cameras.put, camera, profile)
     response.status_code = 201 if new else 200
     return _out(camera, profile)

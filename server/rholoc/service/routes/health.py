@@ -1,4 +1,4 @@
-"""Whether the service lives, and whether it can work."""
+"""Whether the service is alive, and whether it can work."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ async def readyz(service: Service, response: Response) -> Readiness:
     responses={200: {"description": "Text.", "content": {METRICS_TYPE: {"schema": BINARY}}}},
 )
 async def metrics(service: Service) -> Response:
-    """Requests by route and status, frames by outcome, jobs by state, frames in work."""
+    """Requests by route and status, frames by outcome, jobs by state, frames in progress."""
     return Response(await run_in_threadpool(service.metrics.text), media_type=METRICS_TYPE)
 
 
@@ -89,5 +89,5 @@ def _jobs(service: State) -> str:
 
 
 def _unanswered(error: Exception) -> str:
-    """Whatever the database's driver raises, it means the same here."""
+    """Whatever the database driver raises, the cause is the same for the reader."""
     return f"the job queue does not answer ({type(error).__name__})"

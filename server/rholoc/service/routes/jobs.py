@@ -37,7 +37,7 @@ async def list_jobs(
     limit: Annotated[int, Query(ge=1, le=_MAX_LISTED, description="how many at most", examples=[20])] = _MAX_LISTED,
     before: Annotated[str | None, Query(description="a job's id: only those that are older", examples=[None])] = None,
 ) -> Response:
-    """The newest jobs, or those before one that was listed; `more` says whether there are older ones."""
+    """The newest jobs, or those before a given one; `more` says whether there are older ones."""
     return Response(await run_in_threadpool(_listed, service, limit, before), media_type="application/json")
 
 
@@ -90,7 +90,7 @@ async def _events(job_id: str, service: State, last_id: str | None) -> AsyncIter
             yield f"id: {event.id}\nevent: job\ndata: {event.data}\n\n"
             last_id, quiet_s = event.id, 0.0
         elif quiet_s > _QUIET_S:
-            yield ": still here\n\n"  # or what lies between takes the connection for dead
+            yield ": still here\n\n"  # or a proxy would take the connection for dead
             quiet_s = 0.0
         if event.last:
             return

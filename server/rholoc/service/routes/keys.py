@@ -1,4 +1,4 @@
-"""Keys that are handed on: for a phone that goes on, for someone who is to see a map. And their QR codes."""
+"""Temporary keys to hand on, to a phone or to someone who is to see a map, and QR codes for their links."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from rholoc.service.state import Service
 router = APIRouter(prefix="/v1", tags=["keys"])
 
 HANDED_PREFIX = "handed-"
-_MAX_HANDED = 200  # that are good at a time
+_MAX_HANDED = 200  # valid at the same time
 _NAME_BYTES = 4
 _SVG = "image/svg+xml"
 
@@ -34,8 +34,8 @@ _SVG = "image/svg+xml"
     responses=failures(InvalidRequest, Busy, StorageFull),
 )
 async def hand_on_key(wanted: KeyIn, request: Request, service: Service) -> HandedKeyOut:
-    """A new key that allows no more than the one that asks for it, and is good no longer. It is shown this once. Where
-    the server asks nobody for a key, there is none to hand on: `key` is null."""
+    """A new key, which allows no more than the key of the request and expires no later. It is shown only once. Where
+    the server requires no keys, `key` is null."""
     held, expires, needed = granted_key(request)
     if not held.allows(wanted.scope):
         raise forbidden(held, wanted.scope)
@@ -47,7 +47,7 @@ async def hand_on_key(wanted: KeyIn, request: Request, service: Service) -> Hand
 
 @router.get("/keys", dependencies=[NEEDS_ADMIN], summary="All keys")
 async def list_keys(service: Service) -> KeyList:
-    """Whose they are and what they allow, the oldest first; not the keys themselves, of which the server has hashes."""
+    """Their names and scopes, the oldest first; not the keys themselves, of which the server only has hashes."""
     keys = await run_in_threadpool(KeyStore(service.settings.data_dir).keys)
     return KeyList(keys=[_shown(key) for key in keys])
 

@@ -1,4 +1,4 @@
-"""Who asks for poses now, and where requests failed."""
+"""Who is asking for poses, and where requests failed."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from rholoc.service.state import Service, State
 
 router = APIRouter(prefix="/v1/maps", tags=["maps"])
 
-_EVERY_S = 0.1  # answers that come meanwhile are sent together
+_EVERY_S = 0.1  # answers in between are sent together
 _QUIET_S = 15.0
 _EVENT = (
     'event: poses\ndata: [{"asker": "robot-7", "time": 1767607200.0, "localized": true, "reason": null, '
@@ -42,9 +42,9 @@ _EVENT = (
     },
 )
 async def watch_poses(map_name: str, service: Service) -> Response:
-    """Server-sent events `poses`, at most ten a second, each with the last answer for everyone who was answered in this
-    map since the event before: by the name of the key, or the address where no key is asked for. An answer without a
-    pose has the last one, and `localized` false. Only where the setting `live` says so; nothing of it is kept."""
+    """Server-sent events `poses`, at most ten a second, each with the last answer to every client that was answered in
+    this map since the event before: by the name of its key, or its address where no key is required. An answer without
+    a pose has the client's last one, and `localized` false. Only if the setting `live` is on; nothing is stored."""
     service.library.stat(map_name)
     first = service.live.after(map_name, 0)
     headers = {"Cache-Control": "no-store", "X-Accel-Buffering": "no"}
@@ -59,7 +59,7 @@ async def _events(map_name: str, first: list[Sighting], service: State) -> Async
             yield f"event: poses\ndata: {json.dumps([_shown(one) for one in found])}\n\n"
             quiet_s = 0.0
         elif quiet_s >= _QUIET_S:
-            yield ": still here\n\n"  # or what lies between takes the connection for dead
+            yield ": still here\n\n"  # or a proxy would take the connection for dead
             quiet_s = 0.0
         await asyncio.sleep(_EVERY_S)
         quiet_s += _EVERY_S
@@ -79,9 +79,9 @@ def _shown(sighting: Sighting) -> dict[str, object]:
     responses=failures(UnknownMap, InvalidName, Conflict),
 )
 async def list_failures(map_name: str, service: Service) -> FailuresOut:
-    """The requests that found no pose, or one of a confidence below 0.8: where that was, and nothing else. Where there
-    is no pose, it is where the request expected to be, or the last pose of whoever asked. Only where the setting
-    `keep_failures` says so, of this server, since it started."""
+    """The requests that found no pose, or one of a confidence below 0.8: where that was, and nothing else. Without a
+    pose, that is the position of the request's prior, or the client's last pose. Only if the setting `keep_failures` is
+    on, and only since this server started."""
     service.library.stat(map_name)
     return FailuresOut(
         failures=[

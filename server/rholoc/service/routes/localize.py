@@ -82,11 +82,11 @@ _BODY = request_body(
 _LOADING_GRACE_S = 0.5  # for a map that was not in memory, beyond the deadline
 _PARTS = frozenset({"image", "request"})  # of a multipart body
 _PARTS_HINT = "Send a file part 'image' and, if you like, a JSON part 'request'."
-_NUMBERED_IMAGE = re.compile(r"image(\d{1,2})")  # of one with several frames
-_NAMES_FRAMES = re.compile(rb'"frames"\s*:')  # of a JSON body with several frames
-_START_BYTES = 2048  # of a JSON body, within which it names them
+_NUMBERED_IMAGE = re.compile(r"image(\d{1,2})")  # a part of one with several frames
+_FRAMES_MEMBER = re.compile(rb'"frames"\s*:')  # in a JSON body with several frames
+_START_BYTES = 2048  # of a JSON body, within which that member begins
 
-_SentFrames = tuple[FramesQuery, dict[int, bytes]]  # what was asked, and the pictures that came beside it, by number
+_SentFrames = tuple[FramesQuery, dict[int, bytes]]  # the query, and the pictures sent beside it, by number
 
 
 @dataclass(frozen=True)
@@ -192,8 +192,8 @@ async def localize_in_maps(
     options: Options,
     maps: MapNames,
 ) -> LocalizationOut:
-    """Asks every map and gives the surest answer, with the map's name."""
-    names, every = await _named(maps, service)
+    """Asks every map and returns the most confident answer, with the map's name."""
+    names, every = await _chosen_maps(maps, service)
     return await _localize(names, request, service, options, every)
 
 
@@ -211,12 +211,12 @@ async def find_places(
     maps: MapNames,
     limit: Annotated[int, Query(ge=1, le=100, description="how many views at most", examples=[10])] = 10,
 ) -> PlacesOut:
-    """Place recognition: quick, and of use where a pose is not needed or not to be had. The picture is sent as for a
-    pose, one picture or descriptor set."""
+    """Place recognition: fast, and useful where a pose is not needed or cannot be found. One picture or descriptor set
+    is sent as for a pose."""
     clock = Stopwatch()
-    names, every = await _named(maps, service)
-    with service.held_bodies.hold() as look:
-        frame = await _sent_alone(request, options, service, look, "Places are found for one picture at a time.")
+    names, every = await _chosen_maps(maps, service)
+    with service.held_bodies.hold() as on_piece:
+        frame = await _read_single(request, options, service, on_piece, "Places are found for one picture at a time.")
         for name in [] if every else names:
             service.library.stat(name)
         settings = service.settings
@@ -233,12 +233,12 @@ async def find_places(
     openapi_extra=_BODY,
 )
 async def see_landscape(map_name: str, request: Request, service: Service, options: Options) -> LandscapeOut:
-    """The product of the densities of what the frame shows, over positions around its pose, and the ways of ascents
-    to it. It is sent as for a pose, one picture or descriptor set, and takes a few times as long."""
+    """The product of the densities of what the frame shows, over positions around its pose, and the paths of ascents to
+    it. One picture or descriptor set is sent as for a pose; it takes a few times as long."""
     clock = Stopwatch()
     service.library.stat(map_name)
-    with service.held_bodies.hold() as look:
-        frame = await _sent_alone(request, options, service, look, "Several frames have no landscape together.")
+    with service.held_bodies.hold() as on_piece:
+        frame = await _read_single(request, options, service, on_piece, "Several frames have no landscape together.")
         frame = await _with_stored_camera(frame, service)
         settings = service.settings
         return await service.compute.run(
@@ -253,8 +253,8 @@ async def _with_stored_camera(frame: Frame, service: State) -> Frame:
     return replace(frame, stored=profile.camera)
 
 
-async def _named(maps: str, service: State) -> tuple[list[str], bool]:
-    """The maps that a request is for, and whether that is all of them."""
+async def _chosen_maps(maps: str, service: State) -> tuple[list[str], bool]:
+    """The maps that a request is for, and whether it asks for all of them."""
     names = list(dict.fromkeys(name.strip() for name in maps.split(",")))
     if names != ["all"]:
         return names, False
@@ -268,8 +268,8 @@ async def _localize(
     names: list[str], request: Request, service: State, options: OptionParameters, every: bool = False
 ) -> LocalizationOut:
     clock = Stopwatch()
-    with service.held_bodies.hold() as look:
-        sent = await _sent(request, options.options(), service, look)
+    with service.held_bodies.hold() as on_piece:
+        sent = await _read(request, options.options(), service, on_piece)
         if isinstance(sent, Frame):
             return await answer_frame(sent, names, service, clock, every)
         return await _localize_frames(*sent, names, service, clock, every)
@@ -278,14 +278,14 @@ async def _localize(
 async def answer_frame(
     frame: Frame, names: list[str], service: State, clock: Stopwatch, every: bool
 ) -> LocalizationOut:
-    """The surest pose of several maps for one frame, by its deadline.
+    """The most confident answer of several maps for one frame, by its deadline.
 
     Raises:
         RholocError: as :func:`rholoc.service.localize.localize_frame`, and Busy.
     """
     frame = await _with_stored_camera(frame, service)
     settings = service.settings
-    return await _answered(
+    return await _answer_by_deadline(
         lambda: localize_frame(frame, names, service.localizers, settings, clock, every),
         names,
         not every,
@@ -305,7 +305,7 @@ async def _localize_frames(
     stored = {name: (await run_in_threadpool(service.cameras.get, name)).camera for name in named}
     frames = Frames.of(query, images, stored)
     settings, deadline_s = service.settings, frame_deadline_s(query.deadline_ms, service.settings)
-    return await _answered(
+    return await _answer_by_deadline(
         lambda: localize_frames(frames, names, service.localizers, settings, clock, deadline_s, every),
         names,
         not every,
@@ -316,8 +316,8 @@ async def _localize_frames(
     )
 
 
-async def _answered(
-    localized: Callable[[], LocalizationOut],
+async def _answer_by_deadline(
+    localize: Callable[[], LocalizationOut],
     names: list[str],
     named: bool,
     service: State,
@@ -326,12 +326,15 @@ async def _answered(
     effort: Effort,
     expected: Sequence[float] | None = None,
 ) -> LocalizationOut:
-    """What a thread finds in one of several maps, that somebody ``named``, or at the deadline that it was too late."""
+    """The answer that a thread finds, or at the deadline the answer that it was too late.
+
+    ``named``: the request names the maps, so that an unknown one is an error; ``expected``: the prior's position.
+    """
     for name in names if named else ():
-        service.library.stat(name)  # an unknown map is refused before it takes a place in the queue
+        service.library.stat(name)  # an unknown map is refused before the request takes a place in the queue
     try:
         async with asyncio.timeout(deadline_s - clock.elapsed_s):
-            answer = await service.compute.run(localized, effort)
+            answer = await service.compute.run(localize, effort)
     except (TimeoutError, DeadlineExceeded):
         answer = await _late_answer(names[0], service.localizers, clock)
     service.metrics.localization(answer.reason)
@@ -340,7 +343,7 @@ async def _answered(
 
 
 async def _late_answer(name: str, localizers: Localizers, clock: Stopwatch) -> LocalizationOut:
-    """The answer at the deadline, while a thread is still at work on the frame, or none has begun."""
+    """The answer at the deadline, while a thread is still working on the frame or has not begun."""
     try:
         async with asyncio.timeout(_LOADING_GRACE_S):
             return late_answer(name, await run_in_threadpool(localizers.get, name), clock)
@@ -348,60 +351,63 @@ async def _late_answer(name: str, localizers: Localizers, clock: Stopwatch) -> L
         raise DeadlineExceeded("The deadline passed while the map was being loaded.", "Try again.") from None
 
 
-async def _sent_alone(
-    request: Request, options: OptionParameters, service: State, look: PieceListener, refusal: str
+async def _read_single(
+    request: Request, options: OptionParameters, service: State, on_piece: PieceListener, refusal: str
 ) -> Frame:
-    """One picture or descriptor set; several frames are refused in the words given."""
-    frame = await _sent(request, options.options(), service, look)
+    """One picture or descriptor set; several frames are refused with the message ``refusal``."""
+    frame = await _read(request, options.options(), service, on_piece)
     if not isinstance(frame, Frame):
         raise InvalidRequest(refusal, "Send one picture.")
     return frame
 
 
-async def _sent(request: Request, options: dict[str, Any], service: State, look: PieceListener) -> Frame | _SentFrames:
+async def _read(
+    request: Request, options: dict[str, Any], service: State, on_piece: PieceListener
+) -> Frame | _SentFrames:
+    """The frame, or the frames, of a request's body."""
     settings = service.settings
     kind, max_bytes = media_type(request), settings.max_request_bytes
-    if kind.startswith("image/"):  # what it really is, its bytes tell
-        image = await read_body(request, max_bytes, _refusing_others(look))
+    if kind.startswith("image/"):  # which format it really is, its bytes say
+        image = await read_body(request, max_bytes, _image_listener(on_piece))
         effort = await run_in_threadpool(effort_of, image)
         return Frame(LocalizeOptions.model_validate(options), image=image, effort=effort)
     if kind == "application/json":
-        body = await read_body(request, max_bytes, _measured_json(settings, look))
-        if _names_frames(body):
+        body = await read_body(request, max_bytes, _json_listener(settings, on_piece))
+        if _has_frames(body):
             return await _frames_query(body, service), {}
         effort = effort_of_set(body)
         service.compute.check_room(effort)
         query = await run_in_threadpool(DescriptorQuery.model_validate_json, body)
         return Frame(query, features=query.features, effort=effort)
     if kind == "multipart/form-data":
-        return await _multipart(request, options, service, look)
+        return await _read_multipart(request, options, service, on_piece)
     raise UnsupportedMediaType(
         f"A body of type '{kind}' cannot be read.",
         "Send image/jpeg, image/png, multipart/form-data or application/json as Content-Type.",
     )
 
 
-def _names_frames(body: bytes) -> bool:
-    """Whether a JSON body is of several frames: the member stands near its start."""
-    return _NAMES_FRAMES.search(body, 0, _START_BYTES) is not None
+def _has_frames(body: bytes) -> bool:
+    """Whether a JSON body holds several frames: that member must begin near its start."""
+    return _FRAMES_MEMBER.search(body, 0, _START_BYTES) is not None
 
 
-def _measured_json(settings: Settings, look: PieceListener) -> PieceListener:
-    """Refuses a JSON body once it is beyond the limits of one frame, or of several where it names them; shows ``look``
-    each piece too.
+def _json_listener(settings: Settings, on_piece: PieceListener) -> PieceListener:
+    """A listener that refuses a JSON body as soon as it exceeds the limits of one frame, or of several where it holds
+    several, and passes the pieces to ``on_piece``.
 
     Raises:
-        TooLarge: by the call.
+        TooLarge: from the listener.
     """
     one = JsonLimits.of_features(settings.max_request_bytes, settings.max_features).measured()
-    several = _limits_of_several(settings).measured(look)
+    several = _limits_of_several(settings).measured(on_piece)
     start = b""
 
     def listen(piece: bytes) -> None:
         nonlocal start
         start += piece[: max(0, _START_BYTES - len(start))]
         several(piece)
-        if not _names_frames(start):
+        if not _has_frames(start):
             one(piece)
 
     return listen
@@ -417,11 +423,11 @@ async def _frames_query(body: bytes, service: State) -> FramesQuery:
     return await run_in_threadpool(FramesQuery.model_validate_json, body)
 
 
-def _refusing_others(look: PieceListener) -> PieceListener:
-    """Refuses a picture by its first bytes, before the others come; shows ``look`` each piece too.
+def _image_listener(on_piece: PieceListener) -> PieceListener:
+    """A listener that refuses, by its first bytes, a body that is not an image, and passes the pieces to ``on_piece``.
 
     Raises:
-        InvalidImage: by the call: it is not one.
+        InvalidImage: from the listener.
     """
     start = b""
 
@@ -431,28 +437,28 @@ def _refusing_others(look: PieceListener) -> PieceListener:
             start += piece[:IMAGE_START_BYTES]
             if len(start) >= IMAGE_START_BYTES and not begins_like_an_image(start):
                 raise InvalidImage("This is not an image that can be read.", "Send a whole JPEG, PNG or WebP file.")
-        look(piece)
+        on_piece(piece)
 
     return listen
 
 
-async def _multipart(
-    request: Request, options: dict[str, Any], service: State, look: PieceListener
+async def _read_multipart(
+    request: Request, options: dict[str, Any], service: State, on_piece: PieceListener
 ) -> Frame | _SentFrames:
     settings, files = service.settings, dict[str, bytearray]()
 
     def keep(field_name: str, _filename: str, chunk: bytes) -> None:
         files.setdefault(field_name, bytearray()).extend(chunk)
 
-    fields = await read_multipart(request, settings.max_request_bytes, MOST_FRAMES + 1, keep, look)
+    fields = await read_multipart(request, settings.max_request_bytes, MOST_FRAMES + 1, keep, on_piece)
     text = bytes(files.get("request", b"")) or fields.get("request", "").encode()
     numbered = {int(match[1]): name for name in files if (match := _NUMBERED_IMAGE.fullmatch(name))}
     parts = files.keys() | fields.keys()
     if numbered and "image" not in parts:
-        _refuse_strange(parts - _PARTS - set(numbered.values()))
+        _refuse_unknown(parts - _PARTS - set(numbered.values()))
         query = await _frames_query(text, service)
         return query, {number: bytes(files[name]) for number, name in numbered.items()}
-    _refuse_strange(parts - _PARTS)
+    _refuse_unknown(parts - _PARTS)
     if "image" not in files:
         raise InvalidRequest("The multipart body has no file 'image'.", _PARTS_HINT)
     JsonLimits.of_options(settings.max_json_bytes).check(text)
@@ -461,6 +467,6 @@ async def _multipart(
     return Frame(parsed, image=image, effort=await run_in_threadpool(effort_of, image))
 
 
-def _refuse_strange(parts: set[str]) -> None:
+def _refuse_unknown(parts: set[str]) -> None:
     if parts:
         raise InvalidRequest(f"The multipart body has a part '{min(parts)}'.", _PARTS_HINT)

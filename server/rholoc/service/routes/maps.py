@@ -1,4 +1,4 @@
-"""Maps: listed, uploaded, renamed, deleted, taken away."""
+"""Maps: listed, uploaded, downloaded, renamed, corrected, merged, deleted."""
 
 from __future__ import annotations
 
@@ -94,13 +94,13 @@ _FAILURES = (UnknownMap, InvalidName, InvalidMap)
 
 @router.get("", dependencies=[NEEDS_READ], summary="All maps")
 async def list_maps(service: Service) -> MapList:
-    """The maps by name; files that are not maps are named apart."""
+    """The maps by name; files that cannot be read are listed separately."""
     return await run_in_threadpool(_list, service.library)
 
 
 @router.get("/{map_name}", dependencies=[NEEDS_READ], summary="One map", responses=failures(*_FAILURES))
 async def get_map(map_name: str, service: Service) -> MapDetail:
-    """What the map says of itself."""
+    """What the map says about itself."""
     return await run_in_threadpool(_detail, service, map_name)
 
 
@@ -116,7 +116,7 @@ async def get_map(map_name: str, service: Service) -> MapDetail:
 )
 async def put_map(map_name: str, request: Request, service: Service, response: Response) -> MapDetail:
     """The body is a `.rho` file or a map as CSV (Table 5). It is checked before it replaces the map of that name;
-    requests that are being answered end on the old map, the next ones get the new."""
+    requests in progress finish on the old map, later ones get the new one."""
     check_map_name(map_name)
     folder = service.settings.data_dir / "uploads"
     folder.mkdir(exist_ok=True)
@@ -155,7 +155,7 @@ async def patch_map(map_name: str, change: MapPatch, service: Service) -> MapDet
     responses=failures(UnknownMap, InvalidName),
 )
 async def delete_map(map_name: str, service: Service) -> None:
-    """For good. Requests that are being answered end on it."""
+    """For good. Requests in progress still finish on it."""
     await run_in_threadpool(service.library.delete, map_name)
     service.localizers.forget_missing()
 
@@ -163,7 +163,7 @@ async def delete_map(map_name: str, service: Service) -> None:
 @router.get(
     "/{map_name}/download",
     dependencies=[NEEDS_READ],
-    summary="Take a map away",
+    summary="Download a map",
     response_class=Response,
     responses={
         200: {
@@ -233,7 +233,7 @@ async def get_report(map_name: str, service: Service) -> MapReportOut:
     },
 )
 async def get_report_picture(map_name: str, request: Request, service: Service) -> Response:
-    """Coverage by position and heading, how consistent frames held out are with it, what the landmarks are worth."""
+    """Coverage by position and heading, how consistent frames held out are with it, how exact the landmarks are."""
     return await _rendered(request, service, map_name, Rendering.REPORT, "image/png")
 
 
@@ -260,7 +260,7 @@ async def get_coverage(map_name: str, request: Request, service: Service) -> Res
 @router.post(
     "/{map_name}/restore",
     dependencies=[NEEDS_MAP],
-    summary="Restore the map before",
+    summary="Restore a map that was replaced",
     responses=failures(*_FAILURES, Conflict),
 )
 async def restore_map(
@@ -269,7 +269,7 @@ async def restore_map(
     number: Annotated[int, Query(ge=1, le=1000, description="which of its `versions`; 1 was replaced last")] = 1,
 ) -> MapDetail:
     """The map that was last replaced under this name takes its place again, and the present one is kept in turn:
-    restoring twice changes nothing. `number` says which, where an earlier one is wanted."""
+    restoring twice changes nothing. `number` chooses an earlier one."""
     await run_in_threadpool(service.library.restore, map_name, number)
     return await run_in_threadpool(_detail, service, map_name)
 
@@ -281,7 +281,7 @@ async def restore_map(
     responses=failures(*_FAILURES),
 )
 async def list_versions(map_name: str, service: Service) -> MapVersions:
-    """Those that can be restored: the last five that were replaced under this name, the last one first."""
+    """The maps that can be restored: the last five that were replaced under this name, the latest first."""
     return await run_in_threadpool(_versions, service.library, map_name)
 
 
@@ -294,9 +294,9 @@ async def list_versions(map_name: str, service: Service) -> MapVersions:
 async def correct_map(
     map_name: str, wanted: Annotated[CorrectionIn, Body(openapi_examples=CORRECTION_EXAMPLES)], service: Service
 ) -> MapDetail:
-    """The map's next version: with another origin, north, upright, axis or scale, laid over a floor plan, without a
-    region or a piece of its walk, or with names. Where the frame moves, poses are answered in the new one from then on,
-    moved by exactly what `corrections` says. The version before can be restored."""
+    """The map's next version: with another origin, north, upright, axis or scale, aligned with a floor plan, without a
+    region or a piece of its walk, or with names. If the frame moves, poses are in the new frame from then on, moved by
+    exactly what `corrections` says. The previous version can be restored."""
     map_ = await run_in_threadpool(service.library.get, map_name)
     corrected = await service.compute.run(lambda: corrected_map(map_, wanted), Effort.LARGE)
     await run_in_threadpool(service.library.replace, map_name, corrected)
@@ -319,7 +319,7 @@ async def put_plan(
     turn_deg: Annotated[float, Query(description="how far its lower edge is turned from the map's x towards y")] = 0.0,
     m_per_unit: Annotated[float, Query(gt=0, description="how long a pixel is, or a metre of GeoJSON")] = 1.0,
 ) -> MapDetail:
-    """The body is a picture (PNG, JPEG, WebP) or GeoJSON. This is the map's next version; the one before can be
+    """The body is a picture (PNG, JPEG, WebP) or GeoJSON. This makes the map's next version; the previous one can be
     restored. The plan moves with the map when its frame is corrected."""
     kind = media_type(request)
     if kind not in MEDIA_TYPES:
@@ -354,11 +354,11 @@ async def get_plan(map_name: str, request: Request, service: Service) -> Respons
 @router.delete(
     "/{map_name}/plan",
     dependencies=[NEEDS_MAP],
-    summary="Take a map's floor plan away",
+    summary="Remove a map's floor plan",
     responses=failures(*_FAILURES, Conflict, StorageFull),
 )
 async def delete_plan(map_name: str, service: Service) -> MapDetail:
-    """The map stays where it lies."""
+    """The map itself does not move."""
     return await run_in_threadpool(_planned, service, map_name, b"", None)
 
 
@@ -372,8 +372,8 @@ async def delete_plan(map_name: str, service: Service) -> MapDetail:
     ),
 )
 async def update_map(map_name: str, wanted: UpdateIn, service: Service, response: Response) -> JobOut:
-    """A job localizes the recording in the map and learns it; `Location` names the job. The next version of the map
-    takes the place of the present one when the job is done; a recording of another place changes nothing."""
+    """A job localizes the recording in the map and learns it; `Location` is the job's address. When it is done, the
+    map's next version replaces the present one; a recording of another place changes nothing."""
     await run_in_threadpool(_check_learns, service.library, map_name)
     await run_in_threadpool(service.cameras.named_in, wanted.camera)
     options = JobOptions(
@@ -407,7 +407,7 @@ async def merge_map(map_name: str, wanted: MergeIn, service: Service) -> MapDeta
     responses=failures(*_FAILURES, InvalidInput, InvalidRequest, Conflict, Busy, StorageFull),
 )
 async def forget_source(map_name: str, wanted: ForgetIn, service: Service) -> MapDetail:
-    """The map's next version is without what it learned from the recording, named by its id or name in `sources`."""
+    """Makes the map's next version, without what it learned from the recording: an id or a name in `sources`."""
     map_ = await run_in_threadpool(service.library.get, map_name)
     left = await service.compute.run(lambda: forget_recording(map_, wanted.source), Effort.LARGE)
     await run_in_threadpool(service.library.replace, map_name, left)
@@ -494,7 +494,7 @@ def _feature(library: MapLibrary, name: str, feature: int) -> FeatureOut:
     },
 )
 async def get_points(map_name: str, request: Request, service: Service) -> Response:
-    """Points of the reconstruction that are no landmarks, for people to see the room. Little-endian: one uint32, the
+    """Points of the reconstruction that are not landmarks, for people to see the room. Little-endian: one uint32, the
     number P; P × 3 float32: x, y, z; P × 3 uint8: red, green, blue. Lengths in metres."""
     etag = etag_of(await run_in_threadpool(service.library.stat, map_name), "points")
     if _is_kept(request, etag):
@@ -520,7 +520,7 @@ async def get_view_picture(
     request: Request,
     service: Service,
 ) -> Response:
-    """What the camera saw there, where the map keeps pictures and `keep_pictures` allows it on this server."""
+    """What the camera saw there, if the map keeps pictures and this server's setting `keep_pictures` is on."""
     etag = etag_of(await run_in_threadpool(service.library.stat, map_name), "picture", view)
     if _is_kept(request, etag):
         return _unchanged(etag)
@@ -559,12 +559,12 @@ async def _rendered(request: Request, service: State, name: str, kind: Rendering
 
 
 def _caching(etag: str) -> dict[str, str]:
-    """A browser keeps the answer, and asks before each use whether it has changed."""
+    """A browser may cache the answer, and revalidates it before each use."""
     return {"ETag": etag, "Cache-Control": "private, no-cache"}
 
 
 def _is_kept(request: Request, etag: str) -> bool:
-    """Whether the browser says that it has this version."""
+    """Whether the browser already has this version."""
     kept = {tag.strip().removeprefix("W/") for tag in request.headers.get("if-none-match", "").split(",")}
     return etag in kept or "*" in kept
 
@@ -682,7 +682,7 @@ def _opened(library: MapLibrary, name: str, headers: dict[str, str]) -> OpenedFi
 
 
 def _publish(service: State, name: str, arrived: Path) -> None:
-    """Put a file into the library, if all that is done with maps here can be done with it."""
+    """Put a file into the library, if the service can do with it everything that it does with maps."""
 
     def check(map_: Map) -> None:
         _check_features(map_)
@@ -710,10 +710,10 @@ def _check_features(map_: Map) -> None:
 
 
 def _rehearse(map_: Map, name: str, size_bytes: int, min_confidence: float) -> None:
-    """Do with a map what requests for it will need, before they do.
+    """Do with a map what requests for it will need, so that a map that fails is refused.
 
     Raises:
-        InvalidMap: some of it cannot be done.
+        InvalidMap: something of it cannot be done.
     """
     check_usable(map_)
     try:

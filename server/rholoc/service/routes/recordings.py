@@ -97,7 +97,7 @@ def _form_schema() -> dict[str, Any]:
 
 @router.get("", dependencies=[NEEDS_READ], summary="All recordings")
 async def list_recordings(request: Request, service: Service) -> RecordingList:
-    """Those that are stored whole, the newest first."""
+    """Those that are completely uploaded, the newest first."""
     return await run_in_threadpool(_list, service.recordings, _may_see(request))
 
 
@@ -108,7 +108,7 @@ async def list_recordings(request: Request, service: Service) -> RecordingList:
     responses=failures(UnknownRecording, InvalidRequest),
 )
 async def get_recording(recording: str, request: Request, service: Service) -> RecordingDetail:
-    """What it is, and its waypoints: as people gave them, else as a job read them in it."""
+    """What it holds, and its waypoints: as corrected, else as a job read them from it."""
     return await run_in_threadpool(_detail, service.recordings, recording, _may_see(request))
 
 
@@ -123,7 +123,7 @@ async def get_recording(recording: str, request: Request, service: Service) -> R
     },
 )
 async def get_thumbnail(recording: str, service: Service) -> Response:
-    """A frame of its beginning, once a job has read it."""
+    """A frame from its beginning, once a job has read it."""
     folder = await run_in_threadpool(service.recordings.folder, recording)
     picture = await run_in_threadpool(read_thumbnail, folder)
     if picture is None:
@@ -138,8 +138,8 @@ async def get_thumbnail(recording: str, service: Service) -> Response:
     responses=failures(UnknownRecording, InvalidWaypoints, InvalidRequest, StorageFull),
 )
 async def put_waypoints(recording: str, wanted: WaypointsIn, request: Request, service: Service) -> RecordingDetail:
-    """They take the place of the recording's own whenever it is mapped from then on; the recording's files stay as they
-    are. Maps that there are stay, too."""
+    """They replace the recording's own whenever it is mapped from then on. The recording's files and existing maps stay
+    as they are."""
     given = tuple(_recorded(one) for one in wanted.waypoints)
     return await run_in_threadpool(_corrected, service.recordings, recording, given, _may_see(request))
 
@@ -163,7 +163,7 @@ async def delete_waypoints(recording: str, request: Request, service: Service) -
     responses=failures(UnknownRecording, *UPLOAD_FAILURES),
 )
 async def map_again(recording: str, wanted: RecordingFields, service: Service, response: Response) -> JobOut:
-    """With other options, corrected waypoints, fewer frames, or as another map. `Location` names the job."""
+    """With other options, corrected waypoints, fewer frames, or as another map. `Location` is the job's address."""
     options = await checked_options(wanted, service)
     job = await run_in_threadpool(service.jobs.submit, recording, wanted.map, options)
     response.headers["Location"] = f"/v1/jobs/{job.id}"
@@ -186,10 +186,10 @@ async def map_again(recording: str, wanted: RecordingFields, service: Service, r
 )
 async def upload_recording(request: Request, service: Service) -> Response:
     """Multipart: one or more parts `file`, and the field `map`. An upload that breaks off leaves nothing behind. The
-    answer names the mapping job, whose address is in `Location` too; ask there how it goes on.
+    answer holds the mapping job, whose address is also in `Location`: ask there for its progress.
 
-    With the header `Tus-Resumable` instead: the beginning of a resumable upload (tus 1.0), with `Upload-Length` and,
-    in `Upload-Metadata`, `filename` and the fields."""
+    With the header `Tus-Resumable` it creates a resumable upload (tus 1.0) instead, with `Upload-Length` and, in
+    `Upload-Metadata`, `filename` and the fields."""
     if RESUMABLE in request.headers:
         return await begin_upload(request, service)
     if media_type(request) != "multipart/form-data":
@@ -212,7 +212,7 @@ async def upload_recording(request: Request, service: Service) -> Response:
 
 
 def _may_see(request: Request) -> bool:
-    """Whether whoever asks may see pictures of recordings."""
+    """Whether the client may see pictures of recordings."""
     return granted_key(request)[0].allows(Scope.MAP)
 
 
@@ -260,8 +260,8 @@ def _recorded(waypoint: WaypointIn) -> RecordedWaypoint:
 
 
 async def _receive(request: Request, pending: PendingRecording, service: State) -> tuple[RecordingFields, JobOptions]:
-    """Stream the files into the pending recording; the fields are checked once all have come."""
-    starts: dict[str, bytes] = {}  # of each file, as far as it has come
+    """Stream the files into the pending recording; the fields are checked once everything has arrived."""
+    starts: dict[str, bytes] = {}  # the first bytes of each file, as far as they have arrived
 
     def write(field_name: str, filename: str, chunk: bytes) -> None:
         if field_name not in ("file", "waypoints"):
@@ -286,7 +286,7 @@ async def _receive(request: Request, pending: PendingRecording, service: State) 
 
 
 def _check_files(starts: Mapping[str, bytes], pending: PendingRecording, max_files: int) -> None:
-    """Refuse files that are together no recording. Raises InvalidRecording, TooLarge."""
+    """Refuse files that do not make a recording together. Raises InvalidRecording, TooLarge."""
     for name, start in starts.items():
         if len(start) < START_BYTES:
             check_file_start(name, start)

@@ -52,7 +52,7 @@ async def track(socket: WebSocket, map_name: str) -> None:
 
 
 async def _end(socket: WebSocket, error: RholocError, request_id: str) -> None:
-    """Say why the stream ends, and end it."""
+    """Send the reason, and end the stream."""
     code = _ENDED_BY_FAILURE if isinstance(error, Internal) else _ENDED_BY_ERROR
     with suppress(RuntimeError, WebSocketDisconnect):  # the client has left
         await socket.send_text(StreamError.model_validate(error_body(error, request_id)).model_dump_json())

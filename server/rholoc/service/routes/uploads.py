@@ -92,15 +92,15 @@ async def continue_upload(
         str | None, Header(description="algorithm and base64; the body is kept if right")
     ] = None,
 ) -> Response:
-    """The next bytes. What came before the connection broke is kept, and `HEAD` says how much that is; of a body with
-    `Upload-Checksum` all is kept, or nothing. The last byte makes it a recording, and starts its job."""
+    """The next bytes. What arrived before a connection broke is kept, and `HEAD` says how much that is; a body with
+    `Upload-Checksum` is kept whole or not at all. The last byte completes the recording, and starts its job."""
     if media_type(request) != tus.PATCH_TYPE:
         raise UnsupportedMediaType(
             "The bytes of an upload must be sent as " + tus.PATCH_TYPE + ".", "Use a tus client."
         )
     offset = tus.number("Upload-Offset", upload_offset)
     append = service.uploads.append
-    upload = await run_in_threadpool(append, recording, offset, b"")  # refuses what it must before the bytes come
+    upload = await run_in_threadpool(append, recording, offset, b"")  # raises its errors before the bytes arrive
     left = upload.length - offset
     if upload_checksum is None:
         pieces = _pieces(request, left)
@@ -133,7 +133,7 @@ def _delete(service: State, recording: str) -> None:
 
 
 async def _pieces(request: Request, max_bytes: int) -> AsyncIterator[bytes]:
-    """The body in pieces worth writing; also the last one of a body that breaks off."""
+    """The body in pieces worth writing, including the last one of a body that breaks off."""
     piece = bytearray()
     try:
         async for chunk in limited_stream(request, max_bytes):
@@ -148,7 +148,7 @@ async def _pieces(request: Request, max_bytes: int) -> AsyncIterator[bytes]:
 
 
 async def _checked(request: Request, max_bytes: int, checksum: str) -> AsyncIterator[bytes]:
-    """The whole body, if it is what was sent."""
+    """The whole body, if it matches its checksum."""
     body = await read_body(request, max_bytes)
     tus.check_checksum(checksum, body)
     yield body
