@@ -12,7 +12,7 @@ import pytest
 from rholoc.features import FeatureSet, Metric
 from rholoc.geometry import FloatArray
 from rholoc.localization import MIN_CONFIDENCE, Dof, Localizer, Query
-from rholoc.localization.confidence import confidence_inputs, confidence_of
+from rholoc.localization.confidence import confidence_inputs, confidence_of, joint_confidence
 from rholoc.maps import Map
 
 
@@ -76,3 +76,41 @@ def _among_clutter(seen: FeatureSet, seed: int, count: int = 300) -> FeatureSet:
         sizes=np.concatenate([seen.sizes, np.full(count, 31, np.float32)]),
         angles=np.concatenate([seen.angles, np.zeros(count, np.float32)]),
     )
+
+
+@pytest.mark.parametrize("metric", list(Metric))
+def test_it_is_a_logistic_in_its_inputs(metric: Metric) -> None:
+    def logit(verified: Any, covariance: FloatArray) -> float:
+        confidence = joint_confidence([verified], covariance, metric)
+        return float(np.log(confidence / (1 - confidence)))
+
+    cases = [
+        (_verified(seen, missing, by_chance), _covariance(sigma_m))
+        for seen, missing, by_chance, sigma_m in (
+            (0.0, 0.0, 0.0, 0.01),
+            (15.0, 0.0, 0.0, 0.01),
+            (15.0, 15.0, 0.0, 0.01),
+            (15.0, 0.0, 7.0, 0.01),
+            (15.0, 0.0, 0.0, 0.4),
+        )
+    ]
+    intercept, at_sixteen, at_half_missing, at_eight_by_chance, at_eightfold_sigma = [logit(*case) for case in cases]
+    seen, missing, by_chance, sigma = (
+        (at_sixteen - intercept) / 4,
+        (at_half_missing - at_sixteen) / 0.5,
+        (at_eight_by_chance - at_sixteen) / 3,
+        (at_eightfold_sigma - at_sixteen) / 3,
+    )
+    assert intercept < -5  # of what nothing speaks for
+    assert 1 < seen < 5
+    assert -20 < missing < -5
+    assert -2 < by_chance < -0.5
+    assert -1 < sigma < -0.05
+    mixed = _verified(63.0, 21.0, 15.0)
+    expected = intercept + 6 * seen + missing / 4 + 4 * by_chance + sigma
+    assert logit(mixed, _covariance(0.1)) == pytest.approx(expected)
+    assert confidence_of(_verified(63.0, 21.0, 15.0, 0.1), metric) == joint_confidence(
+        [mixed], _covariance(0.1), metric
+    )
+    assert joint_confidence([_verified(1e300)], _covariance(0.01), metric) == 1.0
+    assert joint_confidence([_verified(by_chance=1e300)], _covariance(0.01), metric) < 1e-9

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
 
 from rholoc.geometry import ByteArray
-from rholoc.localization.diagnosis import Cause, diagnose_picture, sight_of
+from rholoc.localization.diagnosis import Cause, Sight, _from_sight, diagnose_picture, sight_of, wrong_camera
 from rholoc.maps import Map
+from rholoc.reports import CoachingReport, MapReport, WalkFigures
 
 
 @pytest.fixture
@@ -54,3 +57,79 @@ def test_a_bare_wall_is_named(room_map: Map) -> None:
 @pytest.mark.parametrize("shape", [(1, 1, 3), (5, 700, 3), (9, 9), (3000, 20, 3)])
 def test_any_size_of_picture_can_be_looked_at(shape: tuple[int, ...]) -> None:
     assert np.isfinite(sight_of(np.full(shape, 128, np.uint8)).sharpness)
+
+
+def _recorded_at(map_: Map, *levels: float | None) -> Map:
+    walks = tuple(CoachingReport("walk", WalkFigures(brightness=level)) for level in levels)
+    return replace(map_, info=replace(map_.info, report=MapReport(coaching=walks)))
+
+
+@pytest.mark.parametrize(
+    ("sight", "cause"),
+    [
+        (Sight(29.0, 0.0, 0.9), Cause.TOO_DARK),
+        (Sight(100.0, 0.0, 0.16), None),
+        (Sight(100.0, 0.0, 0.14), Cause.BLURRED),
+        (Sight(100.0, 29.0, 0.9), None),
+        (Sight(100.0, 31.0, 0.9), Cause.OTHER_LIGHT),
+        (Sight(62.0, 0.0, 0.9), None),  # against a map of 120
+        (Sight(58.0, 0.0, 0.9), Cause.OTHER_LIGHT),
+        (Sight(214.0, 0.0, 0.9), None),
+        (Sight(218.0, 0.0, 0.9), Cause.OTHER_LIGHT),
+    ],
+)
+def test_what_is_seen_is_held_against_what_a_picture_needs_and_the_recordings_light(
+    room_map: Map, sight: Sight, cause: Cause | None
+) -> None:
+    found = _from_sight(sight, _recorded_at(room_map, 110.0, None, 130.0))
+    assert (found and found.cause) is cause
+    assert _from_sight(Sight(31.0, 0.0, 0.9), _recorded_at(room_map, 50.0)) is None
+    if cause is Cause.OTHER_LIGHT and sight.tint == 0:
+        assert found is not None
+        assert f"(mean grey level {sight.brightness:.0f}, the recording's 120)" in found.message
+        assert _from_sight(sight, _recorded_at(room_map, None)) is None
+    if sight.tint > 30:
+        of_unknown_light = _from_sight(sight, _recorded_at(room_map))
+        assert of_unknown_light is not None
+        assert "grey level" not in of_unknown_light.message
+
+
+def test_few_features_are_a_bare_wall_and_a_camera_is_named_by_both_lengths(room_map: Map) -> None:
+    assert [_cause(None, room_map, features) for features in (39, 40)] == [
+        Cause.TOO_LITTLE_TEXTURE,
+        Cause.UNKNOWN_PLACE,
+    ]
+    message = wrong_camera(400.0, 512.4).message
+    assert "about 512 px" in message
+    assert "than 400 px" in message
+
+
+@pytest.mark.parametrize("width", [480, 640, 1280])
+@pytest.mark.parametrize("period_px", [40, 64])
+def test_sharpness_of_a_wave_is_that_of_its_worse_direction(width: int, period_px: int) -> None:
+    """Pixels beside each other differ by sin(π/P), those eight apart by sin(8π/P); both are blurred alike."""
+    x, y = np.meshgrid(np.arange(width), np.arange(width * 3 // 4))
+    scale = max(width / 640, 1)  # larger pictures are looked at 640 wide
+    along_x, along_y = period_px * scale, 20 * scale
+    wave = 120 + 40 * np.sin(2 * np.pi * x / along_x) + 40 * np.sin(2 * np.pi * y / along_y)
+    sight = sight_of(np.repeat(wave.astype(np.uint8)[..., None], 3, axis=2))
+    expected = np.sin(np.pi / period_px) / np.sin(8 * np.pi / period_px)
+    assert sight.sharpness == pytest.approx(expected, rel=0.06)
+    assert sight.sharpness == pytest.approx(sight_of(np.ascontiguousarray(wave.T.astype(np.uint8))).sharpness, rel=0.06)
+    assert sight.brightness == pytest.approx(119.5, abs=2)
+    assert sight.tint == 0
+
+
+def test_a_tint_is_the_distance_from_grey() -> None:
+    colour = np.full((60, 80, 3), (200, 120, 60), np.uint8)
+    _, a, b = cv2.cvtColor(colour[:1, :1], cv2.COLOR_BGR2LAB)[0, 0].astype(float)
+    assert sight_of(colour).tint == pytest.approx(np.hypot(a - 128, b - 128))
+    assert sight_of(colour).tint > 30
+    assert sight_of(colour).brightness == pytest.approx(0.114 * 200 + 0.587 * 120 + 0.299 * 60, abs=1)
+    assert sight_of(colour[..., 0]).tint == 0
+    half = colour.copy()
+    half[:, :40] = colour[:, :40, ::-1]  # mixed with its complement
+    assert sight_of(half).tint < 0.5 * sight_of(colour).tint
+    small = np.random.default_rng(0).integers(0, 255, (8, 80), np.uint8)
+    assert sight_of(small).sharpness == 1.0  # nothing is eight rows apart
+    assert sight_of(np.full((9, 9), 77, np.uint8)).sharpness < 1.0

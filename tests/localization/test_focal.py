@@ -2,16 +2,29 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
+from scipy.stats import norm
 
 from rholoc.density import Evidence
-from rholoc.geometry import Pose
+from rholoc.features import FeatureSet
+from rholoc.geometry import Camera, Pose
 from rholoc.localization import Cause, Intrinsics, Localizer, Query
 from rholoc.localization.ascent import ascend_with_focal, freed_focal
-from rholoc.localization.focal import _sensible, check_focal
+from rholoc.localization.focal import (
+    FocalEstimate,
+    _belief,
+    _fits,
+    _sensible,
+    _spread,
+    check_focal,
+    focal_seed,
+    verify_with_focal,
+)
+from rholoc.localization.matches import Matches
 from rholoc.localization.types import Dof
 from rholoc.localization.verification import evidence_of, verify
 from rholoc.maps import Map
@@ -135,3 +148,112 @@ def test_what_the_matches_say_of_a_given_focal_length(
     else:
         assert 0.1 < found.moved_m < 1.0
         assert abs(found.focal_px - point_room.camera.focal) < 3 * found.sigma_px < 0.2 * found.focal_px
+
+
+@pytest.mark.parametrize(
+    ("moved_m", "scale", "sigma", "gain", "belief"),
+    [
+        (0.05, 2.0, 0.0, 1e3, 1.0),  # a pose that hardly moves is right either way
+        (0.075, 2.0, 0.0, 1e3, 0.5),
+        (0.1, 2.0, 0.0, 1e3, 0.0),
+        (3.0, 0.5, 0.0, 1e3, 0.0),
+        (1.0, np.exp(0.015), 0.0, 1e3, 1.0),  # as two calibrations differ
+        (1.0, np.exp(-0.03), 0.0, 1e3, np.exp(-0.5)),
+        (1.0, np.exp(0.1), 0.01, 1e3, np.exp(-0.5 * (0.1 / np.hypot(0.03, 0.015) - 1) ** 2)),
+        (1.0, 2.0, 0.0, 8.0, 1.0),  # nor where it makes the matches no likelier
+        (1.0, 2.0, 0.0, 14.0, 0.5),
+        (1.0, 2.0, 0.0, 20.0, 0.0),
+        (1.0, 2.0, np.inf, 1e3, 1.0),
+    ],
+)
+def test_a_focal_length_is_doubted_where_it_does_harm_is_off_and_another_explains_more(
+    moved_m: float, scale: float, sigma: float, gain: float, belief: float
+) -> None:
+    assert _belief(moved_m, scale, sigma, gain) == pytest.approx(belief)
+
+
+def test_a_focal_lengths_spread_is_thrice_its_curvatures_and_at_most_itself() -> None:
+    assert [_spread(sigma) for sigma in (0.0, 0.02, 0.4, np.inf)] == pytest.approx([0.0, 0.06, 1.0, 1.0])
+
+
+@pytest.mark.parametrize(
+    ("moved_m", "gain", "fits"), [(0.014, 0.49, True), (0.016, 0.49, False), (0.014, 0.51, False), (0.016, 0.51, False)]
+)
+def test_a_focal_length_fits_where_freeing_it_changes_nothing_around_the_pose_and_in_its_place(
+    localizer: Localizer, point_room: Any, monkeypatch: pytest.MonkeyPatch, moved_m: float, gain: float, fits: bool
+) -> None:
+    truth, camera = corners(point_room)[0], point_room.camera
+    query = Query(point_room.see(truth, 700), camera)
+    verified = verify(localizer.index, query, camera.rays(query.features.pixels), truth.T_map_camera)
+    assert verified is not None
+    every = localizer.index.match_everywhere(query.features)
+    place = every.take(np.arange(min(len(every), len(verified.wide)) - 1))  # as many as around the pose would hide one
+    assert len(place) > 60
+    changes = {len(verified.wide): (0.0, 0.0), len(place): (moved_m, gain)}
+    monkeypatch.setattr("rholoc.localization.focal.freed_focal", lambda evidence, *_: changes[len(evidence)])
+    assert _fits(localizer.index, query, verified, place) is fits
+    changes = {len(verified.wide): (moved_m, gain), len(place): (0.0, 0.0)}
+    assert _fits(localizer.index, query, verified, place) is fits
+    changes = dict.fromkeys((59, 60, len(verified.wide)), (0.0, 0.0))
+    assert not _fits(localizer.index, query, verified, place.take(np.arange(59)))
+    assert _fits(localizer.index, query, verified, place.take(np.arange(60)))
+    few = replace(verified, wide=place.take(np.arange(59)))
+    assert not _fits(localizer.index, query, few, place.take(np.arange(60)))
+
+
+def test_too_few_matches_say_nothing_of_the_focal_length(localizer: Localizer, point_room: Any) -> None:
+    truth, camera = corners(point_room)[0], point_room.camera.zoomed(0.85)
+    query = Query(point_room.see(truth, 700), camera)
+    verified = verify(localizer.index, query, camera.rays(query.features.pixels), truth.T_map_camera)
+    assert verified is not None
+    place = localizer.index.match_everywhere(query.features).likeliest_first()
+    nothing = check_focal(localizer.index, query, verified, place.take(np.arange(7)))
+    assert nothing == FocalEstimate(camera.focal, camera.focal, 0.0, 1.0)
+    some = check_focal(localizer.index, query, verified, place.take(np.arange(8)))
+    assert some.focal_px != camera.focal
+
+
+@pytest.mark.parametrize("share", [0.5, 0.75, 1.1, 2.0])
+@pytest.mark.parametrize("portrait", [False, True])
+def test_a_seed_of_an_unknown_focal_length_is_within_a_guess(
+    localizer: Localizer, point_room: Any, share: float, portrait: bool
+) -> None:
+    """Guesses are a sixth apart and reach from 0.5 to 2 times the longer side."""
+    width, height = (480, 640) if portrait else (640, 480)
+    true = Camera(width, height, 640 * share, 640 * share, width / 2, height / 2)
+    truth = corners(point_room)[1]
+    index = localizer.index
+    pixels = true.project((index.landmarks - truth.position) @ truth.R_map_camera)
+    shown = np.flatnonzero(true.contains(pixels))
+    count = len(shown)
+    zeros = np.zeros(count, np.float32)
+    descriptors = np.zeros((count, 32), np.uint8)
+    seen = FeatureSet(pixels[shown].astype(np.float32), np.zeros(count, np.uint8), descriptors, zeros, zeros)
+    query = Query(seen, true.zoomed(1.3), intrinsics=Intrinsics.UNKNOWN)
+    matches = Matches(np.arange(count), shown, np.full(count, 0.5))
+    found = focal_seed(index, matches, query, 500)
+    assert found is not None
+    T, camera = found
+    assert abs(np.log(camera.focal / true.focal)) < 1.05 * np.log(1.17)
+    assert np.linalg.norm(T[:3, 3] - truth.position) < 0.6
+    assert focal_seed(index, matches.take(np.arange(7)), query, 500) is None
+
+
+def test_an_estimated_focal_lengths_belief_is_that_the_place_is_within_ten_centimetres(
+    localizer: Localizer, point_room: Any
+) -> None:
+    truth, camera = corners(point_room)[0], point_room.camera.zoomed(1.05)
+    query = Query(point_room.see(truth, 700), camera, intrinsics=Intrinsics.UNKNOWN)
+    matches = localizer.index.match_everywhere(query.features)
+    found = verify_with_focal(localizer.index, query, truth.T_map_camera, matches)
+    assert found is not None
+    verified, estimate, refined = found
+    assert verified.focal_free
+    sigma_m = np.sqrt(np.linalg.eigvalsh(verified.covariance[:3, :3]).max())
+    assert estimate.belief == pytest.approx(norm.cdf(0.1 / sigma_m) - norm.cdf(-0.1 / sigma_m))
+    assert estimate.focal_px == refined.camera.focal == pytest.approx(point_room.camera.focal, rel=0.02)
+    assert estimate.moved_m == 0.0
+    assert 0.001 < estimate.sigma_px / estimate.focal_px < 0.1
+    few = matches.take(np.arange(9))
+    absurd = replace(query, camera=point_room.camera.zoomed(0.3))
+    assert verify_with_focal(localizer.index, absurd, truth.T_map_camera, few) is None

@@ -126,7 +126,7 @@ def test_stiff_links_share_what_each_frame_knows_and_loose_ones_do_not() -> None
     optima = [optimum_at(RayDensities(), e, T, 8.0) for e, T in zip(evidences, truth, strict=True)]
 
     def sigmas_m(sigma: float) -> FloatArray:
-        covariances = joint_covariances(evidences, optima, _links(truth, sigma, sigma), 8.0)
+        covariances = joint_covariances(evidences, optima, _links(truth, sigma, sigma))
         assert covariances.shape == (2, 6, 6)
         return np.sqrt(np.trace(covariances[:, :3, :3], axis1=1, axis2=2))
 

@@ -7,13 +7,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rholoc.geometry import Pose, angles_between
+from rholoc.geometry import Pose, angles_between, pose_matrix
+from rholoc.localization.density_localizer import DensityLocalizer
 from rholoc.localization.landscape import (
     Grid,
     Look,
+    landscape_around,
     over_headings,
     over_picture,
     over_positions,
+    presence_of,
     product_over_positions,
     seen_from,
 )
@@ -118,3 +121,81 @@ def test_a_feature_may_be_seen_from_its_views_and_not_from_behind(room_map: Map,
     assert seen_from(room_map, look.feature, Grid.about(here, (0.1, 0.1, 0.0), 0.1)).all()
     behind = landmark + 2 * (landmark - here)
     assert not seen_from(room_map, look.feature, Grid.about(behind, (0.1, 0.1, 0.0), 0.1)).any()
+
+
+def test_headings_are_turned_about_the_cameras_place(room_map: Map, look: Look) -> None:
+    """A camera that looks steeply down sees a point straight ahead; turned by a and tilted by e, it sees it aside."""
+    landmark = room_map.landmarks[look.feature].astype(np.float64)
+    for elevation, azimuth in ((-0.9, 2.0), (0.6, -2.5)):
+        away = np.array([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)])
+        pose = Pose.from_heading(landmark - 3.0 * away, away, 0.3)
+        centre = np.array([look.camera.cx, look.camera.cy])
+        ahead = Look(look.feature, look.camera, pose.T_map_camera, centre)
+        density, up, aside = over_headings(room_map, ahead, 0.12, 7, _TOLERANCE_PX)
+        e, a = elevation + up[:, None], azimuth + aside
+        cosine = np.sin(e) * np.sin(elevation) + np.cos(e) * np.cos(elevation) * np.cos(a - azimuth)
+        off_px = look.camera.focal * np.tan(np.arccos(np.clip(cosine, -1, 1)))
+        np.testing.assert_allclose(density, np.maximum(1 - (off_px / _TOLERANCE_PX) ** 2, 0), atol=0.03)
+    assert density.max() > 0.99
+
+
+def test_a_camera_is_not_tilted_beyond_straight_up(room_map: Map, look: Look) -> None:
+    steep = Pose.from_heading(np.zeros(3), np.array([np.cos(1.5), 0.0, np.sin(1.5)]))
+    above = Look(look.feature, look.camera, steep.T_map_camera, look.pixel)
+    density, up, _ = over_headings(room_map, above, 0.2, 5, 4000.0)
+    beyond = 1.5 + up > 1.55
+    assert beyond.sum() == 2
+    np.testing.assert_allclose(density[beyond], np.tile(density[beyond][:1], (2, 1)))
+    assert not np.allclose(density[0], density[2])
+
+
+def test_a_square_holds_the_ways_that_end_near_a_place() -> None:
+    centre = np.array([1.0, 2.0, 1.5])
+
+    def half_m(*ways: list[tuple[float, float, float]]) -> float:
+        grid = Grid.around_ways(centre, [centre + np.array(way) for way in ways], 16)
+        assert grid.shape == (33, 33, 1)
+        np.testing.assert_allclose(grid.points.mean(axis=0), centre)
+        return float(np.ptp(grid.axes[0])) / 2
+
+    assert half_m() == pytest.approx(0.4)
+    assert half_m([(0.1, -0.2, 7.0), (0.0, 0.0, 0.0)]) == pytest.approx(0.4)
+    assert half_m([(0.1, -1.0, 7.0), (0.0, 0.0, 0.4)]) == pytest.approx(1.2)
+    assert half_m([(9.0, 0.1, 0.0), (0.1, 0.0, 0.0)]) == pytest.approx(3.0)
+    assert half_m([(2.0, 0.0, 0.0), (0.51, 0.0, 0.0)]) == pytest.approx(0.4)  # ends elsewhere
+    assert half_m([(0.5, 0, 0), (0, 0, 0)], [(0.0, 0.8, 0), (0.49, 0, 0)]) == pytest.approx(0.96)
+
+
+def test_a_landscape_is_about_the_pose_at_its_height(localizer: Localizer, room_map: Map, point_room: Any) -> None:
+    truth = point_room.walk(40, sideways_m=0.1)[20]
+    features = point_room.see(truth, 7)
+    by_densities = DensityLocalizer(room_map, 2, localizer.index)
+    checks: list[None] = []
+    around = landscape_around(by_densities, features, point_room.camera, None, lambda: checks.append(None))
+    assert around is not None
+    assert len(around.ascents) == 2
+    assert around.ascents[0].optimum.value <= around.ascents[1].optimum.value
+    assert len(checks) == 2 + around.values.size
+    assert around.values.shape == (33, 33)
+    np.testing.assert_array_equal(around.T_map_camera, around.ascents[-1].optimum.T_map_camera)
+    y, x = np.unravel_index(around.values.argmax(), around.values.shape)
+    peak = np.array([around.grid.axes[0][x], around.grid.axes[1][y]])
+    assert np.abs(peak - truth.position[:2]).max() < 1.5 * around.grid.spacing_m
+    assert around.values.max() == pytest.approx(around.values[16, 16], rel=0.2)
+    np.testing.assert_allclose(around.grid.points.mean(axis=0), around.T_map_camera[:3, 3])
+    beside = Pose(pose_matrix(truth.R_map_camera, truth.position + np.array([0.2, 0.0, 0.0])))
+    there = landscape_around(by_densities, features, point_room.camera, beside.T_map_camera)
+    assert there is not None
+    np.testing.assert_array_equal(there.T_map_camera, beside.T_map_camera)
+    assert landscape_around(by_densities, features.take(np.arange(5)), point_room.camera, None) is None
+
+
+def test_presence_is_of_the_views_that_saw_the_feature(room_map: Map, look: Look) -> None:
+    views = room_map.observation_views[room_map.observation_features == look.feature]
+    away = room_map.view_positions[views] - room_map.landmarks[look.feature].astype(np.float64)
+    distance = np.linalg.norm(away, axis=1)
+    presence = presence_of(room_map, look.feature)
+    nearest, farthest = presence.reach
+    assert (nearest[0], farthest[0]) == pytest.approx((distance.min() / 2, distance.max() * 2))
+    mean = (away / distance[:, None]).mean(axis=0)
+    np.testing.assert_allclose(presence.direction[0], mean / np.linalg.norm(mean))

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
 from rholoc.errors import InvalidDescriptors
-from rholoc.features import FeatureSet
+from rholoc.features import FeatureSet, Metric
 from rholoc.geometry import Pose, pose_distances
 from rholoc.localization import (
     Dof,
     LargeMapLocalizer,
+    Localization,
     Localizer,
     Prior,
     Query,
@@ -22,7 +24,11 @@ from rholoc.localization import (
     localize_together,
     localizer_of,
 )
-from rholoc.maps import Map
+from rholoc.localization.large_map import PlaceIndex, _Clock, _in_part, _PartIndex, _Size
+from rholoc.localization.map_index import MapIndex
+from rholoc.localization.matches import Matches, NearestLandmarks, match_chances
+from rholoc.localization.seeds import view_votes
+from rholoc.maps import Map, part_of
 
 _ROOMS, _ROOM_PITCH_M = 40, 20.0
 
@@ -143,3 +149,134 @@ def test_a_map_is_large_by_its_landmarks(
     assert isinstance(localizer_of(room_map), Localizer)
     monkeypatch.setattr("rholoc.localization.large_map.LARGE_MAP", len(large.map) - 1)
     assert isinstance(localizer_of(large.map), LargeMapLocalizer)
+
+
+def _small(room_map: Map) -> Map:
+    """Seven landmarks that five views saw, one of them twice."""
+    views = np.repeat(np.arange(5), [3, 3, 2, 4, 2])
+    features = np.array([0, 1, 2, 1, 2, 3, 4, 5, 0, 4, 5, 6, 2, 6])
+    return replace(
+        room_map,
+        channels=np.zeros(7, np.uint8),
+        landmarks=room_map.landmarks[:7],
+        covariances=room_map.covariances[:7],
+        descriptors=np.random.default_rng(3).integers(0, 256, (10, 32), dtype=np.uint8),
+        descriptor_features=np.array([0, 0, 1, 2, 3, 3, 3, 4, 5, 6], np.int32),
+        view_times=room_map.view_times[:5],
+        T_map_camera=room_map.T_map_camera[:5],
+        observation_views=views.astype(np.int32),
+        observation_features=features.astype(np.int32),
+    )
+
+
+def test_views_are_voted_for_as_in_any_map(room_map: Map) -> None:
+    for map_ in (room_map, _small(room_map)):
+        index, places = MapIndex(map_), PlaceIndex(map_)
+        rng = np.random.default_rng(1)
+        landmarks = rng.integers(0, len(map_), 40)
+        matches = Matches(np.arange(40), landmarks, rng.uniform(0.1, 0.9, 40))
+        np.testing.assert_allclose(places.votes(matches), view_votes(index, matches), rtol=1e-5)
+        views = len(map_.view_times)
+        for view in (0, views // 2, views - 1):
+            np.testing.assert_array_equal(places.shared_with(view), index.shared_with(view))
+    assert places.votes(Matches.none()).tolist() == [0.0] * 5
+
+
+def test_features_are_looked_up_by_each_landmarks_first_descriptor(room_map: Map) -> None:
+    map_ = _small(room_map)
+    places, zeros = PlaceIndex(map_), np.zeros(4, np.float32)
+    own = map_.descriptors[[9, 7, 5, 0]]  # the first ones of 6, 4 and 0, and the second of 3
+    features = FeatureSet(np.zeros((4, 2), np.float32), np.zeros(4, np.uint8), own, zeros, zeros)
+    found = places.nearest(features)
+    assert found.landmarks.shape == (4, 4)
+    assert found.detections.tolist() == [0, 1, 2, 3]
+    assert found.landmarks[[0, 1, 3], 0].tolist() == [6, 4, 0]
+    assert found.distances[:, 0].tolist()[::3] == [0.0, 0.0]
+    assert found.distances[2, 0] > 0
+    some = places.nearest(features, np.array([3, 1]))
+    assert some.detections.tolist() == [3, 1]
+    np.testing.assert_array_equal(some.landmarks, found.landmarks[[3, 1]])
+
+
+def test_in_a_part_only_its_own_landmarks_count_under_its_own_numbers(room_map: Map) -> None:
+    part = part_of(_small(room_map), np.array([1, 2]))  # of the landmarks 1 to 5
+    assert part.features.tolist() == [1, 2, 3, 4, 5]
+    found = NearestLandmarks(
+        np.array([7, 8, 9, 10]),
+        np.array([[5, 0], [0, 1], [6, 3], [1, 6]]),
+        np.array([[5.0, 60.0], [5.0, 60.0], [5.0, 60.0], [7.0, 8.0]]),
+        Metric.HAMMING,
+    )
+    here = _in_part(found, part)
+    matches = here.matches()
+    assert matches.detections.tolist() == [7, 10]
+    assert matches.landmarks.tolist() == [4, 0]
+    expected = match_chances(np.array([5.0, 7.0]), np.array([60.0, 8.0]), Metric.HAMMING)
+    np.testing.assert_allclose(matches.chances, expected)  # what is alike elsewhere is a rival all the same
+    pairs = here.pairs()
+    assert list(zip(pairs.detections.tolist(), pairs.landmarks.tolist(), strict=True)) == [
+        (7, 4),
+        (8, 0),
+        (9, 2),
+        (10, 0),
+    ]
+    twice = here.joined(found)
+    assert twice.matches().detections.tolist() == [7, 10, 7, 10]
+
+
+def test_a_part_has_the_first_views_that_together_saw_no_more_than_it_may_hold(room_map: Map) -> None:
+    localizer = LargeMapLocalizer(_small(room_map))
+    views = np.array([3, 1, 3, 0, 4, 2])  # which add four landmarks, three, none, none, none
+
+    def first(landmarks: int, most_views: int = 9) -> list[int]:
+        size = _Size(places=1, rivals=1, landmarks=landmarks, views=most_views)
+        return localizer._first_views(views, size).tolist()
+
+    assert first(7) == [3, 1, 0, 4, 2]
+    assert first(6) == [3]
+    assert first(4) == [3]
+    assert first(1) == [3]  # one at least
+    assert first(7, 2) == [3, 1]
+    assert first(100, 4) == [3, 1, 0, 4]
+
+
+def test_what_is_left_of_the_time_is_what_the_place_did_not_take(
+    room_map: Map, point_room: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now = iter([10.0, 10.3, 12.0, 12.5])
+    monkeypatch.setattr("rholoc.localization.large_map.time.perf_counter", lambda: next(now))
+    clock, query = _Clock(1.0), Query(FeatureSet.empty(32), point_room.camera, deadline_s=1.0)
+    assert clock.remaining(query).deadline_s == pytest.approx(0.7)
+    assert clock.remaining(query).deadline_s == 0.0
+    part = part_of(_small(room_map), np.array([1, 2]))
+    nothing = np.zeros((0, 2))
+    answer = Localization(
+        False, None, None, None, 0.5, 2, 2, nothing, np.array([0, 4]), {"match": 400.0, "seed": 100.0}
+    )
+    answered = clock.answered(answer, part)
+    assert answered.inlier_features.tolist() == [1, 5]
+    assert answered.timings_ms == pytest.approx({"place": 2000.0, "match": 400.0, "seed": 100.0})
+    now = iter([0.0])
+    assert _Clock(None).remaining(query) is query
+
+
+def test_what_has_been_looked_up_is_not_looked_up_again(room_map: Map, point_room: Any) -> None:
+    seen = point_room.see(point_room.walk(8)[2], 7)
+    part = part_of(room_map, np.arange(10))
+    asked: list[Any] = []
+
+    def nearest(features: FeatureSet, some: Any = None) -> NearestLandmarks:
+        asked.append(some)
+        return known
+
+    sample = np.arange(0, len(seen), 3)
+    known = PlaceIndex(room_map).nearest(seen, sample)
+    places: Any = SimpleNamespace(nearest=nearest)
+    index = _PartIndex(part, 0.0, places, (seen, known))
+    found = index.nearest_everywhere(seen, sample)
+    assert asked == []
+    np.testing.assert_array_equal(found.landmarks, known.landmarks)
+    for features, some in ((seen, sample[1:]), (seen, None), (point_room.see(point_room.walk(8)[2], 7), sample)):
+        index.nearest_everywhere(features, some)
+        assert asked.pop() is some
+        assert asked == []

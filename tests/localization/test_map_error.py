@@ -8,16 +8,21 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from scipy.stats import chi
 
-from rholoc.localization import Localizer, Query
+from rholoc.geometry import Pose
+from rholoc.localization import Localization, Localizer, Query
 from rholoc.localization.map_error import (
     RIGHT_M,
     RIGHT_RAD,
     carried_covariances,
     map_covariance_at,
     probability_right,
+    rms_position_error,
     trust_in_map,
 )
+from rholoc.localization.map_index import MapIndex
+from rholoc.localization.map_uncertainty import with_map_error
 from rholoc.mapping.uncertainty import storable_covariances
 from rholoc.maps import Map
 from rholoc.reports import MapReport, TrajectoryReport
@@ -36,6 +41,41 @@ def test_the_probability_is_the_share_of_samples(sigma_m: float, seed: int) -> N
     errors = np.random.default_rng(1).multivariate_normal(np.zeros(6), spread, 100_000)
     right = (np.linalg.norm(errors[:, :3], axis=1) < RIGHT_M) & (np.linalg.norm(errors[:, 3:], axis=1) < RIGHT_RAD)
     assert probability_right(spread) == pytest.approx(right.mean(), abs=0.012)
+
+
+def test_the_bounds_are_ten_centimetres_and_five_degrees() -> None:
+    """Against the χ distribution with three degrees of freedom, where one of the two bounds alone counts."""
+    for share in (0.3, 1.0, 3.0):
+        expected = chi(3).cdf(1 / share)
+        place, heading = (0.1 * share) ** 2, (np.deg2rad(5) * share) ** 2
+        for spread in ([place] * 3 + [1e-12] * 3, [1e-12] * 3 + [heading] * 3):
+            assert probability_right(np.diag(spread)) == pytest.approx(expected, abs=0.01)
+    along = chi(1).cdf(1.0)
+    assert probability_right(np.diag([0.01, 0, 0, 0, 0, 0])) == pytest.approx(along, abs=0.02)
+    assert probability_right(np.zeros((6, 6))) == pytest.approx(1)
+    wider = np.diag([0.04] * 3 + [1e-12] * 3)
+    assert probability_right(wider, within_m=0.2) == pytest.approx(chi(3).cdf(1.0), abs=0.01)
+    turned = np.diag([1e-12] * 3 + [0.04] * 3)
+    assert probability_right(turned, within_rad=0.2) == pytest.approx(chi(3).cdf(1.0), abs=0.01)
+    assert rms_position_error(np.diag([1.0, 4.0, 4.0, 9.0, 9.0, 9.0])) == 3.0
+    lost = trust_in_map(np.diag([0.01] * 3 + [1e-12] * 3), np.diag([0.03] * 3 + [0.0] * 3))
+    assert lost == pytest.approx(chi(3).cdf(0.5) / chi(3).cdf(1.0), abs=0.01)
+    assert trust_in_map(1e30 * np.eye(6), np.eye(6)) == 1.0  # where nothing is left to lose
+
+
+def test_a_covariance_is_carried_by_the_motions_derivative() -> None:
+    rng = np.random.default_rng(8)
+    positions, to = rng.normal(size=(5, 3)), rng.normal(size=3)
+    spreads = np.array([covariance(0.02, seed) for seed in range(5)])
+    carried = carried_covariances(spreads, positions, to)
+    assert carried.shape == (5, 6, 6)
+    for x, spread, found in zip(positions, spreads, carried, strict=True):
+        J = np.eye(6)
+        J[:3, 3:] = np.column_stack([np.cross(axis, to - x) for axis in np.eye(3)])
+        np.testing.assert_allclose(found, J @ spread @ J.T, atol=1e-12)
+    weights = np.array([1.0, 0.0, 2.0, 3.0, 4.0])
+    expected = (weights[:, None, None] * carried).sum(axis=0) / 10
+    np.testing.assert_allclose(map_covariance_at(spreads, positions, weights, to), expected)
 
 
 def test_an_uncertain_map_lowers_the_probability_and_an_exact_one_does_not() -> None:
@@ -113,3 +153,37 @@ def test_an_answer_in_an_untrusted_map_is_less_sure_but_comes(room_map: Map, poi
     assert [answer.map_trusted for answer in answers] == [True, False]
     assert answers[1].confidence < 0.9 < answers[0].confidence
     assert answers[0].expected_error_m is None
+
+
+def test_the_maps_error_is_added_to_a_sixteenth_of_the_frames_own(localizer: Localizer) -> None:
+    map_ = localizer.map
+    of_views = np.array([np.diag([(1e-3 * (1 + view)) ** 2] * 3 + [0.0] * 3) for view in range(len(map_.view_times))])
+    report = MapReport(trajectories=(TrajectoryReport("given", trusted=False, why="Measured."),))
+    info = replace(map_.info, report=report)
+    known = MapIndex(replace(map_, view_covariances=of_views.astype(np.float32), info=info))
+    features, pose = known.visibility[[20]].indices.astype(np.int64), Pose(map_.T_map_camera[20])
+    own = covariance(0.02, 7)
+    answer = Localization(True, None, pose, own, 0.8, 300, 200, np.zeros((200, 2)), features)
+    shared = known.shared_with(20)
+    ten = np.argsort(-shared, kind="stable")[:10]
+    of_map = np.zeros((6, 6))
+    of_map[:3, :3] = np.eye(3) * (shared[ten] * (1e-3 * (1 + ten)) ** 2).sum() / shared[ten].sum()
+    found = with_map_error(known, answer)
+    assert found.covariance is not None
+    np.testing.assert_allclose(found.covariance, own / 16 + of_map, rtol=1e-5, atol=1e-12)
+    assert found.expected_error_m == pytest.approx(np.sqrt(np.trace(of_map)), rel=1e-5)
+    assert found.confidence == pytest.approx(0.8 * 0.8 * trust_in_map(own / 16, of_map), rel=1e-5)
+    assert found.map_trusted is False
+    scaleless = MapIndex(replace(known.map, info=replace(info, metric=False)))
+    for index, one in (
+        (scaleless, answer),
+        (known, replace(answer, pose=None)),
+        (known, replace(answer, covariance=None)),
+    ):
+        less = with_map_error(index, one)
+        assert less.covariance is one.covariance
+        assert less.confidence == pytest.approx(0.64)
+        assert less.expected_error_m is None
+    unknown = with_map_error(localizer.index, answer)
+    assert unknown.confidence == 0.8
+    assert unknown.covariance is own

@@ -156,3 +156,89 @@ def test_a_map_without_views_was_seen_by_nobody_upright(room_map: Map) -> None:
         observation_features=none,
     )
     assert not MapIndex(map_).seen_upright
+
+
+def _features(descriptors: ByteArray, channels: list[int]) -> FeatureSet:
+    zeros = np.zeros(len(descriptors), np.float32)
+    return FeatureSet(
+        np.zeros((len(descriptors), 2), np.float32), np.array(channels, np.uint8), descriptors, zeros, zeros
+    )
+
+
+def test_the_four_nearest_landmarks_are_looked_up_by_their_first_descriptors(small: MapIndex) -> None:
+    rng = np.random.default_rng(9)
+    features = _features(rng.integers(0, 256, (5, 32), dtype=np.uint8), [0, 0, 1, 0, 1])
+    first = small.map.descriptors[np.searchsorted(_OWNERS, np.arange(6))]
+    for some in (None, np.array([4, 1])):
+        found = small.nearest_everywhere(features, some)
+        assert found.detections.tolist() == (list(range(5)) if some is None else [4, 1])
+        for row, detection in enumerate(found.detections):
+            mine = [m for m in range(6) if small.map.channels[m] == features.channels[detection]]
+            far = {m: _hamming(features.descriptors[detection], first[m]) for m in mine}
+            nearest = sorted(far, key=lambda m: far[m])
+            assert sorted(found.distances[row][np.isfinite(found.distances[row])]) == sorted(far.values())
+            assert found.landmarks[row].tolist()[: len(mine)] == nearest or len(set(far.values())) < len(mine)
+            assert found.landmarks[row].tolist()[len(mine) :] == [-1] * (4 - len(mine))
+
+
+def test_within_a_place_all_descriptors_count_or_the_first_ones_of_some_features(small: MapIndex) -> None:
+    own = small.map.descriptors[1:4]  # all of the landmark 1
+    features = _features(np.concatenate([own, small.map.descriptors[4:5]]), [0] * 4)  # and the first of 2
+    found = small.match_within(features, np.array([1, 2]))
+    assert set(zip(found.detections.tolist(), found.landmarks.tolist(), strict=True)) == {
+        (0, 1),
+        (1, 1),
+        (2, 1),
+        (3, 2),
+    }
+    by_first = small.match_within(features, np.array([1, 2]), some=np.array([3, 2, 0]))
+    assert set(zip(by_first.detections.tolist(), by_first.landmarks.tolist(), strict=True)) == {(3, 2), (0, 1)}
+    only = small.match_within(features, np.array([0]))
+    assert len(only) == 0
+    alone = small.match_within(_features(small.map.descriptors[:1], [0]), np.array([0]))
+    assert alone.landmarks.tolist() == [0]
+
+
+def test_of_two_features_alike_the_more_alike_has_the_landmark_and_of_two_landmarks_the_feature(
+    room_map: Map, point_room: Any
+) -> None:
+    """Two landmarks a centimetre apart, of descriptors eight bits apart, each seen again four bits off."""
+    pose, camera = Pose(room_map.T_map_camera[20]), point_room.camera
+    descriptor = np.random.default_rng(0).integers(0, 256, 32, dtype=np.uint8)
+    other, between = descriptor.copy(), descriptor.copy()
+    other[0] ^= 0xFF
+    between[0] ^= 0x03
+    places = pose.position + 3 * pose.heading + np.array([[0.0, 0, 0], [0, 0, 0.01]])
+    map_ = replace(
+        room_map,
+        channels=np.zeros(2, np.uint8),
+        landmarks=places.astype(np.float32),
+        covariances=room_map.covariances[:2],
+        descriptors=np.stack([descriptor, other]),
+        descriptor_features=np.arange(2, dtype=np.int32),
+        view_times=room_map.view_times[19:21],
+        T_map_camera=room_map.T_map_camera[19:21],
+        observation_views=np.array([0, 0, 1, 1], np.int32),
+        observation_features=np.array([0, 1, 0, 1], np.int32),
+    )
+    index = MapIndex(map_, chance=0.25)
+    pixels = camera.project((places - pose.position) @ pose.R_map_camera)
+    features = replace(_features(np.stack([between, descriptor]), [0, 0]), pixels=pixels[[0, 0]].astype(np.float32))
+    found, by_chance = index.match_near(features, camera, pose.T_map_camera, 10.0)
+    assert list(zip(found.detections.tolist(), found.landmarks.tolist(), strict=True)) == [(1, 0)]
+    np.testing.assert_allclose(by_chance, 1 - 0.75**2)
+    first, by_chance = index.match_near(features, camera, pose.T_map_camera, 10.0, some=np.array([0]))
+    assert list(zip(first.detections.tolist(), first.landmarks.tolist(), strict=True)) == [(0, 0)]
+    np.testing.assert_allclose(by_chance, [1 - 0.75**2, 0.0])
+    apart_px = float(np.linalg.norm(pixels[1] - pixels[0]))
+    _, near_only = index.match_near(features, camera, pose.T_map_camera, 0.9 * apart_px)
+    np.testing.assert_allclose(near_only, 0.25)
+
+
+def test_four_fifths_of_upright_views_make_a_map_upright(room_map: Map) -> None:
+    heading = np.array([0.6, 0.8, 0.0])
+    for leaning, upright in ((9, True), (15, False)):
+        for roll_deg, expected in ((5.0, upright), (3.0, True), (-5.0, upright)):
+            rolls = np.deg2rad(np.where(np.arange(60) < leaning, roll_deg, 0.0))
+            poses = [Pose.from_heading(np.zeros(3), heading, roll).T_map_camera for roll in rolls]
+            assert MapIndex(replace(room_map, T_map_camera=np.array(poses))).seen_upright is expected

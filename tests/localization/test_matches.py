@@ -107,3 +107,35 @@ def test_guided_chances_are_even_at_the_strict_limit(metric: Metric) -> None:
 def test_the_least_of_each_group() -> None:
     least = is_least(np.array([3.0, 1.0, 2.0, 2.0, 5.0]), np.array([0, 0, 2, 2, -1]), 3)
     assert least.tolist() == [False, True, True, True, True]
+
+
+@pytest.mark.parametrize("metric", list(Metric))
+def test_a_chance_is_a_logistic_in_lead_and_distance(metric: Metric) -> None:
+    limits = LIMITS[metric]
+    distances = np.array([0.3, 0.6, 0.6, 0.8]) * limits.strict
+    leads = np.array([1.0, 1.0, 1.5, 0.7]) * limits.spread
+    logits = 2 * (leads / limits.spread - 1) - (distances - 0.6 * limits.strict) / limits.spread
+    assert (np.abs(logits) < 2.9).all()  # so that no bound shows
+    expected = 1 / (1 + np.exp(-logits))
+    np.testing.assert_allclose(match_chances(distances, distances + leads, metric), expected)
+    guided = guided_chances(limits.strict + limits.spread * np.array([-1.0, 0.5, -9.0]), metric)
+    np.testing.assert_allclose(guided, [1 / (1 + np.exp(-1)), 1 / (1 + np.exp(0.5)), 0.95])
+
+
+def test_looked_up_features_are_joined_and_a_landmark_alone_is_led_by_its_own_last_descriptor() -> None:
+    one = NearestLandmarks(np.array([3]), np.array([[4, 4]]), np.array([[10.0, 30.0]]), Metric.HAMMING)
+    other = NearestLandmarks(
+        np.array([0, 5]), np.array([[6, 7], [4, 6]]), np.array([[5.0, 9], [8.0, 70]]), Metric.HAMMING
+    )
+    both = one.joined(other)
+    assert len(both) == 3
+    assert both.detections.tolist() == [3, 0, 5]
+    assert both.landmarks.tolist() == [[4, 4], [6, 7], [4, 6]]
+    expected = match_chances(np.array([10.0, 5, 8]), np.array([30.0, 9, 70]), Metric.HAMMING)
+    np.testing.assert_allclose(both.matches().chances, expected)
+    assert both.matches(mutual=True).detections.tolist() == [0, 5]  # of two with landmark 4 the nearer
+    nothing = NearestLandmarks(np.array([1, 2]), np.full((2, 2), -1), np.full((2, 2), np.inf), Metric.HAMMING)
+    assert len(nothing.matches(mutual=True)) == len(nothing.matches()) == len(nothing.pairs()) == 0
+    limit = LIMITS[Metric.HAMMING].loose
+    edge = NearestLandmarks(np.arange(2), np.array([[0], [0]]), np.array([[limit], [limit + 1]]), Metric.HAMMING)
+    assert edge.matches().detections.tolist() == edge.pairs().detections.tolist() == [0]

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import product
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -11,11 +13,20 @@ import pytest
 from rholoc.density import Evidence
 from rholoc.geometry import Pose, pose_distances
 from rholoc.localization import Localizer
+from rholoc.localization.ascent import gains
 from rholoc.localization.map_index import MapIndex
 from rholoc.localization.matches import Matches
 from rholoc.localization.ransac import lo_ransac
 from rholoc.localization.rivals import sureness
-from rholoc.localization.seeds import minimal_samples, place_of_prior, view_votes, vote_for_places
+from rholoc.localization.seeds import (
+    _draw_triples,
+    groups_by_votes,
+    minimal_samples,
+    place_of_prior,
+    view_votes,
+    views_by_prior,
+    vote_for_places,
+)
 from rholoc.localization.support import Support
 from rholoc.localization.types import Prior
 from rholoc.maps import Map
@@ -76,6 +87,34 @@ def test_ransac_finds_the_pose_and_counts_what_agrees() -> None:
     assert lo_ransac(rays[:3, :2] / rays[:3, 2:], points[:3], 500.0, 4.0, 1000) is None
     rng = np.random.default_rng(1)
     assert lo_ransac(rng.uniform(-1, 1, (5, 2)), rng.uniform(-1, 1, (5, 3)), 500.0, 0.01, 100) is None
+
+
+def test_what_ransac_is_asked_and_what_it_may_answer(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[dict[str, Any]] = []
+    pose = SimpleNamespace(R=TRUE[:3, :3].T, t=-TRUE[:3, :3].T @ TRUE[:3, 3])
+    agreeing = 4
+
+    def estimate(plane: Any, points: Any, camera: Any, settings: dict[str, Any], refinement: Any) -> Any:
+        asked.append(settings | {"focal": camera["params"][0]})
+        np.testing.assert_allclose(plane, 500 * rays[:, :2] / rays[:, 2:])
+        return pose, {"num_inliers": agreeing}
+
+    monkeypatch.setattr("rholoc.localization.ransac.poselib.estimate_absolute_pose", estimate)
+    rays, points = seen(10)
+    plane = rays[:, :2] / rays[:, 2:]
+    found = lo_ransac(plane, points, 500.0, 4.0, 300, 30)
+    assert found is not None
+    np.testing.assert_allclose(found[0], TRUE, atol=1e-12)
+    assert found[1] == 4
+    agreeing = 3
+    assert lo_ransac(plane, points, 500.0, 4.0, 300, success=0.5) is None
+    agreeing, pose = 10, SimpleNamespace(R=np.full((3, 3), np.nan), t=np.zeros(3))
+    assert lo_ransac(plane, points, 500.0, 4.0, 3000) is None
+    first, second, third = asked
+    expected = {"max_iterations": 300, "min_iterations": 30, "max_reproj_error": 4.0, "success_prob": 0.9999}
+    assert first == expected | {"progressive_sampling": True, "focal": 500.0}
+    assert second == first | {"min_iterations": 300, "success_prob": 0.5}  # no more at least than at most
+    assert third == first | {"max_iterations": 3000, "min_iterations": 1000}
 
 
 def test_votes_are_chances_of_what_a_view_saw_and_a_landmark_votes_once(localizer: Localizer) -> None:
@@ -139,4 +178,77 @@ def test_views_of_the_same_are_places_once_each(room_map: Map) -> None:
     matches = Matches(np.arange(5), np.arange(5), np.full(5, 0.5))
     views = [place.view for place in vote_for_places(index, matches, 9, 1, None)]
     assert sorted(views) == [0, 1, 2]
+    np.testing.assert_allclose(view_votes(index, matches), np.array([1.5, 1.5, 1.0]) / np.sqrt(50))
+    far = Prior(Pose(index.map.T_map_camera[2]), 1e-3 + np.linalg.norm(np.ptp(index.view_positions, axis=0)) - 1, 0.1)
+    assert near_votes(index, matches, far) == pytest.approx([1.5, 1.0])
+    apart_m = np.linalg.norm(index.view_positions - index.view_positions[2], axis=1)
+    beside = Prior(far.pose, float(apart_m[:2].min()) - 1 - 1e-6, 0.1)
+    assert near_votes(index, matches, beside) == pytest.approx([1.0, 0.15])
     assert [place.view for place in vote_for_places(index, matches, 9, 4, None)] == [0, 2]
+
+
+def near_votes(index: MapIndex, matches: Matches, prior: Prior) -> list[float]:
+    """The votes of the first places, a prior considered, held against those of 50 features."""
+    return [place.votes * np.sqrt(50) for place in vote_for_places(index, matches, 2, 4, prior)]
+
+
+def test_groups_are_of_those_that_share_most_and_half_of_a_group_is_looked_at_with_it() -> None:
+    shared = np.array(
+        [
+            [9, 5, 7, 6, 0, 0, 1],
+            [5, 9, 0, 0, 0, 0, 0],
+            [7, 0, 9, 0, 0, 0, 0],
+            [6, 0, 0, 9, 0, 0, 0],
+            [0, 0, 0, 0, 9, 9, 0],
+            [0, 0, 0, 0, 9, 9, 0],
+            [1, 0, 0, 0, 0, 0, 9],
+        ],
+        dtype=np.float64,
+    )
+    votes = np.array([5.0, 1.0, 4.0, 2.0, 3.0, 2.5, 0.0])
+
+    def groups(each: int) -> list[tuple[int, list[int]]]:
+        return [(view, some.tolist()) for view, some in groups_by_votes(votes, lambda view: shared[view], each)]
+
+    assert groups(4) == [(0, [0, 2, 3, 1]), (4, [4, 5]), (3, [3, 0]), (1, [1, 0])]
+    assert groups(1) == [(0, [0]), (2, [2]), (4, [4]), (5, [4]), (3, [3]), (1, [1])]
+    assert groups(9) == [(0, [0, 2, 3, 1, 6]), (4, [4, 5])]
+
+
+def test_views_about_a_prior_stand_a_metre_further_and_look_thirty_degrees_aside_at_most() -> None:
+    heading = np.array([0.6, 0.8, 0.0])
+    pose = Pose.from_heading(np.array([1.0, 2.0, 1.5]), heading)
+    away_m = np.array([1.4, 1.6, 0.0, 0.0, 0.3])
+    turned = np.array([0.0, 0.0, np.deg2rad(49), np.deg2rad(51), np.deg2rad(20)])
+    positions = pose.position + away_m[:, None] * (0.0, 0.6, 0.8)
+    angles = np.arctan2(0.8, 0.6) + turned
+    headings = np.column_stack([np.cos(angles), np.sin(angles), np.zeros(5)])
+    prior = Prior(pose, 0.5, np.deg2rad(20))
+    assert views_by_prior(positions, headings, prior).tolist() == [4, 2, 0]  # by metres and radians together
+
+
+def test_a_drawn_match_is_as_frequent_as_it_is_probable() -> None:
+    chances = np.array([0.1, 0.4, 0.0, 0.3, 0.9])
+    draws = _draw_triples(np.random.default_rng(0), chances, np.arange(5), 40_000)
+    assert ((draws >= 0) & (draws < 5)).all()
+    assert all(len(set(draw)) == 3 for draw in draws[:500].tolist())
+    p = chances / chances.sum()
+    expected = np.zeros(5)
+    for a, b, c in product(range(5), repeat=3):
+        expected[[a, b, c]] += p[a] * p[b] * p[c] if len({a, b, c}) == 3 else 0.0
+    np.testing.assert_allclose(
+        np.bincount(draws.ravel(), minlength=5) / draws.size, expected / expected.sum(), atol=0.01
+    )
+
+
+def test_all_samples_come_in_the_order_of_their_values() -> None:
+    rays, points = seen(12, 4)
+    some = evidence(rays, points)
+    every = minimal_samples(some, np.full(12, 0.5), np.arange(12), 60, 1000)
+    assert len(every) > 60  # a sample has up to four solutions
+    values = gains(some, every, 12.0)
+    assert (np.diff(values) <= 0).all()
+    np.testing.assert_array_equal(minimal_samples(some, np.full(12, 0.5), np.arange(12), 60, 7), every[:7])
+    np.testing.assert_allclose(
+        every[:, :3, :3] @ every[:, :3, :3].transpose(0, 2, 1), np.tile(np.eye(3), (len(every), 1, 1)), atol=1e-6
+    )

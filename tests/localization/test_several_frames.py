@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -11,7 +13,10 @@ from scipy.spatial.transform import Rotation
 from rholoc.errors import InvalidDescriptors, InvalidInput
 from rholoc.features import FeatureSet
 from rholoc.geometry import Pose, pose_distances, pose_matrix
-from rholoc.localization import Dof, Localizer, Query, SeveralFrames, localize_together
+from rholoc.localization import Dof, Intrinsics, Localizer, Query, Reason, SeveralFrames, localize_together
+from rholoc.localization.matches import Matches
+from rholoc.localization.seeds import Place
+from rholoc.localization.several_frames import _Candidate, _Joint
 
 _ODOMETRY = np.linalg.inv(pose_matrix(Rotation.from_euler("xyz", (0.3, -0.2, 0.9)).as_matrix(), np.array([4.0, 1, -2])))
 
@@ -132,3 +137,170 @@ def test_features_of_another_kind_are_refused(localizer: Localizer, point_room: 
     mixed = SeveralFrames((asked.frames[0], Query(short, point_room.camera)), asked.T_rig_cameras)
     with pytest.raises(InvalidDescriptors):
         localize_together(localizer, mixed)
+
+
+def test_links_are_from_each_frame_to_the_next_and_time_runs(point_room: Any) -> None:
+    truths = point_room.walk(9)[:3]
+    asked = _asked(point_room, truths, 20)
+    assert [(link.a, link.b, link.sigma_m, link.sigma_rad) for link in asked.links] == [
+        (0, 1, 0.005, 0.003),
+        (1, 2, 0.005, 0.003),
+    ]
+    for link in asked.links:
+        expected = np.linalg.inv(truths[link.a].T_map_camera) @ truths[link.b].T_map_camera
+        np.testing.assert_allclose(link.T_a_b, expected, atol=1e-9)
+    assert asked.within(0.3) is asked
+    first, *others = asked.frames
+    hurried = SeveralFrames((replace(first, deadline_s=1.0), *others), asked.T_rig_cameras)
+    assert hurried.within(0.3).frames[0].deadline_s == pytest.approx(0.7)
+    assert hurried.within(2.0).frames[0].deadline_s == 0.0
+    assert hurried.within(0.3).frames[1:] == asked.frames[1:]
+    for wrong in ({"sigma_m": np.inf}, {"sigma_rad": 0.0}, {"sigma_rad": np.nan}):
+        with pytest.raises(InvalidInput, match="not positive"):
+            replace(asked, **wrong)
+    assert len(_asked(point_room, point_room.walk(12)[:10], 20).links) == 9
+    not_homogeneous = asked.T_rig_cameras.copy()
+    not_homogeneous[1, 3] = (0, 0, 0.1, 1)
+    with pytest.raises(InvalidInput, match="not a rigid motion"):
+        replace(asked, T_rig_cameras=not_homogeneous)
+
+
+def test_frames_of_unknown_intrinsics_are_refused(localizer: Localizer, point_room: Any) -> None:
+    asked = _asked(point_room, point_room.walk(9)[:2], 20)
+    unknown = replace(asked.frames[1], intrinsics=Intrinsics.UNKNOWN)
+    with pytest.raises(InvalidInput, match="need their intrinsics"):
+        localize_together(localizer, replace(asked, frames=(asked.frames[0], unknown)))
+
+
+def _candidate(confidence: float) -> _Candidate:
+    return _Candidate((), np.zeros((0, 6, 6)), confidence)
+
+
+@pytest.mark.parametrize(
+    ("confidences", "deadline_s", "best", "tried"),
+    [
+        ([0.3, 0.7, 0.5], None, 0.7, 3),
+        ([None, 0.3, None], None, 0.3, 3),
+        ([0.3, 0.9, 0.95], None, 0.9, 2),
+        ([0.95], None, 0.95, 1),
+        ([0.3, 0.7], 0.0, 0.3, 1),
+        ([None, 0.7], 0.0, None, 1),
+    ],
+)
+def test_places_are_tried_until_one_is_sure_or_time_is_up(
+    localizer: Localizer,
+    point_room: Any,
+    monkeypatch: pytest.MonkeyPatch,
+    confidences: list[float | None],
+    deadline_s: float | None,
+    best: float | None,
+    tried: int,
+) -> None:
+    asked = _asked(point_room, point_room.walk(9)[:2], 20)
+    frames = (replace(asked.frames[0], deadline_s=deadline_s), *asked.frames[1:])
+    joint = _Joint(localizer, replace(asked, frames=frames))
+    five = Matches(np.arange(5), np.arange(5), np.full(5, 0.5))
+    answers = iter([None if one is None else _candidate(one) for one in confidences])
+    pools: list[int] = []
+
+    def every() -> Any:
+        for number in range(len(confidences)):
+            pools.append(number)
+            yield [five, five]
+
+    given: list[Any] = []
+    monkeypatch.setattr(joint, "_pools", every)
+    monkeypatch.setattr(joint, "_candidate", lambda _: next(answers))
+    monkeypatch.setattr(joint, "_answer", lambda *answer: given.append(answer))
+    joint.localize()
+    ((candidate, reason, matched),) = given
+    assert (candidate and candidate.confidence) == best
+    assert len(pools) == tried
+    assert matched == 10
+    assert reason is (Reason.DEADLINE if deadline_s == 0.0 else Reason.NO_AGREEMENT)
+
+
+@pytest.mark.parametrize(("count", "reason"), [(2, Reason.NO_MATCHES), (3, Reason.NO_AGREEMENT)])
+def test_fewer_than_six_matches_are_none(
+    localizer: Localizer, point_room: Any, monkeypatch: pytest.MonkeyPatch, count: int, reason: Reason
+) -> None:
+    joint = _Joint(localizer, _asked(point_room, point_room.walk(9)[:2], 20))
+    few = Matches(np.arange(count), np.arange(count), np.full(count, 0.5))
+    monkeypatch.setattr(joint, "_pools", lambda: iter([[few, few]]))
+    monkeypatch.setattr(joint, "_verified", lambda _: None)
+    answer = joint.localize()
+    assert answer.first.reason is reason
+    assert answer.first.matches == 2 * count
+    assert answer.first.inlier_pixels.shape == (0, 2)
+    assert answer.first.inlier_features.shape == (0,)
+
+
+def test_places_are_taken_rank_by_rank_and_a_frame_without_one_has_no_matches(
+    localizer: Localizer, point_room: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked = _asked(point_room, point_room.walk(9)[:2], 60)
+    joint = _Joint(localizer, asked)
+    rows = [np.arange(first, len(localizer.map), 3) for first in range(3)]
+    places = [[Place(0, rows[0], 3.0), Place(1, rows[1], 2.0), Place(2, rows[2], 1.0)], [Place(2, rows[2], 1.0)]]
+    each = iter(places)
+    monkeypatch.setattr("rholoc.localization.several_frames.vote_for_places", lambda *_: next(each))
+    everywhere, *pools = joint._pools()
+    assert [len(pool) for pool in pools] == [2, 2, 2]
+    for one, frame in zip(everywhere, asked.frames, strict=True):
+        assert len(one) == len(localizer.index.match_everywhere(frame.features))
+    for rank, (first, second) in enumerate(pools):
+        expected = localizer.index.match_within(asked.frames[0].features, rows[rank])
+        np.testing.assert_array_equal(first.landmarks, expected.landmarks)
+        expected = localizer.index.match_within(asked.frames[1].features, rows[2])
+        np.testing.assert_array_equal(second.landmarks, expected.landmarks if rank == 0 else [])
+        assert len(expected) > 0
+
+
+def test_the_rigs_seed_is_asked_of_all_frames_matches(
+    localizer: Localizer, point_room: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    truths = point_room.walk(40, sideways_m=0.1)[5:15:4]
+    asked = _asked(point_room, truths, 30)
+    joint = _Joint(localizer, asked)
+    matches = [localizer.index.match_everywhere(frame.features) for frame in asked.frames]
+    T = joint._seed(matches)
+    assert T is not None
+    for found, truth in zip(T @ asked.T_rig_cameras, truths, strict=True):
+        assert pose_distances(found, truth.T_map_camera)[0] < 0.1
+    nothing = Matches.none()
+    assert joint._seed([matches[0].take(np.arange(5)), nothing, nothing]) is None
+    pose, agreeing = SimpleNamespace(R=np.eye(3), t=np.array([1.0, 2, 3])), 6
+    settings: list[dict[str, Any]] = []
+
+    def estimate(plane: Any, points: Any, mounted: Any, cameras: Any, asked: dict[str, Any], more: Any) -> Any:
+        settings.append(asked)
+        return pose, {"num_inliers": agreeing}
+
+    monkeypatch.setattr("rholoc.localization.several_frames.poselib.estimate_generalized_absolute_pose", estimate)
+    found = joint._seed([matches[0].take(np.arange(6)), nothing, nothing])
+    assert found is not None
+    np.testing.assert_allclose(found[:3, 3], (-1, -2, -3))
+    agreeing = 5
+    assert joint._seed(matches) is None
+    agreeing, pose = 6, SimpleNamespace(R=np.full((3, 3), np.nan), t=np.zeros(3))
+    assert joint._seed(matches) is None
+    expected = {"max_iterations": 1000, "min_iterations": 30, "max_reproj_error": 12.0, "success_prob": 0.9999}
+    assert settings == [expected] * 3
+
+
+def test_what_is_not_sure_enough_is_not_given_out(localizer: Localizer, point_room: Any) -> None:
+    asked = _asked(point_room, point_room.walk(40, sideways_m=0.1)[5:15:4], 30)
+    strict = Localizer(localizer.map, min_confidence=1.1, index=localizer.index)
+    found, given = localize_together(strict, asked), localize_together(localizer, asked)
+    assert found.poses == ()
+    assert found.first.reason is Reason.LOW_CONFIDENCE
+    assert found.first.pose is found.first.covariance is None
+    assert found.inliers == given.inliers
+    assert given.first.reason is None
+    assert given.first.matches > 0
+    assert given.first.covariance is not None
+    shown = point_room.camera.project(
+        (localizer.index.landmarks[given.first.inlier_features[: given.inliers[0]]] - given.poses[0].position)
+        @ given.poses[0].R_map_camera
+    )
+    assert np.median(np.linalg.norm(shown - given.first.inlier_pixels, axis=1)) < 3

@@ -57,3 +57,45 @@ def test_a_cell_says_the_odds_of_its_matches_less_those_by_chance_and_ten_nats_a
 
 def test_what_is_net_is_what_was_seen_less_what_was_missing() -> None:
     assert Support(12.0, 5.0).net == 7.0
+
+
+def _cell(pixel: np.ndarray) -> int:
+    """The number of a pixel's cell, of eight across a picture 640 wide."""
+    return int(pixel[1] // 80) * 8 + int(pixel[0] // 80)
+
+
+@pytest.mark.parametrize(("share", "crowd"), [(1.0, 3), (0.5, 3), (0.5, 2), (1.0, 0)])
+def test_what_should_be_in_a_cell_and_is_not_counts_where_something_else_is(
+    localizer: Localizer, point_room: Any, share: float, crowd: int
+) -> None:
+    """Matches in the left part of a picture, ``crowd`` features of other things in each cell of the right."""
+    index, camera, T = localizer.index, point_room.camera, localizer.map.T_map_camera[20]
+    seen = index.visibility[[20]].indices.astype(np.int64)
+    where = camera.project((index.landmarks[seen] - T[:3, 3]) @ T[:3, :3])
+    left = np.flatnonzero((where[:, 0] < 320) & camera.contains(where))
+    chosen = left[: int(share * len(left))]
+    others = [(80 * i + 40.0, 80 * j + 40.0) for i in range(4, 8) for j in range(6)] * crowd
+    pixels = np.concatenate([where[chosen], np.array(others).reshape(-1, 2)])
+    count = len(chosen)
+    found = Matches(np.arange(count), seen[chosen], np.full(count, 0.5))
+    rays = np.tile([0.0, 0.0, 1.0], (count, 1))
+    landmarks = index.landmarks[seen[chosen]]
+    evidence = Evidence.of(seen[chosen], rays, landmarks, np.zeros((count, 3, 3)), found.chances, 500.0)
+    by_chance = np.zeros(len(pixels))
+    support = support_of(index, pixels, camera, found, evidence, Optimum(T, 1.0, np.ones(count)), by_chance)
+
+    shared = np.array([np.isin(index.visibility[[view]].indices, seen[chosen]).sum() for view in range(60)])
+    alike = np.argsort(-shared, kind="stable")[:10]
+    expected, matched, detected = np.zeros(48), np.zeros(48), np.zeros(48)
+    for landmark in np.unique(index.visibility[alike].indices):
+        pixel = camera.project(((index.landmarks[landmark] - T[:3, 3]) @ T[:3, :3])[None])
+        if index.present(T[:3, 3])[landmark] and camera.contains(pixel)[0]:
+            expected[_cell(pixel[0])] += 1
+            matched[_cell(pixel[0])] += landmark in seen[chosen]
+    for pixel in pixels:
+        detected[_cell(pixel)] += 1
+    rate = min(matched.sum() / expected[matched > 0].sum(), 0.9)
+    empty = (matched == 0) & (expected >= 2) & (detected >= 3)
+    missing = sum(min(-np.log(1 - rate) * expected[cell], 10.0) for cell in np.flatnonzero(empty))
+    assert support.missing == pytest.approx(missing)
+    assert (missing > 20) == (crowd == 3)

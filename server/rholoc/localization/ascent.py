@@ -23,6 +23,7 @@ from rholoc.geometry import FloatArray, IntArray, Pose, pose_matrix, rotation_fr
 from rholoc.localization.types import Dof
 
 _RAYLEIGH_MEDIAN = 1.177  # of the length of a two-dimensional offset, in standard deviations of one component
+_LEAST_NOISE_PX = 0.3  # of a detection
 _SYSTEMATIC = 3.0  # measured on real recordings: errors against those that independent detections would make
 _ROLL_SIGMA_RAD = np.deg2rad(1.5)  # of a camera that is held upright
 _NEARLY_SETTLED, _SETTLED = 1e-3, 1e-5  # metres or radians: steps that end a tolerance, and the last one
@@ -130,7 +131,6 @@ def ascend_with_focal(
         The optimum; the focal length there, as a multiple of the evidence's; and one sigma of its logarithm.
     """
     T, scale = T_map_camera, 1.0
-    curvature: FloatArray = np.eye(7)
     for tolerance_px in tolerances_px:
         for _ in range(iterations):
             focused = evidence.refocused(scale)
@@ -202,13 +202,13 @@ def optimum_at(densities: Densities, evidence: Evidence, T_map_camera: FloatArra
     return Optimum(T_map_camera, float(np.log1p(density / evidence.epsilon).sum()), density)
 
 
-def covariance_at(evidence: Evidence, optimum: Optimum, tolerance_px: float, focal_free: bool = False) -> FloatArray:
+def covariance_at(evidence: Evidence, optimum: Optimum, focal_free: bool = False) -> FloatArray:
     """The covariance (6, 6) of an optimum: the inverse of :func:`information_at`."""
-    information = information_at(evidence, optimum, tolerance_px, focal_free)
+    information = information_at(evidence, optimum, focal_free)
     return np.asarray(np.linalg.inv(information + 1e-6 * np.eye(len(information)))[:6, :6])
 
 
-def information_at(evidence: Evidence, optimum: Optimum, tolerance_px: float, focal_free: bool = False) -> FloatArray:
+def information_at(evidence: Evidence, optimum: Optimum, focal_free: bool = False) -> FloatArray:
     """What an optimum is known to, (6, 6), or (7, 7) with the focal length's logarithm: its curvature over the matches.
 
     Position in metres and rotation in radians (a small rotation in the map frame from the left). The noise of a
@@ -217,10 +217,12 @@ def information_at(evidence: Evidence, optimum: Optimum, tolerance_px: float, fo
     was estimated along with the pose, which makes both less certain.
     """
     agreeing = evidence.take(np.flatnonzero(optimum.density > 0))
+    if len(agreeing) == 0:
+        return np.zeros((6 + focal_free, 6 + focal_free))
     offsets = RayOffsets.of(agreeing, optimum.T_map_camera)
     along = np.linalg.norm(agreeing.landmarks - optimum.T_map_camera[:3, 3], axis=1)
     offset_px = evidence.focal_px * np.linalg.norm(offsets.offset, axis=1) / along
-    noise_px = max(float(np.median(offset_px)) / _RAYLEIGH_MEDIAN, 0.3) if len(agreeing) else tolerance_px
+    noise_px = max(float(np.median(offset_px)) / _RAYLEIGH_MEDIAN, _LEAST_NOISE_PX)
     variance = (noise_px * along / evidence.focal_px) ** 2 + agreeing.variances
     J = offsets.jacobian
     if focal_free:

@@ -11,6 +11,7 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.special import expit
 
 from rholoc.features import Metric
 from rholoc.geometry import FloatArray
@@ -54,5 +55,4 @@ def confidence_of(verified: Verified, metric: Metric) -> float:
 def joint_confidence(verified: Sequence[Verified], covariance: FloatArray, metric: Metric) -> float:
     """As :func:`confidence_of`, of frames verified together; ``covariance`` (6, 6) is of the one asked for."""
     intercept, *weights = _LOGISTIC[metric]
-    score = intercept + float(np.dot(weights, confidence_inputs(verified, covariance)))
-    return 1 / (1 + math.exp(-float(np.clip(score, -50, 50))))
+    return float(expit(intercept + np.dot(weights, confidence_inputs(verified, covariance))))

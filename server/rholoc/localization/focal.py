@@ -78,13 +78,29 @@ def check_focal(index: MapIndex, query: Query, verified: Verified, matches: Matc
         camera = query.camera.zoomed(total)
         matches, _ = index.match_near(query.features, camera, T, _WIDE_RADIUS_PX)
     moved_m = float(np.linalg.norm(T[:3, 3] - verified.optimum.T_map_camera[:3, 3]))
-    off = abs(float(np.log(total))) / float(np.hypot(_SIGMAS * sigma, _OWN_SIGMA))
+    focal_px = query.camera.focal * total
+    return FocalEstimate(focal_px, _spread(sigma) * focal_px, moved_m, _belief(moved_m, total, sigma, gain))
+
+
+def _belief(moved_m: float, scale: float, sigma: float, gain: float) -> float:
+    """0..1, how surely a focal length does no harm that, freed, is ``scale`` as long.
+
+    Args:
+        moved_m: how far the pose moves meanwhile, metres.
+        scale: the focal length that fits best, as a multiple of the one in use.
+        sigma: one sigma of its logarithm, by the curvature alone.
+        gain: how much likelier it makes the matches, nats.
+    """
+    off = abs(float(np.log(scale))) / float(np.hypot(_SIGMAS * sigma, _OWN_SIGMA))
     harm = min(max(moved_m / _HARMLESS_M - 1, 0.0), 1.0)
     doubt = 1 - float(np.exp(-0.5 * max(off - 1, 0.0) ** 2))
     least, enough = _TELLING_NATS
-    belief = 1 - harm * doubt * float(np.clip((gain - least) / (enough - least), 0, 1))
-    focal_px = query.camera.focal * total
-    return FocalEstimate(focal_px, min(_SIGMAS * sigma, 1.0) * focal_px, moved_m, belief)
+    return 1 - harm * doubt * float(np.clip((gain - least) / (enough - least), 0, 1))
+
+
+def _spread(sigma: float) -> float:
+    """One sigma of a focal length as a share of it, from that of its logarithm by the curvature alone."""
+    return min(_SIGMAS * sigma, 1.0)
 
 
 def _fits(index: MapIndex, query: Query, verified: Verified, matches: Matches) -> bool:
@@ -157,7 +173,7 @@ def verify_with_focal(
     focal_px = query.camera.focal
     sigma_m = float(np.sqrt(np.linalg.eigvalsh(verified.covariance[:3, :3])[-1]))
     belief = erf(_RIGHT_M / (sqrt(2) * sigma_m))
-    return verified, FocalEstimate(focal_px, min(_SIGMAS * sigma, 1.0) * focal_px, 0.0, belief), query
+    return verified, FocalEstimate(focal_px, _spread(sigma) * focal_px, 0.0, belief), query
 
 
 def _sensible(camera: Camera, scale: float) -> bool:

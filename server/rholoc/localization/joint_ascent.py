@@ -70,14 +70,12 @@ def ascend_together(
     return [optimum_at(densities, one, pose, tolerances_px[-1]) for one, pose in zip(evidences, T, strict=True)]
 
 
-def joint_covariances(
-    evidences: Sequence[Evidence], optima: Sequence[Optimum], links: Sequence[Link], tolerance_px: float
-) -> FloatArray:
+def joint_covariances(evidences: Sequence[Evidence], optima: Sequence[Optimum], links: Sequence[Link]) -> FloatArray:
     """The covariance (N, 6, 6) of each frame's pose, all frames and links considered; see :func:`covariance_at`."""
     information = _link_equations(np.array([one.T_map_camera for one in optima]), links)[1]
     for i, (evidence, optimum) in enumerate(zip(evidences, optima, strict=True)):
         own = slice(6 * i, 6 * i + 6)
-        information[own, own] += information_at(evidence, optimum, tolerance_px)
+        information[own, own] += information_at(evidence, optimum)
     covariance = np.linalg.inv(information + 1e-6 * np.eye(len(information)))
     return np.array([covariance[6 * i : 6 * i + 6, 6 * i : 6 * i + 6] for i in range(len(optima))])
 

@@ -7,11 +7,11 @@ what its own matches might have been instead.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from itertools import islice
 
 import numpy as np
+from scipy.special import expit
 
 from rholoc.geometry import FloatArray, pose_distances
 from rholoc.localization.map_index import MapIndex
@@ -68,4 +68,4 @@ def are_rivals(a: Verified, b: Verified) -> bool:
 
 def sureness(own: Support, rival: Support) -> float:
     """0..1, the probability that the first of two poses is the right one, by what supports each."""
-    return 1 / (1 + math.exp(-float(np.clip((own.net - rival.net) / _TELLING_NATS, -50, 50))))
+    return float(expit((own.net - rival.net) / _TELLING_NATS))

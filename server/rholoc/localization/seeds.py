@@ -124,6 +124,5 @@ def _draw_triples(rng: np.random.Generator, chances: FloatArray, detections: Int
     """Triples (S, 3) of different detections, drawn by chance."""
     cumulative = np.cumsum(chances)
     draws = np.searchsorted(cumulative, rng.random((samples, 3)) * cumulative[-1])
-    draws = np.minimum(draws, len(chances) - 1)
     a, b, c = (detections[draws[:, i]] for i in range(3))
     return np.asarray(draws[(a != b) & (b != c) & (a != c)])

@@ -241,9 +241,7 @@ class _Joint:
                     optima, near, evidences, self.frames, strict=True
                 )
             )
-        covariances = joint_covariances(
-            [one.evidence for one in verified], [one.optimum for one in verified], links, FINAL_TOLERANCE_PX
-        )
+        covariances = joint_covariances([one.evidence for one in verified], [one.optimum for one in verified], links)
         return _Candidate(verified, covariances, joint_confidence(verified, covariances[0], self.index.metric))
 
     def _answer(self, best: _Candidate | None, reason: Reason, matched: int) -> JointLocalization:

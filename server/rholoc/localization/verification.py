@@ -50,7 +50,7 @@ class Verified:
     @cached_property
     def covariance(self) -> FloatArray:
         """(6, 6) of position (m) and rotation (rad, map frame, from the left)."""
-        return covariance_at(self.evidence, self.optimum, FINAL_TOLERANCE_PX, self.focal_free)
+        return covariance_at(self.evidence, self.optimum, self.focal_free)
 
     @property
     def inliers(self) -> int:

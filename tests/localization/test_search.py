@@ -1,0 +1,353 @@
+"""What a search answers with: which candidate, how sure, and what is asked of a seed."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from rholoc.density import Evidence
+from rholoc.features import FeatureSet
+from rholoc.geometry import FloatArray, Pose
+from rholoc.localization import Dof, Intrinsics, Localizer, Prior, Query, Reason
+from rholoc.localization import localizer as module
+from rholoc.localization.ascent import Optimum
+from rholoc.localization.focal import FocalEstimate
+from rholoc.localization.localizer import (
+    _Found,
+    _likelier,
+    _near_prior,
+    _plausible,
+    _Search,
+    _Stopwatch,
+    _true_to_gravity,
+)
+from rholoc.localization.matches import Matches
+from rholoc.localization.rivals import sureness
+from rholoc.localization.support import Support
+from rholoc.localization.verification import ENOUGH_MATCHES, Verified, matches_about, verify
+
+HERE = Pose.from_heading(np.array([1.0, 2.0, 1.5]), np.array([0.6, 0.8, 0.0]))
+
+
+def found(
+    confidence: float, net: float = 100.0, x: float = 0.0, near_prior: bool = True, recognized: float | None = None
+) -> _Found:
+    """A candidate ``x`` metres along the map's x axis."""
+    T = np.eye(4)
+    T[0, 3] = x
+    nothing = np.zeros(0, np.int64)
+    evidence = Evidence.of(nothing, np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros(0), 500.0)
+    optimum = Optimum(T, 1.0, np.zeros(0))
+    verified = Verified(optimum, Matches.none(), evidence, np.zeros((0, 2)), 0.0, Matches.none(), Support(net, 0.0))
+    focal = FocalEstimate(500.0, 1.0, 0.0, 1.0)
+    camera: Any = None
+    return _Found(verified, camera, focal, confidence, near_prior, confidence if recognized is None else recognized)
+
+
+def search(*candidates: _Found) -> _Search:
+    query: Any = None
+    begun = _Search(query, _Stopwatch(None))
+    for candidate in candidates:
+        begun.add(candidate)
+    return begun
+
+
+def test_of_two_candidates_the_better_supported_of_those_that_may_be_given_out_is_likelier() -> None:
+    sure, surer, doubtful = found(0.7, 50.0), found(0.61, 80.0), found(0.59, 200.0)
+    assert _likelier(None, doubtful) is doubtful
+    assert _likelier(sure, surer) is surer is _likelier(surer, sure)
+    assert _likelier(sure, doubtful) is sure is _likelier(doubtful, sure)
+    same = found(0.9, 50.0)
+    assert _likelier(sure, same) is sure  # the first of equals
+    begun = search(sure, doubtful, surer)
+    assert begun.best is surer
+    assert begun.elsewhere is None
+    begun.add(None)
+    assert begun.found == [sure, doubtful, surer]
+
+
+@pytest.mark.parametrize(
+    ("best", "elsewhere", "answer"),
+    [
+        (None, None, None),
+        (0.3, None, "best"),
+        (0.3, 0.89, "best"),
+        (0.3, 0.9, "elsewhere"),
+        (0.59, 0.95, "elsewhere"),
+        (0.6, 0.95, "best"),
+        (None, 0.95, "elsewhere"),
+        (None, 0.5, None),
+    ],
+)
+def test_what_contradicts_a_prior_is_given_only_where_it_is_sure_and_the_other_is_not(
+    best: float | None, elsewhere: float | None, answer: str | None
+) -> None:
+    """In places 10 cm apart: the one is no rival of the other."""
+    candidates = {
+        "best": None if best is None else found(best),
+        "elsewhere": None if elsewhere is None else found(elsewhere, x=0.1, near_prior=False),
+    }
+    outcome = search(*(one for one in candidates.values() if one is not None)).outcome(0.9)
+    assert outcome is (None if answer is None else candidates[answer])
+
+
+def test_a_search_is_over_once_a_place_is_recognized_wherever_it_is() -> None:
+    assert not search().is_over(0.9)
+    assert not search(found(0.95, recognized=0.89)).is_over(0.9)
+    assert search(found(0.2, recognized=0.9)).is_over(0.9)
+    assert search(found(0.5), found(0.2, near_prior=False, recognized=0.9)).is_over(0.9)
+
+
+def test_a_candidate_is_as_sure_as_it_is_better_than_its_best_rival() -> None:
+    best = found(0.95, 100.0)
+    lesser, near, nearer = found(0.9, 70.0, x=9.0), found(0.9, 94.0, x=5.0), found(0.9, 99.0, x=0.1)
+    alone = search(best, nearer).outcome(0.9)
+    assert alone is best  # what is beside it is the same place
+    contested = search(best, lesser, near, nearer).outcome(0.9)
+    assert contested is not None
+    assert contested.verified is best.verified
+    assert contested.confidence == pytest.approx(0.95 * sureness(best.verified.support, near.verified.support))
+    assert contested.confidence == pytest.approx(0.95 / (1 + np.exp(-0.5)))
+    aside = replace(near, near_prior=False)
+    assert search(best, aside).outcome(0.9) is best  # the prior speaks against that one
+    far = replace(best, near_prior=False)
+    rivalled = search(far, found(0.2, 94.0, x=5.0)).elsewhere
+    assert rivalled is not None
+    begun = search(far, found(0.2, 112.0, x=5.0))
+    answer = begun.outcome(0.9)
+    assert answer is not None
+    assert answer.near_prior  # the one elsewhere is no longer sure
+
+
+@pytest.mark.parametrize(("tilt_deg", "true"), [(0.0, True), (9.5, True), (10.5, False), (180.0, False)])
+def test_gravity_may_be_off_by_ten_degrees(tilt_deg: float, true: bool) -> None:
+    down = HERE.R_map_camera.T @ (0.0, 0.0, -1.0)
+    tilt = np.deg2rad(tilt_deg)
+    aside = HERE.R_map_camera.T @ (0.8, -0.6, 0.0)
+    gravity = 9.81 * (np.cos(tilt) * down + np.sin(tilt) * aside)
+    assert _true_to_gravity(HERE.T_map_camera, gravity) is true
+    assert _true_to_gravity(HERE.T_map_camera, None)
+    features: Any = None
+    query = Query(features, features, gravity=gravity)
+    assert _plausible(HERE.T_map_camera, query) is true
+
+
+@pytest.mark.parametrize(("roll_deg", "plausible"), [(0.0, True), (14.5, True), (-14.5, True), (15.5, False)])
+def test_a_seed_may_roll_by_fifteen_degrees_where_upright_is_asked_for(roll_deg: float, plausible: bool) -> None:
+    T = Pose.from_heading(HERE.position, HERE.heading, np.deg2rad(roll_deg)).T_map_camera
+    features: Any = None
+    assert _plausible(T, Query(features, features, dof=Dof.UPRIGHT)) is plausible
+    assert _plausible(T, Query(features, features, dof=Dof.AUTO))
+
+
+@pytest.mark.parametrize(
+    ("apart_m", "turned_deg", "near"), [(0.49, 19.0, True), (0.51, 0.0, False), (0.0, 21.0, False), (0.0, 0.0, True)]
+)
+def test_a_pose_is_near_a_prior_in_place_and_heading(apart_m: float, turned_deg: float, near: bool) -> None:
+    turned = np.arctan2(0.8, 0.6) + np.deg2rad(turned_deg)
+    there = Pose.from_heading(
+        HERE.position + np.array([0, 0, apart_m]), np.array([np.cos(turned), np.sin(turned), 0.0])
+    )
+    assert _near_prior(there.T_map_camera, Prior(HERE, 0.5, math.radians(20))) is near
+    assert _near_prior(there.T_map_camera, None)
+
+
+def test_a_stopwatch_adds_up_stages_and_knows_its_deadline(monkeypatch: pytest.MonkeyPatch) -> None:
+    now = iter([10.0, 10.0, 10.1, 10.4, 10.5, 10.9, 11.1])
+    monkeypatch.setattr(module.time, "perf_counter", lambda: next(now))
+    watch = _Stopwatch.__new__(_Stopwatch)
+    watch.deadline_s, watch.started, watch.timings_ms, watch._last = 1.0, next(now), {}, next(now)
+    watch.lap("match")
+    watch.lap("seed")
+    watch.lap("match")
+    assert watch.timings_ms == pytest.approx({"match": 200.0, "seed": 300.0})
+    assert [watch.late, watch.late] == [False, True]
+    watch.deadline_s = None
+    assert not watch.late
+
+
+def test_tracking_needs_matches_over_chance_or_alike(
+    localizer: Localizer, point_room: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    truth = point_room.walk(9)[4]
+    seen = point_room.see(truth, 8)
+    query, prior = Query(seen, point_room.camera), Prior(truth)
+    rays = point_room.camera.rays(seen.pixels)
+    everything, _ = localizer.index.match_near(seen, point_room.camera, truth.T_map_camera, 14.0)
+
+    def tracks(count: int, by_chance: float, chance: float) -> bool:
+        some = replace(everything.take(np.arange(count)), chances=np.full(count, chance))
+        spread = np.full(len(seen), by_chance / len(seen))
+        asked: list[Matches | None] = []
+        with monkeypatch.context() as patch:
+            patch.setattr(localizer.index, "match_near", lambda *_: (some, spread))
+            patch.setattr(module, "verify", lambda *_, wide: asked.append(wide))
+            localizer._track(query, prior, rays)
+        assert asked in ([], [some if count >= ENOUGH_MATCHES else None])
+        return bool(asked)
+
+    assert [tracks(count, 20.0, 0.1) for count in (37, 38)] == [False, True]  # 1.5 · 20 + 8
+    assert [tracks(count, 1000.0, 0.51) for count in (15, 16)] == [False, True]
+    assert [tracks(60, 1000.0, chance) for chance in (0.49, 0.51)] == [False, True]
+
+
+def test_a_place_is_looked_at_closely_from_ransacs_pose_and_from_samples_where_they_are_better(
+    localizer: Localizer, point_room: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    truth = point_room.walk(9)[4]
+    seen = point_room.see(truth, 8)
+    query, rays = Query(seen, point_room.camera, Dof.FREE), point_room.camera.rays(seen.pixels)
+    (place,) = [next(iter(module.places_by_votes(localizer.index, localizer.index.match_everywhere(seen), 10)))]
+
+    def looks(
+        ransac: FloatArray | None, samples: list[FloatArray], gravity: FloatArray | None = None
+    ) -> list[FloatArray]:
+        verified: list[FloatArray] = []
+        with monkeypatch.context() as patch:
+            patch.setattr(localizer, "_ransac_seed", lambda *_: ransac)
+            patch.setattr(module, "minimal_samples", lambda *_: np.array(samples).reshape(-1, 4, 4))
+            patch.setattr(localizer, "_verified", lambda optimum, *_: verified.append(optimum.T_map_camera))
+            asked = replace(query, gravity=gravity)
+            list(localizer._look_closely(place, asked, rays, _Stopwatch(None)))
+        return verified
+
+    good = truth.T_map_camera
+    far = Pose.from_heading(truth.position + 1.0, -truth.heading).T_map_camera
+    upside_down = Pose.from_heading(truth.position, truth.heading, np.pi).T_map_camera
+    down = truth.R_map_camera.T @ (0.0, 0.0, -1.0)
+    assert len(looks(good, [far])) == 1  # samples that are worse are not verified
+    assert len(looks(far, [good])) == 2
+    assert len(looks(None, [far, good])) == 1
+    assert looks(None, []) == []
+    best = looks(None, [far, good])[0]
+    assert np.linalg.norm(best[:3, 3] - truth.position) < 0.05
+    third = looks(None, [far, far, good])[0]
+    assert np.linalg.norm(third[:3, 3] - truth.position) > 0.5  # two are climbed from
+    assert looks(upside_down, [upside_down], down) == []
+    assert len(looks(upside_down, [upside_down, far, good], down)) == 1
+
+
+@pytest.mark.parametrize("unknown", [False, True])
+def test_rivals_are_looked_for_with_the_camera_that_was_found(
+    localizer: Localizer, point_room: Any, monkeypatch: pytest.MonkeyPatch, unknown: bool
+) -> None:
+    truth = point_room.walk(13, sideways_m=0.1)[6]
+    wrong = point_room.camera.zoomed(1.4) if unknown else point_room.camera
+    intrinsics = Intrinsics.UNKNOWN if unknown else Intrinsics.GIVEN
+    asked: list[float] = []
+
+    def rivals(index: Any, nearest: Any, query: Query, rays: FloatArray, best: Any) -> list[FloatArray]:
+        np.testing.assert_allclose(rays, query.camera.rays(query.features.pixels))
+        asked.append(query.camera.focal)
+        return []
+
+    monkeypatch.setattr(module, "rival_seeds", rivals)
+    answer = localizer.localize(Query(point_room.see(truth, 501), wrong, intrinsics=intrinsics))
+    assert answer.localized
+    assert asked == pytest.approx([point_room.camera.focal], rel=0.03)
+    assert asked[0] == (answer.camera.focal if answer.camera else wrong.focal)
+
+
+@pytest.mark.parametrize(("dof", "rolled"), [(Dof.UPRIGHT, False), (Dof.FREE, True)])
+def test_candidates_come_with_their_confidence_however_doubtful(
+    localizer: Localizer, point_room: Any, dof: Dof, rolled: bool
+) -> None:
+    held = point_room.walk(9)[4]
+    truth = Pose.from_heading(held.position, held.heading, roll=np.deg2rad(1.5))
+    query = Query(point_room.see(truth, 5, share=0.06), point_room.camera, dof)
+    answer = Localizer(localizer.map, min_confidence=0.999999, index=localizer.index).localize(query)
+    assert not answer.localized
+    assert answer.reason is Reason.LOW_CONFIDENCE
+    assert answer.pose is None
+    candidate = localizer.candidate(query)
+    assert candidate is not None
+    verified, confidence = candidate
+    assert confidence == answer.confidence
+    assert verified.inliers == answer.inliers == len(answer.inlier_pixels) > 0
+    assert answer.matches >= len(verified.wide)
+    given_out = Localizer(localizer.map, min_confidence=confidence, index=localizer.index).localize(query)
+    assert given_out.pose is not None
+    assert (abs(given_out.pose.roll) > 1e-6) is rolled
+
+
+def test_without_matches_the_reason_is_that_there_are_none(localizer: Localizer, point_room: Any) -> None:
+    seen = point_room.see(point_room.walk(9)[4], 8)
+    strange = replace(seen, descriptors=np.random.default_rng(1).integers(0, 256, seen.descriptors.shape, np.uint8))
+    answer = localizer.localize(Query(strange, point_room.camera))
+    assert answer.reason is Reason.NO_MATCHES
+    assert answer.inlier_pixels.shape == (0, 2)
+    assert answer.inlier_features.shape == (0,)
+    assert (answer.confidence, answer.matches >= 0, answer.inliers) == (0.0, True, 0)
+    assert localizer.localize(Query(seen.take(np.arange(7)), point_room.camera)).reason is Reason.NO_FEATURES
+    votes = localizer.view_votes(seen)
+    assert abs(int(votes.argmax()) - 30) <= 4  # the fifth of nine poses on the way of sixty views
+
+
+def test_in_a_dense_picture_a_sample_is_matched_first_and_every_feature_once(
+    localizer: Localizer, point_room: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen = point_room.see(point_room.walk(9)[4], 8)
+    strange = replace(seen, descriptors=np.random.default_rng(1).integers(0, 256, seen.descriptors.shape, np.uint8))
+    many = FeatureSet.concatenate([strange] * (1 + 600 // len(seen)))
+    assert len(many.sample) < len(many)
+    for intrinsics in Intrinsics:
+        looked_up: list[Any] = []
+        nearest = localizer.index.nearest_everywhere
+        with monkeypatch.context() as patch:
+            patch.setattr(
+                localizer.index,
+                "nearest_everywhere",
+                lambda features, some: (looked_up.append(some), nearest(features, some))[1],  # noqa: B023
+            )
+            localizer._search(Query(many, point_room.camera, intrinsics=intrinsics), _Stopwatch(None))
+        np.testing.assert_array_equal(np.sort(np.concatenate(looked_up)), np.arange(len(many)))
+        assert len(looked_up) == (2 if intrinsics is Intrinsics.GIVEN else 1)
+        if intrinsics is Intrinsics.GIVEN:
+            np.testing.assert_array_equal(looked_up[0], many.sample)
+
+
+def test_verification_looks_at_some_features_where_those_are_enough(
+    localizer: Localizer, point_room: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen = point_room.see(point_room.walk(9)[4], 8)
+    many = FeatureSet.concatenate([seen] * (1 + 600 // len(seen)))
+    query, T = Query(many, point_room.camera), HERE.T_map_camera
+    hundred = Matches(np.arange(100), np.arange(100), np.full(100, 0.5))
+
+    def looks(count: int, query: Query = query) -> list[bool]:
+        """Whether at some alone, each time."""
+        asked: list[bool] = []
+
+        def match_near(features: Any, camera: Any, pose: Any, radius: float, some: Any = None) -> Any:
+            asked.append(some is not None)
+            return hundred.take(np.arange(count)), None
+
+        with monkeypatch.context() as patch:
+            patch.setattr(localizer.index, "match_near", match_near)
+            assert len(matches_about(localizer.index, query, T, 14.0)) == count
+        return asked
+
+    assert looks(60) == [True]
+    assert looks(59) == [True, False]
+    assert looks(60, replace(query, features=seen)) == [False]
+
+
+@pytest.mark.parametrize(("wide", "narrow", "found"), [(5, 6, False), (6, 5, False), (6, 6, True)])
+def test_a_pose_is_verified_by_six_matches(
+    localizer: Localizer, point_room: Any, monkeypatch: pytest.MonkeyPatch, wide: int, narrow: int, found: bool
+) -> None:
+    truth = point_room.walk(9)[4]
+    seen = point_room.see(truth, 8)
+    query, index = Query(seen, point_room.camera), localizer.index
+    every, by_chance = index.match_near(seen, point_room.camera, truth.T_map_camera, 5.0)
+    counts = {14.0: wide, 5.0: narrow}
+    monkeypatch.setattr(index, "match_near", lambda *asked: (every.take(np.arange(counts[asked[3]])), by_chance))
+    verified = verify(index, query, point_room.camera.rays(seen.pixels), truth.T_map_camera)
+    assert (verified is not None) is found
+    if verified is not None:
+        assert verified.by_chance == pytest.approx(by_chance.sum())
+        assert len(verified.pixels) == len(verified.matches) == 6
