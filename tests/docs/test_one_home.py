@@ -16,6 +16,7 @@ PACKAGE = Path(__file__).parents[2] / "server" / "rholoc"
         ("angles between directions", r"\barccos\(", {"geometry/angles.py"}),
         ("angles between rotations", r"\.magnitude\(\)|\btrace\(.*- 1", {"geometry/angles.py"}),
         ("alignments of points", r"align_vectors|def (kabsch|umeyama|align_poses)", {"geometry/alignment.py"}),
+        ("cameras as text and JSON", r"\*distortion = |asdict\([\w.]*camera\)", {"geometry/camera.py"}),
         ("visual words", r"\bKmeans\b", {"features/vlad.py"}),
         ("a full disk's errors", r"\bENOSPC\b|\bEDQUOT\b", {"disk.py"}),
         ("VTK's PolyData", r'VTKFile type="PolyData"', {"maps/vtp.py"}),

@@ -30,6 +30,19 @@ def test_projection_is_opencvs() -> None:
     np.testing.assert_allclose(DISTORTED.project(points), expected[:, 0], atol=1e-9)
 
 
+@pytest.mark.parametrize("camera", [DISTORTED, Camera(640, 480, 525.0, 525.0, 320.0, 240.0)])
+def test_what_is_written_of_a_camera_reads_back_the_same(camera: Camera) -> None:
+    assert Camera.from_line(camera.to_line()) == camera
+    assert Camera.from_dict(json.loads(json.dumps(camera.to_dict()))) == camera
+    assert Camera.parse(",".join(map(repr, camera.parameters)), camera.width, camera.height) == camera
+
+
+@pytest.mark.parametrize("text", ["", "640 480 525 525 320", "640.5 480 525 525 320 240", "640 480 525 525 320 x"])
+def test_a_line_that_is_not_a_camera_is_refused(text: str) -> None:
+    with pytest.raises(ValueError):
+        Camera.from_line(text)
+
+
 def test_points_behind_have_no_pixel() -> None:
     pixels = DISTORTED.project(np.array([[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]]))
     assert np.isnan(pixels[0]).all()

@@ -25,7 +25,7 @@ class Camera:
     ``distortion`` holds OpenCV's coefficients k1, k2, p1, p2[, k3[, k4, k5, k6]], or nothing.
 
     Raises:
-        InvalidCamera: a value is not finite, a focal length is not positive, the size is absurd, the field of
+        InvalidCamera: a value is not finite, a focal length is not positive, the size is impossible, the field of
             view is outside 5–175° or the principal point is outside the image.
     """
 
@@ -62,7 +62,7 @@ class Camera:
         """Read ``fx,fy,cx,cy[,k1,k2,p1,p2[,k3]]``.
 
         Raises:
-            InvalidCamera: the text is not such a list, or its values are absurd.
+            InvalidCamera: the text is not such a list, or its values are impossible.
         """
         try:
             values = [float(part) for part in text.split(",")]
@@ -75,12 +75,12 @@ class Camera:
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> Camera:
-        """From ``width``, ``height``, ``fx``, ``fy``, ``cx``, ``cy`` and, where there is one, ``distortion``.
+        """From ``width``, ``height``, ``fx``, ``fy``, ``cx``, ``cy`` and, optionally, ``distortion``.
 
         Raises:
             KeyError: a value is missing.
             TypeError, ValueError: one is not a number.
-            InvalidCamera: the values are absurd.
+            InvalidCamera: the values are impossible.
         """
         intrinsics = {name: values[name] for name in ("fx", "fy", "cx", "cy")}
         width, height = int(values["width"]), int(values["height"])
@@ -88,6 +88,22 @@ class Camera:
             raise ValueError("width and height are whole numbers")
         distortion = tuple(map(float, values.get("distortion") or ()))
         return cls(width, height, **{name: float(value) for name, value in intrinsics.items()}, distortion=distortion)
+
+    @classmethod
+    def from_line(cls, text: str) -> Camera:
+        """Read ``width height fx fy cx cy`` and the distortion, separated by spaces.
+
+        Raises:
+            ValueError: the text is not such a list.
+            InvalidCamera: the values are impossible.
+        """
+        width, height, *values = text.split()
+        fx, fy, cx, cy, *distortion = map(float, values)
+        return cls(int(width), int(height), fx, fy, cx, cy, tuple(distortion))
+
+    def to_line(self) -> str:
+        """What :meth:`from_line` reads."""
+        return " ".join(repr(value) for value in (self.width, self.height, *self.parameters))
 
     def to_dict(self) -> dict[str, Any]:
         """What :meth:`from_dict` takes, ready for JSON."""
@@ -126,7 +142,7 @@ class Camera:
         return replace(self, fx=self.fx * scale, fy=self.fy * scale)
 
     def fitted(self, width: int, height: int) -> Camera:
-        """The camera for its images as they are, ``width`` × ``height``: resized where they are of the same shape.
+        """The camera for images of ``width`` × ``height``: resized, if they are of the same shape.
 
         Raises:
             InvalidCamera: they are of another shape.

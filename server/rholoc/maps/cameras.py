@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -20,9 +20,9 @@ _NAMES_SHOWN = 5
 
 @dataclass(frozen=True)
 class CameraProfile:
-    """A camera's intrinsics and what is known of how good they are.
+    """A camera's intrinsics and how accurate they are known to be.
 
-    ``calibration`` is JSON: where a board calibrated it ``rms_px``, ``views``, ``sigmas_px`` and more; else empty.
+    ``calibration`` is JSON: ``rms_px``, ``views``, ``sigmas_px`` and more if a board calibrated it; else empty.
     """
 
     camera: Camera
@@ -32,22 +32,22 @@ class CameraProfile:
 class CameraLibrary:
     """Camera profiles as ``cameras/NAME.json`` in the folder of maps; safe to share between threads and processes.
 
-    The files are also a recording's ``camera.json``: it reads the same members.
+    The files have the members of a recording's ``camera.json``, and can be used as one.
     """
 
     def __init__(self, maps_dir: Path) -> None:
         self.folder = maps_dir / FOLDER
 
     def names(self) -> list[str]:
-        """The names of all cameras, sorted; none where the folder does not exist."""
+        """The names of all cameras, sorted; empty if the folder does not exist."""
         files = self.folder.glob(f"*{_SUFFIX}")
         return sorted(file.stem for file in files if is_name(file.stem) and file.is_file())
 
     def path(self, name: str) -> Path:
-        """Where the camera of that name is kept, whether there is one or not.
+        """The path for a camera of that name, whether or not it exists.
 
         Raises:
-            InvalidName: it is not a name.
+            InvalidName: it is not a valid name.
         """
         return self.folder / (check_name(name, "camera") + _SUFFIX)
 
@@ -55,9 +55,9 @@ class CameraLibrary:
         """The camera of that name.
 
         Raises:
-            InvalidName: it is not a name.
+            InvalidName: it is not a valid name.
             UnknownCamera: there is no such camera.
-            InvalidCamera: its file is broken.
+            InvalidCamera: its file is damaged.
         """
         try:
             text = self.path(name).read_text(encoding="utf-8")
@@ -68,7 +68,7 @@ class CameraLibrary:
         return _from_json(name, text)
 
     def put(self, name: str, profile: CameraProfile) -> None:
-        """Store a camera under a name, replacing the one that was there.
+        """Store a camera under a name, replacing any of that name.
 
         Raises:
             InvalidName, StorageFull, InvalidInput: nothing was replaced.
@@ -76,7 +76,8 @@ class CameraLibrary:
         path = self.path(name)
         try:
             check_json_value(profile.calibration)
-            text = json.dumps({**asdict(profile.camera), "calibration": profile.calibration}, indent=2, allow_nan=False)
+            values = {**profile.camera.to_dict(), "calibration": profile.calibration}
+            text = json.dumps(values, indent=2, allow_nan=False)
         except (TypeError, ValueError, RecursionError) as error:
             raise InvalidInput(f"The camera's calibration cannot be stored: {error}.", "Send plain JSON.") from error
         try:
@@ -91,7 +92,7 @@ class CameraLibrary:
         """Delete a camera.
 
         Raises:
-            InvalidName: it is not a name.
+            InvalidName: it is not a valid name.
             UnknownCamera: there is no such camera.
         """
         try:
@@ -100,7 +101,7 @@ class CameraLibrary:
             raise self._unknown(name) from error
 
     def named_in(self, text: str | None) -> Camera | str | None:
-        """The camera whose name ``text`` is; intrinsics as users write them (``fx,fy,cx,cy`` …) stay what they are.
+        """The stored camera that ``text`` names; intrinsics as users write them (``fx,fy,cx,cy`` …) are returned as is.
 
         Raises:
             InvalidName, UnknownCamera, InvalidCamera: as :meth:`get` does.

@@ -31,7 +31,7 @@ _SNIFFED = 4096
 
 @dataclass(eq=False)
 class _Feature:
-    """What the rows of one feature say; the texts are those that all of its rows must share."""
+    """The rows of one feature; ``texts`` are the values that all of its rows must share."""
 
     channel: int
     landmark: FloatArray
@@ -44,7 +44,7 @@ class _Feature:
 
 @dataclass(frozen=True, eq=False)
 class _Header:
-    """The form of the table, and where its parts stand in a row."""
+    """The form of the table, and where its parts are in a row."""
 
     form: type[Densities]
     degree: int
@@ -57,21 +57,21 @@ class _Header:
 
 
 def is_coefficient_table(path: Path) -> bool:
-    """Whether a file begins as text in columns, as Table 5 does, and not with a binary length, as ``.rho`` does."""
+    """Whether a file begins with columns of text, like Table 5, and not with a binary length, like ``.rho``."""
     with path.open("rb") as file:
         first_line = file.read(_SNIFFED).removeprefix(codecs.BOM_UTF8).partition(b"\n")[0]
     return first_line.isascii() and b"," in first_line and b"\0" not in first_line
 
 
 def read_coefficient_table(path: Path, called: str = "") -> Map:
-    """Read a map that :func:`rholoc.maps.write_coefficient_table` wrote. It localizes as the map that was written.
+    """Read a map that :func:`rholoc.maps.write_coefficient_table` wrote. It localizes like the map that was written.
 
-    Errors, and the map's source, speak of the file as ``called``, else by its name.
+    Errors and the map's source refer to the file as ``called``, by default its name.
 
     Raises:
         UnknownMap: there is no such file.
-        InvalidMap: a column is missing or one too many, P does not fit the columns, a value is not a finite number,
-            a descriptor stands twice for the same density, rows contradict each other, or the file is cut off.
+        InvalidMap: there is a column too few or too many, P does not fit the columns, a value is not a finite number, a
+            descriptor is repeated for the same density, rows contradict each other, or the file is truncated.
     """
     if not path.is_file():
         raise UnknownMap(f"There is no map {path}.", "Check the path.")
@@ -98,7 +98,7 @@ def read_coefficient_table(path: Path, called: str = "") -> Map:
 
 
 def _header(name: str, columns: list[str]) -> _Header:
-    """The form that the names of the columns tell; they must be exactly those of that form."""
+    """The form that the column names imply; they must be exactly those of that form."""
     coefficients = [name for name in columns if name.startswith("a_")]
     last = coefficients[-1].removeprefix("a_").split("_") if coefficients else []
     forms: dict[int, list[type[Densities]]] = {}
@@ -127,14 +127,14 @@ def _header(name: str, columns: list[str]) -> _Header:
 
 
 def _with_columns(forms: list[type[Densities]], columns: list[str]) -> type[Densities]:
-    """Of forms with as many variables, that whose domain most of the columns describe; the first where none does."""
+    """Of forms with the same number of variables, the one with most domain columns present; else the first."""
     there = set(columns)
     whole = [form for form in forms if set(form.domain_columns) <= there]
     return max(whole, key=lambda form: len(form.domain_columns), default=forms[0])
 
 
 def _rows(name: str, lines: Iterator[str], header: _Header) -> Iterator[tuple[int, list[str]]]:
-    """The values of each row, counted from 1; they must be as many as the table says it has."""
+    """The number of each row, from 1, and its values; there must be as many rows as the table says."""
     total, count = "", 0
     for line in lines:
         if not line.strip():
@@ -252,9 +252,7 @@ def _info(name: str, kind: DensityKind, shared: list[str]) -> MapInfo:
     extractor, metric, upright, camera = shared
     try:
         get_extractor(extractor)
-        width, height, *rest = camera.split()
-        fx, fy, cx, cy, *distortion = map(float, rest)
-        intrinsics = Camera(int(width), int(height), fx, fy, cx, cy, tuple(distortion))
+        intrinsics = Camera.from_line(camera)
     except InvalidInput as error:
         raise InvalidMap(f"{name}: {error.message}", error.hint) from error
     except ValueError as error:

@@ -1,10 +1,10 @@
-"""Table 5: a map as CSV, a descriptor and its density's coefficients a row.
+"""Table 5: a map as CSV, with a descriptor and its density's coefficients in each row.
 
 Columns: ``descriptor`` (hex, two digits of the channel first), the coefficients in the order of equation (3) from
 ``a_0_0_0_0_0_0_0_0`` to ``a_P_P_P_P_P_P_P_P`` (``tensor``), or from ``a_0_0_0_0_0_0`` to ``a_2_2_2_2_2_2`` (``ray``,
-s = (b, x)), and those that normalization, the domain and the search for seeds need. A feature with several
-descriptors, or seen from several places, has several rows: each of its descriptors and each of its densities stands in
-at least one. maps/README.md describes every column.
+s = (b, x)), and what normalization, the domain and the search for seeds need. A feature with several descriptors, or
+seen from several places, has several rows: each of its descriptors and each of its densities is in at least one.
+maps/README.md describes every column.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import numpy as np
 from rholoc.density import Densities, Sightings
 from rholoc.density.polynomial import tensor_powers
 from rholoc.errors import InvalidMap
-from rholoc.geometry import Camera, FloatArray, IntArray, rows_from_poses
+from rholoc.geometry import FloatArray, IntArray, rows_from_poses
 from rholoc.maps.files import replace_file
 from rholoc.maps.map import Map
 from rholoc.maps.tables import descriptor_hex
@@ -39,14 +39,14 @@ def table_columns(form: type[Densities], degree: int) -> list[str]:
 
 
 def write_coefficient_table(map_: Map, path: Path) -> None:
-    """Write a map as Table 5; a file that was there is replaced whole or not at all.
+    """Write a map as Table 5; an existing file is replaced atomically.
 
-    Numbers are written so that they read back as they are. Besides what a ``ray`` map needs to be learnt on
-    (information sums), its sources and its report, the whole map is in it.
+    Numbers read back exactly. The whole map is in it but for what learning needs (its observations), its sources and
+    its report.
 
     Raises:
         InvalidMap: the map's arrays contradict each other.
-        StorageFull: the disk is full; what was there is unchanged.
+        StorageFull: the disk is full; an existing file is unchanged.
         InvalidInput: the folder does not exist or cannot be written to.
     """
     validate_map(map_)
@@ -64,7 +64,7 @@ def coefficient_table(map_: Map) -> Iterator[str]:
     pairs = _pairs(map_, rows.features)
     yield ",".join(table_columns(type(densities), densities.degree)) + "\n"
     map_values = ",".join(
-        [map_.info.features, str(int(map_.info.metric)), str(int(map_.info.upright)), camera_text(map_.info.camera)]
+        [map_.info.features, str(int(map_.info.metric)), str(int(map_.info.upright)), map_.info.camera.to_line()]
     )
     seen_from = _seen_from(map_)
     written, text = -1, ""
@@ -87,19 +87,13 @@ def coefficient_table(map_: Map) -> Iterator[str]:
         )
 
 
-def camera_text(camera: Camera) -> str:
-    """``width height fx fy cx cy`` and the distortion, with blanks between."""
-    values = (camera.width, camera.height, *camera.parameters)
-    return " ".join(repr(value) for value in values)
-
-
 def _sightings(map_: Map) -> Sightings:
     seen_from = map_.view_positions[map_.observation_views]
     return Sightings(map_.landmarks, map_.observation_features, seen_from)
 
 
 def _pairs(map_: Map, density_features: IntArray) -> list[tuple[int, int, int]]:
-    """Feature, descriptor and density of every row: each descriptor and each density of a feature at least once."""
+    """Feature, descriptor and density of every row: each of a feature's descriptors and densities at least once."""
     features = np.arange(len(map_) + 1)
     of_descriptors = np.searchsorted(map_.descriptor_features, features)
     of_densities = np.searchsorted(density_features, features)
@@ -117,7 +111,7 @@ def _pairs(map_: Map, density_features: IntArray) -> list[tuple[int, int, int]]:
 
 
 def _seen_from(map_: Map) -> list[str]:
-    """The views of each feature: number, time, position and quaternion, blanks between, semicolons between views."""
+    """The views of each feature: number, time, position and quaternion separated by spaces, views by semicolons."""
     poses = rows_from_poses(map_.T_map_camera).astype(np.float32)
     views = [
         f"{k} {float(time)!r} {' '.join(_each(pose))}"

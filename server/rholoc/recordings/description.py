@@ -1,4 +1,4 @@
-"""What is known of a recording before a map is made of it, as JSON."""
+"""A description of a recording before a map is made from it, as JSON."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from rholoc.reports import report_to_json
 
 
 def describe_recording(recording: Recording) -> dict[str, Any]:
-    """Format, frames, camera, IMU, waypoints, poses, problems, what was measured of the walk, and advice.
+    """Format, frames, camera, IMU, waypoints, poses, problems, the walk's figures, and advice.
 
     A few frames are decoded to measure light and texture.
 
@@ -29,7 +29,7 @@ def describe_recording(recording: Recording) -> dict[str, Any]:
         "name": recording.name,
         "format": recording.format.value,
         "frames": _frames(recording.frames),
-        "camera": None if recording.camera is None else asdict(recording.camera),
+        "camera": None if recording.camera is None else recording.camera.to_dict(),
         "frame_intrinsics": _logged(recording.frame_intrinsics),
         "readout_ms": None if recording.readout_s is None else 1000 * recording.readout_s,
         "imu": None if recording.imu is None else _imu(recording.imu),
