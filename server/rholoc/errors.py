@@ -3,9 +3,9 @@
 ::
 
     RholocError
-    ├── InvalidInput            what was handed in cannot be used
+    ├── InvalidInput            what was given cannot be used
     │   ├── InvalidImage        not an image, truncated, too large
-    │   ├── InvalidCamera       intrinsics missing or absurd
+    │   ├── InvalidCamera       intrinsics missing or impossible
     │   ├── InvalidDescriptors  a descriptor set of wrong length, shape or number
     │   ├── InvalidName         not a valid map name
     │   ├── InvalidRecording    a video, image folder or table that cannot be read
@@ -18,7 +18,7 @@
     │   ├── UnknownRecording
     │   └── UnknownJob
     ├── Conflict                the request contradicts the present state
-    ├── MappingFailed           a recording was read but no trustworthy map came of it
+    ├── MappingFailed           a recording was read but gave no trustworthy map
     ├── Cancelled               the work was cancelled on request
     ├── TooLarge                the upload exceeds the limit
     ├── StorageFull             the disk is full; nothing was replaced
@@ -45,7 +45,7 @@ class RholocError(Exception):
 
 
 class InvalidInput(RholocError):
-    """What was handed in cannot be used."""
+    """What was given cannot be used."""
 
     code = "invalid_input"
 
@@ -57,7 +57,7 @@ class InvalidImage(InvalidInput):
 
 
 class InvalidCamera(InvalidInput):
-    """Intrinsics are missing or physically absurd."""
+    """Intrinsics are missing or physically impossible."""
 
     code = "invalid_camera"
 
@@ -141,7 +141,7 @@ class Conflict(RholocError):
 
 
 class MappingFailed(RholocError):
-    """A recording was read, but no map that can be trusted came of it."""
+    """A recording was read, but gave no map that can be trusted."""
 
     code = "mapping_failed"
 

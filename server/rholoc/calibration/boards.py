@@ -31,8 +31,8 @@ _DICTIONARIES = (
 class BoardKind(StrEnum):
     """What is printed on a board."""
 
-    CHECKERBOARD = "checkerboard"  # squares alone: it must be wholly in view
-    CHARUCO = "charuco"  # with ArUco markers in the white squares: a part of it in view will do
+    CHECKERBOARD = "checkerboard"  # squares alone: it must be in view as a whole
+    CHARUCO = "charuco"  # with ArUco markers in the white squares: a part in view is enough
 
 
 # How far around a corner its edges are looked at, in squares: as far as there is nothing else.
@@ -97,7 +97,7 @@ class Sighting:
         row: the frame's row in its source.
         corners: (C,) which of the board's corners are seen.
         pixels: (C, 2) where.
-        blur_px: how wide edges are that should be steps.
+        blur_px: the width of edges that should be steps.
     """
 
     row: int

@@ -1,4 +1,4 @@
-"""Views of a board → the camera (Zhang, 2000, with OpenCV), its uncertainty, and whether that suffices."""
+"""Views of a board → the camera (Zhang, 2000, with OpenCV), its uncertainty, and whether it is good enough."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class Calibration:
         camera: the intrinsics.
         sigmas: standard deviations of fx, fy, cx, cy in pixels and of each distortion coefficient.
         rms_px: of the distances between corners seen and projected.
-        board: what it was made with.
+        board: the board that was filmed.
         found: what was found in the recording.
         views: the views that were used.
     """
@@ -112,7 +112,7 @@ def calibrate(frames: FrameSource, board: Board, advance: Callable[[], None] = l
         advance: called after each frame that was looked at.
 
     Raises:
-        InvalidRecording: the board is not seen, or not in enough different views to tell the intrinsics.
+        InvalidRecording: the board is not seen, or not in enough different views to determine the intrinsics.
     """
     found = find_views(frames, board, advance)
     if not found.found:

@@ -1,4 +1,4 @@
-"""The commands in one tree, and how errors leave it: one line and an exit status, never a traceback."""
+"""The tree of commands, and how errors are reported: one line and an exit status, never a traceback."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from rholoc.errors import RholocError
 
 EXIT_ERROR = 1
 EXIT_INTERRUPTED = 130
-DEBUG_VARIABLE = "RHOLOC_DEBUG"  # set to anything: errors of our own come with their traceback
+DEBUG_VARIABLE = "RHOLOC_DEBUG"  # if set, bugs are shown with their traceback
 
 app = typer.Typer(
     name="rholoc",
@@ -81,7 +81,7 @@ def main() -> None:
     except KeyboardInterrupt:
         sys.exit(EXIT_INTERRUPTED)
     except BrokenPipeError:
-        # The reader of our output has gone; whatever Python still wants to flush there must not raise again.
+        # The reader of our output has gone; what Python still has to flush there must not raise again.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(EXIT_ERROR)
     except OSError as error:

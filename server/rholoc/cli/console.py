@@ -1,4 +1,4 @@
-"""What commands print with: figures on standard output, everything else on standard error."""
+"""How commands print: figures on standard output, everything else on standard error."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def print_json(values: Any) -> None:
 
 
 def print_error(message: str, hint: str = "") -> None:
-    """Say in one line what is wrong and what to do."""
+    """Print one line that says what is wrong and what to do."""
     print_notice(f"rholoc: {message} {hint}".strip())
 
 
@@ -48,7 +48,7 @@ def print_notice(text: str) -> None:
 
 
 def print_qr_code(text: str) -> None:
-    """Print a text as a QR code, where standard error is a terminal that a camera can be held to."""
+    """Print a text as a QR code, if standard error is a terminal."""
     if notices.is_terminal:
         import segno
 
@@ -68,7 +68,7 @@ def print_figures(title: str, figures: Mapping[str, str]) -> None:
 
 @contextmanager
 def stage_progress() -> Iterator[ProgressListener]:
-    """A bar that shows the stages of mapping; nothing where standard error is no terminal."""
+    """A bar that shows the stages of mapping; nothing if standard error is not a terminal."""
     with _progress("{task.fields[stage]:<12}") as progress:
         task = progress.add_task("", total=1.0, stage="", message="")
 
@@ -80,7 +80,7 @@ def stage_progress() -> Iterator[ProgressListener]:
 
 @contextmanager
 def job_progress() -> Iterator[Callable[[Job], None]]:
-    """A bar that shows how far a mapping job is, and a line for each stage as it begins."""
+    """A bar that shows the progress of a mapping job, and a line for each stage as it begins."""
     with _progress("mapping, {task.fields[stage]:<12}") as progress:
         task = progress.add_task("", total=1.0, stage="", message="")
         start_s = time.monotonic()
@@ -97,7 +97,7 @@ def job_progress() -> Iterator[Callable[[Job], None]]:
 
 @contextmanager
 def fraction_progress(what: str) -> Iterator[Callable[[float], None]]:
-    """A bar for work that reports its fraction 0..1; nothing where standard error is no terminal."""
+    """A bar for work that reports its fraction 0..1; nothing if standard error is not a terminal."""
     with _progress("{task.description}") as progress:
         task = progress.add_task(what, total=1.0, message="")
         yield lambda fraction: progress.update(task, completed=fraction)
@@ -105,7 +105,7 @@ def fraction_progress(what: str) -> Iterator[Callable[[float], None]]:
 
 @contextmanager
 def frame_progress(what: str, total: int) -> Iterator[Callable[[], None]]:
-    """A bar that counts frames, one a call; nothing where standard error is no terminal."""
+    """A bar that counts frames, one per call; nothing if standard error is not a terminal."""
     with _progress("{task.description}", MofNCompleteColumn()) as progress:
         task = progress.add_task(what, total=total, message="")
         yield lambda: progress.advance(task)

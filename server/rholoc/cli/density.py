@@ -1,4 +1,4 @@
-"""``rholoc map density``: a map's densities, seen."""
+"""``rholoc map density``: a map's densities as pictures, films and volumes."""
 
 from __future__ import annotations
 

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from rholoc.recordings import FrameSource, Recording
 
 _THREADS = 2
-_BATCH = 16  # frames that are decoded ahead: enough to keep the threads busy, few enough for any memory
+_BATCH = 16  # frames decoded ahead: enough to keep the threads busy, and few enough for little memory
 
 
 def localize(
@@ -96,7 +96,7 @@ def localize(
 
 
 def _guessed(recording: Recording) -> Camera:
-    """A camera of the frames' size, its focal length to be estimated."""
+    """A camera of the frames' size, whose focal length will be estimated."""
     from rholoc.geometry import Camera
 
     width, height = recording.frames.size
@@ -104,7 +104,7 @@ def _guessed(recording: Recording) -> Camera:
 
 
 def recording_camera(recording: Recording, info: MapInfo) -> Camera:
-    """The frames' camera: given, the recording's own, or the map's where the frames have the size of the map's."""
+    """The frames' camera: given, the recording's own, or the map's if the frames have the same size."""
     if recording.camera is not None:
         return recording.camera
     if recording.frames.size != (info.camera.width, info.camera.height):
@@ -116,7 +116,7 @@ def recording_camera(recording: Recording, info: MapInfo) -> Camera:
 def _localize_frames(
     localizer: AnyLocalizer, frames: FrameSource, camera: Camera, dof: Dof, known: Intrinsics
 ) -> Iterator[tuple[Localization, float]]:
-    """The answers for all frames in their order, and the seconds that each took, its features included."""
+    """The answers for all frames in order, and the seconds that each took, including its features."""
     from rholoc.localization import Query
 
     def answer(image: ByteArray) -> tuple[Localization, float]:

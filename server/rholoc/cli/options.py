@@ -45,10 +45,10 @@ Source = Annotated[Path, typer.Argument(metavar="SOURCE", help="A video, a folde
 
 
 def named_camera(text: str | None) -> GeometryCamera | str | None:
-    """The camera that ``--camera`` names, from beside the maps; intrinsics and None stay what they are.
+    """The stored camera that ``--camera`` names; intrinsics and None are returned as they are.
 
     Raises:
-        InvalidName, UnknownCamera, InvalidCamera: there is no such camera, or its file is broken.
+        InvalidName, UnknownCamera, InvalidCamera: there is no such camera, or its file is damaged.
     """
     from rholoc.maps import CameraLibrary
 
@@ -68,8 +68,8 @@ def dof(text: str) -> Dof:
 def choice(kind: type[_Choice], text: str, option: str) -> _Choice:
     """The member of an enum that an option names.
 
-    Options are strings until here, so that the enums' packages, and all that they need, are loaded only for commands
-    that use them: ``rholoc --help`` stays quick.
+    Options are strings up to here, so that the enums' packages, and what these need, are only loaded for commands that
+    use them: ``rholoc --help`` stays fast.
     """
     try:
         return kind(text)

@@ -207,7 +207,7 @@ def _fit(figures: FitFigures) -> dict[str, object]:
 
 
 def _camera(table: Path, camera: str | None, size: str | None) -> GeometryCamera:
-    """The camera that is named, or that stands beside the table."""
+    """The camera that is named, or the one in the file beside the table."""
     from rholoc.geometry import Camera
     from rholoc.recordings import read_camera_json
 

@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from rholoc.service import Settings
 
 _BACKLOG = 2048
-_SHUTDOWN_S = 5  # for requests that are being answered; who watches a job would stay for as long as it takes
-_SWITCH_INTERVAL_S = 0.0005  # Python's own 5 ms, for each of a frame's many steps, double its time beside other work
+_SHUTDOWN_S = 5  # for requests in progress; clients that watch a job would otherwise stay as long as it takes
+_SWITCH_INTERVAL_S = 0.0005  # with Python's default of 5 ms, a frame's many steps take twice as long beside other work
 _EVERYWHERE = "0.0.0.0"
 
 Maps = Annotated[
@@ -47,7 +47,7 @@ def serve(
         ),
     ] = False,
 ) -> None:
-    """Serve maps over HTTP, and work on mapping jobs beside."""
+    """Serve maps over HTTP, and work on mapping jobs too."""
     settings = service_settings(host=host, port=port, maps_dir=maps, data_dir=data, worker=False if no_worker else None)
     if tls and "host" not in settings.model_fields_set:
         settings = settings.model_copy(update={"host": _EVERYWHERE})
@@ -86,14 +86,14 @@ def serve(
         server.run(sockets=[listener])
     if not server.started:
         raise InvalidInput("The server did not start.", "The lines above say why.")
-    if compute_threads():  # Python would wait for them, and nobody waits for what they compute
+    if compute_threads():  # Python would wait for them, though nobody needs their results
         sys.stdout.flush()
         sys.stderr.flush()
         os._exit(0)
 
 
 def _https(settings: Settings, port: int) -> tuple[Path, str]:
-    """The server's certificate, and the address at which it is reached; shows the recorder's, as a QR code too."""
+    """The server's certificate and its address; prints the recorder's address, as a QR code too."""
     from rholoc.service.certificates import addresses, server_certificate
 
     everywhere = settings.host in (_EVERYWHERE, "::")
@@ -134,10 +134,10 @@ def service_settings(**options: object) -> Settings:
 
 
 def listening_socket(host: str, port: int) -> socket.socket:
-    """Where the service listens.
+    """The socket that the service listens on.
 
     Raises:
-        InvalidInput: ``host`` is no address.
+        InvalidInput: ``host`` is not an address.
         Conflict: the port is taken.
     """
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
@@ -150,6 +150,6 @@ def listening_socket(host: str, port: int) -> socket.socket:
             f"Cannot listen on {host}:{port}: {(error.strerror or str(error)).lower()}.",
             "Choose another with --port, or stop what is listening there.",
         ) from error
-    # Each connection inherits it. Without, an answer's last packet waits 40 ms for the other end's acknowledgement.
+    # Every connection inherits this. Without it, an answer's last packet waits 40 ms for the client's acknowledgement.
     listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     return listener

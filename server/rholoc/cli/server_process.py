@@ -1,4 +1,4 @@
-"""Processes beside a command, that do not outlive it: a server as a user would start it, work in the background."""
+"""Child processes of a command that do not outlive it: a server as users start it, and background commands."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from pathlib import Path
 from rholoc.errors import RholocError
 from rholoc.processes import Program, interruptible, running_program
 
-_START_TIMEOUT_S = 200.0  # only a machine with much else to do takes more than a few seconds
-_STOP_TIMEOUT_S = 2.0  # then what is left of the server and its workers is killed
+_START_TIMEOUT_S = 200.0  # only a very busy machine takes more than a few seconds
+_STOP_TIMEOUT_S = 2.0  # after which the server and its workers are killed
 _POLL_S = 0.1
 
 
@@ -28,9 +28,9 @@ class RunningServer:
 
 @contextmanager
 def running_server(maps_dir: Path, data_dir: Path, log: Path) -> Iterator[RunningServer]:
-    """``rholoc serve`` with its worker on a free port of this machine; stopped at the end, whatever happens.
+    """``rholoc serve`` with its worker on a free local port; always stopped at the end of the block.
 
-    A job that it is working on is given up.
+    A job in progress is abandoned.
 
     Raises:
         RholocError: it does not answer.
@@ -51,10 +51,10 @@ def running_server(maps_dir: Path, data_dir: Path, log: Path) -> Iterator[Runnin
 
 @contextmanager
 def in_background(*command: object) -> Iterator[Callable[[], None]]:
-    """A ``rholoc`` command in a process of its own, killed when the block is left; yields what waits for its end.
+    """A ``rholoc`` command in a process of its own, killed at the end of the block; yields a call that waits for it.
 
     Raises:
-        RholocError: by the call of what is yielded: the command failed.
+        RholocError: from that call: the command failed.
     """
     with running_program("rholoc", *command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE) as program:
 

@@ -1,7 +1,7 @@
-"""The seam between the forms of equation (3) and all that uses densities.
+"""The interface between the forms of equation (3) and the code that uses densities.
 
-A form is a class that implements :class:`Densities`, in a module of its own, and stands in ``FORMS`` of
-:mod:`rholoc.density`. Localization, files and mapping know no more of it than this.
+A form is a class that implements :class:`Densities`, in a module of its own, and is listed in ``FORMS`` of
+:mod:`rholoc.density`. Localization, files and mapping use nothing else of it.
 """
 
 from __future__ import annotations
@@ -103,9 +103,9 @@ class Densities(Protocol):
         degree: P, the highest power of each variable.
         has_exact_peaks: whether a density peaks exactly where its landmark is, so that the last steps of an ascent may
             go by the peaks alone.
-        degrees: which it may have.
+        degrees: the degrees that it may have.
         variables: the names of s, in the order of equation (3).
-        domain_columns: what Table 5 has to say of a density besides its coefficients.
+        domain_columns: what Table 5 lists of a density besides its coefficients.
     """
 
     kind: ClassVar[DensityKind]
@@ -143,7 +143,7 @@ class Densities(Protocol):
     def kept_coefficients(
         cls, coefficients: FloatArray, degree: int, landmark: FloatArray, domain: FloatArray
     ) -> FloatArray:
-        """What is kept of the coefficients that :meth:`coefficients_of` gave.
+        """The part that is kept of the coefficients that :meth:`coefficients_of` returned.
 
         Raises:
             ValueError: they are not those of such a density; says why, as of a row ("has …").
@@ -178,5 +178,5 @@ class Densities(Protocol):
 
     @classmethod
     def fit(cls, sightings: Sightings, degree: int, progress: Callable[[float, str], None]) -> Self:
-        """The densities of landmarks that were seen; ``progress`` hears the share done and a line on it."""
+        """The densities of landmarks that were seen; ``progress`` is called with the share done and a line about it."""
         ...

@@ -9,7 +9,7 @@ import numpy as np
 
 from rholoc.geometry import FloatArray, IntArray, basis_across
 
-_FALSE_DENSITY = 0.1  # how dense false matches lie near the truth, against true ones
+_FALSE_DENSITY = 0.1  # the density of false matches near the truth, relative to true ones
 
 
 @dataclass(frozen=True, eq=False)

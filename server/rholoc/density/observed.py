@@ -1,29 +1,29 @@
-"""The ``observed`` density: equation (3) fitted by the loss (5) to the observations themselves, no landmark in between.
+"""The ``observed`` density: equation (3) fitted by the loss (5) to the observations themselves, without landmarks.
 
     L_f = Σ_i |N_f ρ_f(s_i) w − n(s_i)|²                                                             (5)
 
 over N_f points s_i = (u, v, x, h), n(s) being how many observations lie in the small volume w around s. What is fitted
 is q = N_f w ρ, a polynomial of the form (3) with values n; N_f and w only scale it.
 
-Taken as it is printed, with points where the feature *was* seen, :func:`fit_seen` finds next to nothing: where the
-observations lie further apart than w is wide, n is 1 at all of them and a constant has no loss at all. Nothing in the
-sum says where the feature was *not* seen, so that nothing makes a peak.
+As printed, with points where the feature *was* seen, the loss determines next to nothing (:func:`fit_seen`): where the
+observations lie further apart than w is wide, n is 1 at all of them and a constant has no loss at all. No term of the
+sum tells where the feature was *not* seen, so nothing makes a peak.
 
-But every observation says that, too: it was seen at this pixel, hence at no other. :func:`fit_observed` therefore sums
-over all pixels of the view, counting an observation in full at its pixel and less the further off,
+But every observation tells that, too: the feature was seen at this pixel, hence at no other. :func:`fit_observed`
+therefore sums over all pixels of the view, counting an observation fully at its pixel and less with distance,
 
     n(u, v) = 1 − |z (u − u_i, v − v_i)|² / r²,    z = b · h,    r = 60 px,
 
 which falls through 0 at r, to negative values where the feature was not, and is a quadratic itself: (3) with P = 2 fits
-it without bias. z, the part of the bearing b along the heading, frees it of division. Every observation is injected for
-every heading of the layout (rotational symmetry, Figure 4).
+it without bias. The factor z, the component of the bearing b along the heading, avoids a division. Every observation is
+injected for every heading of the layout (rotational symmetry, Figure 4).
 
 Pixels and headings are the same for all observations, only the positions are those of the walk: the samples are a
 product, and so is their pseudo-inverse. What an observation adds is a rank-one update of a matrix as small as the
-position has monomials (:mod:`rholoc.density.recursive`): coefficients can be estimated as observations come.
+position has monomials (:mod:`rholoc.density.recursive`): coefficients can be estimated as observations arrive.
 
-What such a fit knows of the position is what the walk showed: along it the peaks lie within a pixel of the feature; a
-step beside it nothing says how the feature moves, and the polynomial says that it does not.
+Such a fit knows the dependence on the position only as far as the walk showed it: along the walk the peaks lie within a
+pixel of the feature; a step aside, no observation tells how the feature moves, and the polynomial keeps it in place.
 """
 
 from __future__ import annotations
@@ -179,7 +179,7 @@ class ObservedDensities(TensorDensities):
     def moved(self, similarity: Similarity) -> ObservedDensities:
         """The densities of the same places in another frame; where it is turned, what they are there is fitted anew.
 
-        Exact for a turn about the vertical; a tilt changes what is upright, and is right as far as (3) can follow.
+        Exact for a rotation about the vertical; a tilt changes what is upright, and is as exact as (3) can be.
         """
         moved = replace(
             self,
@@ -288,7 +288,7 @@ def fit_seen(
 ) -> ObservedDensities:
     """The loss (5) as it is printed: over the points where a feature was seen, and those that symmetry injects.
 
-    Of the polynomials that minimize it, the one with the smallest coefficients. It has next to no peaks.
+    Of the polynomials that minimize it, the one with the smallest coefficients. It has hardly any peaks.
 
     Raises:
         ValueError: the bearings at which the features were seen were not kept.
@@ -348,7 +348,7 @@ def _fitted(
 
 
 def observation_coefficients(bearings: FloatArray, degree: int) -> FloatArray:
-    """What one observation each says of (u, v) and the heading: coefficients (N, U H) of n(u, v, h).
+    """What each single observation contributes in (u, v) and the heading: coefficients (N, U H) of n(u, v, h).
 
     Args:
         bearings: (N, 3) unit vectors in the density's frame.
@@ -416,7 +416,7 @@ class SeenPoints:
 
 @dataclass(frozen=True)
 class Loss:
-    """Equation (5) for one density: how much of it each explanation leaves.
+    """Equation (5) for one density, under three explanations.
 
     Attributes:
         points: N_f.

@@ -37,9 +37,9 @@ class Places:
 
     @classmethod
     def of(cls, sightings: Sightings) -> Places:
-        """A feature's views are gathered into places, from each of which it is seen from one side and alike far away.
+        """Gather each feature's views into places; from one place it is seen from one side and at similar distances.
 
-        Where they would be too many, each feature keeps its first place, and of the others those of the most views
+        If there would be too many, each feature keeps its first place, and of the others those with the most views
         stay. Positions and radii are rounded to float32, as files keep them.
         """
         order = np.argsort(sightings.features, kind="stable")

@@ -27,7 +27,7 @@ def monomial_derivatives(powers: IntArray, s: FloatArray) -> FloatArray:
     """The monomials and their first derivatives (..., C, 1 + n) for ``powers`` (C, n) at points ``s`` (..., n).
 
     The first column holds the values, column 1 + d the derivative by s_d: the terms of equation (4), with the factor
-    p that it leaves out in print.
+    p that is missing in the paper's print.
     """
     factors, slopes = power_factors(powers, s, 0), power_factors(powers, s, 1)
     columns = [_product(factors)]

@@ -1,7 +1,7 @@
 """Presence π_f: where a feature was seen from.
 
 A feature is looked for only from where it can be expected: from a direction and a distance like those that it was
-observed from. It keeps a feature from voting for places behind it.
+observed from. This keeps a feature from voting for places behind it.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ def group_sums(groups: IntArray, values: FloatArray, count: int) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class Presence:
-    """From where each of F features was seen.
+    """Where each of F features was seen from.
 
     Attributes:
         direction: (F, 3) the mean unit vector from the landmark to the cameras.

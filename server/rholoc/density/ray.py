@@ -9,7 +9,7 @@ any fitting error. Its coefficients follow from m; m follows from information su
 
     Λ = Σ w (I − b bᵀ),   η = Σ w (I − b bᵀ) x,   m = Λ⁻¹ η,
 
-which add: this is the observation-time estimation that the paper's conclusion wishes for (section 7).
+which add: this is the observation-time estimation that the paper's conclusion asks for (section 7).
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from rholoc.density.evidence import Evidence
 from rholoc.geometry import FloatArray, IntArray, Similarity, cross
 
 _AGREE = 1e-6  # relative, of written coefficients with those that follow from the landmark
-_ALONG = 1e-9  # relative information along a direction below which a landmark has no place in it
+_ALONG = 1e-9  # relative information along a direction below which a landmark is undetermined along it
 
 
 def observation_information(
@@ -119,7 +119,7 @@ def _squared_tolerances(evidence: Evidence, along: FloatArray, tolerance_px: flo
 
 @dataclass(frozen=True, eq=False)
 class RayOffsets:
-    """How far M landmarks are aside from the rays that they are matched with, at one pose.
+    """The offsets of M landmarks from the rays that they are matched with, at one pose.
 
     Attributes:
         offset: (M, 2) e = Eᵀ R_camera_map (m − x), metres: d² = |e|².
@@ -148,7 +148,7 @@ class RayOffsets:
 
 @dataclass(frozen=True, eq=False)
 class RayDensities:
-    """The ``ray`` densities of a map: a function of its landmarks and their covariances, without more to it."""
+    """The ``ray`` densities of a map: a function of its landmarks and their covariances alone."""
 
     kind: ClassVar[DensityKind] = DensityKind.RAY
     has_exact_peaks: ClassVar[bool] = True
@@ -190,7 +190,7 @@ class RayDensities:
         """None of them: they follow from the landmark and the tolerance.
 
         Raises:
-            ValueError: these do not.
+            ValueError: these do not follow from them.
         """
         if domain[0] <= 0:
             raise ValueError("has a tolerance that is not positive")
@@ -203,7 +203,7 @@ class RayDensities:
     def from_rows(
         cls, degree: int, rows: DensityRows, landmarks: FloatArray, kept: Sequence[FloatArray]
     ) -> RayDensities:
-        """The densities; the landmarks say everything."""
+        """The densities, which the landmarks determine."""
         return cls()
 
     def arrays(self) -> dict[str, NDArray[Any]]:

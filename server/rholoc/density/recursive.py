@@ -1,6 +1,6 @@
-"""Recursive least squares with forgetting: coefficients estimated as observations come, one at a time.
+"""Recursive least squares with forgetting: coefficients estimated one observation at a time.
 
-The paper's conclusion wishes for it (section 7, "feature observation-time iterative coefficient estimation"). After
+The paper's conclusion asks for it (section 7, "feature observation-time iterative coefficient estimation"). After
 observations (φ_i, y_i), i = 1 … N, the coefficients minimize
 
     Σ_i λ^(N−i) |y_i − cᵀ φ_i|² + λ^N ridge |c|²,
@@ -21,10 +21,10 @@ from rholoc.geometry import FloatArray
 
 @dataclass(frozen=True, eq=False)
 class RecursiveFit:
-    """Where the estimation stands.
+    """The state of the estimation.
 
     Attributes:
-        coefficients: (X, K) c, of X monomials, of K values that are fitted side by side.
+        coefficients: (X, K) c, of X monomials, for K values that are fitted side by side.
         covariance: (X, X) P, the inverse of Σ λ^(N−i) φ φᵀ + λ^N ridge.
     """
 

@@ -50,7 +50,7 @@ _RIDGE = 1e-12
 _ZERO = 1e-6  # of the greatest coefficient
 _CHUNK = 2_000_000  # samples of as many densities are held at once
 _FITTED_AT_ONCE = 256  # densities, between two reports of progress
-_REACH = 2.0  # in tolerances: how far off a feature may be to be listened to while one tolerance holds
+_REACH = 2.0  # in tolerances: how far off a feature may be and still count, while one tolerance is used
 _VERTICAL = 1e-9  # a heading this close to the vertical has no horizontal direction of its own
 _DIAGONAL = np.array([math.sqrt(0.5), math.sqrt(0.5), 0.0])
 _HEADING_SCALE = math.sin(HEADING_LIMIT_RAD)
@@ -133,7 +133,7 @@ class TensorDensities:
     def choose(self, features: IntArray, T_map_camera: FloatArray) -> tuple[IntArray, IntArray]:
         """For which of ``features`` (M,) there is a density valid at a pose (4, 4), and its row: (K,) and (K,).
 
-        Of several valid ones it is that whose direction is nearest to the heading.
+        Of several valid ones, the one whose direction is nearest to the heading.
         """
         position, heading = T_map_camera[:3, 3], T_map_camera[:3, 2]
         starts = np.searchsorted(self.features, features)
@@ -273,7 +273,7 @@ class TensorDensities:
         return np.asarray(TARGET_RADIUS * self.distances)
 
     def valid_at(self, position: FloatArray, heading: FloatArray, rows: IntArray) -> BoolArray:
-        """Which of the densities at ``rows`` (N,) may be asked at a position (3,) and heading (3,): their domain."""
+        """Which of the densities at ``rows`` (N,) are valid at a position (3,) and heading (3,): their domain."""
         near = np.linalg.norm(position - self.places[rows], axis=1) <= self.radii[rows]
         return np.asarray(near & (self.directions[rows] @ heading >= math.cos(HEADING_LIMIT_RAD)))
 
@@ -306,14 +306,14 @@ _ARRAYS = {  # of a file: type and number of dimensions
 class LocalTensorDensities:
     """The densities of the matches that have a valid one around a pose.
 
-    A fitted polynomial is off by a little everywhere, and the height of its bump more than the place of it: at a given
+    A fitted polynomial is slightly off everywhere, in the height of its bump more than in the bump's place: at a given
     pose its peak over (u, v) is not quite 1. A pixel must be somewhere, so ρ counts from that peak:
 
         ρ_f = max(0, 1 − (max_{u,v} q_f − q_f) / t)
 
     where q_f is the polynomial and t the fall that the tolerance allows. Both are equation (3)'s values and the
     gradients are equation (4)'s, of first and mixed order. The landmark's position only sets how wide the tolerance is
-    in metres, and spares the features whose bump is far away.
+    in metres, and saves evaluating the features whose bump is far away.
 
     Attributes:
         matches: (K,) their rows in the evidence.
@@ -451,7 +451,7 @@ class Layout:
 
     @classmethod
     def of(cls, degree: int) -> Layout:
-        nodes = max(degree + 1, 3)  # the target is a quadratic: fewer would not show it
+        nodes = max(degree + 1, 3)  # the target is a quadratic: fewer would not determine it
         line = np.cos((np.arange(nodes) + 0.5) * np.pi / nodes)
         plane = _VIEWPORT * _grid(line, 2)
         position = _grid(line, 3)

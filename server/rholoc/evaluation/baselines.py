@@ -1,7 +1,7 @@
-"""The geometric baselines: absolute pose from 2D–3D matches by RANSAC, as OpenCV and poselib have it.
+"""The geometric baselines: absolute pose from 2D–3D matches by the RANSACs of OpenCV and poselib.
 
-Settings are those that did best on real hard queries among 1000–10 000 iterations and thresholds of 8 and 12 px; 8 px
-and many iterations it was for both. poselib draws its samples from the likeliest matches first (PROSAC), which was
+Settings are those that did best on real hard queries among 1000–10 000 iterations and thresholds of 8 and 12 px:
+for both, 8 px and many iterations. poselib draws its samples from the likeliest matches first (PROSAC), which was
 worth more than any other setting. OpenCV's USAC with a MAGSAC score was tried too, and was no better than its P3P
 RANSAC followed by Levenberg–Marquardt.
 """
@@ -70,14 +70,14 @@ def solve(
 
 
 def distinct(matches: Matches) -> Matches:
-    """The matches whose descriptors alone make them believable."""
+    """The matches that are credible by their descriptors alone."""
     return matches.take(np.flatnonzero(matches.chances >= _DISTINCT_CHANCE))
 
 
 def refine_by_density(
     index: MapIndex, query: Query, rays: FloatArray, matches: Matches, T_map_camera: FloatArray
 ) -> FloatArray:
-    """The density's optimum (4, 4) near a pose, over all of the matches and none thrown away.
+    """The density's optimum (4, 4) near a pose, over all matches, with none rejected.
 
     Args:
         rays: (N, 3) of all the query's features, camera frame.

@@ -42,7 +42,7 @@ THRESHOLDS = ((0.02, 2.0), (0.05, 5.0), (0.10, 5.0), (0.25, 10.0))
 RETRIEVAL = "sift retrieval + poselib"
 _RETRIEVAL_FEATURES = "sift"
 _VIEWS_EACH = 10
-_RADIAN_M = 1.0  # how far a turn of a radian takes a query from a map's view, as choosing views has it
+_RADIAN_M = 1.0  # the distance from a map's view that a rotation by a radian counts as, as in choosing views
 
 Answer = tuple[FloatArray | None, dict[str, float]]
 
@@ -158,7 +158,7 @@ class Comparison:
 
 
 def threshold_name(position_m: float, rotation_deg: float) -> str:
-    """How a threshold is called in tables: ``5cm_5deg``."""
+    """The name of a threshold in tables: ``5cm_5deg``."""
     return f"{100 * position_m:g}cm_{rotation_deg:g}deg"
 
 
@@ -170,7 +170,7 @@ def compare(
 ) -> Comparison:
     """Build the maps from posed recordings, and localize the queries by every method.
 
-    Times are wall-clock on one thread; the matches with the whole map are made once and charged to every method.
+    Times are wall-clock on one thread; the matches with the whole map are computed once and timed for every method.
 
     Raises:
         InvalidInput: the features do not exist.
@@ -321,7 +321,7 @@ def _distance_to_views(truth: FloatArray, map_: Map) -> FloatArray:
 
 @contextmanager
 def _one_thread() -> Iterator[None]:
-    """OpenCV on one thread, so that times compare."""
+    """OpenCV on one thread, so that times are comparable."""
     before = cv2.getNumThreads()
     cv2.setNumThreads(1)
     try:

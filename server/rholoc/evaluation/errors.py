@@ -1,4 +1,4 @@
-"""How far poses are from the truth, and the figures that sum it up. Knows nothing of files or plots."""
+"""Errors of poses against the truth, and the figures that summarize them. Independent of files and plots."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""The paper's experiment (section 6): a map made by one light, asked by another, for every extractor.
+"""The paper's experiment (section 6): a map made under one light and queried under another, for every extractor.
 
-Frame poses are the true ones: what is measured is features, not how well a walk can be reconstructed.
+Frame poses are the true ones: this measures features, not how well a walk can be reconstructed.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class PointsSeen(Protocol):
 
 @dataclass(frozen=True)
 class LightPair:
-    """One extractor's figures for a map by one light and queries by another.
+    """One extractor's figures for a map under one light and queries under another.
 
     Attributes:
         features: the extractor's name.
@@ -86,7 +86,7 @@ def compare_lights(
         map_walks: by light, the same posed walk.
         query_walks: by light, another posed walk through the same room.
         points_seen: the room's surface.
-        extractors: their names; all that there are where None.
+        extractors: their names; None: all extractors.
 
     Raises:
         InvalidInput: an extractor does not exist.

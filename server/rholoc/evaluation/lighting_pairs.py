@@ -1,8 +1,8 @@
-"""Real pairs of pictures of one scene by two lights, as Middlebury Stereo 2014 has them.
+"""Real pairs of pictures of one scene under two lights, as in Middlebury Stereo 2014.
 
-A folder a scene, with any of ``right_default.png`` and ``right_changed.png``, registered pixel for pixel, and
+One folder per scene, with any of ``right_default.png`` and ``right_changed.png``, registered pixel for pixel, and
 ``left_default.png``, which ``right_changed.png`` is the rectified stereo partner of; ``calib.txt`` states as ``ndisp``
-how many pixels of disparity there are at most.
+the largest disparity in pixels.
 """
 
 from __future__ import annotations

@@ -14,15 +14,15 @@ _FEWEST = 4  # poses
 
 @dataclass(frozen=True, eq=False)
 class OdometryErrors:
-    """N poses of an odometry against the truth, after the similarity that lays them onto it best.
+    """N poses of an odometry against the truth, after the similarity that aligns them with it best.
 
     Attributes:
         aligned: (N, 4, 4) the poses in the truth's frame, at the truth's size.
-        scale: what the odometry's lengths were multiplied by for that.
-        path_m: the true way's length, metres.
+        scale: the factor that the odometry's lengths were multiplied by for it.
+        path_m: the length of the true path, metres.
         rms_m: of the positions that are left, metres.
         median_deg: of the rotations that are left.
-        drift: by how much the camera's place is off as seen from an earlier pose, relative to the way between; the mean
+        drift: the error of the camera's position relative to an earlier pose, over the path between; the mean
             over segments of a tenth to four tenths of the way, after the scaling.
     """
 

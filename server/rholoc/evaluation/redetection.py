@@ -1,4 +1,4 @@
-"""How well features survive a change: repeatability, and the precision of mutual matches."""
+"""How stable features are under a change: repeatability, and the precision of mutual matches."""
 
 from __future__ import annotations
 

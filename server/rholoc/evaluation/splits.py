@@ -23,7 +23,7 @@ class QuerySet:
     """Frames to localize whose truth is known.
 
     Attributes:
-        label: what to call them.
+        label: their name in tables.
         recording: the recording that they are frames of.
         rows: (N,) its frames.
     """
@@ -88,7 +88,7 @@ def choose_rows(recording: Recording, frames: str | None) -> IntArray:
 def hold_out_blocks(rows: IntArray) -> tuple[IntArray, IntArray]:
     """Rows for the map and rows held out: the middle one of every five of 25 blocks in a row.
 
-    Neighbouring frames look alike; whole blocks held out keep their likes out of the map too.
+    Neighbouring frames look alike; holding out whole blocks keeps similar frames out of the map too.
     """
     block = np.arange(len(rows)) * _BLOCKS // max(len(rows), 1)
     held_out = block % _HELD_OUT_OF == _HELD_OUT_OF // 2

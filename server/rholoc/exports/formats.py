@@ -61,7 +61,7 @@ class ExportFormat(StrEnum):
 
     @property
     def media_type(self) -> str:
-        """What HTTP calls it."""
+        """Its media type in HTTP."""
         kinds = {".csv": "text/csv", ".png": "image/png", ".vtp": "application/xml", ".glb": "model/gltf-binary"}
         return kinds.get(self.ending[-4:], "application/octet-stream")
 
@@ -79,12 +79,12 @@ def export_map(
     Args:
         map_: the map.
         to: the format.
-        title: above the picture.
-        degree: of CSV: P of the ``tensor`` densities, equation (3), that are fitted to be written; None: the map's own.
-        features: of surfaces: whose; None: of the 500 that were seen most often.
+        title: the picture's title.
+        degree: for CSV: P of the ``tensor`` densities, equation (3), fitted for the export; None: the map's own.
+        features: for surfaces: the features; None: the 500 that were seen most often.
 
     Raises:
-        InvalidInput: an option is of another format, out of range, or the map does not remember its observations.
+        InvalidInput: an option is out of range or for another format, or the map does not remember its observations.
         InvalidMap: the map contradicts itself.
     """
     if degree is not None and to is not ExportFormat.CSV:
@@ -129,7 +129,7 @@ def parse_features(text: str) -> list[int]:
             )
         first = int(match[1])
         stop = first + 1 if match[2] is None else int(match[2])
-        chosen += range(first, min(stop, first + MAX_SURFACES + 1))  # more are too many, however many
+        chosen += range(first, min(stop, first + MAX_SURFACES + 1))  # enough to see that there are too many
     return chosen
 
 

@@ -13,7 +13,7 @@ from rholoc.errors import InvalidDescriptors
 from rholoc.geometry import ByteArray, FloatArray, IntArray
 
 _SAMPLED, _WORTH_SAMPLING = 250, 1.5  # features; times as many, below which all are taken
-_COLOUR_PX = 5  # the side of the square that a feature has its colour from
+_COLOUR_PX = 5  # the side of the square over which a feature's colour is averaged
 
 
 class Channel(IntEnum):
@@ -79,7 +79,7 @@ class FeatureSet:
 
     @cached_property
     def sample(self) -> IntArray:
-        """Some rows, evenly: enough to find most frames by. All where there are few."""
+        """Evenly spaced rows, enough to localize most frames; all rows if there are few."""
         count = len(self)
         if count < _WORTH_SAMPLING * _SAMPLED:
             return np.arange(count)
@@ -97,7 +97,7 @@ class FeatureSet:
         )
 
     def coloured(self, image: ByteArray) -> FeatureSet:
-        """The same features with the colours that they have in an image (H, W, 3), BGR: the mean of a few pixels."""
+        """The same features with their colours in an image (H, W, 3), BGR: the mean of a few pixels."""
         height, width = image.shape[:2]
         u, v = np.round(self.pixels).astype(np.int64).T
         mean = cv2.blur(image, (_COLOUR_PX, _COLOUR_PX))

@@ -20,18 +20,18 @@ _ITERATIONS, _SEED = 6, 1
 _LISTS_SEARCHED = 8
 _ADDED_AT_A_TIME = 2**16  # which are in memory as floats
 
-# Searches here take milliseconds: threads that spin for each other cost more than they bring, and a busy service has
+# Searches here take milliseconds: threads that wait for each other cost more than they gain, and a busy service has
 # a request for every core anyway.
 faiss.omp_set_num_threads(1)
 
 
 @dataclass(frozen=True)
 class MatchLimits:
-    """How alike two descriptors must be to be taken for the same point.
+    """How similar two descriptors must be to count as the same point.
 
     Attributes:
-        strict: a distance that chance rarely gives, for matching without any idea of where.
-        loose: a distance that suffices where geometry already says where to look.
+        strict: a distance that rarely occurs by chance, for matching without knowing where to look.
+        loose: a distance that suffices if geometry already tells where to look.
         spread: the scale at which a difference of distances matters (bits, or the Euclidean unit).
     """
 
@@ -49,13 +49,13 @@ LIMITS = {
 class DescriptorIndex:
     """Nearest neighbours among descriptors (D, B) of one metric, by channel.
 
-    Rows of the answers are rows of the descriptors handed in.
+    Rows in the results are rows of the given descriptors.
 
     Args:
         descriptors: (D, B).
         channels: (D,) of each.
         metric: theirs.
-        inverted: whether to sort them into lists by likeness and search the most likely lists alone (an inverted file;
+        inverted: whether to sort them into lists by similarity and search only the most likely lists (an inverted file;
             Sivic and Zisserman, ICCV 2003). Among a million, a query then takes as long as an exact one among some
             thousands, a fiftieth of the memory of floats, and misses the nearest of one in ten features or so.
     """
@@ -92,9 +92,9 @@ def descriptor_distances(a: ByteArray, b: ByteArray, metric: Metric) -> FloatArr
     """The distances between descriptors of the same row: a (N, B), b (N, B) → (N,) float32."""
     if metric is Metric.HAMMING:
         differing = a ^ b
-        words = differing.view(np.uint64) if a.shape[1] % 8 == 0 else differing  # eight bytes at a time are quicker
+        words = differing.view(np.uint64) if a.shape[1] % 8 == 0 else differing  # eight bytes at a time are faster
         return np.asarray(np.bitwise_count(words).sum(axis=1, dtype=np.int32).astype(np.float32))
-    if len(a) == 0:  # OpenCV makes nothing of nothing
+    if len(a) == 0:  # OpenCV fails on empty arrays
         return np.zeros(0, dtype=np.float32)
     difference = cv2.absdiff(a, b).astype(np.float32)  # of bytes: eight times as fast as of floats
     return np.asarray(np.sqrt(np.einsum("nd,nd->n", difference, difference)))

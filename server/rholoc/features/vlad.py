@@ -43,7 +43,7 @@ class Vlad:
     def vector(self, descriptors: ByteArray) -> FloatArray:
         """(W · D,) of a picture's descriptors (N, D), of unit length; zeros where there are none.
 
-        The scalar product of two pictures' vectors says how alike they are.
+        The scalar product of two pictures' vectors is their similarity.
         """
         return np.asarray(self.vectors([descriptors])[0])
 

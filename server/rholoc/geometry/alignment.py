@@ -93,7 +93,7 @@ def _normalized(weights: FloatArray | None, count: int) -> FloatArray:
 def align_poses(source: FloatArray, target: FloatArray, rounds: int = 5) -> Similarity:
     """The robust similarity between two pose lists (N, 4, 4) of the same cameras.
 
-    Camera centres alone, reweighted so that a minority of wrong ones does not count (Cauchy weights at their median).
+    Uses camera centres only, reweighted so that a minority of wrong ones is ignored (Cauchy weights at their median).
     """
     a, b = source[:, :3, 3], target[:, :3, 3]
     weights = np.ones(len(a))

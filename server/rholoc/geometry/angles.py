@@ -1,4 +1,4 @@
-"""How far rotations, directions and poses are apart."""
+"""Angles and distances between rotations, directions and poses."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Names for the array types that signatures use, and what index arrays are made of."""
+"""Names for the array types that signatures use, and a helper for index arrays."""
 
 from typing import Any
 

@@ -1,4 +1,4 @@
-"""Points of a room that nothing is localized by: they are kept for people to see it."""
+"""Points of a room that localization does not use: they are kept so that people can see the room."""
 
 from __future__ import annotations
 
@@ -36,12 +36,12 @@ class Cloud:
         return Cloud(positions, self.colours, self.sources)
 
     def without_source(self, source: int) -> Cloud:
-        """Without the points of one of the map's sources; those after it move up by one."""
+        """Without the points of one of the map's sources; the numbers of the sources after it decrease by one."""
         left = self.keep(self.sources != source)
         return Cloud(left.positions, left.colours, (left.sources - (left.sources > source)).astype(np.int32))
 
     def with_sources_after(self, count: int) -> Cloud:
-        """The points where ``count`` sources come before their own."""
+        """The points with the numbers of their sources increased by ``count``."""
         return Cloud(self.positions, self.colours, (self.sources + count).astype(np.int32))
 
     @staticmethod

@@ -11,10 +11,10 @@ class CorrectionKind(StrEnum):
 
     ORIGIN = "origin"  # which point is (0, 0, 0)
     NORTH = "north"  # which direction is y
-    WALL = "wall"  # along which wall x lies
+    WALL = "wall"  # along which wall x runs
     UP = "up"  # which direction is z
     SCALE = "scale"  # how long a metre is
-    PLAN = "plan"  # the map laid over a floor plan, by points of both
+    PLAN = "plan"  # the map aligned with a floor plan, by points of both
     REGION = "region"  # landmarks of a region removed
     WALK = "walk"  # a piece of a walk removed
     NAMES = "names"  # names of points and areas
@@ -24,10 +24,10 @@ class CorrectionKind(StrEnum):
 
 @dataclass(frozen=True)
 class Correction:
-    """One version of a map that somebody corrected.
+    """One correction, which made a version of a map.
 
-    Where the map's frame moved, a point x of the version before is now at ``scale`` · ``rotation`` x + ``translation``;
-    the members are None where it did not.
+    If the map's frame moved, a point x of the previous version is now at ``scale`` · ``rotation`` x + ``translation``;
+    otherwise these are None.
 
     Attributes:
         version: of the map.
@@ -36,8 +36,8 @@ class Correction:
         scale: of lengths.
         rotation: (3, 3), rows.
         translation: (3,) metres.
-        residual_m: how far the points of a plan are missed, root mean square.
-        landmarks_removed, views_removed: how many are gone.
+        residual_m: how far the map's points are from the plan's, root mean square.
+        landmarks_removed, views_removed: how many were removed.
     """
 
     version: int

@@ -1,8 +1,8 @@
-"""Where a map covers: how many landmarks a camera would see, by position and heading.
+"""A map's coverage: how many landmarks a camera would see, by position and heading.
 
-Around the places that the map was made from, positions lie on a grid at the height the camera was held; at each of them
-a camera like the map's looks in twelve directions. A landmark counts where the camera may expect it (presence π_f,
-:mod:`rholoc.density.presence`) and its field of view holds it. What stands in the way between two views is not known.
+Positions lie on a grid around the views, at the height the camera was held; at each of them a camera like the map's
+looks in twelve directions. A landmark counts if it may be expected from there (presence π_f,
+:mod:`rholoc.density.presence`) and is in the field of view. Obstacles between the views are not known.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from rholoc.maps.map import Map
 from rholoc.reports import CoverageReport
 
 HEADINGS = 12
-SUFFICIENT = 60  # landmarks in view with which localization is to be expected
+SUFFICIENT = 60  # landmarks in view with which localization can be expected
 
 _STEP_M = 0.25
 _REACH_M = 0.75  # from a view
@@ -27,7 +27,7 @@ _MAX_CELLS = 250
 _GROWTH = 1.15  # of the step, while there are too many cells
 _MAX_COUNT = 9999
 _MIN_UPRIGHT = np.cos(np.deg2rad(45.0))
-_DEPTH_OF_A_ROOM_M = 2.5  # gives a map of arbitrary scale a metre
+_DEPTH_OF_A_ROOM_M = 2.5  # the assumed distance of landmarks in a map of arbitrary scale
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,7 +36,7 @@ class Coverage:
 
     Attributes:
         origin: (3,) the position of cell (0, 0), map frame, metres.
-        axes: (2, 3) unit vectors along which a cell's first and second number count.
+        axes: (2, 3) unit vectors of a cell's first and second index.
         up: (3,) unit vector across the plane.
         step_m: between cells.
         pitch_deg: how far the camera looks above the plane.
@@ -61,7 +61,7 @@ class Coverage:
 
     @property
     def share_sufficient(self) -> float:
-        """Of all positions and headings, those that see enough landmarks."""
+        """The share of positions and headings that see enough landmarks."""
         return float((self.counts >= SUFFICIENT).mean()) if self.counts.size else 0.0
 
     def report(self) -> CoverageReport:
@@ -86,8 +86,8 @@ class Coverage:
 def coverage_of(map_: Map) -> Coverage:
     """How many landmarks a camera like the map's would see from where the views were, and from 0.75 m around them.
 
-    The plane is horizontal where the map is upright, else across the views' mean up. The step is 0.25 m, more where
-    that would make more than 250 positions; in maps of arbitrary scale a metre follows from the landmarks' distance.
+    The plane is horizontal if the map is upright, else perpendicular to the views' mean up. The step is 0.25 m, or more
+    if that would make more than 250 positions; in maps of arbitrary scale the landmarks' distance defines a metre.
     """
     positions, rotations = map_.view_positions, map_.T_map_camera[:, :3, :3]
     up, axes = _plane(rotations, map_.info.upright)

@@ -1,4 +1,4 @@
-"""A map for the eye: PLY and VTP for ParaView."""
+"""A map's landmarks and views as PLY and VTP, for ParaView."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def landmark_sigmas(map_: Map) -> FloatArray:
 
 
 def view_sigmas(map_: Map) -> FloatArray:
-    """(K,) metres: the same of each view's position; 0 where that is not known."""
+    """(K,) metres: the same for each view's position; 0 where it is not known."""
     return np.asarray(np.nan_to_num(map_.expected_errors_m) / np.sqrt(3))
 
 

@@ -1,4 +1,4 @@
-"""Files that are replaced whole or not at all."""
+"""Atomic replacement of files."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from rholoc.errors import InvalidInput, StorageFull
 
 
 def replace_file(path: Path, data: bytes | memoryview | Iterable[bytes], called: str = "") -> None:
-    """Write ``data``, whole or in pieces, to ``path`` so that readers see the old content or the new, never a part.
+    """Write ``data``, in one piece or several, to ``path`` so that readers see old or new content, never a part.
 
-    It is written beside ``path``, brought to the disk, and renamed; a file that is open or mapped stays what it was.
-    Errors speak of the file as ``called``, else by its name.
+    It is written beside ``path``, synced to disk, and renamed; a file that is open or mapped keeps its content. Errors
+    refer to the file as ``called``, by default its name.
 
     Raises:
         StorageFull: the disk is full; the old content stays.

@@ -1,4 +1,4 @@
-"""The floor plan that a map is laid over, kept with it."""
+"""A floor plan that is kept with a map, and where it lies in the map's frame."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class FloorPlan:
     m_per_unit: float
 
     def moved(self, similarity: Similarity) -> FloorPlan | None:
-        """The plan where the map's frame moves; None where the map is tilted, for it then lies on no floor."""
+        """The plan after the map's frame moved; None if that tilts the map, so that the plan is no longer level."""
         R = similarity.rotation
         if R[2, 2] < 1 - _LEVEL:
             return None
@@ -48,7 +48,7 @@ def check_plan(content: bytes, plan: FloorPlan) -> FloorPlan:
 
     Raises:
         TooLarge: it is longer than ``MAX_PLAN_BYTES``.
-        InvalidInput: it is no file of its type, or its place makes no sense.
+        InvalidInput: the file is not of its type, or its place is not valid.
     """
     if len(content) > MAX_PLAN_BYTES:
         raise TooLarge(f"The floor plan is longer than {MAX_PLAN_BYTES} bytes.", "Make the picture smaller.")

@@ -1,6 +1,6 @@
 """A map as glTF 2.0, in one binary file: for viewers on the web, Blender, Unity, Unreal.
 
-glTF's y axis is up; the root node turns the map's z axis there, so that the numbers stay the map's own.
+glTF's y axis points up; the root node rotates the map, so that the numbers stay the map's own.
 """
 
 from __future__ import annotations
@@ -73,7 +73,7 @@ class _File:
         return self._accessor(stored.tobytes(), len(points), _FLOAT, "VEC3", bounds)
 
     def colours(self, colours: NDArray[Any]) -> int:
-        """The accessor of colours (N, 3) uint8, which are kept with alpha: rows must be whole words."""
+        """The accessor of colours (N, 3) uint8, which are stored with alpha: rows must be aligned to four bytes."""
         rows = np.column_stack([colours, np.full(len(colours), 255, dtype=np.uint8)])
         return self._accessor(
             rows.astype(np.uint8).tobytes(), len(colours), _UNSIGNED_BYTE, "VEC4", {"normalized": True}

@@ -24,8 +24,8 @@ class Source:
     """A recording, or a table, that a map was made from.
 
     Attributes:
-        name: what it was called.
-        id: what distinguishes it from other recordings, 16 hex digits.
+        name: its name.
+        id: distinguishes it from other recordings, 16 hex digits.
         camera: its intrinsics.
         frames: how many it had.
         posed: how many of them got a pose.
@@ -49,7 +49,7 @@ class MapWaypoint:
     """A measured point of a map's recordings.
 
     Attributes:
-        name: what it is called.
+        name: its name.
         position: (3,) metres, map frame.
         residual_m: how far the trajectory misses it; None where that is not known.
     """
@@ -61,11 +61,11 @@ class MapWaypoint:
 
 @dataclass(frozen=True)
 class MapInfo:
-    """What a map says of itself.
+    """What a map says about itself.
 
     Attributes:
         id: unique for each built map, 32 hex digits.
-        version: 1 for a new map, counted up with every update.
+        version: 1 for a new map, increased by every update.
         density: the form of its densities.
         features: the extractor's name.
         metric: False where the unit of length is arbitrary; every answer then says so.
@@ -76,8 +76,8 @@ class MapInfo:
         waypoints: measured points.
         names: of points and areas.
         labels: site, floor and tags.
-        plan: the floor plan that it keeps; None where it keeps none.
-        corrections: what people corrected since it was built, by version.
+        plan: its floor plan, if any.
+        corrections: what people have corrected since it was built, by version.
         report: what it found out about itself while it was built.
     """
 
@@ -104,11 +104,11 @@ def info_to_json(info: MapInfo) -> str:
 
 
 def info_from_json(text: str) -> MapInfo:
-    """The description that :func:`info_to_json` wrote; members that are not known are left out.
+    """The description that :func:`info_to_json` wrote; unknown members are ignored.
 
     Raises:
         InvalidMap: not JSON, longer than 16 MiB, a member is missing or of another type, a number is not finite, an id
-            or a time is not one, or a camera is absurd.
+            or a time is not valid, or a camera is impossible.
     """
     try:
         if len(text) > _MAX_LENGTH:

@@ -1,4 +1,4 @@
-"""JSON that others wrote and that is kept as it is: held to what every reader and writer of JSON can handle."""
+"""Checks JSON from clients that is stored as it is: restricts it to what every JSON reader and writer can handle."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import math
 
 MAX_DEPTH = 16
 MAX_VALUES = 100_000
-_MAX_INTEGER = 2**53  # above it JavaScript is not exact, and beyond 2**1024 no float holds it
+_MAX_INTEGER = 2**53  # larger ones are not exact in JavaScript, and beyond 2**1024 overflow a float
 
 
 def check_json_value(value: object) -> None:
@@ -14,7 +14,7 @@ def check_json_value(value: object) -> None:
 
     Raises:
         ValueError: it is nested more than 16 deep, holds more than 100 000 values, a number that is not finite or an
-            integer beyond 2⁵³, text with an unpaired surrogate, or what JSON has not; one line says which.
+            integer beyond 2⁵³, text with an unpaired surrogate, or a type that JSON lacks; one line says which.
     """
     waiting: list[tuple[object, int]] = [(value, 0)]
     seen = 0

@@ -28,15 +28,15 @@ _KEPT_VERSIONS = 5  # of each map that was replaced
 
 
 def is_name(name: str) -> bool:
-    """Whether a map or a camera may be called so: 1–64 letters, digits, ``.``, ``_``, ``-``; no dot, hyphen first."""
+    """Whether maps and cameras may have this name: 1–64 letters, digits, ``.``, ``_``, ``-``; no ``.``, ``-`` first."""
     return _NAME.fullmatch(name) is not None
 
 
 def check_name(name: str, what: str) -> str:
-    """The name, if it may name a ``what``.
+    """The name, if it is valid for a ``what``.
 
     Raises:
-        InvalidName: it may not.
+        InvalidName: it is not.
     """
     if not is_name(name):
         shown = name if len(name) <= 64 else name[:61] + "…"
@@ -48,10 +48,10 @@ def check_name(name: str, what: str) -> str:
 
 
 def check_map_name(name: str) -> str:
-    """The name, if it may name a map: it is not ``all``, which means all maps where several may be named.
+    """The name, if it is valid for a map: not ``all``, which means all maps where several can be named.
 
     Raises:
-        InvalidName: it may not.
+        InvalidName: it is not.
     """
     if name == _ALL:
         raise InvalidName(f"A map cannot be named {name}: that means all maps.", "Choose another name.")
@@ -60,13 +60,13 @@ def check_map_name(name: str) -> str:
 
 @dataclass(frozen=True)
 class MapStat:
-    """What the file system says of a map.
+    """What the file system says about a map.
 
     Attributes:
         name: the map's name.
         size_bytes: the file's size.
         modified: seconds since 1970, UTC.
-        signature: differs whenever the file was replaced.
+        signature: changes whenever the file is replaced.
     """
 
     name: str
@@ -76,29 +76,29 @@ class MapStat:
 
 
 class MapLibrary:
-    """Maps as ``NAME.rho`` in one folder; safe to share between threads, and between processes for all but renaming.
+    """Maps as ``NAME.rho`` in one folder; safe to share between threads, and between processes except for renaming.
 
-    A map that was got stays as it was when the file is replaced or deleted; the next :meth:`get` sees the new one.
+    A map that :meth:`get` returned is unaffected when its file is replaced or deleted; the next :meth:`get` sees that.
 
     Args:
         folder: of the maps.
-        cache_bytes: what the maps that are kept in memory may take, with what is derived from them.
+        cache_bytes: how much memory cached maps may take, including what is derived from them.
     """
 
     def __init__(self, folder: Path, cache_bytes: float = math.inf) -> None:
         self.folder = folder
         self._cache = MapCache(cache_bytes)
         self._known_readable: dict[str, Signature] = {}
-        self._lock = threading.RLock()  # of what changes the folder
+        self._lock = threading.RLock()  # held while the folder is changed
         self._reading: dict[str, threading.Lock] = {}
 
     def names(self) -> list[str]:
-        """The names of all maps, sorted; none where the folder does not exist."""
+        """The names of all maps, sorted; empty if the folder does not exist."""
         files = [file for file in self.folder.glob(f"*{SUFFIX}") if file.is_file()]
         return sorted(file.stem for file in files if is_name(file.stem) and file.stem != _ALL)
 
     def readable(self) -> list[str]:
-        """The names of those maps, sorted, whose files are maps; each file is read once to know."""
+        """The names, sorted, of the maps that can be read; each file is read once to find out."""
         return [name for name in self.names() if self._is_readable(name)]
 
     def _is_readable(self, name: str) -> bool:
@@ -112,10 +112,10 @@ class MapLibrary:
         return True
 
     def path(self, name: str) -> Path:
-        """Where the map of that name is kept, whether there is one or not.
+        """The path for a map of that name, whether or not it exists.
 
         Raises:
-            InvalidName: it is not a name.
+            InvalidName: it is not a valid name.
         """
         return self.folder / (check_map_name(name) + SUFFIX)
 
@@ -134,7 +134,7 @@ class MapLibrary:
         return MapStat(name, status.st_size, status.st_mtime, (status.st_ino, status.st_mtime_ns, status.st_size))
 
     def get(self, name: str) -> Map:
-        """The map of that name, from memory unless its file was replaced. While one is read, others can be got.
+        """The map of that name, from memory unless its file was replaced. Reading one does not block others.
 
         Raises:
             InvalidName: it is not a name.
@@ -149,7 +149,7 @@ class MapLibrary:
                 signature = self.stat(name).signature
                 map_ = self._cache.get(name, signature)
                 if map_ is None:
-                    # Were the file replaced since its signature was taken, the next call would load it again: no harm.
+                    # If the file has been replaced since the signature was taken, the next call just loads it again.
                     map_ = load_map(self.path(name))
                     self._cache.put(name, signature, map_)
                 return map_
@@ -158,11 +158,11 @@ class MapLibrary:
             raise
 
     def keeps(self, name: str, map_: Map) -> bool:
-        """Whether this very map is the one in memory under a name: not replaced, and not gone for want of room."""
+        """Whether this very object is the cached map of that name: neither replaced nor evicted."""
         return self._cache.holds(name, map_)
 
     def put(self, name: str, map_: Map) -> None:
-        """Store a map under a name, replacing the one that was there.
+        """Store a map under a name, replacing any of that name.
 
         Raises:
             InvalidName, InvalidMap, StorageFull, InvalidInput: nothing was replaced.
@@ -170,12 +170,12 @@ class MapLibrary:
         self._put(name, map_to_bytes(map_), lambda _: map_)
 
     def put_file(self, name: str, source: Path | bytes, check: Callable[[Map], None] = lambda _: None) -> Map:
-        """Store the content of a ``.rho`` file under a name, replacing the map that was there; returns the map.
+        """Store the content of a ``.rho`` file under a name, replacing any map of that name; returns the map.
 
         Args:
             name: the map's.
             source: the file, or its content.
-            check: raises where the map is not to be stored.
+            check: raises if the map must not be stored.
 
         Raises:
             InvalidName, InvalidMap, StorageFull, InvalidInput, and what ``check`` raises: nothing was replaced.
@@ -191,7 +191,7 @@ class MapLibrary:
         return self._put(name, source if isinstance(source, bytes) else _pieces(source), read)
 
     def _put(self, name: str, data: bytes | Iterator[bytes], read: Callable[[Path], Map]) -> Map:
-        """Store a file under a name, once ``read`` has found a map in it; keep the map that was there."""
+        """Store a file under a name, once ``read`` has found a map in it; keep the map that it replaces."""
         path = self.path(name)
         self._make_folder()
         arrived = self.folder / f".{uuid4().hex}.upload"  # in the same folder, so that it can be renamed into place
@@ -206,12 +206,12 @@ class MapLibrary:
         return map_
 
     def replace(self, name: str, next_version: Map) -> None:
-        """Store the next version of a map in place of the version before it; do nothing if it is there already.
+        """Store the next version of a map in place of its predecessor; do nothing if it is already there.
 
         Raises:
-            InvalidName: it is not a name.
-            UnknownMap: there is no such map any more.
-            Conflict: the map has changed since: another update would be lost. Nothing was replaced.
+            InvalidName: it is not a valid name.
+            UnknownMap: the map no longer exists.
+            Conflict: the map has changed since, and another update would be lost. Nothing was replaced.
             InvalidMap, StorageFull, InvalidInput: as :meth:`put`; nothing was replaced.
         """
         with self._lock:
@@ -225,10 +225,10 @@ class MapLibrary:
             self.put(name, next_version)
 
     def previous(self, name: str) -> MapInfo | None:
-        """The description of the map that was last replaced under a name; None where there is none to restore.
+        """The description of the map that was last replaced under a name; None if there is none to restore.
 
         Raises:
-            InvalidName: it is not a name.
+            InvalidName: it is not a valid name.
         """
         return self.versions(name).get(1)
 
@@ -245,14 +245,14 @@ class MapLibrary:
         return found
 
     def restore(self, name: str, number: int = 1) -> None:
-        """Put a map that was replaced back in its place, by its number in :meth:`versions`.
+        """Restore a map that was replaced, by its number in :meth:`versions`.
 
         The present one is kept in turn: restoring number 1 twice changes nothing.
 
         Raises:
-            InvalidName: it is not a name.
+            InvalidName: it is not a valid name.
             UnknownMap: there is no such map.
-            Conflict: none was replaced, or no longer kept.
+            Conflict: none was replaced, or it is no longer kept.
             InvalidMap: the one that was replaced cannot be read; nothing was changed.
         """
         with self._lock:
@@ -274,7 +274,7 @@ class MapLibrary:
         return path if number == 1 else path.with_name(f"{path.name}.{number}")
 
     def _previous_paths(self, name: str) -> list[Path]:
-        """Of all that are kept."""
+        """The files of all replaced maps that are kept."""
         paths = [self._previous_path(name, number) for number in range(1, _KEPT_VERSIONS + 1)]
         return [path for path in paths if path.is_file()]
 
@@ -290,7 +290,7 @@ class MapLibrary:
         arrived.replace(previous)
 
     def _make_room(self, name: str, last: int) -> None:
-        """Count the numbers below ``last`` up by one, up to the first that is free; what had the last is gone."""
+        """Free number 1 by moving numbers up by one, as far as the first free one; ``last`` is dropped if none is."""
         free = next((n for n in range(1, last) if not self._previous_path(name, n).is_file()), last)
         for number in range(free, 1, -1):
             self._previous_path(name, number - 1).replace(self._previous_path(name, number))
@@ -347,7 +347,7 @@ class MapLibrary:
 
 
 def _link(path: Path, other: Path) -> None:
-    """Give a file a second name; on file systems without hard links, a copy of it.
+    """Give a file a second name; on file systems without hard links, copy it.
 
     Raises:
         StorageFull: the disk is full.

@@ -32,16 +32,16 @@ class Map:
         descriptor_features: (D,) int32, the feature that each descriptor belongs to.
         view_times: (K,) float64, seconds.
         T_map_camera: (K, 4, 4) float64, the poses of the views.
-        observation_views: (V,) int32, the view of each observation, never falling.
-        observation_features: (V,) int32, the feature that it is of.
-        observations: what else learning needs of each observation; None where the map does not keep it.
+        observation_views: (V,) int32, the view of each observation, never decreasing.
+        observation_features: (V,) int32, its feature.
+        observations: what else learning needs to know about each observation; None if the map does not keep it.
         view_covariances: (K, 6, 6) float32 of the views' poses: x, y, z in metres, then a small rotation about the
-            map's axes, from the left, in radians; NaN for views whose uncertainty is not known. None where none is.
-        colours: (F, 3) uint8, red, green and blue of each landmark in the pictures; None where they are not known.
+            map's axes, from the left, in radians; NaN for views whose uncertainty is not known. None if no view's is.
+        colours: (F, 3) uint8, red, green and blue of each landmark in the pictures; None if they are not known.
         cloud: further points of the room, for people to see.
-        pictures: (K,) a small JPEG of each view, empty for those of which none is kept; None where none is.
-        plan: the file of its floor plan, empty where it keeps none; ``info.plan`` says what it is.
-        densities: of all features, in the form that the map has.
+        pictures: (K,) a small JPEG of each view, empty for views without one. None if no view has one.
+        plan: the file of its floor plan, empty if it has none; ``info.plan`` describes it.
+        densities: of all features, in the map's form.
     """
 
     info: MapInfo

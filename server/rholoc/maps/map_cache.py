@@ -1,4 +1,4 @@
-"""The maps that are in memory: those asked last, as many as there is room for."""
+"""A cache of maps in memory: the most recently used ones, as many as there is room for."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from rholoc.maps.map import Map
 
 Signature = tuple[int, int, int]
 
-_WITH_ITS_INDEX = 2  # times a map's own bytes: what a localizer derives from it takes about as much again
+_WITH_ITS_INDEX = 2  # times a map's own size: what a localizer derives from it takes about as much again
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,10 +23,11 @@ class _Entry:
 
 
 class MapCache:
-    """Maps by name, of which those asked longest ago leave when there is no room. Safe to share between threads.
+    """Maps by name; the least recently used are evicted when there is no room. Safe to share between threads.
 
     Args:
-        most_bytes: what all of them may take, with what is derived from them; the last one stays, however large.
+        most_bytes: how much memory they may take together, including what is derived from them; the last one stays,
+            however large.
     """
 
     def __init__(self, most_bytes: float) -> None:
@@ -35,7 +36,7 @@ class MapCache:
         self._lock = threading.Lock()
 
     def get(self, name: str, signature: Signature) -> Map | None:
-        """The map of that name, if it is here and its file has that signature."""
+        """The map of that name, if it is cached and its file has that signature."""
         with self._lock:
             entry = self._entries.get(name)
             if entry is None or entry.signature != signature:
@@ -44,7 +45,7 @@ class MapCache:
             return entry.map
 
     def put(self, name: str, signature: Signature, map_: Map) -> None:
-        """Take in a map; others leave for it."""
+        """Add a map, evicting others to make room."""
         with self._lock:
             self._entries[name] = _Entry(signature, map_, memory_bytes(map_))
             self._entries.move_to_end(name)
@@ -53,18 +54,18 @@ class MapCache:
                 total -= self._entries.popitem(last=False)[1].size_bytes
 
     def drop(self, name: str) -> None:
-        """Let a map go, if it is here."""
+        """Remove a map, if it is cached."""
         with self._lock:
             self._entries.pop(name, None)
 
     def holds(self, name: str, map_: Map) -> bool:
-        """Whether this very map is the one that is here under a name."""
+        """Whether this very object is the cached map of that name."""
         entry = self._entries.get(name)
         return entry is not None and entry.map is map_
 
 
 def memory_bytes(map_: Map) -> int:
-    """About what a map takes in memory, with what a localizer derives from it."""
+    """Roughly how much memory a map takes, including what a localizer derives from it."""
     arrays = [getattr(map_, field.name) for field in fields(map_)]
     arrays += (
         [] if map_.observations is None else [getattr(map_.observations, f.name) for f in fields(map_.observations)]

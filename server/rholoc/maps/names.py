@@ -1,4 +1,4 @@
-"""Names that people gave to a map's points and areas, and what they say of the map itself."""
+"""Names that people gave to a map's points and areas, and the labels of the map itself."""
 
 from __future__ import annotations
 
@@ -57,11 +57,11 @@ class MapNames:
 
 @dataclass(frozen=True)
 class MapLabels:
-    """What a list of maps is grouped and searched by.
+    """What lists of maps are grouped and searched by.
 
     Attributes:
-        site: such as a building; empty where it is not said.
-        floor: of the site; empty where it is not said.
+        site: such as a building; empty if not given.
+        floor: of the site; empty if not given.
         tags: further words.
     """
 
@@ -79,7 +79,7 @@ def areas_at(names: MapNames, position: FloatArray) -> tuple[str, ...]:
 
 
 def points_near(names: MapNames, position: FloatArray, within_m: float) -> tuple[str, ...]:
-    """The names of the points no farther from a position (3,) than that, the nearest first."""
+    """The names of the points within ``within_m`` of a position (3,), the nearest first."""
     apart = {one.name: float(np.linalg.norm(np.array(one.position) - position)) for one in names.points}
     return tuple(sorted((name for name in apart if apart[name] <= within_m), key=apart.__getitem__))
 
@@ -96,7 +96,7 @@ def within_outline(positions: FloatArray, outline: FloatArray) -> BoolArray:
 
 
 def check_labels(labels: MapLabels) -> MapLabels:
-    """The labels, without blanks around them, if a map may keep them.
+    """The labels, stripped of surrounding spaces, if they are valid.
 
     Raises:
         InvalidInput: there are too many tags; one is empty or given twice, or something is too long or not printable.
@@ -114,7 +114,7 @@ def check_labels(labels: MapLabels) -> MapLabels:
 
 
 def check_names(names: MapNames) -> MapNames:
-    """The names, if a map may keep them.
+    """The names, if they are valid.
 
     Raises:
         InvalidInput: there are too many; one is empty, too long, not printable or given twice; an area is not valid.
@@ -137,7 +137,7 @@ def check_names(names: MapNames) -> MapNames:
 
 
 def check_outline(outline: FloatArray, what: str) -> FloatArray:
-    """The corners (N, 2) of an area, if they are those of one; ``what`` names it to users.
+    """The corners (N, 2) of an area, if they are valid; error messages refer to it as ``what``.
 
     Raises:
         InvalidInput: there are too few or too many corners, or they enclose nothing.

@@ -1,9 +1,9 @@
 """What a map keeps of its observations, so that it can go on learning.
 
 A ``ray`` density is a sum over observations (:mod:`rholoc.density.ray`). A map keeps the observations themselves, so
-that another recording adds its own to the sums and forgetting a recording takes them away; either way the landmarks
-are those of a map that was never built otherwise. Observations rather than sums, because the weights, which fade with
-an observation's distance from its landmark, are then found anew: sums of fixed weights would depend on the order of
+that another recording adds its own to the sums and forgetting a recording takes them away; either way the landmarks are
+those of a map built that way from the start. It keeps observations rather than sums so that their weights, which fall
+with an observation's distance from its landmark, can be recomputed: sums of fixed weights would depend on the order of
 learning.
 """
 
@@ -25,7 +25,7 @@ _STEPS = 65536
 
 @dataclass(frozen=True, eq=False)
 class Observations:
-    """What was observed, and by which recording.
+    """The pixels that were observed, and the recordings that they come from.
 
     Attributes:
         pixels: (V, 2) u and v of each observation, in whole steps of :func:`packed_pixels`.
@@ -46,12 +46,12 @@ def packed_pixels(pixels: FloatArray, camera: Camera) -> IntArray:
 
 
 def unpacked_pixels(packed: IntArray, camera: Camera) -> FloatArray:
-    """What :func:`packed_pixels` packed, to 1/131072 of the image's size."""
+    """The pixels that :func:`packed_pixels` packed, to 1/131072 of the image's size."""
     return np.asarray(packed / _STEPS * np.array([camera.width, camera.height]) - 0.5)
 
 
 def check_observations(map_: Map, what: str) -> Observations:
-    """The observations of a map that is to learn or forget; ``what`` names it to users.
+    """The observations of a map that is to learn or forget; error messages refer to it as ``what``.
 
     Raises:
         InvalidInput: it does not keep its observations.
@@ -68,7 +68,7 @@ def check_observations(map_: Map, what: str) -> Observations:
 
 
 def observations_fit(map_: Map, observations: Observations) -> bool:
-    """Whether observations agree with the map they belong to, in number and in the recordings that they name."""
+    """Whether observations agree with their map, in number and in the recordings that they refer to."""
     count = len(map_.info.sources)
     return (
         observations.pixels.shape == (len(map_.observation_features), 2)
@@ -83,5 +83,5 @@ def observations_fit(map_: Map, observations: Observations) -> bool:
 
 
 def source_cameras(map_: Map) -> list[Camera]:
-    """The camera of each source; the map's own where a source does not say."""
+    """The camera of each source; the map's own if a source has none."""
     return [source.camera or map_.info.camera for source in map_.info.sources]

@@ -1,4 +1,4 @@
-"""A part of a map, by the views that it has: a map of its own that is quick to cut out of a large one."""
+"""A part of a map, chosen by its views: a map of its own that is quick to cut out of a large one."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class MapPart:
     """Some views of a map, and all landmarks that they saw.
 
     Attributes:
-        map: these alone; without what learning needs.
+        map: only these, without what learning needs.
         features: (P,) the rows of its features in the whole map, ascending.
     """
 
@@ -26,7 +26,7 @@ class MapPart:
 
 
 def part_of(map_: Map, views: IntArray) -> MapPart:
-    """The part of a map, of ``ray`` form, that has the ``views`` (N,), ascending; takes time by the part's size."""
+    """The part of a map of ``ray`` form with the ``views`` (N,), ascending; takes time by the part's size."""
     assert map_.info.density is DensityKind.RAY
     first, last = map_.view_offsets[views], map_.view_offsets[views + 1]
     seen = map_.observation_features[ranges(first, last)]

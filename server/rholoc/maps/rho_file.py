@@ -1,7 +1,7 @@
 """``.rho``: the native map file, a safetensors file with the arrays of :class:`rholoc.maps.Map`, packed.
 
 Its metadata holds ``format``, ``format_version``, ``info`` (JSON) and ``checksum``: BLAKE2b over the info and all
-arrays. There is no code in it, and nothing is unpickled. maps/README.md describes every array.
+arrays. It contains no code, and nothing is unpickled. maps/README.md describes every array.
 """
 
 from __future__ import annotations
@@ -77,11 +77,11 @@ Arrays = dict[str, NDArray[Any]]
 
 
 def save_map(map_: Map, path: Path) -> None:
-    """Write a map; a file that was there is replaced whole or not at all.
+    """Write a map; an existing file is replaced atomically.
 
     Raises:
         InvalidMap: the map's arrays contradict each other.
-        StorageFull: the disk is full; what was there is unchanged.
+        StorageFull: the disk is full; an existing file is unchanged.
         InvalidInput: the folder does not exist or cannot be written to.
     """
     replace_file(path, map_to_bytes(map_))
@@ -106,11 +106,11 @@ def map_to_bytes(map_: Map) -> bytes:
 
 
 def load_map(path: Path, called: str | None = None) -> Map:
-    """Read a map. The file is mapped while it is read and not needed afterwards, so it may be overwritten at any time.
+    """Read a map. The file is memory-mapped while it is read and not needed afterwards: it may be overwritten any time.
 
     Args:
         path: the file.
-        called: what errors call it, if not by its own name.
+        called: what error messages call it, by default its name.
 
     Raises:
         UnknownMap: there is no such file.
@@ -163,7 +163,7 @@ def _check_format(called: str, metadata: Mapping[str, str]) -> None:
 
 
 def _packed(map_: Map) -> Arrays:
-    """The arrays of a map's file, in C order and little-endian, which is how safetensors takes them to be."""
+    """The arrays of a map's file, in C order and little-endian, as safetensors expects them."""
     arrays: dict[str, Any] = {
         "channels": map_.channels,
         "landmarks": map_.landmarks,
@@ -213,7 +213,7 @@ def _prefix(kind: DensityKind) -> str:
 
 
 def _unpacked(info: MapInfo, arrays: Arrays) -> Map:
-    """The map of a file's arrays; arrays that are not known are left out.
+    """The map of a file's arrays; unknown arrays are ignored.
 
     Raises:
         InvalidMap: one is missing, of another type or shape, or contradicts another in length.

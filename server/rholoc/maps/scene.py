@@ -1,4 +1,4 @@
-"""A map for a viewer: what is drawn of it, in as few bytes as will do."""
+"""A map for a 3-D viewer: what it draws, in few bytes."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ def map_to_scene(map_: Map, most_landmarks: int | None = None, rotation: FloatAr
 
     Two uint32, the numbers F and K; (F, 4) float32 of each landmark's x, y, z and standard deviation; (K, 7) float32 of
     each view's x, y, z, heading and the number of the recording that it comes from; where the map knows the colours of
-    its landmarks, (F, 3) uint8, red, green and blue. Lengths in metres. Of more than ``most_landmarks``, as many are
-    chosen evenly. ``rotation`` (3, 3) turns all of it.
+    its landmarks, (F, 3) uint8, red, green and blue. Lengths in metres. If there are more than ``most_landmarks``, that
+    many are chosen evenly. ``rotation`` (3, 3) rotates everything.
     """
     views = len(map_.view_times)
     sources = np.zeros(views) if map_.observations is None else map_.observations.view_sources
@@ -39,7 +39,7 @@ def cloud_to_bytes(map_: Map) -> bytes:
 
 
 def evenly(count: int, most: int | None) -> IntArray:
-    """The rows of at most ``most`` of ``count``, evenly chosen; all of them where ``most`` is None."""
+    """The indices of at most ``most`` of ``count``, evenly chosen; all of them if ``most`` is None."""
     if most is None or count <= most:
         return np.arange(count)
     return np.arange(most) * count // most

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from rholoc.geometry import ByteArray, FloatArray
 
 OBSERVATION_COLUMNS = ("descriptor", "u", "v", "x", "y", "z", "hx", "hy", "hz")
-TIME_COLUMN, ROLL_COLUMN = "timestamp", "roll"  # before and after them, where they are known
+TIME_COLUMN, ROLL_COLUMN = "timestamp", "roll"  # before and after these, where they are known
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +38,7 @@ class ObservationTable:
 
 
 def descriptor_hex(channel: int, descriptor: ByteArray) -> str:
-    """A descriptor (B,) as the tables write it: two hex digits of its channel, then two a byte."""
+    """A descriptor (B,) as the tables write it: two hex digits for its channel, then two for each byte."""
     return f"{channel:02x}{descriptor.tobytes().hex()}"
 
 

@@ -36,9 +36,9 @@ class TrajectoryTable:
         confidences: (N,) float64, 0..1; NaN where unknown.
         inliers: (N,) int64; 0 where unknown.
         map_trusted: (N,) float64, whether the map that a frame was localized in is to be trusted: 1, 0, or NaN where
-            unknown. None where all are.
+            unknown. None if unknown for all.
         expected_errors_m: (N,) float64, how far that map is expected to be off there (root mean square, metres); NaN
-            where unknown. None where all are.
+            where unknown. None if unknown for all.
     """
 
     times: FloatArray
@@ -79,7 +79,7 @@ class TrajectoryTable:
 
 
 def view_trajectory(map_: Map) -> TrajectoryTable:
-    """The views of a map as a trajectory, in their order; frames and confidences unknown, ``inliers`` what each saw."""
+    """A map's views as a trajectory, in order; frames and confidences are unknown, ``inliers`` count what each saw."""
     views = len(map_.view_times)
     trusted = trust_of(map_.info).trusted
     return TrajectoryTable(
@@ -97,7 +97,7 @@ def write_trajectory_csv(path: Path, table: TrajectoryTable) -> None:
     """Write Table 6: times to a microsecond, positions to 10 µm, directions to 1e-8.
 
     Raises:
-        StorageFull: the disk is full; what was there is unchanged.
+        StorageFull: the disk is full; an existing file is unchanged.
         InvalidInput: the folder does not exist or cannot be written to.
     """
     replace_file(path, trajectory_csv(table).encode())
@@ -134,7 +134,7 @@ def read_trajectory_csv(path: Path) -> TrajectoryTable:
     """Read Table 6. The paper's seven columns suffice; without quaternions the camera is upright (or has ``roll``).
 
     Raises:
-        InvalidTrajectory: the file cannot be read, a column is missing, a value is no finite number, or a heading or
+        InvalidTrajectory: the file cannot be read, a column is missing, a value is not a finite number, or a heading or
             quaternion is not of unit length. A table without rows is a trajectory without poses.
     """
     header, values = _read_values(path)

@@ -1,4 +1,4 @@
-"""What makes arrays a map: shapes, types, finite values and indices that agree."""
+"""Checks that arrays make a map: shapes, types, finite values and consistent indices."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from rholoc.maps.map import Map
 from rholoc.maps.observations import observations_fit
 
 _ROTATION_TOLERANCE = 1e-3
-_COVARIANCE_TOLERANCE = 1e-5  # below zero, of the greatest eigenvalue: what rounding makes
-_JPEG = b"\xff\xd8\xff"  # how every one begins
+_COVARIANCE_TOLERANCE = 1e-5  # how far below zero rounding may put an eigenvalue, relative to the largest
+_JPEG = b"\xff\xd8\xff"  # the first bytes of every JPEG
 _HINT = "Build it again, or take another copy."
 
 # name: dtype and the shape's known part; None is any length
@@ -114,7 +114,7 @@ def _check_array(name: str, array: object, dtype: type[np.generic], shape: tuple
 
 
 def _all_covariances(covariances: FloatArray, views: int) -> bool:
-    """Whether each is a covariance, or unknown as a whole."""
+    """Whether each is a covariance, or all NaN."""
     if covariances.shape != (views, 6, 6) or covariances.dtype != np.float32:
         return False
     known = covariances[~np.isnan(covariances).all(axis=(1, 2))].astype(np.float64)

@@ -10,9 +10,9 @@ from rholoc.geometry import FloatArray
 
 
 def image_data(origin: FloatArray, spacing: tuple[float, float, float], fields: Mapping[str, FloatArray]) -> bytes:
-    """The file of named values (z, y, x) on a grid: its corner (3,) and the distances of its points, metres.
+    """The file for named fields of values (z, y, x) on a grid with a corner (3,) and a spacing, metres.
 
-    The first field is the one that is shown.
+    ParaView shows the first field.
     """
     names = list(fields)
     z, y, x = fields[names[0]].shape

@@ -133,8 +133,8 @@ def _draw_from_above(
 
 
 def _extent(comparison: Comparison, split: SplitResult) -> tuple[FloatArray, FloatArray]:
-    """The corners (2,) of what is shown: all views and queries, and nearly all landmarks, whose strays must not shrink
-    the rest."""
+    """The corners (2,) of the picture: it shows all views and queries, and nearly all landmarks, without outliers that
+    would shrink the rest."""
     map_ = comparison.map_
     bulk = np.percentile(map_.landmarks[:, :2], [3, 97], axis=0)
     points = np.concatenate([map_.view_positions[:, :2], split.truth[:, :2, 3], bulk])
@@ -142,7 +142,7 @@ def _extent(comparison: Comparison, split: SplitResult) -> tuple[FloatArray, Flo
 
 
 def _main_methods(split: SplitResult) -> Sequence[MethodResult]:
-    """Without those refined by the density, and without the matches that none of RANSACs likes."""
+    """Without those refined by the density, and without the matches with which RANSAC does badly."""
     return [m for m in split.methods if not _is_refined(m) and MatchSet.EVERYWHERE not in m.name]
 
 

@@ -1,4 +1,4 @@
-"""Densities as pictures: a feature's ρ, a frame's product with the way up to its maximum, a density that sharpens."""
+"""Densities as pictures: a feature's ρ, a frame's product with the ascent to its maximum, a density that sharpens."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def feature_png(map_: Map, look: Look, tolerance_px: float, title: str) -> bytes
 
 
 def feature_frames(map_: Map, looks: Sequence[Look], tolerance_px: float, title: str) -> Iterator[ByteArray]:
-    """The same from one look after the other, for a film: pictures (H, W, 3), RGB."""
+    """The same for one look after another, for a film: pictures (H, W, 3), RGB."""
     for number, look in enumerate(looks, start=1):
         figure = figure_of((9.6, 4.8), 100)
         picture, above = figure.subplots(1, 2)
@@ -53,7 +53,7 @@ def feature_frames(map_: Map, looks: Sequence[Look], tolerance_px: float, title:
 
 
 def feature_grid(map_: Map, look: Look) -> Grid:
-    """Where a feature's density is looked at in space: between the landmark and behind the camera, and as far aside."""
+    """The region of space for a feature's density: from the landmark to behind the camera, and as far to the sides."""
     landmark, position = map_.landmarks[look.feature].astype(np.float64), look.T_map_camera[:3, 3]
     distance = float(np.linalg.norm(landmark - position))
     half = max(1.1 * distance, 0.5)
@@ -114,7 +114,7 @@ def _draw_positions(axes: Axes, map_: Map, look: Look, tolerance_px: float) -> N
 
 @dataclass(frozen=True)
 class _Shot:
-    """One picture of a film: how many steps of which ascent are made."""
+    """One picture of a film: an ascent, and how many of its steps have been made."""
 
     ascent: int
     steps: int
@@ -177,7 +177,7 @@ def _ascent_figure(map_: Map, ascents: Sequence[Ascent], shot: _Shot, grid: Grid
 def sharpening_png(
     bearings: FloatArray, positions: FloatArray, sigma_rad: float, counts: Sequence[int], title: str
 ) -> bytes:
-    """A ``ray`` density that sharpens as observations come: over positions in the landmark's plane, a panel a count.
+    """A ``ray`` density that sharpens with observations: over positions in the landmark's plane, a panel per count.
 
     What is drawn is where the landmark may be, by the information sums over the first observations: three standard
     deviations wide.

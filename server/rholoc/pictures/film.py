@@ -1,4 +1,4 @@
-"""Pictures one after the other, as a file: GIF or MP4."""
+"""Films of pictures as files: GIF or MP4."""
 
 from __future__ import annotations
 

@@ -92,7 +92,7 @@ def _plot_waypoints(axes: Axes, map_: Map) -> None:
 
 
 def _frame(axes: Axes, map_: Map) -> None:
-    """Equal axes around what matters, without a box, with a scale bar."""
+    """Equal axes around the visible part, without a box, with a scale bar."""
     ground = np.vstack([map_.landmarks[:, :2], map_.view_positions[:, :2], np.zeros((1, 2))])
     low, high = np.percentile(ground, _VISIBLE_SHARE, axis=0)
     if len(map_.view_times):

@@ -1,4 +1,4 @@
-"""A map's report as a picture: where it will work and where not, how wrong it was, what its landmarks are worth."""
+"""A map's report as a picture: where it works and where not, how consistent it is, how exact its landmarks are."""
 
 from __future__ import annotations
 
@@ -28,14 +28,14 @@ _LEVELS = (0, 1, SUFFICIENT / 4, SUFFICIENT / 2, SUFFICIENT, 2 * SUFFICIENT, 4 *
 _COLOURS = ("#e6e4e1", "#a50026", "#e4593c", "#fbae62", "#c6e2c0", "#78c08c", "#2f8f63", "#0b5440")
 _RADIUS = 0.47  # of a rose, in steps
 _ARC_STEPS = 4
-_HIDDEN_SHARE = (0.5, 99.5)  # percentiles that histograms are made to hold
+_HIDDEN_SHARE = (0.5, 99.5)  # percentiles that histograms span
 _NO_FRAMES = "no errors of single frames are known"
 _LEAST_ERROR = 1e-4  # where the logarithmic error scale ends
 
 
 @dataclass(frozen=True, eq=False)
 class _HeldOut:
-    """Metres between N frames held out and where their walk has them, infinite without a pose; their confidences."""
+    """Metres between N held-out frames and where their walk has them, infinite without a pose; their confidences."""
 
     errors_m: FloatArray
     confidences: FloatArray
@@ -60,7 +60,7 @@ def report_png(map_: Map, title: str = "") -> bytes:
 
 
 def _held_out(report: MapReport) -> _HeldOut | None:
-    """What the report says of single frames, if it does."""
+    """What the report says about single frames, if anything."""
     frames = report.held_out
     if frames is None or not frames.errors_m or len(frames.errors_m) != len(frames.confidences or ()):
         return None
@@ -170,7 +170,7 @@ def _caption(map_: Map, coverage: Coverage) -> str:
 
 
 def _trust(map_: Map) -> str:
-    """One line on whether the map is to be trusted, and how far it is expected to be off."""
+    """One line on whether the map is to be trusted and how far it expects to be off."""
     expected_m, trust = expected_error_m(map_.info), trust_of(map_.info)
     expected = "unknown" if expected_m is None else f"{100 * expected_m:.1f} cm"
     trusted = {True: "yes", False: "no", None: "unknown"}[trust.trusted]
@@ -178,7 +178,7 @@ def _trust(map_: Map) -> str:
 
 
 def _plot_errors(axes: Axes, report: MapReport, unit: str, factor: float) -> None:
-    """How large a share of the frames is at most so wrong."""
+    """The share of the frames whose error is at most as large."""
     _panel(
         axes,
         "Consistency of frames of the walk",
@@ -217,7 +217,7 @@ def _plot_errors(axes: Axes, report: MapReport, unit: str, factor: float) -> Non
 
 
 def _quantiles(report: MapReport, unit: str, factor: float) -> str:
-    """What a report without the errors themselves says of them."""
+    """What a report without single errors says about them."""
     frames = report.held_out
     if frames is None or frames.median_m is None or frames.p90_m is None:
         return _NO_FRAMES
@@ -226,7 +226,7 @@ def _quantiles(report: MapReport, unit: str, factor: float) -> str:
 
 
 def _plot_confidences(axes: Axes, held_out: _HeldOut | None, unit: str, factor: float) -> None:
-    """What the answers said of themselves."""
+    """The confidences of the answers."""
     _panel(axes, "… and their confidence", f"from the walk's own position, {unit}", "confidence")
     if held_out is None:
         _say(axes, _NO_FRAMES)
@@ -317,7 +317,7 @@ def _panel(axes: Axes, title: str, x: str, y: str) -> None:
 
 
 def _say(axes: Axes, what: str) -> None:
-    """Nothing to plot, and why."""
+    """A panel without a plot, and the reason."""
     axes.set_xticks([])
     axes.set_yticks([])
     axes.text(0.5, 0.5, what, transform=axes.transAxes, ha="center", va="center", fontsize=9, color=MUTED)

@@ -1,4 +1,4 @@
-"""What is drawn and computed of a map to be looked at. As a program, a process that does nothing else.
+"""Pictures and figures of a map for people. As a program, a process that does nothing else.
 
 It reads requests from its standard input, a line of JSON each, ``{"source", "name", "kind", "target"}``, and answers
 with a line, ``{}`` once the rendering is in the file ``target``, else ``{"error", "hint"}``. It ends with its input.
@@ -22,7 +22,7 @@ from rholoc.reports import report_to_json
 
 
 class Rendering(StrEnum):
-    """What is made of a map; the value ends the file's name."""
+    """A picture or figure of a map; the value ends its file's name."""
 
     PREVIEW = "preview.png"
     REPORT = "report.png"

@@ -1,4 +1,4 @@
-"""What all pictures share: colours, figures, scale bars."""
+"""The style of all pictures: colours, figures, scale bars."""
 
 from __future__ import annotations
 

@@ -20,7 +20,7 @@ def plot_track(
     truth: FloatArray | None = None,
     title: str = "",
 ) -> Figure:
-    """The error over time beside what was expected, where the tracker asked and jumped; and the way from above.
+    """The error over time beside the expected one, where the tracker asked and jumped; and the path from above.
 
     Args:
         times: (N,) seconds.

@@ -1,4 +1,4 @@
-"""What a phone hands in: one reader per format, video, IMU, waypoints."""
+"""Recordings of walks: one reader per format; video, IMU, waypoints."""
 
 from rholoc.recordings.archive import MAX_FILES, check_archive
 from rholoc.recordings.camera_file import CameraFile, read_camera_json, write_camera_json

@@ -1,4 +1,4 @@
-"""Recordings in ZIP files: unpacked with care, because anyone may have packed them."""
+"""Recordings in ZIP files: unpacked with care, because the files are not trusted."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ MAX_FILES = 100_000
 _ENTRY_BYTES = 512  # of the table of contents, for a file with a long path
 _END, _END64, _ENTRY = b"PK\x05\x06", b"PK\x06\x06", b"PK\x01\x02"
 _END_BYTES, _MAX_COMMENT_BYTES, _END64_BYTES = 22, 65535, 76
-MAX_RATIO = 200.0  # unpacked to packed; tables of numbers reach 20, bombs 1000
+MAX_RATIO = 200.0  # unpacked to packed; tables of numbers reach 20, zip bombs 1000
 _PACK_AGAIN = "Pack the recording's own files, and nothing else."
-_RATIO_FREE_BYTES = 2**20  # below this size a ratio says nothing
+_RATIO_FREE_BYTES = 2**20  # below this size the ratio does not matter
 
 _IGNORED = ("__MACOSX", ".DS_Store", "Thumbs.db")
 
@@ -31,15 +31,15 @@ _IGNORED = ("__MACOSX", ".DS_Store", "Thumbs.db")
 def unpack(archive: Path, folder: Path, max_bytes: int = DEFAULT_MAX_BYTES, max_files: int = MAX_FILES) -> Path:
     """Unpack a ZIP file into ``folder``; returns the folder of the recording in it.
 
-    That is ``folder`` itself, or the only folder packed when everything lies in one.
+    That is ``folder`` itself, or the only folder in the archive if everything is in one.
 
     Raises:
         InvalidRecording: not a ZIP file, damaged, encrypted, or with an entry that would land outside the folder, is a
             link, or is not what its name says.
-        TooLarge: it would unpack to more than ``max_bytes``, too many files, or is packed tighter than honest data.
+        TooLarge: it would unpack to more than ``max_bytes`` or too many files, or its compression ratio is suspicious.
         StorageFull: the disk is full.
 
-    What had been unpacked before an error stays in ``folder``: the caller, who made it, removes it.
+    Files that were unpacked before an error stay in ``folder``: the caller must remove it.
     """
     with _opened(archive, max_files) as packed:
         for entry in _checked_entries(packed, archive, max_bytes):
@@ -48,8 +48,8 @@ def unpack(archive: Path, folder: Path, max_bytes: int = DEFAULT_MAX_BYTES, max_
 
 
 def check_archive(archive: Path, max_bytes: int = DEFAULT_MAX_BYTES, max_files: int = MAX_FILES) -> None:
-    """Refuse what :func:`unpack` would refuse by the ZIP file's table of contents and how its videos begin; nothing is
-    unpacked.
+    """Refuse, without unpacking, what :func:`unpack` would refuse by the ZIP file's table of contents and by the first
+    bytes of its videos.
 
     Raises: as :func:`unpack` does.
     """
@@ -77,7 +77,7 @@ def _opened(archive: Path, max_files: int) -> Iterator[zipfile.ZipFile]:
 
 
 def _check_directory(archive: Path, max_files: int) -> None:
-    """Refuse a table of contents of too many entries before it is read: each takes a thousand times its bytes.
+    """Refuse a table of contents with too many entries before it is read: each takes a thousand times its size.
 
     Raises:
         TooLarge: there are more than ``max_files``.
@@ -88,7 +88,7 @@ def _check_directory(archive: Path, max_files: int) -> None:
         tail = file.read()
         end = len(tail) - _END_BYTES if tail[-_END_BYTES:].startswith(_END) else tail.rfind(_END)
         if end < 0:
-            return  # not a ZIP file, as will be said
+            return  # not a ZIP file, which is reported later
         length = int.from_bytes(tail[end + 12 : end + 16], "little")
         end64 = tail.rfind(_END64, 0, end)
         if end64 >= 0:

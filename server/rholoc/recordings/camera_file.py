@@ -1,4 +1,4 @@
-"""``camera.json``: what is known of the device that recorded."""
+"""``camera.json``: what is known about the recording device."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _INTRINSICS = ("width", "height", "fx", "fy", "cx", "cy")
 
 @dataclass(frozen=True, eq=False)
 class CameraFile:
-    """What ``camera.json`` says; every part of it may be absent.
+    """The content of ``camera.json``; every part of it is optional.
 
     Attributes:
         camera: the intrinsics, or None.
@@ -41,7 +41,7 @@ def read_camera_json(path: Path) -> CameraFile:
     """Read ``camera.json``.
 
     Raises:
-        InvalidCamera: not JSON, a part of the intrinsics is missing, or a value is absurd.
+        InvalidCamera: not JSON, a part of the intrinsics is missing, or a value is impossible.
     """
     values = read_json(path, InvalidCamera, _MAX_BYTES)
     if not isinstance(values, dict):

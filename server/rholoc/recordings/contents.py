@@ -1,4 +1,4 @@
-"""What an uploaded file's content says of it before anything is decoded: videos, pictures and ZIP files, or others."""
+"""Checks an uploaded file's name and first bytes before anything is decoded."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _STARTS = {".zip": (b"PK\x03\x04",), ".jpg": (b"\xff\xd8\xff",), ".jpeg": (b"\xf
 
 
 def check_file_name(name: str) -> None:
-    """Refuse the name of a lone file that no reader of recordings takes.
+    """Refuse the name of a single file that is not a recording's.
 
     Raises:
         InvalidRecording: it is neither a video's nor a ZIP file's.
@@ -27,11 +27,11 @@ def check_file_name(name: str) -> None:
 
 
 def check_file_start(name: str, start: bytes) -> None:
-    """Refuse a file whose first bytes are not of the kind that its name says; names of other kinds pass.
+    """Refuse a video, picture or ZIP file whose first bytes do not match its name; other names pass.
 
     Args:
         name: the file's name.
-        start: its first ``START_BYTES``, or all of them where it has fewer.
+        start: its first ``START_BYTES``, or all of it if it is shorter.
 
     Raises:
         InvalidRecording: it is something else, or empty.

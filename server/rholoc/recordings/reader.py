@@ -48,7 +48,7 @@ def read_recording(
 
     Raises:
         InvalidRecording: the recording or the choice of frames cannot be used; says what is wrong.
-        InvalidCamera: the intrinsics are absurd or do not fit the frames.
+        InvalidCamera: the intrinsics are impossible or do not fit the frames.
         InvalidWaypoints: the waypoints are malformed, or outside the recording.
         InvalidTrajectory: the poses beside the frames are malformed.
         TooLarge: a ZIP file would unpack to too much.
@@ -86,7 +86,7 @@ def _read_zip(path: Path, workdir: Path | None, max_unpacked_bytes: int) -> Reco
         recording = replace(read_folder(unpack(path, folder, max_unpacked_bytes)), name=path.stem)
     except InvalidRecording as error:
         shutil.rmtree(folder, ignore_errors=True)
-        # Our folder's name says nothing to who sent the file.
+        # The name of our temporary folder means nothing to the sender.
         raise InvalidRecording(
             error.message.replace(f"folder {folder.name}", f"file {path.name}"), error.hint
         ) from error

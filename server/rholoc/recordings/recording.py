@@ -1,4 +1,4 @@
-"""What a phone hands in: frames with their times, and what else was measured on the way."""
+"""A recording: frames with their times, and what else was measured during the walk."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class RecordingFormat(StrEnum):
 
 
 class FrameSource(Protocol):
-    """The frames of a recording; images are decoded only when asked for."""
+    """The frames of a recording; images are decoded on demand."""
 
     @property
     def times(self) -> FloatArray:
@@ -82,10 +82,10 @@ class Imu:
 
 @dataclass(frozen=True)
 class Waypoint:
-    """A measured point of the walk: the camera's place at a time, metres in the map frame.
+    """A measured point of the walk: the camera's position at a time, metres in the map frame.
 
-    Where only the waypoints' order is known, their times are NaN: the camera then paused at each. ``sigma_m`` is how
-    well the camera was held to the point, in each coordinate.
+    If only the waypoints' order is known, their times are NaN: the camera then paused at each. ``sigma_m`` is the
+    standard deviation of each coordinate.
     """
 
     name: str
@@ -114,13 +114,13 @@ class Recording:
     """A walk through a place.
 
     Attributes:
-        name: what it is called.
+        name: its name.
         path: where it was read from.
         frames: the video's frames or the images.
-        camera: None where the intrinsics are unknown; the trajectory's structure from motion then estimates them.
-        imu: None where there is none.
+        camera: None if the intrinsics are unknown; structure from motion then estimates them.
+        imu: None if there is none.
         waypoints: measured points of the walk.
-        poses: None where none came with it.
+        poses: None if none came with it.
         format: the layout that it was read as.
         frame_intrinsics: (N, 4) fx, fy, cx, cy of each frame in pixels, NaN where not logged; None where none were.
         readout_s: how long a rolling shutter takes from the first row to the last, or None where not logged.

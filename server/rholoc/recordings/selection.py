@@ -40,7 +40,7 @@ class SelectedFrames:
 
 
 def parse_frame_slice(text: str) -> slice:
-    """``start:stop[:step]``, each a frame number or nothing, as Python's slices are written: stop is left out.
+    """``start:stop[:step]``, each a frame number or empty, like Python's slices: without stop itself.
 
     Raises:
         InvalidRecording: the text is something else, or the step is not positive.
@@ -60,8 +60,7 @@ def parse_frame_slice(text: str) -> slice:
 def select_frames(recording: Recording, chosen: slice) -> Recording:
     """The recording with only the frames whose *numbers* are in the slice; a step counts from its start.
 
-    Poses go with their frames, waypoints known to lie outside the chosen frames' time are left out, the IMU's table
-    stays whole.
+    Poses are kept for these frames, waypoints outside the chosen frames' time are dropped, the IMU's table stays whole.
 
     Raises:
         InvalidRecording: no frame is in the slice.

@@ -1,7 +1,7 @@
 """A building of two storeys to walk through: white corridors with look-alike doors, fourteen furnished rooms, stairs.
 
-Half of what is in it comes again: every door, desk, chair and lamp is the same make, and each kind of room is on both
-floors. What distinguishes the rooms is what a person would go by: the numbers at the doors, what lies on the desks and
+Half of its contents repeat: every door, desk, chair and lamp is the same make, and each kind of room is on both
+floors. The rooms differ in what a person would go by: the numbers at the doors, what lies on the desks and
 hangs on the walls.
 """
 
@@ -217,7 +217,7 @@ def _carpet(base: tuple[int, int, int]) -> Texture:
 
 
 def _door_leaf(rng: np.random.Generator, height: int, width: int) -> ByteArray:
-    """A plain grey-white door with its handle, lock and hinges: all of the building's are this one."""
+    """A plain grey-white door with its handle, lock and hinges; every door in the building looks like this."""
     image = textures.shaded((206, 214, 216), 0.012 * textures.noise(rng, height, width, 200, 60))
     image[:, :2] = image[:, -2:] = (150, 152, 154)
     handle_y, handle_x = round(0.49 * height), round(0.91 * width)
@@ -711,7 +711,7 @@ def _note(rng: np.random.Generator, height: int, width: int) -> ByteArray:
 
 
 def _socket(rng: np.random.Generator, height: int, width: int) -> ByteArray:
-    """Two sockets side by side: all of the building's are this one."""
+    """Two sockets side by side; every one in the building looks like this."""
     image = np.full((height, width, 3), (214, 218, 220), np.uint8)
     for x in (width // 4, 3 * width // 4):
         cv2.circle(image, (x, height // 2), height // 3, (150, 154, 156), 1, cv2.LINE_AA)

@@ -1,7 +1,7 @@
 """How a room is lit: what reaches every patch of every face, and the light that leaves it.
 
 Direct light from windows and lamps as area sources with shadows, the sun through the windows, one bounce by virtual
-point lights (Keller 1997), and an even remainder for all later bounces. Colours are linear BGR; illuminance is in lux
+point lights (Keller 1997), and a uniform remainder for all later bounces. Colours are linear BGR; illuminance is in lux
 and luminance in cd/m², per channel, scaled so that white light of 1 lux has 1 in every channel.
 """
 
@@ -105,7 +105,7 @@ def light_scene(scene: Scene, light: Light) -> Lighting:
 
 
 def light_building(building: Building, light: Light) -> Lighting:
-    """Light every room by its own windows and lamps, and one that has none by what its neighbours leave it.
+    """Light every room by its own windows and lamps, and a room without any by the light from its neighbours.
 
     Deterministic. Light that falls through an open door into a room with its own is left out.
     """

@@ -35,7 +35,7 @@ _ROWS_AT_ONCE = 24  # of a rolling shutter, drawn as if read in one moment
 
 @dataclass(frozen=True, eq=False)
 class SimulatedRecording:
-    """What was written, and the truth of it.
+    """What was written, and its ground truth.
 
     Attributes:
         path: the folder.
@@ -90,7 +90,7 @@ def simulate_recording(
         imu_time_offset_s: how much later than the camera's the IMU's clock is.
         readout_s: how long a rolling shutter takes from the first row to the last; the frame's time is that of the
             middle row. Noted in ``camera.json``, as phones do that log it.
-        progress: hears the fraction that is done; may raise to stop.
+        progress: called with the fraction done; may raise to stop.
 
     Raises:
         StorageFull: the video cannot be written.
@@ -211,7 +211,7 @@ def _write_video(
 
 
 def _write_truth(path: Path, times: FloatArray, T_map_camera: FloatArray) -> None:
-    """Table 6 with rholoc's further columns; confidence is 1, and there are no inliers to speak of."""
+    """Table 6 with rholoc's further columns; confidence is 1, and inliers are not counted."""
     with path.open("w", encoding="utf-8") as file:
         file.write(TRUTH_COLUMNS + "\n")
         for number, (time, T) in enumerate(zip(times, T_map_camera, strict=True)):

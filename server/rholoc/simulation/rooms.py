@@ -1,4 +1,4 @@
-"""The rooms to walk through: the test site of the paper's Figure 7, its like from other seeds, and a blank wall."""
+"""Rooms to walk through: the test site of the paper's Figure 7, similar rooms from other seeds, and a blank wall."""
 
 from __future__ import annotations
 
@@ -99,7 +99,7 @@ def make_test_site(seed: int = 0) -> Scene:
 
 
 def make_blank_wall(seed: int = 0) -> Scene:
-    """A room of the test site's size without anything in it to hold on to."""
+    """A room of the test site's size without any features."""
     build = Builder(seed)
     white = textures.plaster((236, 238, 238), strength=0.15)
     sizes = {"x": ROOM_SIZE_M[1:], "y": (ROOM_SIZE_M[0], ROOM_SIZE_M[2]), "z": ROOM_SIZE_M[:2]}

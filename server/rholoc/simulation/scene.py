@@ -20,7 +20,7 @@ FACE_NAMES = ("x+", "y+", "x-", "y-", "z+", "z-")
 
 
 class Source(Enum):
-    """What shines."""
+    """What emits light."""
 
     WINDOW = "window"
     LAMP = "lamp"

@@ -49,7 +49,7 @@ def meter(picture: ByteArray) -> FloatArray:
 
 
 def expose(gains: FloatArray, white_luminance: float) -> Exposure:
-    """The exposure that gives these gains: a longer shutter first, amplification where that does not suffice."""
+    """The exposure that gives these gains: a longer shutter first, then amplification if that is not enough."""
     saturating = white_luminance / float(gains[1])  # cd/m²
     seconds = float(np.clip(_BASE_GAIN_LUMINANCE_S / saturating, _SHORTEST_EXPOSURE_S, LONGEST_EXPOSURE_S))
     return Exposure(seconds, gains, white_luminance)

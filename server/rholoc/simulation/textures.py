@@ -1,4 +1,4 @@
-"""Paint for walls, floors and furniture, all drawn by chance from a seed: no two faces look alike.
+"""Paint for walls, floors and furniture, all drawn at random from a seed: no two faces look alike.
 
 Images are (H, W, 3) BGR bytes, gamma-encoded reflectance; sizes are pixels.
 """
@@ -46,7 +46,7 @@ def shaded(base: tuple[int, int, int], shade: FloatArray) -> ByteArray:
 
 
 def plaster(base: tuple[int, int, int], strength: float = 1.0) -> Texture:
-    """A painted wall: stains too large and grain too fine to hold on to."""
+    """A painted wall: stains too large and grain too fine to give features."""
 
     def paint(rng: Rng, height: int, width: int) -> ByteArray:
         shade = 0.015 * noise(rng, height, width, 300, 300) + 0.008 * noise(rng, height, width, 12, 12)

@@ -1,4 +1,4 @@
-"""Hand-held walks through the test site, smooth enough that accelerations are finite, and what an IMU feels of them."""
+"""Hand-held walks through the test site, smooth enough that accelerations are finite, and what an IMU measures."""
 
 from __future__ import annotations
 
@@ -182,7 +182,7 @@ class Walk(Motion):
 def make_walk(number: int = 1, seconds: float = 30.0, seed: int = 0) -> Walk:
     """The walk ``START``, ``W1``, ``W2``, ``W3``, ``E``, with a pause at each, that takes ``seconds``.
 
-    Walk 1 starts at the map frame's origin. The others go the same way 0.2–0.5 m beside it, at other speeds and
+    Walk 1 starts at the map frame's origin. The others go the same way, 0.2–0.5 m to the side, at other speeds and
     looking elsewhere at other times. A walk takes at least ``SHORTEST_WALK_S``; a shorter recording ends on the way.
     """
     rng = np.random.default_rng([seed, number])

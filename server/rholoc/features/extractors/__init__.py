@@ -17,7 +17,7 @@ class Extractor(Protocol):
 
     @property
     def name(self) -> str:
-        """The name by which users choose it: the module's own."""
+        """The name by which users choose it: that of its module."""
         ...
 
     @property
@@ -37,7 +37,7 @@ class Extractor(Protocol):
 
     @property
     def quick(self) -> Extractor:
-        """One that finds fewer features of the same kind in less time: enough for most frames. Itself where none is."""
+        """An extractor of fewer features of the same kind in less time, enough for most frames; or this one itself."""
         ...
 
     def extract(self, image: ByteArray) -> FeatureSet:

@@ -1,4 +1,4 @@
-"""ORB on chosen channels of an image: what the colour extractors share."""
+"""ORB on chosen channels of an image, which the colour extractors share."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from rholoc.features.feature_set import Channel, FeatureSet, Metric
 from rholoc.geometry import ByteArray
 
 DESCRIPTOR_BYTES = 32
-_PATCH_PX = 31  # what a descriptor is computed from: a smaller image has no feature, and one pixel has OpenCV raise
+_PATCH_PX = 31  # what a descriptor is computed from: a smaller image has no features; OpenCV fails on a single pixel
 _SCALE_STEP = 1.2
 _LEVELS = 8
 _FAST_THRESHOLD = 7  # grey levels; low, so that dim and soft images still give features: the best are kept anyway

@@ -27,13 +27,13 @@ class SiftExtractor:
         name: the name by which users choose it.
         features: the most features of an image.
         contrast_threshold: of the difference of Gaussians; lower finds more in dim and soft pictures.
-        longest_px: images with a longer side are shrunk to it first. SIFT doubles what it is given, so that most of its
+        longest_px: images with a longer side are shrunk to it first. SIFT doubles the image, so that most of its
             time goes into a scale finer than a camera resolves; at half the size it costs a third.
-        quick_px: the same of the quick one; None: there is none.
+        quick_px: the same for its ``quick`` variant, or None if it has none.
         descriptor_bytes: 128 whole ones, 512 √(d / Σd), at most 255; or fewer: their projection on the directions in
-            which descriptors differ most (PCA), rotated so that all bytes carry alike, and shifted by 128. Distances
-            are nearly kept.
-        exact: whether pixels are where they are; else all are a quarter of a pixel off, of the image as it is searched,
+            which descriptors differ most (PCA), rotated so that all bytes carry equal variance, and shifted by 128.
+            Distances are nearly kept.
+        exact: whether pixel positions are exact; otherwise all are a quarter of a pixel off in the searched image,
             to the right and below (OpenCV's default). That cancels between pictures of one size, and only there.
     """
 

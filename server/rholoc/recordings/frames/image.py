@@ -1,4 +1,4 @@
-"""Image files → arrays. What claims more pixels than allowed is refused before memory is taken for it."""
+"""Image files → arrays. Images with more pixels than allowed are refused before memory is allocated for them."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ DEFAULT_MAX_PIXELS = 50_000_000
 IMAGE_START_BYTES = 12
 
 _FORMATS = ("JPEG", "PNG", "WEBP", "BMP", "PPM")
-SENT_FORMATS = ("JPEG", "PNG", "WEBP")  # of which none takes much longer to decode than its pixels take to be written
+SENT_FORMATS = ("JPEG", "PNG", "WEBP")  # whose decoding time is bounded by the number of pixels and scans
 MAX_JPEG_SCANS = 100  # cameras write 1 or 3, progressive encoders 6 to 12; an empty one visits every pixel too
 MAX_SCANNED_IMAGES = 10  # pixels times scans, as a multiple of the pixels allowed
-_SCANS_OF_AN_IMAGE = 4  # that take as long to decode as all else of it
-_PIECES = 256  # that a file is decoded in: as often it is asked whether the image is still wanted
+_SCANS_OF_AN_IMAGE = 4  # this many scans take as long to decode as everything else
+_PIECES = 256  # in which a file is decoded; before each, ``still_wanted`` is called
 _LEAST_PIECE_BYTES, _MOST_PIECE_BYTES = 64, 2**16
 _JPEG_MARKER = re.compile(rb"\xff([^\x00\xff\xd0-\xd7])")  # in coded data: the end of it
 _JPEG_SCAN, _JPEG_END = 0xDA, 0xD9
 _ORIENTATION_TAG = 0x0112  # EXIF
 _TRANSPOSED = range(5, 9)  # the EXIF orientations that swap width and height
-# Ours is the limit that counts. Set once, because the filters are shared by all threads.
+# We have a limit of our own. Set once, because warning filters are shared by all threads.
 warnings.filterwarnings("ignore", category=Image.DecompressionBombWarning)
 
 _DECODING_ERRORS = (OSError, SyntaxError, ValueError, struct.error, EOFError, IndexError, KeyError, TypeError)
@@ -52,12 +52,12 @@ def decode_image(
     Args:
         data: the file.
         max_pixels: the most it may have.
-        formats: those that are decoded, as Pillow calls them.
-        still_wanted: called between pieces of the file; what it raises ends the decoding.
+        formats: those to decode, by Pillow's names.
+        still_wanted: called between pieces of the file; may raise to end the decoding.
 
     Raises:
         InvalidImage: not an image, empty, truncated, or more than ``max_pixels``, or a JPEG file of more than
-            ``MAX_JPEG_SCANS`` scans; all but truncation shows before anything is decoded.
+            ``MAX_JPEG_SCANS`` scans; all but truncation is found before anything is decoded.
     """
     if not data:
         raise InvalidImage("The image is empty: 0 bytes.", "Send a JPEG or PNG file.")
@@ -99,15 +99,15 @@ def image_size(path: Path, max_pixels: int = DEFAULT_MAX_PIXELS) -> tuple[int, i
 
 
 def begins_like_an_image(start: bytes) -> bool:
-    """Whether a file of which this is the start, at least :data:`IMAGE_START_BYTES`, may be JPEG, PNG or WebP."""
+    """Whether a file that starts with these bytes, at least :data:`IMAGE_START_BYTES`, may be JPEG, PNG or WebP."""
     riff = start.startswith(b"RIFF") and start[8:12] == b"WEBP"
     return riff or start.startswith((b"\xff\xd8\xff", b"\x89PNG\r\n\x1a\n"))
 
 
 def visited_pixels(data: bytes) -> int:
-    """About how many pixels the decoder of an image file visits: those of the image, for each four scans of it again.
+    """Roughly how many pixels the decoder of an image file visits: all of the image, once for every four scans.
 
-    Only its header is decoded. 0 for what is not an image, which costs nothing.
+    Only its header is decoded. 0 for a file that is not an image, which costs nothing.
     """
     try:
         with Image.open(io.BytesIO(data), formats=SENT_FORMATS) as image:
@@ -117,7 +117,7 @@ def visited_pixels(data: bytes) -> int:
 
 
 class _Watched(io.BytesIO):
-    """A file in memory that asks before each read whether it is still wanted."""
+    """A file in memory that calls ``still_wanted`` before each read."""
 
     def __init__(self, data: bytes, still_wanted: Callable[[], None]) -> None:
         super().__init__(data)
@@ -131,7 +131,7 @@ class _Watched(io.BytesIO):
 def jpeg_scans(data: bytes) -> int:
     """How many scans a JPEG file has; a progressive decoder visits every pixel in each. 0 for another file.
 
-    Beyond ``MAX_JPEG_SCANS`` none is counted.
+    Counting stops beyond ``MAX_JPEG_SCANS``.
     """
     scans, position = 0, 2
     while data.startswith(b"\xff\xd8") and (found := _JPEG_MARKER.search(data, position)) is not None:
@@ -151,7 +151,7 @@ def _check_scans(data: bytes, image: Image.Image, max_pixels: int) -> None:
 
 @contextmanager
 def _opened(source: Path | io.BytesIO, max_pixels: int, formats: tuple[str, ...] = _FORMATS) -> Iterator[Image.Image]:
-    """The image with its header read; whatever goes wrong inside becomes an InvalidImage."""
+    """The image with its header read; every error inside the block becomes an InvalidImage."""
     hint = "Send a whole JPEG or PNG file."
     try:
         with Image.open(source, formats=formats) as image:

@@ -16,12 +16,12 @@ from rholoc.recordings.frames.image import IMAGE_SUFFIXES, image_size, read_imag
 from rholoc.recordings.frames.video import check_frame_size
 from rholoc.recordings.tables.frames_table import read_frames_csv
 
-DEFAULT_FPS = 30.0  # assumed where neither a table of times nor camera.json says otherwise
+DEFAULT_FPS = 30.0  # assumed if neither a table of times nor camera.json says otherwise
 
 _SUBFOLDERS = (".", "frames", "images")
 _LAST_DIGITS = re.compile(r"(\d+)\D*$")
 _MAX_FRAME_NUMBER = 2**63 - 1
-_MOST_DIGITS = 25  # leading zeros and all; Python refuses to read numbers of thousands
+_MOST_DIGITS = 25  # including leading zeros; Python refuses to parse thousands of digits
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +51,7 @@ class ImageFolderFrames:
 
 
 def find_images(folder: Path) -> tuple[Path, ...]:
-    """The image files of a folder, or of its subfolder ``frames`` or ``images``; nothing where there are none."""
+    """The image files of a folder, or of its subfolder ``frames`` or ``images``; empty if there are none."""
     for subfolder in _SUBFOLDERS:
         paths = _images_in(folder / subfolder)
         if paths:
@@ -105,7 +105,7 @@ def _images_in(folder: Path) -> tuple[Path, ...]:
 
 
 def number_in_name(path: Path) -> int | None:
-    """The last digits of a file's name as a number; None where there are none, or far too many."""
+    """The last digits of a file's name as a number; None if there are none, or far too many."""
     match = _LAST_DIGITS.search(path.stem)
     number = int(match[1]) if match and len(match[1]) <= _MOST_DIGITS else -1
     return number if 0 <= number <= _MAX_FRAME_NUMBER else None

@@ -1,4 +1,4 @@
-"""Frames that are in memory already."""
+"""Frames that are already in memory."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from rholoc.geometry import ByteArray, FloatArray, IntArray
 
 @dataclass(frozen=True, eq=False)
 class MemoryFrames:
-    """Pictures of one size at hand as a :class:`FrameSource`, numbered from 0.
+    """Pictures of one size as a :class:`FrameSource`, numbered from 0.
 
     Attributes:
         pictures: (H, W, 3) BGR or (H, W) grey each.

@@ -1,4 +1,4 @@
-"""Frames of which only the times are there."""
+"""Frames of which only the times are known."""
 
 from __future__ import annotations
 

@@ -20,7 +20,7 @@ VIDEO_SUFFIXES = frozenset({".mp4", ".mov", ".m4v", ".webm", ".mkv", ".avi"})
 MIN_FRAME_SIDE = 16
 MAX_FRAME_PIXELS = 7680 * 4320
 
-# What a broken file makes the decoders say goes to stderr past every handler; our error says it once, in one line.
+# Decoders write their complaints about broken files straight to stderr; our error says it once, in one line.
 os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # AV_LOG_QUIET; read when the first video is opened
 cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
 
@@ -31,7 +31,7 @@ _HINT = "Record again as MP4 (H.264 or HEVC) or WebM, and let the recorder finis
 
 @contextmanager
 def frame_pixels_limited(most: int) -> Iterator[None]:
-    """While it lasts, recordings are refused whose frames have more pixels than ``most``, instead of more than 8K."""
+    """Within the block, recordings whose frames have more than ``most`` pixels are refused, instead of more than 8K."""
     token = _max_frame_pixels.set(most)
     try:
         yield
@@ -43,7 +43,7 @@ def frame_pixels_limited(most: int) -> Iterator[None]:
 class VideoFrames:
     """The frames of a video file, see :class:`rholoc.recordings.FrameSource`; numbers are 0..N-1.
 
-    Frames are as the video is shown: a phone's rotation flag is applied.
+    Frames are as a player shows them: a phone's rotation flag is applied.
     """
 
     path: Path
@@ -56,7 +56,7 @@ class VideoFrames:
         return np.arange(len(self.times))
 
     def images(self, rows: Sequence[int]) -> Iterator[ByteArray]:
-        """The images (H, W, 3) BGR of the rows, which must increase; the file is decoded from its start on.
+        """The images (H, W, 3) BGR of the rows, which must increase; the file is decoded from its start.
 
         Raises:
             InvalidRecording: a frame cannot be decoded.
@@ -75,13 +75,13 @@ class VideoFrames:
 
 
 def read_video(path: Path) -> VideoFrames:
-    """A video file → its frames; times are the container's, to the resolution that it keeps.
+    """A video file → its frames; times are the container's, at its resolution.
 
-    The whole file is decoded once, because neither the number of frames nor the times that containers declare can be
-    relied on. Damage inside a frame that the decoder conceals is not noticed.
+    The whole file is decoded once, because neither the number of frames nor the times that containers declare are
+    reliable. Damage inside a frame that the decoder conceals is not detected.
 
     Raises:
-        InvalidRecording: the file will not open, as a cut-off MP4 does not, has no frames, or times that do not
+        InvalidRecording: the file cannot be opened (such as a truncated MP4), has no frames, or times that do not
             increase.
     """
     times: list[float] = []
@@ -107,7 +107,7 @@ def _retrieved_size(capture: cv2.VideoCapture) -> tuple[int, int] | None:
 
 
 def check_frame_size(name: str, width: int, height: int) -> None:
-    """Refuse frames of a size that no camera's video has, by what a file's header says.
+    """Refuse frames that are too small or too large, by the size in a file's header.
 
     Raises:
         InvalidRecording: a side is shorter than 16 pixels, or there are more pixels than 8K has, or than

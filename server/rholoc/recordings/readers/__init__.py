@@ -1,4 +1,4 @@
-"""One reader per format, chosen by what is in the folder: files, the names in their headers, numbers of columns.
+"""One reader per format, chosen by the folder's content: files, the names in their headers, numbers of columns.
 
 A new format is one new file with ``recognises`` and ``read``, and one line here.
 """
@@ -60,7 +60,7 @@ READERS = tuple(
 
 
 def read_folder(folder: Path) -> Recording:
-    """Read a folder in the format that it is in; rholoc's own where no other is recognised.
+    """Read a folder in the format that is recognised, by default rholoc's own.
 
     ``waypoints.csv`` and ``camera.json`` may be added to any of them.
 
@@ -78,7 +78,7 @@ def read_folder(folder: Path) -> Recording:
 
 
 def _with_additions(recording: Recording, folder: Path) -> Recording:
-    """The recording with the intrinsics, mounting, read-out time and waypoints that its operator put beside it."""
+    """The recording with the intrinsics, mounting, read-out time and waypoints that were added to the folder."""
     description = own.read_description(folder)
     if description.camera is not None and 0 not in recording.frames.size:
         recording = replace(recording, camera=description.camera.fitted(*recording.frames.size))

@@ -4,7 +4,7 @@
 
     frame-000000.color.png    or .jpg
     frame-000000.pose.txt     T_world_camera, 4 × 4, metres; not finite where tracking was lost
-    frame-000000.depth.png    left aside
+    frame-000000.depth.png    ignored
 
 Intrinsics are not in the folder; which way is up is not known.
 """

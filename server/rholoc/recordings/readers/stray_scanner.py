@@ -8,7 +8,7 @@
     imu.csv             timestamp, a_x, a_y, a_z, alpha_x, alpha_y, alpha_z            CoreMotion's axes
 
 Poses are in metres with y up, of a camera with OpenCV's axes. The app's own description has the acceleration in m/s²,
-its code writes it in g with Apple's sign, so unit and sign are measured. Depth is left aside.
+its code writes it in g with Apple's sign, so unit and sign are measured. Depth is ignored.
 """
 
 from __future__ import annotations

@@ -26,7 +26,7 @@ def read_imu_csv(path: Path, includes_gravity: bool = True, R_camera_imu: FloatA
 
 
 def read_imu_rows(path: Path) -> FloatArray:
-    """The rows of Table 3 as they are, (M, 7) in the order of ``IMU_COLUMNS``; times in any order.
+    """The unprocessed rows of Table 3, (M, 7) in the order of ``IMU_COLUMNS``; times in any order.
 
     Raises:
         InvalidRecording: a column is missing, there are no rows, or a value is not finite.

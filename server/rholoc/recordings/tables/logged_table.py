@@ -1,4 +1,4 @@
-"""Tables as recorder apps write them: with a header or none, comments, units in the names, commas or blanks."""
+"""Tables as recorder apps write them: with or without a header, comments, units in the names, commas or spaces."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ class LoggedTable:
 
     Attributes:
         path: its file.
-        header: the columns' names, lower case, without units; empty where there is none.
-        lines: one a row, all of as many fields.
+        header: the columns' names, lower case, without units; empty if there is none.
+        lines: one per row, all with the same number of fields.
         columns: how many.
-        blanks: whether blanks separate them, not commas.
+        blanks: whether spaces separate them, not commas.
         first_line: the number of the first row's line.
     """
 
@@ -55,7 +55,7 @@ class LoggedTable:
         return self.numbered(*self._places(names))
 
     def numbered(self, *columns: int) -> FloatArray:
-        """The columns by their places, (N, len(columns)), for tables whose format has no header.
+        """The columns by their indices, (N, len(columns)), for tables whose format has no header.
 
         Raises:
             InvalidRecording: there are fewer columns, or a value is not a finite number.
@@ -130,7 +130,7 @@ def has_columns(path: Path, names: Sequence[str]) -> bool:
 
 
 def is_bare_table(path: Path, columns: int) -> bool:
-    """Whether a file is a table of numbers with so many columns, judged by its first line that begins with one."""
+    """Whether a file is a table of numbers with this many columns, judged by its first line that begins with one."""
     first = next((line for line in _head(path) if _begins_with_number(line)), None)
     return first is not None and len(_fields(first, "," not in first)) == columns
 
@@ -158,7 +158,7 @@ def _fields(line: str, blanks: bool) -> list[str]:
         return line.split()
     try:
         return [field.strip() for field in next(csv.reader([line]))]
-    except csv.Error:  # a field of more than 131072 characters: it will not be a number either way
+    except csv.Error:  # a field of more than 131072 characters, which is not a number anyway
         return line.split(",")
 
 

@@ -15,7 +15,7 @@ from rholoc.recordings.tables.csv_table import read_text
 
 _COLUMNS_HINT = "Each row is: frame or time, tx ty tz in metres, qx qy qz qw (T_map_camera)."
 _NORM_TOLERANCE = 1e-2
-_FARTHEST = 1e8  # of a place, in any unit; georeferenced metres stay below
+_FARTHEST = 1e8  # the largest coordinate, in any unit; georeferenced metres stay below
 _LONE_FRAME_TOLERANCE_S = 0.02
 
 
@@ -32,14 +32,14 @@ class PoseTable:
     T_map_camera: FloatArray
 
     def keys_are_frames(self, numbers: IntArray) -> bool:
-        """Whether the keys are frame numbers: whole numbers that all are among ``numbers``, or hold all of them."""
+        """Whether the keys are frame numbers: whole numbers that are all among ``numbers``, or include all of them."""
         if np.any(self.keys != np.floor(self.keys)):
             return False
         return bool(np.isin(self.keys, numbers).all() or np.isin(numbers, self.keys).all())
 
 
 def read_pose_table(path: Path) -> PoseTable:
-    """Read rows of ``frame-or-time tx ty tz qx qy qz qw``, separated by blanks or commas.
+    """Read rows of ``frame-or-time tx ty tz qx qy qz qw``, separated by spaces or commas.
 
     ``#`` begins a comment; one header row is allowed. Quaternions are normalised.
 
@@ -68,7 +68,7 @@ def poses_from_rows(rows: FloatArray, source: str) -> FloatArray:
     """Rows (N, 7) of tx ty tz qx qy qz qw → poses (N, 4, 4); ``source`` is the table's name.
 
     Raises:
-        InvalidTrajectory: a quaternion is not of unit length, or a place beyond all bounds.
+        InvalidTrajectory: a quaternion is not of unit length, or a position is implausibly far away.
     """
     q = rows[:, 3:].clip(-2, 2)  # squares of more may overflow, and are not of unit length either
     wrong = np.flatnonzero(np.abs(np.linalg.norm(q, axis=1) - 1) > _NORM_TOLERANCE)
@@ -83,10 +83,10 @@ def poses_from_rows(rows: FloatArray, source: str) -> FloatArray:
 
 
 def match_poses(table: PoseTable, frames: FrameSource) -> GivenPoses:
-    """Give each frame the pose of its number, or the one nearest in time within half a frame interval.
+    """Give each frame the pose with its number, or the one nearest in time within half a frame interval.
 
     Raises:
-        InvalidTrajectory: not one pose belongs to a frame.
+        InvalidTrajectory: no pose belongs to a frame.
     """
     order = np.argsort(table.keys)
     keys = table.keys[order]

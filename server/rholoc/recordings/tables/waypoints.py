@@ -20,7 +20,7 @@ MAX_WAYPOINTS = 1000
 MAX_NAME_LENGTH = 100
 DEFAULT_SIGMA_M = 0.02
 MIN_SIGMA_M, MAX_SIGMA_M = 0.001, 1.0
-MIN_SPREAD_RATIO = 0.02  # of their extent across the line that fits them best to that along it
+MIN_SPREAD_RATIO = 0.02  # of their spread across the best-fitting line to that along it
 
 _NAMES_SHOWN = 5
 _COLUMNS_HINT = (
@@ -30,7 +30,7 @@ _COLUMNS_HINT = (
 
 
 class FrameTimes(Protocol):
-    """As much of a recording's frames as its waypoints are checked against."""
+    """The part of a recording's frames that its waypoints are checked against."""
 
     @property
     def times(self) -> FloatArray:
@@ -46,7 +46,7 @@ class FrameTimes(Protocol):
 def read_waypoints_csv(path: Path, frames: FrameTimes) -> tuple[Waypoint, ...]:
     """Read waypoints under the header ``name,time,x,y,z`` or ``name,frame,x,y,z``, or ``name,x,y,z`` in their order.
 
-    A further column ``sigma`` says how well each was measured, in metres; 0.02 where it is absent or empty.
+    A further column ``sigma`` is the standard deviation of each in metres; 0.02 if it is absent or empty.
 
     They may be collinear; :func:`check_waypoints_fix_frame` checks whether they fix a frame.
 
@@ -71,7 +71,7 @@ def read_waypoints_csv(path: Path, frames: FrameTimes) -> tuple[Waypoint, ...]:
 def write_waypoints_csv(path: Path, waypoints: Sequence[Waypoint]) -> None:
     """Write waypoints under the header ``name,time,x,y,z``: microseconds, tenths of a millimetre.
 
-    Without times where those are unknown; with ``sigma`` where one was not measured as well as is usual.
+    Without times if they are unknown; with ``sigma`` if any differs from the default.
     """
     ordered = any(np.isnan(waypoint.time) for waypoint in waypoints)
     usual = all(waypoint.sigma_m == DEFAULT_SIGMA_M for waypoint in waypoints)
@@ -87,7 +87,7 @@ def write_waypoints_csv(path: Path, waypoints: Sequence[Waypoint]) -> None:
 def check_waypoints_fix_frame(waypoints: Sequence[Waypoint]) -> None:
     """Check that the waypoints fix position, rotation and scale of a frame: three or more, not on one line.
 
-    They count as on one line where the second singular value of their centred positions is below 2 % of the largest.
+    They count as collinear if the second singular value of their centred positions is below 2 % of the largest.
 
     Raises:
         InvalidWaypoints: fewer than three, all in one place, or collinear.

@@ -1,4 +1,4 @@
-"""What to do better next time, each advice from one measured figure."""
+"""Advice for the next walk, each piece from one measured figure."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ MAX_RETURN = 0.15
 
 
 def advise(figures: WalkFigures) -> tuple[Advice, ...]:
-    """The advices that the figures give cause for; none for a good walk."""
+    """The advice that the figures call for; none for a good walk."""
     return tuple(_advices(figures))
 
 

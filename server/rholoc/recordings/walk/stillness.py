@@ -1,4 +1,4 @@
-"""Pauses of a walk, as the IMU feels them."""
+"""Pauses of a walk, from the IMU."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _FORCE = 0.25  # m/s², standard deviation; a step feels like 1 and more
 
 
 def is_still(imu: Imu) -> BoolArray:
-    """Whether each of the IMU's times, (M,), lies in a window of 0.8 s without thrust or turn, but for tremor."""
+    """Whether each of the IMU's times, (M,), lies in a window of 0.8 s without motion, except tremor."""
     if len(imu.times) < 2:
         return np.zeros(len(imu.times), dtype=np.bool_)
     size = max(1, round(_WINDOW_S / float(np.median(np.diff(imu.times)))))

@@ -1,4 +1,4 @@
-"""What a recording shows of how it was walked, measured for :mod:`rholoc.recordings.walk.coaching`."""
+"""Figures of how a recording was walked, for :mod:`rholoc.recordings.walk.coaching`."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _PAUSE_TOLERANCE_S = 0.5
 
 @dataclass(frozen=True)
 class Look:
-    """What one frame shows: its mean grey level, 0 to 255, and how many corners of a fixed contrast."""
+    """Figures of one frame: its mean grey level, 0 to 255, and its number of corners of a fixed contrast."""
 
     brightness: float
     corners: int
@@ -70,10 +70,10 @@ def measure_walk(
 
 
 def nearest_return(T_map_camera: FloatArray) -> float | None:
-    """How near a walk's second half comes to its first, as a share of the way between the two places.
+    """How near a walk's second half comes to its first, as a share of the distance walked between the two places.
 
-    Pairs of poses count that have half of the whole way between them and look the same way within 60°; without one, 1.
-    None for fewer than three poses, or where the camera does not move. Free of the unit of length.
+    Only pairs of poses count that are at least half of the walk apart and look the same way within 60°; 1 if there are
+    none. None for fewer than three poses, or if the camera does not move. Independent of the unit of length.
     """
     T = T_map_camera[:: max(1, len(T_map_camera) // _MOST_POSES)]
     if len(T) < 3:
@@ -112,7 +112,7 @@ def _turn_of_poses(times: FloatArray, T_map_camera: FloatArray) -> float | None:
 
 
 def _rested_at(waypoints: Sequence[Waypoint], imu: Imu) -> int:
-    """How many of the waypoints lie in a pause, or can, where their times are unknown."""
+    """How many of the waypoints lie in a pause, or can, if their times are unknown."""
     begin, end = pauses(imu).T
     if any(np.isnan(waypoint.time) for waypoint in waypoints):
         return min(len(begin), len(waypoints))
