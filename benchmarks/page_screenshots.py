@@ -22,6 +22,7 @@ from pathlib import Path
 
 import cv2
 import httpx
+import numpy as np
 import uvicorn
 from fastapi import FastAPI
 from playwright.sync_api import Browser, Page, sync_playwright
@@ -44,10 +45,14 @@ PAGES = {
     "maps": "#/maps",
     "map": "#/maps/testsite",
     "map-in-doubt": "#/maps/hall",
+    "room": "#/maps/testsite",
     "map-made-right": "#/maps/testsite/correct",
     "live": "#/maps/testsite",
     "try": "#/try/testsite",
+    "landscape": "#/try/testsite",
+    "track": "#/try/testsite",
     "jobs": "#/jobs",
+    "job": "#/jobs/JOB",
     "recordings": "#/recordings",
     "recording": "#/recordings/RECORDING",
     "cameras": "#/cameras",
@@ -58,6 +63,10 @@ NAMES = MapNames(
     areas=(NamedArea("lounge", ((-1.0, -1.0), (2.0, -1.0), (2.0, 1.5), (-1.0, 1.5))),),
 )
 TRIED_FRAME = 300
+TRACKED_FRAMES = range(240, 420, 3)
+TRACKED_HZ = 10
+PLAN_M_PER_PX = 0.02
+MOST_TURNS = 30
 FAILING = 0.05  # of a robot's requests
 QUALITY = 70  # of the JPEG files
 TALLEST_PX = 1800
@@ -74,11 +83,16 @@ def main() -> None:
     folder = Path(tempfile.mkdtemp())
     simulate_recording(folder / "walk")
     walk = read_recording(folder / "walk")
-    url, server = start(folder, build_map([walk], BuildOptions(pictures=True)))
-    recording = fill(url, folder, walk)
-    pages = {name: f"{url}/{where.replace('RECORDING', recording)}" for name, where in PAGES.items()}
+    map_ = build_map([walk], BuildOptions(pictures=True))
+    url, server = start(folder, map_)
+    recording, job = fill(url, folder, walk)
+    lay_plan(url, map_)
+    pages = {
+        name: f"{url}/{where.replace('RECORDING', recording).replace('JOB', job)}" for name, where in PAGES.items()
+    }
     tried = folder / "tried.jpg"
     cv2.imwrite(str(tried), next(iter(walk.frames.images([TRIED_FRAME]))))
+    write_film(folder / "tracked.webm", walk)
     try:
         with sync_playwright() as playwright:
             arguments = ["--no-sandbox", "--enable-unsafe-swiftshader"]
@@ -137,16 +151,37 @@ def ask(app: FastAPI, server: uvicorn.Server) -> None:
         time.sleep(0.2)
 
 
-def fill(url: str, folder: Path, walk: Recording) -> str:
-    """A camera, and a recording with its job; returns the recording's id."""
+def fill(url: str, folder: Path, walk: Recording) -> tuple[str, str]:
+    """A camera, and a recording with its job; their ids."""
     camera = json.loads((ROOT / "maps" / "queries" / "camera.json").read_text())
     known = {name: camera[name] for name in ("width", "height", "fx", "fy", "cx", "cy")}
     httpx.put(f"{url}/v1/cameras/phone", json=known).raise_for_status()
     video = {"file": ("walk.mp4", (folder / "walk" / "video.mp4").read_bytes())}
     answer = httpx.post(f"{url}/v1/recordings", files=video, data={"map": "stairs"}, timeout=60)
-    recording: str = answer.raise_for_status().json()["recording"]
-    note_recording(RecordingStore(folder / "data").folder(recording), walk)
-    return recording
+    given = answer.raise_for_status().json()
+    note_recording(RecordingStore(folder / "data").folder(given["recording"]), walk)
+    return given["recording"], given["job"]["id"]
+
+
+def lay_plan(url: str, map_: Map) -> None:
+    """Keep a floor plan with the map: the walls of a room around its landmarks, and a door."""
+    low, high = np.quantile(map_.landmarks[:, :2], [0.02, 0.98], axis=0)
+    width, height = np.ceil((high - low) / PLAN_M_PER_PX).astype(int).tolist()
+    plan = np.full((height, width, 3), 255, np.uint8)
+    cv2.rectangle(plan, (4, 4), (width - 5, height - 5), (40, 40, 40), 8)
+    cv2.line(plan, (width // 2, height - 5), (width // 2 + 45, height - 5), (255, 255, 255), 10)
+    where = {"x": float(low[0]), "y": float(low[1]), "m_per_unit": PLAN_M_PER_PX}
+    picture = cv2.imencode(".png", plan)[1].tobytes()
+    kind = {"Content-Type": "image/png"}
+    httpx.put(f"{url}/v1/maps/testsite/plan", params=where, content=picture, headers=kind).raise_for_status()
+
+
+def write_film(path: Path, walk: Recording) -> None:
+    """A piece of the walk as a video that the page can play."""
+    film = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"VP80"), TRACKED_HZ, walk.frames.size)
+    for image in walk.frames.images(list(TRACKED_FRAMES)):
+        film.write(image)
+    film.release()
 
 
 def take_all(browser: Browser, pages: dict[str, str], tried: Path, device: str, scheme: str, out: Path) -> None:
@@ -161,6 +196,17 @@ def take_all(browser: Browser, pages: dict[str, str], tried: Path, device: str, 
         if name == "map":
             page.get_by_role("button", name="more points").click()
             page.get_by_role("button", name="Landmarks only").wait_for()
+        if name == "room":
+            room = page.locator("canvas.scene-canvas")
+            landmark = page.get_by_text("it is looked for within the cone")
+            for _ in range(MOST_TURNS):  # until a landmark is in the middle, not a view
+                room.press("ArrowLeft")
+                room.press("Enter")
+                page.wait_for_timeout(500)
+                if landmark.is_visible():
+                    break
+            page.locator(".scene").screenshot(path=out / f"{name}-{device}-{scheme}.jpg", type="jpeg", quality=QUALITY)
+            continue
         if name == "live":
             page.get_by_role("button", name="Live").click()
             page.locator("section tbody tr").nth(2).wait_for()
@@ -171,9 +217,16 @@ def take_all(browser: Browser, pages: dict[str, str], tried: Path, device: str, 
             page.mouse.down()
             page.mouse.move(box["x"] + 0.22 * box["width"], box["y"] + 0.25 * box["height"])
             page.mouse.up()
-        if name == "try":
-            page.get_by_label("Picture or trajectory").set_input_files(tried)
+        if name in ("try", "landscape"):
+            page.get_by_label("Picture, video or trajectory").set_input_files(tried)
             page.locator(".answer .badge").wait_for()
+        if name == "landscape":
+            page.get_by_role("button", name="Show the landscape").click()
+            page.locator("canvas.landscape").wait_for()
+        if name == "track":
+            page.get_by_label("Picture, video or trajectory").set_input_files(tried.with_name("tracked.webm"))
+            page.get_by_role("button", name="Stop the video").wait_for()
+            page.get_by_role("button", name="Use the camera").wait_for()
         page.wait_for_timeout(1500)
         save(page, out / f"{name}-{device}-{scheme}.jpg")
     context.close()

@@ -5,9 +5,11 @@ from __future__ import annotations
 import os
 import shutil
 import socket
+import sys
 import threading
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager, closing, contextmanager, suppress
+from pathlib import Path
 from typing import Any
 
 import cv2
@@ -16,6 +18,8 @@ import pytest
 from playwright.sync_api import Browser, Page, Playwright, expect, sync_playwright
 
 from rholoc.geometry import ByteArray
+
+sys.path.insert(0, str(Path(__file__).parent))  # for walking_phone
 
 
 @pytest.fixture(scope="module")

@@ -104,7 +104,7 @@ def test_a_region_a_piece_of_the_walk_and_names(desk_browser, service, hall, ope
 def test_a_map_is_laid_over_a_floor_plan(kind, desk_browser, service, hall, opened, settled, tmp_path):
     if kind == "picture":
         path = tmp_path / "plan.png"
-        cv2.imwrite(str(path), np.full((300, 400, 3), 200, np.uint8))
+        cv2.imwrite(str(path), cv2.rectangle(np.full((300, 400, 3), 200, np.uint8), (20, 20), (380, 280), 0, 4))
     else:
         path = tmp_path / "plan.geojson"
         ring = [[8.0, 50.0], [8.0001, 50.0], [8.0001, 50.0001], [8.0, 50.0001], [8.0, 50.0]]
@@ -132,14 +132,23 @@ def test_a_map_is_laid_over_a_floor_plan(kind, desk_browser, service, hall, open
         kept = hall()["plan"]
         assert kept["media_type"] == ("image/png" if kind == "picture" else "application/geo+json")
         assert kept["m_per_unit"] == pytest.approx(20 / 400 if kind == "picture" else 1)
-        # at the next visit it is there, under the map
-        page.reload()
+        # it lies on the floor of the room, and at the next visit under the map
+        page.goto(f"{service.url}/#/maps/hall")
+        room = settled(page).locator("canvas.scene-canvas")
+        toggle = page.get_by_role("button", name="Floor plan")
+        expect(toggle).to_have_attribute("aria-pressed", "true")
+        page.wait_for_timeout(300)
+        on_floor = room.screenshot()
+        toggle.click()
+        page.wait_for_timeout(300)
+        assert room.screenshot() != on_floor
+        page.goto(f"{service.url}/#/maps/hall/correct")
         settled(page)
         drawn = page.locator(".plan-view")
         page.wait_for_timeout(300)
         with_plan = drawn.screenshot()
-        page.get_by_role("button", name="Take the plan away").click()
-        expect(page.get_by_role("button", name="Take the plan away")).to_have_count(0)
+        page.get_by_role("button", name="Remove the plan").click()
+        expect(page.get_by_role("button", name="Remove the plan")).to_have_count(0)
         page.wait_for_timeout(300)
         assert hall()["plan"] is None
         assert drawn.screenshot() != with_plan

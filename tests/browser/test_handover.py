@@ -32,7 +32,7 @@ def test_a_shared_link_shows_the_map_without_another_key(desk_browser, locked, s
     with opened(desk_browser, locked.url, f"key/{mine}/maps/room") as page:
         assert page.evaluate("location.hash") == "#/maps/room"  # the key does not stay in the address
         settled(page).get_by_role("button", name="Share").click()
-        page.get_by_label("It is good for").select_option(label="7 days")
+        page.get_by_label("Valid for").select_option(label="7 days")
         page.get_by_role("button", name="Make the link").click()
         expect(page.get_by_role("img", name="QR code of the link")).to_be_visible()
         link = page.get_by_label("Link", exact=True).input_value()

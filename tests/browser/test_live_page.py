@@ -39,7 +39,7 @@ def test_those_who_ask_are_in_the_room_and_in_the_table(desk_browser, shown, pic
         expect(live).to_be_hidden()
         expect(page.locator(".scene-robot")).to_have_count(0)
         page.reload()
-        expect(settled(page).locator("main")).to_contain_text("1 requests found no pose")
+        expect(settled(page).locator("main")).to_contain_text("without a pose: 1")
 
 
 def test_nothing_of_it_is_there_unless_switched_on(desk_browser, service, picture_world, opened, settled):

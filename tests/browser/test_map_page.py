@@ -175,7 +175,7 @@ def test_maps_are_searched_and_sorted(desk_browser, running, opened, settled):
         settled(page).get_by_label("Search").fill("OUBT")
         expect(page.locator("li.map-card h2")).to_have_text(["doubtful"])
         page.get_by_label("Search").fill("no such map")
-        expect(page.get_by_text("No map has such a name.")).to_be_visible()
+        expect(page.get_by_text("No map matches.")).to_be_visible()
         page.get_by_label("Search").fill("")
         page.get_by_label("Order").select_option("those in doubt first")
         expect(page.locator("li.map-card .badge").first).to_have_text("not trusted")

@@ -478,6 +478,17 @@ def test_a_map_that_is_not_trusted_is_not_said_to_be_ready(running, phone):
     expect(page.get_by_text("Record the walk again")).to_be_visible()
     expect(page.get_by_role("link", name="Walk again")).to_be_visible()
 
+    # a map may be good without a point that was left out: then that is said
+    mistake = "W2: its x looks wrong by 1.00 m; it was left out."
+    report = {"report": {"trajectories": [{"waypoint_mistake": mistake}]}}
+    page.route("**/v1/maps/hall/report", lambda route: route.fulfill(json=report))
+    job["warnings"] = []
+    page.reload()
+    expect(page.get_by_role("heading", name="The map is ready")).to_be_visible()
+    expect(page.get_by_role("alert")).to_contain_text(mistake)
+    expect(page.get_by_text("Measure that point again")).to_be_visible()
+    expect(page.get_by_role("link", name="Correct the points")).to_have_attribute("href", f"./#/recordings/{'1' * 32}")
+
 
 def test_a_key_that_allows_too_little_is_asked_for_again(serve, phone):
     running = serve(keys=KeyPolicy.ALWAYS)
@@ -514,7 +525,9 @@ def test_a_walk_that_comes_back_is_told_to_hold_on(running, phone):
     open_camera(page)
     page.get_by_role("button", name="Record", exact=True).click()
     expect(page.locator(".ring")).to_be_visible()
-    expect(page.locator(".advice")).to_have_text("You have been here: hold on for two seconds.", timeout=LONG_MS)
+    expect(page.locator(".advice")).to_have_text(
+        "You have been here before: hold still for two seconds.", timeout=LONG_MS
+    )
     expect(page.locator(".ring text")).to_have_text("✓")
     page.get_by_role("button", name="Stop").click()
     expect(page.get_by_role("heading", name="Your recording")).to_be_visible(timeout=LONG_MS)

@@ -6,14 +6,12 @@ import cv2
 import httpx
 import numpy as np
 import pytest
-from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import expect
 
 from rholoc.jobs import RecordingStore
 from rholoc.jobs.recording_notes import note_recording
 from rholoc.recordings import MemoryFrames, Recording, Waypoint
 
-PHONE = {"width": 390, "height": 844}
 PLACES = [(0.0, 0.0, 1.5), (2.0, 0.0, 1.5), (2.0, 3.5, 1.5)]
 
 
@@ -81,15 +79,6 @@ def test_waypoints_that_cannot_be_are_refused_with_the_reason(desk_browser, stor
         card.get_by_role("button", name="Save waypoints").click()
         expect(page.get_by_text("outside the recording's 0.000 to 74.000 s")).to_be_visible()
         assert httpx.get(f"{running.url}/v1/recordings/{recording}").json()["corrected"] is False
-
-
-def test_a_recording_s_page_is_accessible_and_fits_a_phone(desk_browser, stored, opened, settled):
-    running, recording = stored
-    with opened(desk_browser, running.url, f"recordings/{recording}", viewport=PHONE, color_scheme="dark") as page:
-        settled(page)
-        found = Axe().run(page).response["violations"]
-        assert [(one["id"], one["nodes"][0]["html"]) for one in found if one["impact"] in ("serious", "critical")] == []
-        assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
 
 
 def test_maps_are_labelled_searched_and_grouped(desk_browser, stored, opened, settled):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import shutil
 import subprocess
@@ -42,7 +43,7 @@ def running(service, picture_world):
 
 def take(page: Page, *files: object) -> None:
     for file in files:
-        page.get_by_label("Picture or trajectory").set_input_files(file)
+        page.get_by_label("Picture, video or trajectory").set_input_files(file)
 
 
 @pytest.fixture(scope="module")
@@ -281,3 +282,79 @@ def test_an_answer_is_copied_as_a_program_that_gets_it_again(
         ran = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=120, check=False)
         assert ran.returncode == 0, ran.stderr
         assert "position" in ran.stdout
+
+
+def test_the_camera_is_tracked_and_the_track_says_when_it_is_lost_and_when_it_jumps(
+    fake_camera, running, picture_world, opened, settled
+):
+    browser = fake_camera([picture_world.image] * 10)
+    changes: dict[str, object] = {}
+
+    def meddle(socket):
+        server = socket.connect_to_server()
+
+        def hear(text):
+            message = json.loads(text)
+            if message["type"] == "tracked":
+                message |= {name: value for name, value in changes.items() if name != "aside"}
+                if message["pose"] is not None and "aside" in changes:
+                    message["pose"]["position"][0] += changes["aside"]
+            socket.send(json.dumps(message))
+
+        server.on_message(hear)
+
+    with opened(browser, running.url, "try/room", permissions=["camera"]) as page:
+        page.route_web_socket("**/track", meddle)
+        settled(page).get_by_role("button", name="Use the camera").click()
+        answer = page.locator(".answer")
+        expect(answer.locator(".badge")).to_have_text("tracking")
+        shown = re.search(r"Position(-?[\d.]+), (-?[\d.]+), (-?[\d.]+) m", answer.text_content() or "")
+        assert shown is not None
+        np.testing.assert_allclose([float(one) for one in shown.groups()], picture_world.pose.position, atol=0.05)
+        expect(answer).to_contain_text(re.compile(r"Off by about[\d.]+ cm"))
+        expect(answer).to_contain_text("Jumps0")
+        changes |= {"reset_counter": 1, "aside": 0.42}
+        expect(answer).to_contain_text("The pose jumped by 42 cm")
+        expect(answer).to_contain_text("Jumps1")
+        changes |= {"status": "lost"}
+        expect(answer.locator(".badge")).to_have_text("lost")
+        expect(answer).to_contain_text("the pose is a guess")
+        page.get_by_role("button", name="Stop the camera").click()
+        expect(page.get_by_role("button", name="Use the camera")).to_be_visible()
+        expect(page.get_by_role("alert")).to_have_count(0)
+    browser.close()
+
+
+def test_a_video_is_tracked_to_its_end(desk_browser, running, picture_world, opened, settled, tmp_path):
+    height, width = picture_world.image.shape[:2]
+    film = cv2.VideoWriter(str(tmp_path / "film.webm"), cv2.VideoWriter_fourcc(*"VP80"), 10, (width, height))
+    for _ in range(30):
+        film.write(picture_world.image)
+    film.release()
+    with opened(desk_browser, running.url, "try/room") as page:
+        take(settled(page), tmp_path / "film.webm")
+        expect(page.get_by_role("button", name="Stop the video")).to_be_visible()
+        expect(page.locator(".answer .badge")).to_have_text("tracking")
+        expect(page.get_by_role("button", name="Use the camera")).to_be_visible()  # it has come to its end
+        expect(page.locator(".answer .badge")).to_have_text("tracking")
+        (tmp_path / "broken.webm").write_bytes(b"\x1a\x45\xdf\xa3 no video")
+        take(page, tmp_path / "broken.webm")
+        expect(page.get_by_role("alert")).to_contain_text("not a video that the browser can play")
+
+
+def test_a_track_whose_connection_breaks_off_says_so(fake_camera, running, picture_world, opened, settled):
+    browser = fake_camera([picture_world.image] * 10)
+    with opened(browser, running.url, "try/room", permissions=["camera"]) as page:
+        sockets = []
+
+        def keep(socket):
+            socket.connect_to_server()
+            sockets.append(socket)
+
+        page.route_web_socket("**/track", keep)
+        settled(page).get_by_role("button", name="Use the camera").click()
+        expect(page.locator(".answer .badge")).to_have_text("tracking")
+        sockets[0].close(code=1011)
+        expect(page.get_by_role("alert")).to_contain_text("The connection broke off.")
+        expect(page.get_by_role("button", name="Use the camera")).to_be_visible()
+    browser.close()

@@ -7,10 +7,13 @@ import { summary as landscapeInWords, heights } from "../../client/page/console/
 import { grouped, matches } from "../../client/page/console/list_tools.js";
 import { Motions } from "../../client/page/console/motions.js";
 import { clipped } from "../../client/page/console/plain_painter.js";
+import { strokes } from "../../client/page/console/plan_lines.js";
 import { sayPicked } from "../../client/page/console/scene.js";
+import { ellipsoid } from "../../client/page/console/scene_lines.js";
 import { readScene } from "../../client/page/console/scene_data.js";
 import { snippet } from "../../client/page/console/snippets.js";
 import { bounds, placement } from "../../client/page/console/thumbnail.js";
+import { Track } from "../../client/page/console/track.js";
 
 const CAMERA = { width: 1280, height: 720, fx: 1040, fy: 1030, cx: 645, cy: 350, distortion: [0.1, -0.02, 0.001, 0.002] };
 const near = (a, b, within = 1e-9) => assert.ok(Math.abs(a - b) <= within, `${a} is not ${b}`);
@@ -172,7 +175,7 @@ test("on the way a turned camera stays a camera", () => {
 });
 
 test("failures are counted in a sentence", () => {
-  assert.match(sayFailures([{ reason: null }, { reason: "deadline" }]), /1 requests found no pose and 1 an unsure/);
+  assert.match(sayFailures([{ reason: null }, { reason: "deadline" }]), /without a pose: 1, with an unsure one: 1/);
   assert.match(sayFailures([]), /No request failed/);
 });
 
@@ -220,4 +223,35 @@ test("a list is grouped by name, what is in no group last, and what is in severa
     ],
   );
   assert.deepEqual(grouped([], () => ["a"]), []);
+});
+
+test("what stands out of a plan becomes strokes, row by row", () => {
+  const grey = [255, 0, 0, 255, 255, 255, 255, 20];
+  assert.deepEqual(strokes(Uint8Array.from(grey), 4, 2), [[1, 3, 0], [3, 4, 1]]);
+});
+
+test("an ellipsoid reaches two standard deviations along its axes", () => {
+  const covariance = [[0.04, 0, 0], [0, 0.01, 0], [0, 0, 0.0025]];
+  const lines = ellipsoid({ position: [1, 2, 3], covariance });
+  const along = (axis) => lines.filter((_, i) => i % 3 === axis);
+  const close = (a, b) => assert.ok(Math.abs(a - b) < 1e-9, `${a} ${b}`);
+  [[0, 1, 0.4], [1, 2, 0.2], [2, 3, 0.1]].forEach(([axis, middle, reach]) => {
+    close(Math.max(...along(axis)), middle + reach);
+    close(Math.min(...along(axis)), middle - reach);
+  });
+});
+
+test("a track is in pieces where it is lost and where it jumps", () => {
+  const track = new Track();
+  const says = (x, status = "tracking", reset_counter = 0) =>
+    track.take({ status, reset_counter, answer: null, covariance: null, pose: { position: [x, 0, 0] } });
+  track.take({ status: "searching", reset_counter: 0, answer: { localized: false }, pose: null });
+  assert.equal(track.refused.localized, false);
+  [0, 0.1].forEach((x) => says(x));
+  [0.2, 0.3].forEach((x) => says(x, "lost"));
+  says(1.3, "tracking", 1);
+  says(1.4, "tracking", 1);
+  assert.deepEqual(track.pieces.map(({ status }) => status), ["tracking", "lost", "tracking"]);
+  assert.deepEqual(track.pieces.map(({ positions }) => positions.map(([x]) => x)), [[0, 0.1], [0.1, 0.2, 0.3], [1.3, 1.4]]);
+  assert.deepEqual(track.jumps, [1]);
 });

@@ -207,6 +207,15 @@ def write_spectacular(folder: Path) -> None:
 R_MAP_ARKIT = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])  # ARKit's y is up
 
 
+def write_depth(folder: Path, names: list[str], unit_m: float = 1e-3, unknown: int = 0) -> None:
+    """Depth images of a wall a metre away, and a centimetre more with each frame; of the first pixel it is unknown."""
+    for i, name in enumerate(names):
+        depth = np.full((SIZE[1], SIZE[0]), round((1 + i / 100) / unit_m), np.uint16)
+        depth[0, 0] = unknown
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        assert cv2.imwrite(str(folder / name), depth)
+
+
 def write_stray(folder: Path) -> None:
     T = camera_poses(R_LANDSCAPE_CAMERA_IMU)
     _, _, rate, felt = truth(imu_times)
@@ -218,6 +227,7 @@ def write_stray(folder: Path) -> None:
     write_rows(folder / "odometry.csv", header, rows, ", ")
     fx, fy, cx, cy = INTRINSICS
     write_rows(folder / "camera_matrix.csv", "", [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], ", ")
+    write_depth(folder, [f"depth/{i:06d}.png" for i in range(FRAMES)])
     header = "timestamp, a_x, a_y, a_z, alpha_x, alpha_y, alpha_z"
     write_rows(folder / "imu.csv", header, np.column_stack([imu_times, -felt / GRAVITY, rate]).tolist(), ", ")
 
@@ -285,6 +295,10 @@ def write_tum(folder: Path) -> None:
     write_images(folder, names)
     comment = "# color images\n# file: 'walk.bag'\n# timestamp filename"
     write_rows(folder / "rgb.txt", comment, [[f"{t:.6f}", n] for t, n in zip(frame_times, names, strict=True)], " ")
+    depths = [f"depth/{time:.6f}.png" for time in frame_times + 0.01]
+    write_depth(folder, depths, unit_m=1 / 5000)
+    listed = [[f"{t + 0.01:.6f}", n] for t, n in zip(frame_times, depths, strict=True)]
+    write_rows(folder / "depth.txt", "# timestamp filename", listed[:-1], " ")
     rows = np.column_stack([frame_times, T[:, :3, 3], quaternions(T[:, :3, :3])])
     write_rows(folder / "groundtruth.txt", "# timestamp tx ty tz qx qy qz qw", rows.tolist(), " ")
     write_rows(folder / "accelerometer.txt", "# timestamp ax ay az", [[START_S, 0, 9.8, 0]], " ")
@@ -295,7 +309,7 @@ def write_seven_scenes(folder: Path) -> None:
     write_images(folder, [f"frame-{i:06d}.color.png" for i in range(FRAMES)])
     for i, pose in enumerate(T):
         write_rows(folder / f"frame-{i:06d}.pose.txt", "", pose.tolist(), "\t ")
-        assert cv2.imwrite(str(folder / f"frame-{i:06d}.depth.png"), np.zeros((48, 64), np.uint16))
+    write_depth(folder, [f"frame-{i:06d}.depth.png" for i in range(FRAMES)], unknown=65535)
 
 
 def write_colmap(folder: Path) -> None:

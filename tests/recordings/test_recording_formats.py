@@ -22,6 +22,7 @@ from rholoc.recordings import (
 )
 from rholoc.recordings.readers import READERS
 from rholoc.recordings.recording import Waypoint
+from rholoc.recordings.selection import select_frames
 
 UNTIMED = ("7-scenes", "colmap", "nerfstudio")
 WITHOUT_IMU = (*UNTIMED, "tum")
@@ -65,6 +66,20 @@ def test_the_walk_comes_back_from_every_format(name: str, tmp_path: Path) -> Non
     check_imu(name, recording)
     check_poses(name, recording)
     check_camera(name, recording)
+
+
+@pytest.mark.parametrize(("name", "known"), [("stray", 0), ("7-scenes", 0), ("tum", 1)])
+def test_depth_comes_with_its_frame(name: str, known: int, tmp_path: Path) -> None:
+    recording = read(name, tmp_path)
+    assert recording.depth is not None
+    chosen = select_frames(recording, slice(2, None, 3)).depth
+    assert chosen is not None
+    for depth, row in ((recording.depth, 5), (chosen, 1)):
+        metres = depth.read(row)
+        assert metres is not None
+        assert np.isnan(metres[0, 0])
+        np.testing.assert_allclose(metres[1:], 1.05, atol=2e-4)
+    assert sum(path is None for path in recording.depth.paths) == known  # the last of TUM's list is left out
 
 
 def check_frames(name: str, recording: Recording) -> None:

@@ -476,7 +476,7 @@ class Editor {
             "li",
             { class: "row spread" },
             h("span", { class: "muted" }, t`Floor plan`),
-            action(t`Take the plan away`, () => this.forgetPlan(), "danger"),
+            action(t`Remove the plan`, () => this.forgetPlan(), "danger"),
           ),
       ),
     );

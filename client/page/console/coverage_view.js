@@ -277,7 +277,7 @@ const colourOf = (share) => LEVELS.find(([least]) => share >= least)[1];
 export function sayFailures(failures) {
   if (!failures.length) return t`No request failed here in the last day, as far as this server knows.`;
   const none = failures.filter(({ reason }) => reason !== null).length;
-  return t`In the last day ${none} requests found no pose and ${failures.length - none} an unsure one: where the drawing glows.`;
+  return t`Requests of the last day without a pose: ${none}, with an unsure one: ${failures.length - none}. The drawing glows where they came from.`;
 }
 
 /** A glow where requests failed: the more, the stronger, but what is below stays to be seen. */

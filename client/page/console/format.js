@@ -44,7 +44,7 @@ export function duration(seconds) {
 
 /** A length for people: centimetres below a metre; bare units where the map is not metric. */
 export function length(value, metric = true) {
-  if (!metric) return `${value.toPrecision(2)} units`;
+  if (!metric) return value.toPrecision(2) + t` units`;
   return value < 1 ? `${(100 * value).toFixed(value < 0.1 ? 1 : 0)} cm` : `${value.toFixed(2)} m`;
 }
 

@@ -72,6 +72,7 @@ function row(job) {
     ),
     bar(job),
     h("p", { class: "muted small" }, job.error?.message ?? job.message),
+    job.warnings.map((warning) => h("p", { class: "small reason" }, inPlainWords(warning).plain)),
   );
 }
 
@@ -117,7 +118,7 @@ function overview(job) {
         { class: "notice bad stack", role: "alert" },
         h("p", {}, h("strong", {}, t`Do not rely on this map.`)),
         job.warnings.map((warning) => h("p", {}, inPlainWords(warning).plain)),
-        h("p", {}, whatToDo(Trust.NO)),
+        h("p", {}, whatToDo(Trust.NO, [], job.warnings.join(" "))),
       ),
     job.error &&
       h(
@@ -137,7 +138,7 @@ function overview(job) {
       [t`Queued`, when(job.created)],
       [t`Took`, job.started && job.ended ? duration(job.ended - job.started) : null],
       [t`Attempts`, job.attempts],
-      [t`Recording`, h("code", {}, job.recording)],
+      [t`Recording`, h("a", { href: `#/recordings/${job.recording}` }, h("code", {}, job.recording))],
     ]),
     h("h2", {}, t`Log`),
     job.log.length

@@ -81,7 +81,7 @@ export function liveView(map, scene, signal) {
     const now = performance.now() / 1000;
     const all = motions.all(now, GONE_S);
     scroll.hidden = all.length === 0;
-    if (all.length) said.textContent = t`${all.length} ask for poses.`;
+    if (all.length) said.textContent = t`Asking for poses: ${all.length}.`;
     else said.textContent = t`Nobody asks for poses at the moment.`;
     fill(
       rows,

@@ -6,9 +6,10 @@ import { field, nameChoice, nameField } from "../shared/name_choice.js";
 import { t } from "../shared/text.js";
 import { inPlainWords, mistakesIn, restsOnGivenPoses, Trust, trustOf, whatToDo } from "../shared/trust.js";
 import { coverageView } from "./coverage_view.js";
+import { keptPlan } from "./floor_plan.js";
 import { bytes, count, fileNames, length, when } from "./format.js";
 import { liveView } from "./live.js";
-import { placeOf } from "./maps.js";
+import { expectedError, placeOf } from "./maps.js";
 import { action, facts, loading, page, skeletons, tell } from "./parts.js";
 import { SceneView } from "./scene.js";
 import { readPoints, readScene } from "./scene_data.js";
@@ -78,6 +79,7 @@ export async function showScene(view, map, signal) {
   view.offerCloud(map.points, async () => readPoints(await fetched("points")));
   view.featureOf = (number) => get(path`v1/maps/${map.name}/features/${number}`, { signal });
   view.showMap(readScene(await fetched("scene")), map.waypoints, map.scale === "metric", map.names, map.levelling);
+  if (map.plan) view.showPlan(await keptPlan(map, signal));
 }
 
 /** What the report has of it; older maps have it worked out by the server. */
@@ -100,7 +102,7 @@ function trustNotice(map, report) {
   const reason = inPlainWords(map.trust_reason);
   const given = trust === Trust.YES && restsOnGivenPoses(map.trust_reason);
   const mistakes = mistakesIn(report);
-  const next = whatToDo(trust, mistakes);
+  const next = whatToDo(trust, mistakes, map.trust_reason);
   return h(
     "section",
     { class: ["notice stack", kind], "aria-label": t`Trust` },
@@ -178,7 +180,7 @@ function errorsCard(map, report, metric) {
     "section",
     { class: "card stack" },
     h("h2", {}, t`How good it is`),
-    facts([[t`Expected error`, map.expected_error_m === null ? t`unknown` : inLength(map.expected_error_m)]]),
+    facts([[t`Expected error`, expectedError(map)]]),
     h("h3", {}, t`How well it agrees with itself`),
     heldOut?.frames
       ? [

@@ -4,7 +4,7 @@ import { call, get, path, request } from "../shared/api.js";
 import { ask, fill, h } from "../shared/dom.js";
 import { field, nameChoice } from "../shared/name_choice.js";
 import { t } from "../shared/text.js";
-import { inPlainWords, Trust, trustOf } from "../shared/trust.js";
+import { inPlainWords, Trust, trustOf, whatToDo } from "../shared/trust.js";
 import { bytes, count, length, when } from "./format.js";
 import { listTools } from "./list_tools.js";
 import { action, empty, facts, loading, page, skeletons, tell, trustBadge } from "./parts.js";
@@ -79,7 +79,7 @@ function fillList(list, { maps, unreadable }, tools, signal) {
     broken,
     !shown.some(({ items }) => items.length) &&
       maps.length > 0 &&
-      h("li", { class: "whole-row muted" }, t`No map has such a name.`),
+      h("li", { class: "whole-row muted" }, t`No map matches.`),
   );
 }
 
@@ -101,15 +101,20 @@ function card(map, signal) {
       map.labels.tags.map((tag) => h("span", { class: "badge" }, tag)),
     ),
     trust === Trust.NO && h("p", { class: "small reason" }, inPlainWords(map.trust_reason)?.plain),
+    trust === Trust.NO && h("p", { class: "small" }, whatToDo(trust, [], map.trust_reason)),
     facts([
       [t`Place`, placeOf(map)],
-      [t`Expected error`, map.expected_error_m === null ? t`unknown` : length(map.expected_error_m)],
+      [t`Expected error`, expectedError(map)],
       [t`Size`, t`${count(map.landmarks)} landmarks, ${bytes(map.size_bytes)}`],
       [t`Made`, when(map.created)],
       [t`Version`, `${map.version}, ${map.features}`],
     ]),
   );
 }
+
+/** How wrong a map is expected to be, in words: of one that is not trusted nobody knows. */
+export const expectedError = (map) =>
+  map.expected_error_m === null || trustOf(map) === Trust.NO ? t`unknown` : length(map.expected_error_m);
 
 /** Site and floor, or null where they are not said. */
 export const placeOf = ({ labels }) => [labels.site, labels.floor].filter(Boolean).join(", ") || null;

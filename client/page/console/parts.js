@@ -1,6 +1,6 @@
 // What several parts of the console show.
 
-import { fill, h } from "../shared/dom.js";
+import { busy, fill, h } from "../shared/dom.js";
 import { t, translated } from "../shared/text.js";
 import { Trust } from "../shared/trust.js";
 
@@ -112,18 +112,17 @@ export function tell(text, kind = "good") {
   setTimeout(() => toast.remove(), 6000);
 }
 
-/** A button that works on something: it waits, and shows an error. */
+/** A button that works on something: it waits, keeping the focus, and shows an error. */
 export function action(text, work, kind = "") {
   const button = h("button", { type: "button", class: kind }, text);
-  button.addEventListener("click", async () => {
-    button.disabled = true;
-    try {
-      await work();
-    } catch (error) {
-      if (error.name !== "AbortError") tell(error.message, "bad");
-    } finally {
-      button.disabled = false;
-    }
-  });
+  button.addEventListener("click", () =>
+    busy(button, async () => {
+      try {
+        await work();
+      } catch (error) {
+        if (error.name !== "AbortError") tell(error.message, "bad");
+      }
+    }),
+  );
   return button;
 }

@@ -63,7 +63,7 @@ export class PlanPicture {
     if (!metric) this.scale.checked = true;
     return [
       field(t`Picture or GeoJSON`, this.file, t`It is kept with the map.`),
-      field(t`Width of the plan, m`, this.width, metric ? t`Without it, the map's own scale tells.` : null),
+      field(t`Width of the plan, m`, this.width, metric ? t`Without it, the map's own scale counts.` : null),
       h("label", { class: "check" }, this.scale, t`The map takes the plan's scale`),
     ];
   }

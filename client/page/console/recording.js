@@ -1,7 +1,7 @@
 // One recording: what it is, its waypoints, which can be corrected, and mapping it again.
 
 import { call, get, objectUrl, path } from "../shared/api.js";
-import { fill, h } from "../shared/dom.js";
+import { busy, fill, h } from "../shared/dom.js";
 import { field, nameChoice } from "../shared/name_choice.js";
 import { t } from "../shared/text.js";
 import { bytes, count, duration, fileNames, when } from "./format.js";
@@ -181,23 +181,22 @@ function mapAgain(recording, maps, cameras, signal) {
     "form",
     {
       class: "card stack",
-      onsubmit: async (event) => {
+      onsubmit: (event) => {
         event.preventDefault();
-        button.disabled = true;
-        try {
+        busy(button, async () => {
           const body = {
             map: name.value,
             kind: name.kind,
             camera: camera.value || null,
             frames: frames.value.trim() || null,
           };
-          const job = await call("POST", path`v1/recordings/${recording.id}/jobs`, { body, signal });
-          location.hash = `#/jobs/${job.id}`;
-        } catch (error) {
-          if (!signal.aborted) tell(error.message, "bad");
-        } finally {
-          button.disabled = false;
-        }
+          try {
+            const job = await call("POST", path`v1/recordings/${recording.id}/jobs`, { body, signal });
+            location.hash = `#/jobs/${job.id}`;
+          } catch (error) {
+            if (!signal.aborted) tell(error.message, "bad");
+          }
+        });
       },
     },
     h("h2", {}, t`Map it again`),

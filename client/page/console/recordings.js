@@ -2,7 +2,7 @@
 
 import { upload } from "../record/upload.js";
 import { call, get, path } from "../shared/api.js";
-import { ask, fill, h } from "../shared/dom.js";
+import { ask, busy, fill, h } from "../shared/dom.js";
 import { field, nameChoice } from "../shared/name_choice.js";
 import { t } from "../shared/text.js";
 import { bytes, duration, fileNames, when } from "./format.js";
@@ -73,7 +73,7 @@ function uploadForm(signal) {
     "form",
     {
       class: "card stack",
-      onsubmit: async (event) => {
+      onsubmit: (event) => {
         event.preventDefault();
         const [blob] = file.files;
         const hear = ({ sent, waiting }) => {
@@ -83,20 +83,15 @@ function uploadForm(signal) {
           }
           if (waiting) standing.textContent = t`${waiting.message} It continues by itself.`;
         };
-        button.disabled = true;
-        try {
-          const job = await upload(blob, {
-            metadata: { filename: blob.name, map: name.value, kind: name.kind },
-            location: null,
-            hear,
-            signal,
-          });
-          location.hash = `#/jobs/${job}`;
-        } catch (error) {
-          if (!signal.aborted) tell(error.message, "bad");
-        } finally {
-          button.disabled = false;
-        }
+        const metadata = { filename: blob.name, map: name.value, kind: name.kind };
+        busy(button, async () => {
+          try {
+            const job = await upload(blob, { metadata, location: null, hear, signal });
+            location.hash = `#/jobs/${job}`;
+          } catch (error) {
+            if (!signal.aborted) tell(error.message, "bad");
+          }
+        });
       },
     },
     h("h2", {}, t`Upload a walk`),

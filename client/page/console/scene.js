@@ -2,15 +2,17 @@
 // waypoints, the map's axes, and the pose that was found. z is up; a map that is not upright is levelled for display.
 
 import { resolvedColour } from "../shared/colours.js";
-import { fill, h } from "../shared/dom.js";
+import { busy, fill, h } from "../shared/dom.js";
 import { t } from "../shared/text.js";
 import { count, length } from "./format.js";
 import { lookAt, multiply, perspective, project, rotation } from "./matrix.js";
 import { painterOf } from "./painter.js";
+import { planLines } from "./plan_lines.js";
 import { presenceLines } from "./presence_lines.js";
 import { inOrder, quantiles, SHOWN, shuffledOrder } from "./samples.js";
 import { STRIDE_LANDMARK, STRIDE_VIEW } from "./scene_data.js";
-import { cross, floor, floorOf, frustum, headings, outlines, segments, walk } from "./scene_lines.js";
+import { band, cross, ellipsoid, floor, floorOf, frustum, headings, outlines, segments, walk } from "./scene_lines.js";
+import { Status } from "./track.js";
 
 const FIELD_OF_VIEW = 0.9; // rad
 const ROOM = 1.15; // how far away the whole room is looked at, in its diagonals
@@ -24,6 +26,7 @@ const POINT_SIZE = 0.025; // m, as wide as a point is drawn
 
 const AXIS = 0.5; // m, of the axes at the origin
 const PICK_PX = 14; // how near a click must be to its target
+const KEY_PICK_PX = 120; // how near what a key picks must be to the middle
 const CLICK_PX = 5; // how far a pointer may move in a click
 /** @type {[string, number[], number[]][]} */
 const AXES = [
@@ -50,14 +53,19 @@ export class SceneView {
       class: "scene-canvas",
       tabindex: 0,
       role: "img",
-      "aria-label": t`${label}. Arrow keys turn, shift and arrow keys move, plus and minus zoom, Home resets.`,
+      "aria-label": t`${label}. Arrow keys turn, shift and arrow keys move, plus and minus zoom, Home resets, Enter picks what is in the middle.`,
     });
     this.labels = h("div", { class: "scene-labels", "aria-hidden": "true" });
     this.legend = h("div", { class: "scene-legend small", hidden: true });
     this.said = h("div", { class: "scene-said small", role: "status", hidden: true });
     this.levelled = h("p", { class: "scene-levelled small", hidden: true }, t`Levelled for display: up is estimated`);
     this.paint = h("button", { type: "button", hidden: true, onclick: () => this.colourBy(!this.coloured) });
-    this.more = h("button", { type: "button", hidden: true, onclick: () => this.toggleCloud() });
+    this.more = h("button", { type: "button", hidden: true, onclick: () => busy(this.more, () => this.toggleCloud()) });
+    this.planned = h(
+      "button",
+      { type: "button", hidden: true, "aria-pressed": "true", onclick: () => this.togglePlan() },
+      t`Floor plan`,
+    );
     this.tools = h(
       "div",
       { class: "scene-tools" },
@@ -65,6 +73,7 @@ export class SceneView {
       h("button", { type: "button", onclick: () => this.reset() }, t`Whole room`),
       this.paint,
       this.more,
+      this.planned,
     );
     this.element = h(
       "div",
@@ -123,6 +132,7 @@ export class SceneView {
     this.deviations = deviationsShown(scene.landmarks);
     const level = inOtherAxes(scene.landmarks, STRIDE_LANDMARK, this.levelling);
     const z = floorOf(level);
+    this.floor = z;
     this.waypoints = waypoints.map(({ name, position, residual_m: residual }) => ({
       position,
       label: h("span", { class: "scene-waypoint" }, residual === null ? name : `${name} · ${length(residual, metric)}`),
@@ -150,6 +160,19 @@ export class SceneView {
     this.lookAtAll(level, inOtherAxes(scene.views, STRIDE_VIEW, this.levelling));
   }
 
+  /** Draw a floor plan, as `keptPlan` gives it, on the floor. */
+  showPlan(plan) {
+    this.plan = planLines(plan, this.floor);
+    this.planned.hidden = false;
+    this.setLines("plan", "--muted", this.plan);
+  }
+
+  togglePlan() {
+    const shown = this.planned.ariaPressed !== "true";
+    this.planned.ariaPressed = String(shown);
+    this.setLines("plan", "--muted", shown ? this.plan : []);
+  }
+
   /** Offer so many further points of the room; `load` fetches them when they are asked for, `{positions, colours}`. */
   offerCloud(points, load) {
     this.more.hidden = !points;
@@ -160,12 +183,7 @@ export class SceneView {
   }
 
   async toggleCloud() {
-    this.more.disabled = true;
-    try {
-      this.cloud = this.cloud ? null : await this.loadCloud();
-    } finally {
-      this.more.disabled = false;
-    }
+    this.cloud = this.cloud ? null : await this.loadCloud();
     this.more.textContent = this.cloud ? this.less : this.most;
     this.setPoints();
   }
@@ -199,14 +217,18 @@ export class SceneView {
     this.redraw();
   }
 
-  /** Say what is at a place of the canvas, and mark it. */
-  pick(x, y) {
+  /** Say what is within so many pixels of a place of the canvas, and mark it. */
+  pick(x, y, reach = PICK_PX) {
     const { clientWidth: width, clientHeight: height } = this.canvas;
     const matrix = this.matrix(width / height);
-    const found = nearest(this.scene, (point) => {
-      const [px, py, w] = project(matrix, point);
-      return w <= 0 ? Infinity : Math.hypot(((px + 1) / 2) * width - x, ((1 - py) / 2) * height - y);
-    });
+    const found = nearest(
+      this.scene,
+      (point) => {
+        const [px, py, w] = project(matrix, point);
+        return w <= 0 ? Infinity : Math.hypot(((px + 1) / 2) * width - x, ((1 - py) / 2) * height - y);
+      },
+      reach,
+    );
     this.showPicked(found);
   }
 
@@ -327,6 +349,17 @@ export class SceneView {
     this.setLines("trail", "--warn", segments(positions));
   }
 
+  /** Show a track (`Track`), or none: its way, where it was lost, and ellipsoids of two standard deviations along it. */
+  showTrack(track) {
+    const { pieces = [], marks = [], now } = track ?? {};
+    const ways = (lost) =>
+      pieces.filter(({ status }) => (status === Status.LOST) === lost).flatMap(({ positions }) => band(positions));
+    this.setLines("track", "--warn", ways(false));
+    this.setLines("track lost", "--bad", ways(true));
+    this.setLines("spread", "--warn", marks.flatMap(ellipsoid), 0.5);
+    this.setLines("spread now", "--accent", now?.pose ? ellipsoid({ ...now, position: now.pose.position }) : []);
+  }
+
   setLines(name, token, vertices, alpha = 1) {
     this.styles.set(name, { token, alpha });
     this.painter.setLines(name, Float32Array.from(vertices));
@@ -427,12 +460,22 @@ export class SceneView {
     return (this.colours[token] ??= resolved(this.canvas, token));
   }
 
+  /** Put labels where they belong; of those that would lie on each other only the first is written. */
   placeLabels(matrix) {
     const { clientWidth: width, clientHeight: height } = this.canvas;
-    for (const { position, label } of [...this.waypoints, ...this.robots.values()]) {
+    const written = [];
+    for (const named of [...this.robots.values(), ...this.waypoints]) {
+      const { position, label } = named;
       const [x, y, w] = project(matrix, position);
+      const [left, top] = [((x + 1) / 2) * width, ((1 - y) / 2) * height];
+      label.style.transform = `translate(${left}px, ${top}px)`;
       label.hidden = w <= 0 || Math.abs(x) > 1 || Math.abs(y) > 1;
-      label.style.transform = `translate(${((x + 1) / 2) * width}px, ${((1 - y) / 2) * height}px)`;
+      if (label.hidden) continue;
+      named.size ??= [label.offsetWidth, label.offsetHeight];
+      const box = [left, top, left + named.size[0], top + named.size[1]];
+      const crowded = written.some((other) => overlap(box, other));
+      label.classList.toggle("crowded", crowded);
+      if (!crowded) written.push(box);
     }
   }
 
@@ -498,29 +541,33 @@ function listen(scene) {
     else if (event.key === "+" || event.key === "=") scene.zoom(0.85);
     else if (event.key === "-") scene.zoom(1.18);
     else if (event.key === "Home") scene.reset();
+    else if (event.key === "Enter" && scene.scene)
+      scene.pick(canvas.clientWidth / 2, canvas.clientHeight / 2, KEY_PICK_PX);
     else return;
     event.preventDefault();
   });
 }
 
-/** The view or landmark of which `distance(position)` is least, views first, if it is near enough; or null. */
-function nearest({ landmarks, views }, distance) {
+const overlap = (a, b) => a[0] < b[2] && b[0] < a[2] && a[1] < b[3] && b[1] < a[3];
+
+/** What is nearest by a distance in pixels, if it is within reach; a view rather than a landmark behind it. */
+function nearest({ landmarks, views }, distance, reach) {
   const best = (numbers, stride) => {
-    let [least, at] = [PICK_PX, -1];
+    let [least, at] = [reach, -1];
     for (let i = 0; i < numbers.length; i += stride) {
       const apart = distance(numbers.subarray(i, i + 3));
       if (apart < least) [least, at] = [apart, i];
     }
-    return at;
+    return { apart: least, at };
   };
   const view = best(views, STRIDE_VIEW);
-  if (view >= 0) return viewAt(views, view / STRIDE_VIEW);
   const landmark = best(landmarks, STRIDE_LANDMARK);
-  if (landmark < 0) return null;
+  if (view.at >= 0 && view.apart <= landmark.apart + PICK_PX) return viewAt(views, view.at / STRIDE_VIEW);
+  if (landmark.at < 0) return null;
   return {
-    landmark: landmark / STRIDE_LANDMARK,
-    position: [...landmarks.subarray(landmark, landmark + 3)],
-    deviation: landmarks[landmark + 3],
+    landmark: landmark.at / STRIDE_LANDMARK,
+    position: [...landmarks.subarray(landmark.at, landmark.at + 3)],
+    deviation: landmarks[landmark.at + 3],
   };
 }
 
@@ -539,7 +586,7 @@ export function sayPicked({ view, position, heading, deviation }, metric) {
   const at = position.map((value) => value.toFixed(2)).join(", ");
   const unit = metric ? "m" : t`units`;
   if (view === undefined) return t`Landmark at ${at} ${unit}, known to ${length(deviation, metric)}`;
-  const degrees = Math.round((Math.atan2(heading[1], heading[0]) * 180) / Math.PI);
+  const degrees = (Math.round((Math.atan2(heading[1], heading[0]) * 180) / Math.PI) + 360) % 360;
   return t`Picture ${view + 1} of the walk, from ${at} ${unit}, looking ${degrees}°`;
 }
 

@@ -5,6 +5,9 @@ import { STRIDE_VIEW } from "./scene_data.js";
 
 const HEADING_LENGTH = 0.25; // m, of a view's tick
 const FRUSTUM = 0.5; // m, how far the drawn camera reaches
+const BAND = [-0.015, 0, 0.015]; // m, above a way
+const SIGMAS = 2; // that an ellipsoid reaches
+const CORNERS = 24; // of each of its outlines
 const MAX_FLOOR = 10_000; // square metres that are drawn
 
 /** Lines between consecutive views of one recording. */
@@ -52,6 +55,9 @@ export function segments(positions) {
   return positions.slice(1).flatMap((position, i) => [...positions[i], ...position]);
 }
 
+/** A way that stands out from other lines: one above the other. */
+export const band = (positions) => BAND.flatMap((by) => segments(positions.map(([x, y, z]) => [x, y, z + by])));
+
 /**
  * A pyramid whose tip is the camera, and whose base has the picture's shape.
  * @param {number[][]} T
@@ -72,4 +78,31 @@ export function cross(position, reach) {
   return [0, 1, 2].flatMap((axis) =>
     [-reach, reach].flatMap((by) => position.map((value, i) => (i === axis ? value + by : value))),
   );
+}
+
+/** Three outlines of the ellipsoid within which a position is, `covariance` (the upper left 3 × 3 of it) being its own. */
+export function ellipsoid({ position, covariance }) {
+  const L = cholesky(covariance);
+  const corner = (plane, i) => {
+    const angle = (2 * Math.PI * i) / CORNERS;
+    const u = [0, 0, 0];
+    u[plane] = SIGMAS * Math.cos(angle);
+    u[(plane + 1) % 3] = SIGMAS * Math.sin(angle);
+    return position.map((value, row) => value + L[row].reduce((sum, factor, k) => sum + factor * u[k], 0));
+  };
+  return [0, 1, 2].flatMap((plane) =>
+    Array.from({ length: CORNERS }, (_, i) => [...corner(plane, i), ...corner(plane, i + 1)]).flat(),
+  );
+}
+
+/** The lower triangle L of L Lᵀ, the upper left 3 × 3 of a covariance. */
+function cholesky(A) {
+  const L = [0, 1, 2].map(() => [0, 0, 0]);
+  for (let i = 0; i < 3; i++) {
+    for (let j = 0; j <= i; j++) {
+      const rest = A[i][j] - L[i].reduce((sum, value, k) => sum + (k < j ? value * L[j][k] : 0), 0);
+      L[i][j] = i === j ? Math.sqrt(Math.max(rest, 0)) : L[j][j] && rest / L[j][j];
+    }
+  }
+  return L;
 }

@@ -25,7 +25,7 @@ export async function share(name) {
         { class: "muted" },
         t`Whoever has the link can look at all maps of this server until it expires, and change nothing.`,
       ),
-      field(t`It is good for`, days),
+      field(t`Valid for`, days),
     ],
     h("button", { class: "primary" }, t`Make the link`),
     async () => {
@@ -52,7 +52,7 @@ async function showLink(place, { link, expires }) {
     h(
       "p",
       { class: "small muted" },
-      expires ? t`It is good until ${when(expires)}.` : t`This server asks for no key: the link is good for ever.`,
+      expires ? t`Valid until ${when(expires)}.` : t`This server needs no key: the link does not expire.`,
     ),
   );
 }

@@ -1,11 +1,12 @@
-// Try it: a picture, a camera or a trajectory, and where it is in the map.
+// Try it: a picture, a camera, a video or a trajectory, and where it is in the map.
 
 import { call, get, path, storedKey, url } from "../shared/api.js";
 import { fill, h } from "../shared/dom.js";
 import { field } from "../shared/name_choice.js";
 import { t } from "../shared/text.js";
-import { Trust, trustOf } from "../shared/trust.js";
+import { inPlainWords, Trust, trustOf, whatToDo } from "../shared/trust.js";
 import { length } from "./format.js";
+import { cameraFrames, readPicture, videoFrames } from "./frame_sources.js";
 import { asQuery, halfExtents, intrinsicsFor, intrinsicsOfFieldOfView, Known } from "./intrinsics.js";
 import { landscapeView } from "./landscape_view.js";
 import { showScene, trusted } from "./map.js";
@@ -13,6 +14,8 @@ import { action, empty, facts, page, problem, tell, trustBadge } from "./parts.j
 import { play } from "./player.js";
 import { SceneView } from "./scene.js";
 import { LANGUAGES, snippet } from "./snippets.js";
+import { Track, trackReport } from "./track.js";
+import { TrackStream } from "./track_stream.js";
 import { readTrajectory } from "./trajectory.js";
 
 const WHY = {
@@ -22,10 +25,9 @@ const WHY = {
   low_confidence: t`A place was found, but it is too uncertain to rely on.`,
   deadline: t`The server took too long.`,
 };
-const LONG_SIDE = 640; // px, of frames from this device's camera
-const JPEG_QUALITY = 0.85;
 const RATE_OVER = 8; // frames that the rate is measured over
 const PRIOR_RADIUS_M = 1;
+const TRACK_MS = 66; // from one frame that is tracked to the next, at least: more are no better
 const AUTOMATIC = "";
 const MAP_CAMERA = " map"; // no camera has a name with a space
 const UNKNOWN = " unknown";
@@ -61,7 +63,7 @@ class Trial {
     this.map = map;
     this.cameras = cameras;
     this.signal = signal;
-    this.ends = []; // of what runs
+    this.ends = []; // of what runs; each ends it
     this.scene = new SceneView(t`The map ${map.name} and the pose that was found`);
     this.picture = h("canvas", {
       class: "frame",
@@ -74,6 +76,8 @@ class Trial {
     this.intrinsics = h("select", { name: "camera" });
     this.degrees = h("input", { type: "number", min: 20, max: 150, step: "any", placeholder: t`such as 65` });
     this.rolls = h("input", { type: "checkbox", checked: true });
+    const metric = map.scale === "metric"; // a track needs a scale
+    this.tracks = h("input", { type: "checkbox", checked: metric, disabled: !metric });
     this.copying = h("div", { class: "copy stack", hidden: true });
     this.landscape = h("div", { class: "stack" });
     this.still = null; // the picture that is tried, unless a camera runs
@@ -158,12 +162,17 @@ class Trial {
     return found;
   }
 
-  /** What is asked with, how far it is known, and how far the picture reaches. */
+  /** What is asked with, how far it is known, how far the picture reaches, and the camera, which is a guess if unknown. */
   intrinsicsOf(width, height) {
     const chosen = this.intrinsics.value;
     let own = intrinsicsFor(this.map.camera, width, height);
     if (chosen === UNKNOWN || (chosen === AUTOMATIC && own.known !== Known.MEASURED))
-      return { query: { intrinsics: "unknown" }, known: Known.ESTIMATED, extents: halfExtents(own, width, height) };
+      return {
+        query: { intrinsics: "unknown" },
+        known: Known.ESTIMATED,
+        extents: halfExtents(own, width, height),
+        camera: own,
+      };
     if (chosen === FIELD_OF_VIEW) {
       const degrees = Number(this.degrees.value);
       if (!this.degrees.value || !this.degrees.checkValidity())
@@ -173,7 +182,7 @@ class Trial {
       const stored = this.cameras.find(({ name }) => name === chosen);
       if (stored) own = intrinsicsFor(stored, width, height);
     }
-    return { query: asQuery(own), known: own.known, extents: halfExtents(own, width, height) };
+    return { query: asQuery(own), known: own.known, extents: halfExtents(own, width, height), camera: own };
   }
 
   /** The picture alone. */
@@ -194,6 +203,21 @@ class Trial {
     this.picture.getContext("2d").clearRect(0, 0, this.picture.width, this.picture.height);
     this.picture.setAttribute("aria-label", t`No picture yet`);
     this.scene.showPose(null);
+    this.scene.showTrack(null);
+  }
+
+  /** The frame, and the track up to it. */
+  showTrack(source, track, known, extents, rate) {
+    const { pose } = track.now;
+    this.show(source);
+    this.copying.hidden = true;
+    this.scene.showTrack(track);
+    this.scene.showPose(pose?.T_map_camera ?? null, [], extents);
+    fill(
+      this.answer,
+      trackReport(track, reasons, rate),
+      doubts({ localized: pose !== null }, known, this.map).map(doubt),
+    );
   }
 
   /** The picture, and on it the features that the map recognised. */
@@ -223,9 +247,8 @@ class Trial {
         h("span", { class: ["badge", found.localized ? "good" : "warn"] }, found.localized ? t`localized` : t`no pose`),
         confidenceOf(found, known),
       ),
-      !found.localized && h("p", {}, WHY[found.reason] ?? found.reason),
-      !found.localized && found.diagnosis && h("p", {}, `${found.diagnosis.message} ${found.diagnosis.hint}`),
-      doubts(found, known, this.map).map((text) => h("p", { class: "notice warn small" }, text)),
+      !found.localized && reasons(found),
+      doubts(found, known, this.map).map(doubt),
       facts([
         [
           t`Position`,
@@ -255,6 +278,14 @@ class Trial {
     fill(this.answer, problem({ summary: error.summary ?? error.message, hint: error.hint }));
   }
 }
+
+/** Why an answer has no pose. */
+const reasons = ({ reason, diagnosis }) => [
+  h("p", {}, WHY[reason] ?? reason),
+  diagnosis && h("p", {}, `${diagnosis.message} ${diagnosis.hint}`),
+];
+
+const doubt = (text) => h("p", { class: "notice warn small" }, text);
 
 /** How sure the answer is of itself; a figure only where the intrinsics are not a guess. */
 function confidenceOf(found, known) {
@@ -319,6 +350,7 @@ function layout(trial, maps) {
   return page(
     t`Try it`,
     h("div", { class: "row" }, trustBadge(trustOf(trial.map)), field(t`Map`, choice)),
+    trustOf(trial.map) === Trust.NO && mistrust(trial.map),
     h(
       "div",
       { class: "try-columns" },
@@ -326,6 +358,19 @@ function layout(trial, maps) {
       h("div", { class: "stack" }, trial.scene.element, trial.answer, trial.landscape, trial.copying),
     ),
     h("details", { class: "card" }, h("summary", {}, t`Camera options`), options(trial)),
+  );
+}
+
+/** Why a map is not to be relied on, and what to do. */
+function mistrust({ name, trust_reason: why }) {
+  return h(
+    "p",
+    { class: "notice bad small" },
+    inPlainWords(why)?.plain,
+    " ",
+    whatToDo(Trust.NO, [], why),
+    " ",
+    h("a", { href: `#/maps/${encodeURIComponent(name)}` }, t`To the map`),
   );
 }
 
@@ -363,7 +408,7 @@ function dropZone(trial) {
     "div",
     { class: "drop" },
     trial.picture,
-    h("p", { class: "drop-hint muted" }, t`Drop a picture or a trajectory (CSV) here`),
+    h("p", { class: "drop-hint muted" }, t`Drop a picture, a video or a trajectory (CSV) here`),
   );
   zone.addEventListener("dragover", (event) => {
     event.preventDefault();
@@ -381,9 +426,9 @@ function dropZone(trial) {
 function sources(trial) {
   const input = h("input", {
     type: "file",
-    accept: "image/*,.csv",
+    accept: "image/*,video/*,.csv",
     class: "visually-hidden",
-    "aria-label": t`Picture or trajectory`,
+    "aria-label": t`Picture, video or trajectory`,
     onchange: () => {
       if (input.files.length) takeFile(trial, input.files[0]);
       input.value = "";
@@ -392,13 +437,19 @@ function sources(trial) {
   trial.player = h("div", { class: "row", hidden: true });
   trial.cameraButton = h(
     "button",
-    { type: "button", onclick: () => (trial.ends.length ? trial.stop() : filmOrSay(trial)) },
+    { type: "button", onclick: () => (trial.ends.length ? trial.stop() : film(trial, useCamera)) },
     t`Use the camera`,
   );
   return h(
     "div",
     { class: "stack" },
-    h("div", { class: "row" }, h("label", { class: "button file" }, t`Choose a file`, input), trial.cameraButton),
+    h(
+      "div",
+      { class: "row" },
+      h("label", { class: "button file" }, t`Choose a file`, input),
+      trial.cameraButton,
+      h("label", { class: "check" }, trial.tracks, t`track from frame to frame`),
+    ),
     trial.player,
   );
 }
@@ -409,24 +460,11 @@ async function takeFile(trial, file) {
   trial.picture.closest(".drop").classList.add("taken");
   try {
     if (/\.csv$/i.test(file.name)) playTrajectory(trial, readTrajectory(await file.text()));
+    else if (file.type.startsWith("video/")) await film(trial, (_, signal) => videoFrames(file, signal));
     else await trial.tryStill(await readPicture(file));
   } catch (error) {
     trial.fail(error);
   }
-}
-
-/** `{blob, source, name}`: what is sent, a JPEG or PNG, what is drawn, and the file that holds it. */
-async function readPicture(file) {
-  let image;
-  try {
-    image = await createImageBitmap(file);
-  } catch {
-    throw new Error(t`This file is not a picture that the browser can read.`);
-  }
-  const source = { image, width: image.width, height: image.height };
-  const isSent = /^image\/(jpeg|png)$/.test(file.type);
-  const name = isSent ? file.name : file.name.replace(/(\.[^.]*)?$/, ".jpg");
-  return { blob: isSent ? file : await jpeg(source), source, name };
 }
 
 function playTrajectory(trial, poses) {
@@ -447,65 +485,78 @@ function playTrajectory(trial, poses) {
   );
 }
 
-function jpeg({ image, width, height }, canvas = h("canvas", { width, height })) {
-  canvas.getContext("2d").drawImage(image, 0, 0, width, height);
-  return new Promise((resolve) => canvas.toBlob(resolve, "image/jpeg", JPEG_QUALITY));
-}
+const useCamera = (map, signal) => cameraFrames(map, signal);
 
-async function filmOrSay(trial) {
-  try {
-    await film(trial);
-  } catch (error) {
-    trial.fail(error);
-    trial.stop();
-  }
-}
-
-/** The camera's stream, of the map camera's shape where the device has it: that of the recorder, if it is the same phone. */
-async function openStream({ camera }) {
-  if (!navigator.mediaDevices) throw new Error(t`The camera needs HTTPS: start the server with rholoc serve --tls.`);
-  const [long, short] = [Math.max(camera.width, camera.height), Math.min(camera.width, camera.height)];
-  try {
-    return await navigator.mediaDevices.getUserMedia({
-      video: { width: { ideal: long }, height: { ideal: short }, facingMode: "environment" },
-    });
-  } catch (error) {
-    const refused = error.name === "NotAllowedError";
-    throw new Error(
-      refused ? t`The camera was refused. Allow it in the browser's settings for this page.` : t`No camera was found.`,
-    );
-  }
-}
-
-/** Localize what this device's camera sees, one frame after the other, the last pose being the next one's prior. */
-async function film(trial) {
-  const stream = await openStream(trial.map);
-  trial.clear();
-  const video = h("video", { playsinline: true, muted: true });
-  let filming = true;
-  trial.cameraButton.textContent = t`Stop the camera`;
+/**
+ * Show where the frames of a film are, one after the other, until it ends or is stopped. `framesOf` gives them, of the map
+ * and a signal that ends them.
+ */
+async function film(trial, framesOf) {
+  const stopping = new AbortController();
+  const signal = AbortSignal.any([trial.signal, stopping.signal]);
+  const times = [];
+  let step;
   trial.ends.push(() => {
-    filming = false;
-    for (const track of stream.getTracks()) track.stop();
+    stopping.abort();
     trial.cameraButton.textContent = t`Use the camera`;
   });
-  video.srcObject = stream;
-  video.muted = true;
-  await video.play();
-  trial.picture.closest(".drop").classList.add("taken");
-  const canvas = h("canvas");
-  const times = [];
-  let prior = {};
-  while (filming && !trial.signal.aborted) {
-    const scale = Math.min(1, LONG_SIDE / Math.max(video.videoWidth, video.videoHeight));
-    const [width, height] = [video.videoWidth, video.videoHeight].map((size) => Math.round(scale * size));
-    Object.assign(canvas, { width, height });
-    const blob = await jpeg({ image: video, width, height }, canvas);
-    const found = await trial.localize(blob, { image: canvas, width, height }, prior, () => rate(times));
-    if (!found) return;
-    prior = found.localized ? priorOf(found.pose) : {};
-    await new Promise(requestAnimationFrame); // draws, and lets a tab in the background rest
+  try {
+    for await (const frame of framesOf(trial.map, signal)) {
+      if (!step) {
+        trial.clear();
+        trial.picture.closest(".drop").classList.add("taken");
+        trial.cameraButton.textContent = framesOf === useCamera ? t`Stop the camera` : t`Stop the video`;
+        step = trial.tracks.checked ? tracked(trial, signal) : eachAlone(trial);
+      }
+      if (signal.aborted) break;
+      await step(frame, () => rate(times));
+    }
+  } catch (error) {
+    if (!signal.aborted) trial.fail(error);
   }
+  if (!stopping.signal.aborted) trial.stop();
+}
+
+/** Localizes each frame, the last pose being the next one's prior. */
+function eachAlone(trial) {
+  let prior = {};
+  return async ({ blob, source }, rated) => {
+    const found = await trial.localize(blob, source, prior, rated);
+    prior = found?.localized ? priorOf(found.pose) : {};
+  };
+}
+
+/**
+ * Streams the frames to the server, which tracks the camera. The first is localized by itself: that asks for a key where
+ * one is needed, and estimates a focal length that is not known. Other options begin another track.
+ */
+function tracked(trial, signal) {
+  let stream, begunWith, show, shown;
+  return async (frame, rated) => {
+    const chosen = [trial.intrinsics.value, trial.degrees.value, trial.rolls.checked].join();
+    if (stream && chosen !== begunWith) {
+      stream.close();
+      stream = null;
+    }
+    shown = frame.source;
+    if (!stream) {
+      const found = await trial.localize(frame.blob, frame.source, {}, rated);
+      const { known, extents, camera } = trial.intrinsicsOf(frame.source.width, frame.source.height);
+      if (!found || (known === Known.ESTIMATED && !found.camera)) return;
+      const track = new Track();
+      show = (message) => {
+        track.take(message);
+        trial.showTrack(shown, track, known, extents, rated());
+      };
+      begunWith = chosen;
+      const { fx, fy, cx, cy, distortion } = { distortion: [], ...(found.camera ?? camera) };
+      const begin = { camera: { fx, fy, cx, cy, distortion }, dof: trial.rolls.checked ? "auto" : 5 };
+      stream = await TrackStream.open(trial.map.name, begin, show, signal);
+    }
+    const due = performance.now() + TRACK_MS;
+    await stream.frame(frame.time, frame.blob);
+    await new Promise((resolve) => setTimeout(resolve, due - performance.now()));
+  };
 }
 
 /** How many frames are answered a second, now that one more is. */

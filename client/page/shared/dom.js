@@ -32,6 +32,17 @@ function nodes(children) {
     .map((child) => (child instanceof Node ? child : String(child)));
 }
 
+/** Work for a button, which does nothing else meanwhile, but keeps the focus: a disabled one would lose it. */
+export async function busy(button, work) {
+  if (button.ariaDisabled) return;
+  button.ariaDisabled = "true";
+  try {
+    await work();
+  } finally {
+    button.ariaDisabled = null;
+  }
+}
+
 /**
  * A dialog around `content`, opened; the promise gives what its form was submitted with (the value of the button), or
  * null when it was closed. `check` gets the form's data and that value, and may refuse by throwing; its message is shown
@@ -56,20 +67,19 @@ export function ask(title, content, buttons, check = async () => {}) {
   const dialog = h("dialog", { "aria-label": title }, form);
   return new Promise((resolve) => {
     let answer = null;
-    form.addEventListener("submit", async (event) => {
+    form.addEventListener("submit", (event) => {
       event.preventDefault();
-      const chosen = event.submitter;
-      if (chosen) chosen.disabled = true;
-      try {
-        await check(new FormData(form), chosen?.value);
-        answer = chosen?.value || "ok";
-        dialog.close();
-      } catch (error) {
-        problem.textContent = String(error.message ?? error);
-        problem.hidden = false;
-      } finally {
-        if (chosen) chosen.disabled = false;
-      }
+      const chosen = event.submitter ?? form;
+      busy(chosen, async () => {
+        try {
+          await check(new FormData(form), chosen.value);
+          answer = chosen.value || "ok";
+          dialog.close();
+        } catch (error) {
+          problem.textContent = String(error.message ?? error);
+          problem.hidden = false;
+        }
+      });
     });
     dialog.addEventListener("close", () => {
       dialog.remove();

@@ -49,7 +49,7 @@ export const GERMAN = {
   "not checked": "nicht geprüft",
   "published, not trusted": "fertig, nicht vertrauenswürdig",
   "{0} (not trusted)": "{0} (nicht vertrauenswürdig)",
-  Trust: "Vertrauen",
+  Trust: "Vertrauenswürdigkeit",
   "This map passed its checks.": "Diese Karte hat ihre Prüfungen bestanden.",
   "Its poses came with the recording.": "Ihre Posen stammen aus der Aufnahme.",
   "Nothing else has checked this map: it is as right as they are.":
@@ -66,6 +66,8 @@ export const GERMAN = {
     "Vom Rundgang ließ sich zu wenig ein zweites Mal rekonstruieren, um seine Form zu prüfen.",
   "Measure that point again, correct it, and map the recording again.":
     "Diesen Punkt neu messen, seine Koordinaten berichtigen und aus der Aufnahme noch einmal eine Karte erstellen.",
+  "Check the points that are missed: mistyped, exchanged, or marked elsewhere? Correct them in the recording, and map it again.":
+    "Die verfehlten Punkte prüfen: vertippt, vertauscht oder anderswo markiert? In der Aufnahme berichtigen und aus ihr noch einmal eine Karte erstellen.",
   "Record the walk again: slowly, sideways rather than turning on the spot, and back to where you began. Measured points let the map check itself.":
     "Den Rundgang noch einmal aufnehmen: langsam, eher seitwärts gehend als auf der Stelle drehend, und zurück zum Anfang. Mit gemessenen Punkten prüft sich die Karte selbst.",
   "Build it again with this version to have it checked.": "Mit dieser Version neu erstellen, damit sie geprüft wird.",
@@ -77,7 +79,7 @@ export const GERMAN = {
   "No maps yet": "Noch keine Karten",
   "One walk through a room with a phone makes a map.":
     "Ein Rundgang mit dem Telefon durch einen Raum ergibt eine Karte.",
-  "No map has such a name.": "Keine Karte heißt so.",
+  "No map matches.": "Keine Karte passt dazu.",
   "{0} from above": "{0} von oben",
   "no unit of length": "ohne Längeneinheit",
   "not upright": "nicht aufrecht",
@@ -179,14 +181,14 @@ export const GERMAN = {
   "Point at a place, or use the arrow keys; a click shows it in the room.":
     "Auf einen Ort zeigen oder die Pfeiltasten benutzen; ein Klick zeigt ihn im Raum.",
   "Near the walk, a camera sees {0} landmarks or more in {1} % of all places and directions, and in at least one direction at {2} % of the places.":
-    "In der Nähe des Rundgangs sieht eine Kamera {0} oder mehr Landmarken in {1} % aller Orte und Richtungen, und in wenigstens einer Richtung an {2} % der Orte.",
+    "In der Nähe des Rundgangs sieht eine Kamera an {1} % aller Orte und Blickrichtungen mindestens {0} Landmarken; an {2} % der Orte gilt das für wenigstens eine Richtung.",
   "it works": "es funktioniert",
   "it may fail": "es kann fehlschlagen",
   "it will fail": "es schlägt fehl",
   "At {0}, {1} {2}, looking {3}°: {4} landmarks in view; {5}.":
-    "Bei {0}, {1} {2}, Blick nach {3}°: {4} Landmarken im Bild; {5}.",
+    "Bei {0}, {1} {2}, Blickrichtung {3}°: {4} Landmarken im Bild; {5}.",
   "Walk here next:": "Als Nächstes hier entlanggehen:",
-  "around {0}, {1} {2}, looking to {3}° (the arrow).": "um {0}, {1} {2}, Blick nach {3}° (der Pfeil).",
+  "around {0}, {1} {2}, looking to {3}° (the arrow).": "bei {0}, {1} {2}, Blickrichtung {3}° (der Pfeil).",
   "Record it": "Aufnehmen",
   fewer: "weniger",
   units: "Einheiten",
@@ -194,11 +196,11 @@ export const GERMAN = {
   "Landmarks in view": "Landmarken im Bild",
 
   // The room
-  "{0}. Arrow keys turn, shift and arrow keys move, plus and minus zoom, Home resets.":
-    "{0}. Pfeiltasten drehen, mit Umschalttaste verschieben sie, Plus und Minus zoomen, Pos 1 setzt zurück.",
+  "{0}. Arrow keys turn, shift and arrow keys move, plus and minus zoom, Home resets, Enter picks what is in the middle.":
+    "{0}. Pfeiltasten drehen, mit Umschalttaste verschieben sie, Plus und Minus zoomen, Pos1 setzt zurück, die Eingabetaste wählt, was in der Mitte ist.",
   "From above": "Von oben",
   "Whole room": "Ganzer Raum",
-  "Levelled for display: up is estimated": "Für die Anzeige aufgerichtet: oben ist geschätzt",
+  "Levelled for display: up is estimated": "Für die Anzeige aufgerichtet: Wo oben ist, ist geschätzt",
   "Show {0} more points": "{0} weitere Punkte zeigen",
   "Landmarks only": "Nur Landmarken",
   "Picture before": "Vorheriges Bild",
@@ -209,8 +211,8 @@ export const GERMAN = {
   "Colours of the pictures": "Farben der Bilder",
   "Seen in {0} pictures; it is looked for within the cone.":
     "In {0} Bildern gesehen; gesucht wird sie innerhalb des Kegels.",
-  "Landmark at {0} {1}, known to {2}": "Landmarke bei {0} {1}, auf {2} bekannt",
-  "Picture {0} of the walk, from {1} {2}, looking {3}°": "Bild {0} des Rundgangs, von {1} {2}, Blick nach {3}°",
+  "Landmark at {0} {1}, known to {2}": "Landmarke bei {0} {1}, auf {2} genau bekannt",
+  "Picture {0} of the walk, from {1} {2}, looking {3}°": "Bild {0} des Rundgangs, von {1} {2}, Blickrichtung {3}°",
 
   // Jobs
   "No jobs yet": "Noch keine Aufträge",
@@ -282,11 +284,11 @@ export const GERMAN = {
   "The map {0} and the pose that was found": "Die Karte {0} und die gefundene Pose",
   "No picture yet": "Noch kein Bild",
   "The pose appears here.": "Hier erscheint die Pose.",
-  "such as 65": "etwa 65",
+  "such as 65": "z. B. 65",
   "Show the landscape around the pose": "Landschaft um die Pose zeigen",
   Landscape: "Landschaft",
   "Play the ascents": "Aufstiege abspielen",
-  "Too little in the picture matches to climb by.": "Im Bild passt zu wenig, um daran aufzusteigen.",
+  "Too little in the picture matches to climb by.": "Im Bild passt zu wenig zur Karte, um daran aufzusteigen.",
   "Positions around the pose, {0} {1} wide, from above: the brighter, the better they explain the picture. {2} ascents; the best gains {3} nats.":
     "Positionen um die Pose, {0} {1} breit, von oben: je heller, desto besser erklären sie das Bild. {2} Aufstiege; der beste gewinnt {3} Nat.",
   "No pose, but the best optimum: positions around it, {0} {1} wide, from above. {2} ascents; the best gains {3} nats.":
@@ -337,11 +339,28 @@ export const GERMAN = {
   "the camera that made the map": "die Kamera, mit der die Karte aufgenommen wurde",
   "unknown: estimate its focal length": "unbekannt: Brennweite schätzen",
   "another, by its field of view": "eine andere, nach ihrem Blickfeld",
-  "hand-held: the camera may roll": "in der Hand: Die Kamera kann zur Seite geneigt sein",
-  "Drop a picture or a trajectory (CSV) here": "Ein Bild oder eine Trajektorie (CSV) hierher ziehen",
-  "Picture or trajectory": "Bild oder Trajektorie",
+  "hand-held: the camera may roll": "in der Hand gehalten: Die Kamera kann seitlich geneigt sein",
+  "Drop a picture, a video or a trajectory (CSV) here":
+    "Ein Bild, ein Video oder eine Trajektorie (CSV) hierher ziehen",
+  "Picture, video or trajectory": "Bild, Video oder Trajektorie",
   "Use the camera": "Kamera verwenden",
   "Stop the camera": "Kamera anhalten",
+  "Stop the video": "Video anhalten",
+  "track from frame to frame": "von Bild zu Bild verfolgen",
+  "This file is not a video that the browser can play.": "Diese Datei ist kein Video, das der Browser abspielen kann.",
+  "The connection broke off.": "Die Verbindung ist abgebrochen.",
+  searching: "sucht noch",
+  tracking: "verfolgt",
+  lost: "verloren",
+  "Too long without an answer of use: the pose is a guess.":
+    "Zu lange keine brauchbare Antwort: Die Pose ist nur geschätzt.",
+  "The pose jumped by {0}. The track before it may be wrong.":
+    "Die Pose ist um {0} gesprungen. Der Weg davor kann falsch sein.",
+  Answers: "Antworten",
+  "{0} of use, {1} left aside": "{0} brauchbar, {1} verworfen",
+  "Last answer": "Letzte Antwort",
+  Jumps: "Sprünge",
+  Rate: "Rate",
   "Choose a file": "Datei wählen",
   "This file is not a picture that the browser can read.": "Diese Datei ist kein Bild, das der Browser lesen kann.",
   "{0} frames a second": "{0} Bilder in der Sekunde",
@@ -372,7 +391,7 @@ export const GERMAN = {
   "At each point stand still for two seconds, the phone upright, and mark it.":
     "An jedem Punkt zwei Sekunden still stehen, das Telefon aufrecht halten und den Punkt markieren.",
   "Walk slowly, and sideways where you can; do not turn on the spot. Keep things in view: furniture, posters, shelves, no bare walls.":
-    "Langsam und eher seitwärts gehen, nicht auf der Stelle drehen. Dinge im Bild behalten: Möbel, Plakate, Regale, keine kahlen Wände.",
+    "Langsam und möglichst seitwärts gehen, sich nicht auf der Stelle drehen. Dinge im Bild behalten: Möbel, Plakate, Regale, keine kahlen Wände.",
   "Come back to where you began, and look at it again as you did then: the loop shows the map its own errors.":
     "Zum Anfang zurückkommen und ihn wieder so ansehen wie zu Beginn: Die Schleife zeigt der Karte ihre eigenen Fehler.",
   "Open the camera": "Kamera öffnen",
@@ -386,7 +405,7 @@ export const GERMAN = {
   "not sent yet": "noch nicht gesendet",
   sent: "gesendet",
   "Look at it": "Ansehen",
-  "Go on sending": "Weiter senden",
+  "Go on sending": "Senden fortsetzen",
   "See its job": "Zum Auftrag",
   "Remove from the list": "Aus der Liste entfernen",
   "Delete this recording?": "Diese Aufnahme löschen?",
@@ -471,7 +490,7 @@ export const GERMAN = {
   "The recording": "Die Aufnahme",
   "{0} s is too short for a map: walk for at least {1} s, half a minute or more for a room.":
     "{0} s sind zu kurz für eine Karte: wenigstens {1} s gehen, für einen Raum eine halbe Minute oder mehr.",
-  "Seconds that will fail": "Sekunden, die nicht brauchbar sind",
+  "Seconds that will fail": "Unbrauchbare Sekunden",
   "They are {0} of the walk: better walk again.": "Das sind {0} des Rundgangs: besser noch einmal gehen.",
   "turned too fast": "zu schnell gedreht",
   "too dark": "zu dunkel",
@@ -522,6 +541,7 @@ export const GERMAN = {
   "The map is ready": "Die Karte ist fertig",
   "The map is made, but do not rely on it": "Die Karte ist fertig, aber auf sie ist kein Verlass",
   "See the map": "Karte ansehen",
+  "Correct the points": "Punkte berichtigen",
   "Walk again": "Noch einmal gehen",
   "Record another": "Weitere aufnehmen",
   "The job was cancelled": "Der Auftrag wurde abgebrochen",
@@ -611,14 +631,14 @@ export const GERMAN = {
   "{0} is neither a picture nor GeoJSON.": "{0} ist weder ein Bild noch GeoJSON.",
   "The file is not JSON.": "Die Datei ist kein JSON.",
   "The GeoJSON has no lines or areas.": "Das GeoJSON enthält keine Linien oder Flächen.",
-  "GeoJSON has degrees: longitude and latitude.": "GeoJSON enthält Grad: Länge und Breite.",
+  "GeoJSON has degrees: longitude and latitude.": "GeoJSON steht in Grad: Länge und Breite.",
   "Picture or GeoJSON": "Bild oder GeoJSON",
-  "It is kept with the map.": "Er bleibt bei der Karte gespeichert.",
+  "It is kept with the map.": "Er wird mit der Karte gespeichert.",
   "The floor plan": "Der Grundriss",
   "floor plan": "Grundriss",
-  "Take the plan away": "Grundriss entfernen",
+  "Remove the plan": "Grundriss entfernen",
   "Width of the plan, m": "Breite des Grundrisses, m",
-  "Without it, the map's own scale tells.": "Ohne sie gilt der Maßstab der Karte.",
+  "Without it, the map's own scale counts.": "Ohne sie gilt der Maßstab der Karte.",
   "The map takes the plan's scale": "Die Karte übernimmt den Maßstab des Grundrisses",
 
   // Live, and where it failed
@@ -626,15 +646,15 @@ export const GERMAN = {
   Who: "Wer",
   Pose: "Pose",
   Uncertainty: "Unsicherheit",
-  Asks: "Fragt",
+  Asks: "Anfragen",
   "Nobody asks for poses at the moment.": "Zurzeit fragt niemand nach Posen.",
-  "{0} ask for poses.": "{0} fragen nach Posen.",
+  "Asking for poses: {0}.": "Zurzeit fragen nach Posen: {0}.",
   "{0} s ago": "vor {0} s",
   "{0} a second": "{0} pro Sekunde",
   "No request failed here in the last day, as far as this server knows.":
     "In den letzten 24 Stunden schlug hier keine Anfrage fehl, soweit dieser Server weiß.",
-  "In the last day {0} requests found no pose and {1} an unsure one: where the drawing glows.":
-    "In den letzten 24 Stunden fanden {0} Anfragen keine Pose und {1} eine unsichere: dort, wo die Zeichnung leuchtet.",
+  "Requests of the last day without a pose: {0}, with an unsure one: {1}. The drawing glows where they came from.":
+    "Anfragen der letzten 24 Stunden ohne Pose: {0}, mit unsicherer Pose: {1}. Wo sie herkamen, leuchtet die Zeichnung.",
 
   // Links with a key
   Share: "Teilen",
@@ -643,13 +663,13 @@ export const GERMAN = {
   "{0} days": "{0} Tage",
   "Whoever has the link can look at all maps of this server until it expires, and change nothing.":
     "Wer den Link hat, kann bis zu dessen Ablauf alle Karten dieses Servers ansehen und nichts ändern.",
-  "It is good for": "Er gilt",
+  "Valid for": "Gültig für",
   "Make the link": "Link erstellen",
   Link: "Link",
   Copy: "Kopieren",
-  "It is good until {0}.": "Er gilt bis {0}.",
-  "This server asks for no key: the link is good for ever.":
-    "Dieser Server verlangt keinen Schlüssel: Der Link gilt unbegrenzt.",
+  "Valid until {0}.": "Gültig bis {0}.",
+  "This server needs no key: the link does not expire.":
+    "Dieser Server verlangt keinen Schlüssel: Der Link läuft nicht ab.",
   "This address leads others nowhere: the server listens on this machine alone.":
     "Unter dieser Adresse erreicht ihn sonst niemand: Der Server ist nur auf diesem Rechner erreichbar.",
   "QR code of the link": "QR-Code des Links",
@@ -658,15 +678,15 @@ export const GERMAN = {
     "Ein Rundgang wird mit einem Telefon aufgenommen: Mit diesem Rechner geht niemand herum.",
   "Show a QR code": "QR-Code zeigen",
   "Point the phone's camera at it.": "Die Kamera des Telefons darauf richten.",
-  "Point the phone's camera at it. The key in it is good for two hours.":
+  "Point the phone's camera at it. The key in it is valid for two hours.":
     "Die Kamera des Telefons darauf richten. Der Schlüssel darin gilt zwei Stunden.",
   "No phone reaches this address: start the server with rholoc serve --tls, and open the address that it shows.":
     "Kein Telefon erreicht diese Adresse: Den Server mit rholoc serve --tls starten und die Adresse öffnen, die er zeigt.",
 
   // While walking
-  "{0} of {1} directions seen, {2} different views, {3} loops closed":
-    "{0} von {1} Richtungen gesehen, {2} verschiedene Ansichten, {3} Schleifen geschlossen",
-  "You have been here: hold on for two seconds.": "Hier waren Sie schon: zwei Sekunden stehen bleiben.",
+  "{0} of {1} directions seen, different views: {2}, loops closed: {3}":
+    "{0} von {1} Richtungen gesehen, verschiedene Ansichten: {2}, geschlossene Schleifen: {3}",
+  "You have been here before: hold still for two seconds.": "Hier waren Sie schon: zwei Sekunden still stehen bleiben.",
   "No loop was seen: the walk did not come back to where it had been, or not long enough. The map will not know its own errors.":
     "Keine Schleife gesehen: Der Rundgang kam nicht dorthin zurück, wo er schon war, oder nicht lange genug. Die Karte kennt dann ihre eigenen Fehler nicht.",
 

@@ -44,10 +44,15 @@ export function inPlainWords(why) {
   return { plain: why, technical: null };
 }
 
-/** What to do about a map that cannot be relied on; `mistakes` are of measured points. */
-export function whatToDo(trust, mistakes = []) {
-  if (trust === Trust.YES) return null;
+/** Whether what speaks against a map, or is to be corrected in it, are its measured points. */
+export const blamesPoints = (mistakes, why) => mistakes.length > 0 || /The waypoint .+ is missed by/.test(why ?? "");
+
+/** What to do about a map that cannot be relied on because of `why`; `mistakes` are of measured points. */
+export function whatToDo(trust, mistakes = [], why = "") {
   if (mistakes.length) return t`Measure that point again, correct it, and map the recording again.`;
+  if (trust === Trust.YES) return null;
+  if (trust === Trust.NO && blamesPoints(mistakes, why))
+    return t`Check the points that are missed: mistyped, exchanged, or marked elsewhere? Correct them in the recording, and map it again.`;
   if (trust === Trust.NO)
     return t`Record the walk again: slowly, sideways rather than turning on the spot, and back to where you began. Measured points let the map check itself.`;
   return t`Build it again with this version to have it checked.`;

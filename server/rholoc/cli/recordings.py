@@ -61,6 +61,7 @@ def _figures(description: dict[str, Any]) -> dict[str, str]:
         "pauses": "–" if imu is None else str(len(imu["pauses_s"])),
         "waypoints": ", ".join(waypoint["name"] for waypoint in description["waypoints"]) or "none",
         "poses": "none" if poses is None else _poses(poses),
+        **({"depth": f"of {description['depth_images']} frames"} if description["depth_images"] else {}),
     }
     for name, key, unit in (
         ("turning, 90 %", "turn_deg_s", "°/s"),

@@ -16,6 +16,7 @@ from rholoc.geometry import BoolArray, Camera, FloatArray, IntArray
 from rholoc.mapping.assembly import assemble
 from rholoc.mapping.cloud import cloud_of
 from rholoc.mapping.coaching import advice_line, coach, with_advice
+from rholoc.mapping.depth_points import depth_cloud
 from rholoc.mapping.fitting import DEFAULT_DEGREE, fit_densities
 from rholoc.mapping.frame_features import FrameFeatures
 from rholoc.mapping.landmarks import (
@@ -29,7 +30,7 @@ from rholoc.mapping.observations import Views, link_observations
 from rholoc.mapping.report import HeldOut, map_report
 from rholoc.mapping.uncertainty import storable_covariances
 from rholoc.mapping.views import choose_views
-from rholoc.maps import DensityKind, Map, MapInfo, MapWaypoint, Source
+from rholoc.maps import Cloud, DensityKind, Map, MapInfo, MapWaypoint, Source
 from rholoc.progress import ProgressListener, Stage, silent
 from rholoc.recordings import Look, Recording, Waypoint
 from rholoc.trajectory import PoseMethod, Scale, Trajectory, estimate_trajectory
@@ -99,7 +100,21 @@ def build_map(
     landmarks = reconstructed.keep(stable)
     progress(Stage.DENSITIES, 0.6, f"{len(landmarks)} stable features")
     map_ = _assemble(walks, views, walk_of_view, landmarks, extractor, options)
-    map_ = replace(map_, cloud=cloud_of(views, reconstructed, stable, walk_of_view), pictures=pictures)
+    cloud = Cloud.joined(
+        cloud_of(views, reconstructed, stable, walk_of_view),
+        *(
+            depth_cloud(
+                walk.recording,
+                walk.trajectory.rows[walk.views],
+                views,
+                np.flatnonzero(walk_of_view == number),
+                reconstructed,
+                number,
+            )
+            for number, walk in enumerate(walks)
+        ),
+    )
+    map_ = replace(map_, cloud=cloud, pictures=pictures)
     map_ = fit_densities(map_, options.density, options.degree, progress)
     progress(Stage.DENSITIES, 1.0, f"{len(map_.descriptors)} descriptors")
     report = replace(

@@ -14,6 +14,7 @@ from rholoc.localization import Localizer
 from rholoc.mapping.assembly import assemble
 from rholoc.mapping.cloud import cloud_of
 from rholoc.mapping.coaching import coach
+from rholoc.mapping.depth_points import depth_cloud
 from rholoc.mapping.fitting import ray_form
 from rholoc.mapping.frame_features import FrameFeatures, Shown
 from rholoc.mapping.joining import join
@@ -68,14 +69,15 @@ class UpdateOptions:
 
 @dataclass(frozen=True, eq=False)
 class _Walk:
-    """The frames of a recording that are learned from: camera, times (K,), T_map_camera (K, 4, 4), and what
-    each shows.
+    """The frames of a recording that are learned from: camera, rows (K,) among its frames, times (K,),
+    T_map_camera (K, 4, 4), and what each shows.
 
     ``residual`` is how far a pose may be off from the map on its own: metres and radians, standard deviations.
     ``figures`` are what is known so far of the report.
     """
 
     camera: Camera
+    rows: IntArray
     times: FloatArray
     T_map_camera: FloatArray
     shown: list[Shown]
@@ -127,7 +129,8 @@ def update_map(
     info = replace(known.info, sources=(source,), waypoints=())
     learned = assemble(info, views, landmarks, np.zeros(len(views), dtype=np.int64), localizer.extractor.metric)
     pictures = tuple(one.picture for one in walk.shown) if options.pictures else None
-    learned = replace(learned, cloud=cloud, pictures=pictures)
+    surfaces = depth_cloud(recording, walk.rows, views, np.arange(len(views)), landmarks, 0)
+    learned = replace(learned, cloud=Cloud.joined(cloud, surfaces), pictures=pictures)
     if known.view_covariances is not None:
         spread = uncertainty_in(known, learned.T_map_camera, *walk.residual)
         learned = replace(learned, view_covariances=spread)
@@ -159,6 +162,7 @@ def _localized_walk(localizer: Localizer, recording: Recording, pictures: bool, 
     figures = LearningReport(0, frames_tried=found.tried, frames_found=len(found.rows))
     return _Walk(
         camera,
+        rows[views],
         times[rows[views]],
         found.T_map_camera[views],
         [shown[view] for view in views],
@@ -189,6 +193,7 @@ def _aligned_walk(
     figures = replace(alignment_report(alignment, found), trusted=trajectory.report.trusted, why=trajectory.report.why)
     return _Walk(
         trajectory.camera,
+        trajectory.rows[views],
         trajectory.times[views],
         alignment.similarity.poses(own),
         shown,

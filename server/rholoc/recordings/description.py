@@ -32,6 +32,7 @@ def describe_recording(recording: Recording) -> dict[str, Any]:
         "camera": None if recording.camera is None else recording.camera.to_dict(),
         "frame_intrinsics": _logged(recording.frame_intrinsics),
         "readout_ms": None if recording.readout_s is None else 1000 * recording.readout_s,
+        "depth_images": 0 if recording.depth is None else sum(path is not None for path in recording.depth.paths),
         "imu": None if recording.imu is None else _imu(recording.imu),
         "waypoints": [_waypoint(waypoint) for waypoint in recording.waypoints],
         "poses": None if recording.poses is None else _poses(recording.poses),

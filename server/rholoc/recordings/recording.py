@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Protocol
 
 from rholoc.geometry import BoolArray, ByteArray, Camera, FloatArray, IntArray
+from rholoc.recordings.frames.depth import DepthImages
 from rholoc.reports import RecordingWarning
 
 GRAVITY = 9.81  # m/s², what an accelerometer at rest reads
@@ -124,6 +125,7 @@ class Recording:
         format: the layout that it was read as.
         frame_intrinsics: (N, 4) fx, fy, cx, cy of each frame in pixels, NaN where not logged; None where none were.
         readout_s: how long a rolling shutter takes from the first row to the last, or None where not logged.
+        depth: depth images of its frames, or None.
         warnings: its problems.
     """
 
@@ -137,4 +139,5 @@ class Recording:
     format: RecordingFormat = RecordingFormat.RHOLOC
     frame_intrinsics: FloatArray | None = None
     readout_s: float | None = None
+    depth: DepthImages | None = None
     warnings: tuple[RecordingWarning, ...] = ()

@@ -94,6 +94,7 @@ def select_frames(recording: Recording, chosen: slice) -> Recording:
             )
         ),
         frame_intrinsics=None if recording.frame_intrinsics is None else recording.frame_intrinsics[rows],
+        depth=None if recording.depth is None else recording.depth.select(rows),
     )
 
 

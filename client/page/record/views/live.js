@@ -242,7 +242,7 @@ class Live {
     }
     if (!this.#held) navigator.vibrate?.([60, 60, 60]);
     this.#held = true;
-    return { code: "loop", text: t`You have been here: hold on for two seconds.` };
+    return { code: "loop", text: t`You have been here before: hold still for two seconds.` };
   }
 
   turned = (event) => this.#headings.turn(/** @type {CustomEvent} */ (event).detail);

@@ -1,6 +1,6 @@
 // On a computer: the recorder's address for a phone, as a QR code.
 
-import { fill, h } from "../../shared/dom.js";
+import { busy, fill, h } from "../../shared/dom.js";
 import { isReachable, linkWithKey, Purpose, qrCode } from "../../shared/handover.js";
 import { t } from "../../shared/text.js";
 
@@ -10,21 +10,18 @@ const GOOD_FOR_S = 2 * 3600;
 export function onPhone() {
   if (!matchMedia("(pointer: fine) and (hover: hover)").matches) return null;
   const place = h("div", { class: "stack" });
-  const show = h("button", { type: "button", onclick: () => showCode() }, t`Show a QR code`);
+  const show = h("button", { type: "button", onclick: () => busy(show, showCode) }, t`Show a QR code`);
 
   async function showCode() {
-    show.disabled = true;
     try {
       const { link, expires } = await linkWithKey(`record${location.hash || "#/"}`, Purpose.RECORD, GOOD_FOR_S);
       const good = expires
-        ? t`Point the phone's camera at it. The key in it is good for two hours.`
+        ? t`Point the phone's camera at it. The key in it is valid for two hours.`
         : t`Point the phone's camera at it.`;
       fill(place, await qrCode(link), h("p", { class: "small muted" }, good));
       show.hidden = true;
     } catch (error) {
       fill(place, h("p", { class: "notice bad", role: "alert" }, error.message));
-    } finally {
-      show.disabled = false;
     }
   }
 

@@ -31,7 +31,7 @@ export function ring() {
     });
     needle.setAttribute("transform", `rotate(${(headings.heading * 180) / Math.PI})`);
     middle.textContent = loops ? "✓" : String(views);
-    text.textContent = t`${headings.covered} of ${SECTORS} directions seen, ${views} different views, ${loops} loops closed`;
+    text.textContent = t`${headings.covered} of ${SECTORS} directions seen, different views: ${views}, loops closed: ${loops}`;
   }
 
   return { element, show };

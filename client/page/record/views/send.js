@@ -1,9 +1,10 @@
 // A recording on its way to the server, and its job there.
 
+import { get, path } from "../../shared/api.js";
 import { fill, h } from "../../shared/dom.js";
 import { Existing } from "../../shared/name_choice.js";
 import { t } from "../../shared/text.js";
-import { inPlainWords, Trust, whatToDo } from "../../shared/trust.js";
+import { blamesPoints, inPlainWords, mistakesIn, Trust, whatToDo } from "../../shared/trust.js";
 import { followJob } from "../job.js";
 import { mapNames } from "../map_names.js";
 import { archive } from "../recording.js";
@@ -52,7 +53,17 @@ async function run(page, store, recording, signal) {
   }
   page.sent();
   const lost = (error) => page.waiting(error, t`The page continues by itself when it can.`);
-  page.ended(await followJob(recording.job, (job) => page.jobChanged(job), signal, lost));
+  const job = await followJob(recording.job, (job) => page.jobChanged(job), signal, lost);
+  page.ended(job, job.state === "published" ? await mistakesOf(job.map, signal) : []);
+}
+
+/** What the map's report says of mistakes in measured points; nothing where there is no asking it. */
+async function mistakesOf(map, signal) {
+  try {
+    return mistakesIn((await get(path`v1/maps/${map}/report`, { signal })).report);
+  } catch {
+    return [];
+  }
 }
 
 /** Whether there is a map of that name, and nobody has said whether to keep it: the server was away then. */
@@ -141,24 +152,38 @@ class SendPage {
     });
   }
 
-  ended({ state, error, map, warnings }) {
+  /** `mistakes` are of measured points, which a map may have left out and be good without. */
+  ended(job, mistakes) {
+    const { state, error } = job;
     const again = h("a", { class: "button", href: "#/" }, t`Record another`);
     if (state === "published") {
-      const where = encodeURIComponent(map);
-      const doubtful = warnings.length > 0;
-      this.title.textContent = doubtful ? t`The map is made, but do not rely on it` : t`The map is ready`;
-      this.text.textContent = doubtful ? whatToDo(Trust.NO) : "";
-      if (doubtful) this.tell({ message: warnings.map((why) => inPlainWords(why).plain).join(" "), hint: "" });
-      const see = h("a", { class: ["button", !doubtful && "primary"], href: `./#/maps/${where}` }, t`See the map`);
-      const walk = h("a", { class: "button primary", href: "#/" }, t`Walk again`);
-      const tryIt = h("a", { class: "button", href: `./#/try/${where}` }, t`Try it`);
-      fill(this.actions, doubtful ? [walk, see] : [see, tryIt, again]);
+      this.published(job, mistakes, again);
       return;
     }
     this.title.textContent = state === "cancelled" ? t`The job was cancelled` : t`Mapping failed`;
     this.bar.hidden = true;
     this.tell(error ?? { message: t`The server keeps the recording.`, hint: "" });
     fill(this.actions, h("a", { class: "button", href: "./#/jobs" }, t`All jobs`), again);
+  }
+
+  published({ map, recording, warnings }, mistakes, again) {
+    const doubtful = warnings.length > 0;
+    const why = warnings.join(" ");
+    const where = encodeURIComponent(map);
+    this.title.textContent = doubtful ? t`The map is made, but do not rely on it` : t`The map is ready`;
+    this.text.textContent = whatToDo(doubtful ? Trust.NO : Trust.YES, mistakes, why) ?? "";
+    const said = [...mistakes, ...warnings.map((one) => inPlainWords(one).plain)].join(" ");
+    if (said) this.tell({ message: said, hint: "" });
+    if (!doubtful && said) this.notice.className = "notice warn";
+    const correctable = blamesPoints(mistakes, why);
+    const link = (href, text, primary) => h("a", { class: ["button", primary && "primary"], href }, text);
+    fill(
+      this.actions,
+      correctable && link(`./#/recordings/${recording}`, t`Correct the points`, doubtful),
+      doubtful && link("#/", t`Walk again`, !correctable),
+      link(`./#/maps/${where}`, t`See the map`, !doubtful),
+      !doubtful && [link(`./#/try/${where}`, t`Try it`, false), again],
+    );
   }
 
   failed(error, again, change) {

@@ -14,7 +14,7 @@ import numpy as np
 from PIL import Image, ImageFile, ImageOps, UnidentifiedImageError
 
 from rholoc.errors import InvalidImage
-from rholoc.geometry import ByteArray
+from rholoc.geometry import ByteArray, IntArray
 
 IMAGE_SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".webp", ".bmp", ".ppm", ".pgm"})
 DEFAULT_MAX_PIXELS = 50_000_000
@@ -83,6 +83,18 @@ def read_image(path: Path, max_pixels: int = DEFAULT_MAX_PIXELS) -> ByteArray:
     except OSError as error:
         raise InvalidImage(f"The image cannot be read: {error.strerror}.") from error
     return decode_image(data, max_pixels)
+
+
+def read_grey(path: Path, max_pixels: int = DEFAULT_MAX_PIXELS) -> IntArray:
+    """An image file of one channel → its values (H, W), all of their up to 16 bits.
+
+    Raises:
+        InvalidImage: the file cannot be read or decoded, or has several channels.
+    """
+    with _opened(path, max_pixels) as image:
+        if not (image.mode == "L" or image.mode.startswith("I")):
+            raise InvalidImage(f"{path.name} is not an image of one channel.")
+        return np.asarray(image).astype(np.int64)
 
 
 def image_size(path: Path, max_pixels: int = DEFAULT_MAX_PIXELS) -> tuple[int, int]:

@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from rholoc.errors import InvalidRecording
-from rholoc.geometry import FloatArray, IntArray
+from rholoc.geometry import Camera, FloatArray, IntArray
+from rholoc.recordings.frames.depth import MILLIMETRE_M, DepthImages
 from rholoc.recordings.frames.image_folder import DEFAULT_FPS, image_frames, number_in_name
 from rholoc.recordings.frames.video import VIDEO_SUFFIXES, VideoFrames, read_video
 from rholoc.recordings.imu_normalisation import advancing_rows
@@ -83,6 +84,17 @@ def untimed_images(paths: Sequence[Path]) -> TimedFrames:
         numbers = np.arange(len(paths))
     frames = image_frames([paths[place] for place in order], numbers, numbers / DEFAULT_FPS)
     return TimedFrames(frames, np.array(order, dtype=np.int64), ())
+
+
+def depth_images(
+    paths: Sequence[Path | None],
+    unit_m: float = MILLIMETRE_M,
+    unknown: tuple[int, ...] = (0,),
+    camera: Camera | None = None,
+) -> DepthImages | None:
+    """The depth images of frames, see :class:`DepthImages`, of files that may be missing; None where all are."""
+    found = tuple(path if path is not None and path.is_file() else None for path in paths)
+    return DepthImages(found, unit_m, unknown, camera) if any(found) else None
 
 
 def find_video(folder: Path, name: str = "video") -> Path | None:

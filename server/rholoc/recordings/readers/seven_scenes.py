@@ -4,9 +4,9 @@
 
     frame-000000.color.png    or .jpg
     frame-000000.pose.txt     T_world_camera, 4 × 4, metres; not finite where tracking was lost
-    frame-000000.depth.png    ignored
+    frame-000000.depth.png    mm, 65535 where unknown: of the depth camera, whose intrinsics the dataset's page gives
 
-Intrinsics are not in the folder; which way is up is not known.
+The colour camera's intrinsics are not in the folder; which way is up is not known.
 """
 
 from __future__ import annotations
@@ -16,12 +16,14 @@ from pathlib import Path
 import numpy as np
 
 from rholoc.errors import InvalidTrajectory
-from rholoc.geometry import FloatArray, is_rotation
-from rholoc.recordings.readers._frames import untimed_images
+from rholoc.geometry import Camera, FloatArray, is_rotation
+from rholoc.recordings.readers._frames import depth_images, untimed_images
 from rholoc.recordings.recording import GivenPoses, Recording, RecordingFormat
 from rholoc.recordings.tables.csv_table import read_text
 
 _ROTATION_TOLERANCE = 1e-2
+_UNKNOWN_DEPTHS = (0, 65535)
+_DEPTH_CAMERA = Camera(640, 480, 585.0, 585.0, 320.0, 240.0)
 _COLOUR = (".color.png", ".color.jpg")
 
 
@@ -42,12 +44,14 @@ def read(folder: Path) -> Recording:
     T = np.array([_read_pose(_pose_file(images[row])) for row in timed.rows])
     known = np.isfinite(T).all(axis=(1, 2))
     T[~known] = np.nan
+    depths = [_depth_file(images[row]) for row in timed.rows]
     return Recording(
         name=folder.resolve().name,
         path=folder,
         frames=timed.frames,
         poses=GivenPoses(known, T) if known.any() else None,
         format=RecordingFormat.SEVEN_SCENES,
+        depth=depth_images(depths, unknown=_UNKNOWN_DEPTHS, camera=_DEPTH_CAMERA),
         warnings=timed.warnings,
     )
 
@@ -58,6 +62,10 @@ def _images(folder: Path) -> list[Path]:
 
 def _pose_file(image: Path) -> Path:
     return image.with_suffix("").with_suffix(".pose.txt")
+
+
+def _depth_file(image: Path) -> Path:
+    return image.with_suffix("").with_suffix(".depth.png")
 
 
 def _read_pose(path: Path) -> FloatArray:

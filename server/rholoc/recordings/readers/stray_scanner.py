@@ -5,10 +5,11 @@
     rgb.mp4             as ARKit has images: on their side
     odometry.csv        timestamp, frame, x, y, z, qx, qy, qz, qw[, fx, fy, cx, cy]    row i is frame i
     camera_matrix.csv   3 × 3, no header
+    depth/000000.png    mm, of what the video's frame of that number shows; .npy, of early versions, is left aside
     imu.csv             timestamp, a_x, a_y, a_z, alpha_x, alpha_y, alpha_z            CoreMotion's axes
 
 Poses are in metres with y up, of a camera with OpenCV's axes. The app's own description has the acceleration in m/s²,
-its code writes it in g with Apple's sign, so unit and sign are measured. Depth is ignored.
+its code writes it in g with Apple's sign, so unit and sign are measured.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from rholoc.errors import InvalidCamera
 from rholoc.geometry import Camera, FloatArray, IntArray
 from rholoc.recordings.imu_normalisation import ImuConvention, Samples, normalise_imu, with_sign_by_poses
 from rholoc.recordings.readers._apple import R_LANDSCAPE_CAMERA_IMU, z_up
-from rholoc.recordings.readers._frames import require_video, timed_video
+from rholoc.recordings.readers._frames import depth_images, require_video, timed_video
 from rholoc.recordings.recording import GivenPoses, Imu, Recording, RecordingFormat
 from rholoc.recordings.tables.logged_table import LoggedTable, has_columns, read_logged_table
 from rholoc.recordings.tables.pose_table import poses_from_rows
@@ -60,6 +61,7 @@ def read(folder: Path) -> Recording:
         poses=poses,
         format=RecordingFormat.STRAY_SCANNER,
         frame_intrinsics=per_frame,
+        depth=depth_images([folder / "depth" / f"{row:06d}.png" for row in timed.rows.tolist()]),
         warnings=(*timed.warnings, *imu_warnings),
     )
 

@@ -4,20 +4,28 @@
 
     rgb.txt             # timestamp filename
     groundtruth.txt     # timestamp tx ty tz qx qy qz qw     of the colour camera, z up
+    depth.txt           # timestamp filename                of images that show what the colour image shows
     accelerometer.txt   # timestamp ax ay az                 no gyroscope comes with it: left aside
 
-Depth is left aside. Intrinsics are not in the folder.
+Depth is in units of 1/5000 m; a frame has that of the nearest time. Intrinsics are not in the folder.
 """
 
 from __future__ import annotations
 
 from pathlib import Path
 
-from rholoc.recordings.readers._frames import listed_file, timed_images
+import numpy as np
+
+from rholoc.geometry import FloatArray
+from rholoc.recordings.frames.depth import DepthImages
+from rholoc.recordings.readers._frames import depth_images, listed_file, timed_images
 from rholoc.recordings.recording import Recording, RecordingFormat
 from rholoc.recordings.tables.logged_table import is_bare_table, read_logged_table
 from rholoc.recordings.tables.pose_table import match_poses, read_pose_table
 from rholoc.reports import RecordingWarning, WarningKind
+
+_DEPTH_UNIT_M = 1 / 5000
+_SAME_MOMENT_S = 0.02  # of a colour and a depth image
 
 
 def recognises(folder: Path) -> bool:
@@ -45,5 +53,24 @@ def read(folder: Path) -> Recording:
         frames=timed.frames,
         poses=match_poses(read_pose_table(truth), timed.frames) if truth.is_file() else None,
         format=RecordingFormat.TUM_RGBD,
+        depth=_depth(folder, timed.frames.times),
         warnings=tuple(warnings),
     )
+
+
+def _depth(folder: Path, times: FloatArray) -> DepthImages | None:
+    """For each frame, of some time (N,) in seconds, the depth image that was taken with it.
+
+    Raises:
+        InvalidRecording: the list is broken.
+    """
+    if not (folder / "depth.txt").is_file():
+        return None
+    table = read_logged_table(folder / "depth.txt")
+    taken, names = table.numbered(0)[:, 0], [name for _, name in table.rows]
+    nearest = np.abs(taken - times[:, None]).argmin(axis=1)
+    paths = [
+        listed_file(folder, names[row]) if abs(taken[row] - time) <= _SAME_MOMENT_S else None
+        for row, time in zip(nearest.tolist(), times.tolist(), strict=True)
+    ]
+    return depth_images(paths, _DEPTH_UNIT_M)
