@@ -5,7 +5,7 @@
     rgb.mp4             as ARKit has images: on their side
     odometry.csv        timestamp, frame, x, y, z, qx, qy, qz, qw[, fx, fy, cx, cy]    row i is frame i
     camera_matrix.csv   3 × 3, no header
-    depth/000000.png    mm, of what the video's frame of that number shows; .npy, of early versions, is left aside
+    depth/000000.png    mm, of what the video's frame of that number shows; .npy, of early versions, is ignored
     imu.csv             timestamp, a_x, a_y, a_z, alpha_x, alpha_y, alpha_z            CoreMotion's axes
 
 Poses are in metres with y up, of a camera with OpenCV's axes. The app's own description has the acceleration in m/s²,
