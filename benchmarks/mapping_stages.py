@@ -50,7 +50,7 @@ def main() -> None:
         clock = StageClock()
         MappingPipeline().build(task, clock)
         clock(Stage.PUBLISHED, 0.0)
-        warnings = MappingPipeline().publish(task)
+        warnings = MappingPipeline().publish(task, MapLibrary(task.maps_dir))
         clock(Stage.PUBLISHED, 1.0)
         report = MapLibrary(folder / "maps").get("walk").info.report
     figures = {

@@ -7,6 +7,7 @@ import socket
 import sys
 import threading
 import time
+import uuid
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -31,6 +32,7 @@ from rholoc.reports import HeldOutReport, MapReport
 if TYPE_CHECKING:
     from fastapi import FastAPI
 
+    from postgres_server import PostgresServer
     from rholoc.service import Settings
 
 # The tests wait for events, not for seconds: the service's default deadline and httpx's are for machines at rest.
@@ -51,6 +53,22 @@ def real_data() -> Path:
             pytest.fail("RHOLOC_REQUIRE_REAL_DATA=1, but the real recordings are absent.")
         pytest.skip("the real recordings are absent")
     return _REAL_DATA
+
+
+@pytest.fixture(scope="session")
+def postgres() -> Iterator[PostgresServer]:
+    """A PostgreSQL server of our own."""
+    from postgres_server import PostgresServer
+
+    server = PostgresServer()
+    yield server
+    server.close()
+
+
+@pytest.fixture
+def postgres_url(postgres: PostgresServer) -> str:
+    """An empty database."""
+    return postgres.create_database(f"test_{uuid.uuid4().hex}")
 
 
 @dataclass(frozen=True, eq=False)

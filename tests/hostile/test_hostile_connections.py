@@ -273,7 +273,7 @@ def test_jobs_are_listed_a_page_at_a_time(serve):
 
 
 def test_a_database_that_is_locked_is_no_error_of_the_service(serve, monkeypatch):
-    monkeypatch.setattr("rholoc.jobs.database._BUSY_TIMEOUT_MS", 100)
+    monkeypatch.setattr("rholoc.storage.database._BUSY_TIMEOUT_MS", 100)
     running = serve()
     files = {"file": ("walk.mp4", b"\0\0\0\x18ftypisom" + b"x" * 100)}
     with closing(sqlite3.connect(running.settings.data_dir / "jobs.sqlite", isolation_level=None)) as other:

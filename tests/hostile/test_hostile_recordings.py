@@ -22,6 +22,7 @@ from rholoc.jobs.build_process import build_in_process, run_build
 from rholoc.jobs.pipeline import MappingPipeline
 from rholoc.jobs.table import JobWork, Lease, shortened
 from rholoc.jobs.worker import Worker
+from rholoc.maps import MapLibrary
 from rholoc.processes import Limits, machine_memory_bytes
 from rholoc.progress import ProgressListener, silent
 from rholoc.recordings import check_archive, frame_pixels_limited, read_recording
@@ -281,7 +282,7 @@ class GreedyPipeline:
     def build(self, task: MappingTask, progress: ProgressListener) -> None:
         np.ones(2**40, np.uint8)
 
-    def publish(self, task: MappingTask) -> tuple[str, ...]:
+    def publish(self, task: MappingTask, library: MapLibrary) -> tuple[str, ...]:
         return ()
 
 

@@ -13,10 +13,10 @@ from pathlib import Path
 
 import numpy as np
 
-from rholoc.errors import InvalidRecording
+from rholoc.errors import InvalidRecording, UnknownMap
 from rholoc.geometry import Camera
 from rholoc.jobs import MappingPipeline, MappingTask, Timing, run_worker
-from rholoc.maps import DensityKind, Map, MapInfo, save_map
+from rholoc.maps import DensityKind, Map, MapInfo, MapLibrary, save_map
 from rholoc.progress import ProgressListener, Stage
 from rholoc.reports import MapReport, TrajectoryReport
 
@@ -83,13 +83,12 @@ class FakePipeline(MappingPipeline):
         self._wait("built")
         self._kill_once(task, "built", os.getppid())
 
-    def publish(self, task: MappingTask) -> tuple[str, ...]:
+    def publish(self, task: MappingTask, library: MapLibrary) -> tuple[str, ...]:
         self._wait("publishing")
         self._kill_once(task, "publishing", os.getpid())
-        target = task.maps_dir / f"{task.map_name}.rho"
-        before = target.stat().st_ino if target.exists() else None
-        doubts = super().publish(task)
-        if target.stat().st_ino != before:
+        before = _signature(library, task.map_name)
+        doubts = super().publish(task, library)
+        if _signature(library, task.map_name) != before:
             self.control.reach("put")
             self.control.reach(f"put {task.map_name}")
         self._wait("after-publishing")
@@ -163,8 +162,24 @@ def orphaned() -> threading.Event:
     return event
 
 
+def _signature(library: MapLibrary, name: str) -> tuple[int, int, int] | None:
+    try:
+        return library.stat(name).signature
+    except UnknownMap:
+        return None
+
+
 if __name__ == "__main__":
-    data_dir, maps_dir, control_dir = map(Path, sys.argv[1:])
+    data_dir, maps_dir, control_dir = map(Path, sys.argv[1:4])
+    database_url, storage_url = sys.argv[4:] or (None, None)
     from fake_pipeline import FakePipeline as ImportablePipeline  # not of __main__, so that it can be pickled
 
-    run_worker(data_dir, maps_dir, pipeline=ImportablePipeline(Control(control_dir)), timing=TIMING, stop=orphaned())
+    run_worker(
+        data_dir,
+        maps_dir,
+        database_url,
+        pipeline=ImportablePipeline(Control(control_dir)),
+        timing=TIMING,
+        stop=orphaned(),
+        storage_url=storage_url,
+    )

@@ -10,7 +10,9 @@ from pathlib import Path
 
 from fake_pipeline import Control
 
-from rholoc.jobs import Job, JobQueue, JobState, RecordingStore
+from rholoc.jobs import Job, JobQueue, JobState, RecordingStore, SharedRecordingStore
+from rholoc.maps import MapLibrary
+from rholoc.storage import SharedStorage
 from waiting import TIMEOUT_S, until
 
 _HERE = Path(__file__).parent
@@ -18,20 +20,34 @@ _KILL_TIMEOUT_S = 60.0
 
 
 class Site:
-    """A data folder, a map folder, the queue on them, and the workers that a test started."""
+    """A data folder, a map folder, the queue on them, and the workers that a test started.
 
-    def __init__(self, folder: Path) -> None:
+    With a database and a storage, each worker has folders of its own, as on another machine.
+    """
+
+    def __init__(self, folder: Path, database_url: str | None = None, storage_url: str | None = None) -> None:
+        self._folder = folder
+        self._urls = (database_url, storage_url) if database_url and storage_url else ()
         self.data_dir, self.maps_dir = folder / "data", folder / "maps"
         control_dir = folder / "control"
         control_dir.mkdir()
         self.control = Control(control_dir)
-        self.recordings = RecordingStore(self.data_dir)
-        self.queue = JobQueue(self.data_dir)
+        self.shared = SharedStorage(storage_url, self.data_dir, database_url) if storage_url else None
+        if self.shared is None:
+            self.recordings = RecordingStore(self.data_dir)
+            self.library = MapLibrary(self.maps_dir)
+        else:
+            self.shared.open(follow=True)
+            self.recordings = SharedRecordingStore(self.data_dir, self.shared)
+            self.library = self.shared.library
+        self.queue = JobQueue(self.data_dir, database_url, self.recordings)
         self._workers: list[subprocess.Popen[bytes]] = []
 
     def start_worker(self) -> subprocess.Popen[bytes]:
         """A worker that makes tiny maps."""
-        arguments = [str(_HERE / "fake_pipeline.py"), str(self.data_dir), str(self.maps_dir), str(self.control.folder)]
+        folder = self._folder / f"worker-{len(self._workers)}" if self._urls else self._folder
+        folders = [folder / "data", folder / "maps", self.control.folder]
+        arguments = [str(_HERE / "fake_pipeline.py"), *map(str, folders), *self._urls]
         worker = subprocess.Popen([sys.executable, *arguments])
         self._workers.append(worker)
         return worker
@@ -76,3 +92,5 @@ class Site:
         for worker in self._workers:
             worker.wait(TIMEOUT_S)
         self.queue.close()
+        if self.shared is not None:
+            self.shared.close()

@@ -12,10 +12,11 @@ import sqlalchemy as sa
 
 from rholoc.errors import Conflict, InvalidName, StorageFull, UnknownJob, UnknownRecording
 from rholoc.jobs import JobOptions, JobQueue, JobState
-from rholoc.jobs.database import jobs_table, open_database, reporting_full_database
 from rholoc.jobs.table import JobTable, overall
 from rholoc.maps import DensityKind
 from rholoc.progress import Stage
+from rholoc.storage.database import open_database, reporting_full_database
+from rholoc.storage.tables import jobs_table
 from rholoc.trajectory import PoseMethod
 
 if TYPE_CHECKING:
@@ -145,14 +146,3 @@ def test_the_same_submission_twice_is_one_job(site: Site) -> None:
     first = site.queue.submit(entry.id, "room", job_id="1" * 32)
     assert site.queue.submit(entry.id, "room", job_id="1" * 32) == first
     assert site.queue.list() == [first]
-
-
-def test_a_database_of_an_earlier_version_is_brought_up_to_date(site: Site) -> None:
-    job = site.submit()
-    engine = open_database(site.data_dir)
-    with engine.begin() as connection:
-        connection.execute(sa.text("ALTER TABLE rholoc_jobs DROP COLUMN warnings"))
-    engine.dispose()
-    later = JobQueue(site.data_dir)
-    assert later.get(job.id) == job
-    later.close()

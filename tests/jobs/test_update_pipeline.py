@@ -33,11 +33,11 @@ def test_an_update_takes_the_place_of_the_version_before_it_once(task: MappingTa
     library, before = MapLibrary(task.maps_dir), MapLibrary(task.maps_dir).get("room")
     MappingPipeline().build(task, silent)
     assert library.get("room").info == before.info
-    MappingPipeline().publish(task)
+    MappingPipeline().publish(task, MapLibrary(task.maps_dir))
     published = library.stat("room").signature
     assert library.get("room").info.version == before.info.version + 1
     MappingPipeline().build(task, silent)
-    MappingPipeline().publish(task)
+    MappingPipeline().publish(task, MapLibrary(task.maps_dir))
     assert library.stat("room").signature == published
 
 
@@ -47,7 +47,7 @@ def test_an_update_of_a_map_that_changed_meanwhile_is_refused(task: MappingTask)
     changed = next_version(next_version(library.get("room")))
     library.put("room", changed)
     with pytest.raises(Conflict, match="changed in the meantime"):
-        MappingPipeline().publish(task)
+        MappingPipeline().publish(task, MapLibrary(task.maps_dir))
     assert library.get("room").info.version == changed.info.version
 
 

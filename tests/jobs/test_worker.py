@@ -17,10 +17,10 @@ from fake_pipeline import BUILD_STAGES, TIMING, FakePipeline
 from rholoc.errors import Conflict
 from rholoc.jobs import JobOptions, JobState, MappingTask
 from rholoc.jobs.build_process import build_in_process, run_build
-from rholoc.jobs.database import open_database
 from rholoc.maps import MapLibrary
 from rholoc.processes import Limits
 from rholoc.progress import Stage, silent
+from rholoc.storage.database import open_database
 from waiting import until
 
 if TYPE_CHECKING:

@@ -32,9 +32,9 @@ def test_a_camera_comes_back_as_it_was_put(cameras: CameraLibrary) -> None:
     assert cameras.names() == ["axis.door"]
 
 
-def test_the_files_serve_as_a_recordings_camera_json(cameras: CameraLibrary) -> None:
+def test_the_files_serve_as_a_recordings_camera_json(cameras: CameraLibrary, tmp_path: Path) -> None:
     cameras.put("pixel-7", CameraProfile(_CAMERA, {"rms_px": 0.21}))
-    assert read_camera_json(cameras.path("pixel-7")).camera == _CAMERA
+    assert read_camera_json(tmp_path / "maps" / "cameras" / "pixel-7.json").camera == _CAMERA
 
 
 def test_cameras_are_not_maps(cameras: CameraLibrary, tmp_path: Path) -> None:
@@ -59,9 +59,9 @@ def test_an_unknown_camera_is_reported_with_those_there_are(cameras: CameraLibra
 
 
 @pytest.mark.parametrize("text", ["", "[]", "{}", '{"width": 640}', "\x00", '{"width": "a"}', "[" * 100_000])
-def test_a_broken_file_is_reported(cameras: CameraLibrary, text: str) -> None:
+def test_a_broken_file_is_reported(cameras: CameraLibrary, text: str, tmp_path: Path) -> None:
     cameras.put("axis", CameraProfile(_CAMERA))
-    cameras.path("axis").write_text(text)
+    (tmp_path / "maps" / "cameras" / "axis.json").write_text(text)
     with pytest.raises(InvalidCamera, match="axis is broken"):
         cameras.get("axis")
 
@@ -80,8 +80,8 @@ def test_a_calibration_that_is_not_json_is_refused(cameras: CameraLibrary, value
     assert cameras.names() == []
 
 
-def test_a_camera_that_cannot_be_stored_replaces_nothing(cameras: CameraLibrary) -> None:
-    cameras.folder.parent.mkdir(parents=True)
-    cameras.folder.write_text("a file stands where the folder would")
+def test_a_camera_that_cannot_be_stored_replaces_nothing(cameras: CameraLibrary, tmp_path: Path) -> None:
+    (tmp_path / "maps").mkdir()
+    (tmp_path / "maps" / "cameras").write_text("a file stands where the folder would")
     with pytest.raises(InvalidInput, match="cannot be created"):
         cameras.put("axis", CameraProfile(_CAMERA))

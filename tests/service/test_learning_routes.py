@@ -88,7 +88,7 @@ def test_an_update_is_a_job(learner):
 def table_workflow(table, job_id):
     import sqlalchemy as sa
 
-    from rholoc.jobs.database import jobs_table
+    from rholoc.storage.tables import jobs_table
 
     with table._engine.connect() as connection:
         return connection.execute(sa.select(jobs_table.c.workflow_id).where(jobs_table.c.id == job_id)).scalar_one()

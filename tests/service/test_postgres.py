@@ -3,51 +3,14 @@
 from __future__ import annotations
 
 import os
-import pwd
-import shutil
-import signal
 import subprocess
 import sys
-import tempfile
-from pathlib import Path
 
 import pytest
 
 from rholoc.errors import InvalidInput
 from rholoc.jobs import JobQueue
 from rholoc_client import Client, JobFailed
-
-
-def _program(name):
-    """Where a program of Postgres is; Debian keeps most of them off the path."""
-    found = shutil.which(name) or next(map(str, Path("/usr/lib/postgresql").glob(f"*/bin/{name}")), None)
-    return found or pytest.skip("Postgres is not installed")
-
-
-@pytest.fixture(scope="module")
-def postgres_url():
-    """A Postgres of our own, on a socket in a folder of its own. It refuses to run as root."""
-    user = "postgres" if os.geteuid() == 0 else None
-    initdb, postgres = _program("initdb"), _program("postgres")
-    folder = Path(tempfile.mkdtemp(prefix="rholoc-postgres-"))  # pytest's own folders are closed to other users
-    if user is not None:
-        account = pwd.getpwnam(user)
-        os.chown(folder, account.pw_uid, account.pw_gid)
-    cluster = folder / "cluster"
-    options = {"user": user, "cwd": folder, "stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
-    arguments = ["-U", "postgres", "-A", "trust", "-E", "UTF8", "--no-locale", "-N", "-D", str(cluster)]
-    subprocess.run([initdb, *arguments], check=True, **options)
-    quick = ["-c", "listen_addresses=", "-c", "fsync=off", "-k", str(folder)]
-    server = subprocess.Popen([postgres, "-D", str(cluster), *quick], **options)
-    while (
-        not (folder / ".s.PGSQL.5432").exists()
-        or subprocess.run([_program("pg_isready"), "-q", "-h", str(folder)], check=False).returncode
-    ):
-        assert server.poll() is None, "Postgres did not start"
-    yield f"postgresql://postgres@/postgres?host={folder}"
-    server.send_signal(signal.SIGINT)  # at once, whoever is connected
-    server.wait(30)
-    shutil.rmtree(folder)
 
 
 @pytest.mark.slow

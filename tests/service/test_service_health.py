@@ -8,9 +8,9 @@ import httpx
 import structlog
 
 from rholoc import __version__
-from rholoc.jobs.database import open_database
 from rholoc.jobs.table import WorkerTable
 from rholoc.logs import configure_logs
+from rholoc.storage.database import open_database
 
 _NO_WORKER = "no worker is running; jobs wait for one"
 

@@ -22,6 +22,7 @@ from rholoc.cli import (
     recordings,
     serve,
     simulate,
+    storage,
     track,
 )
 from rholoc.cli.console import print_error
@@ -50,6 +51,7 @@ app.add_typer(recordings.app, name="recording")
 app.add_typer(paper.app, name="paper")
 app.add_typer(keys.app, name="key")
 app.add_typer(jobs.app, name="job")
+app.add_typer(storage.app, name="storage")
 app.command()(localize.localize)
 app.command()(track.track)
 app.command()(evaluate.evaluate)

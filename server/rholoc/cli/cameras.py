@@ -104,7 +104,7 @@ def calibrate(
     """Calibrate a camera from a video or pictures of a flat board, filmed from all sides."""
     from rholoc.calibration import Board, BoardKind
     from rholoc.calibration import calibrate as calibrated
-    from rholoc.maps import CameraLibrary, CameraProfile
+    from rholoc.maps import CameraLibrary, CameraProfile, check_camera_name
     from rholoc.maps.files import replace_file
     from rholoc.recordings import read_recording
 
@@ -112,7 +112,7 @@ def calibrate(
     looked_for = Board.parse(board, square_mm, kind)
     library = CameraLibrary(maps)
     if name is not None:
-        library.path(name)  # what is no name is refused before the work
+        check_camera_name(name)  # refused before the work
     shown = read_recording(source, frames=frames).frames
     with frame_progress("looking for the board", len(shown.times)) as advance:
         found = calibrated(shown, looked_for, advance)

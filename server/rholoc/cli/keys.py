@@ -9,7 +9,7 @@ import typer
 
 from rholoc.cli.console import output, print_json, print_notice
 from rholoc.cli.options import Json, choice
-from rholoc.cli.serve import Data, service_settings
+from rholoc.cli.serve import Data, opened_keys, service_settings
 
 if TYPE_CHECKING:
     from rholoc.service.keys import KeyStore
@@ -64,9 +64,12 @@ def revoke(name: Name, data: Data = None) -> None:
 
 
 def _store(data: Data) -> KeyStore:
+    settings = service_settings(data_dir=data)
+    if settings.shared_storage is not None:
+        return opened_keys(settings)
     from rholoc.service.keys import KeyStore
 
-    return KeyStore(service_settings(data_dir=data).data_dir)
+    return KeyStore(settings.data_dir)
 
 
 def _day(seconds: float) -> str:

@@ -15,6 +15,7 @@ from rholoc.errors import Conflict, InvalidInput
 
 if TYPE_CHECKING:
     from rholoc.service import Settings
+    from rholoc.service.keys import KeyStore
 
 _BACKLOG = 2048
 _SHUTDOWN_S = 5  # for requests in progress; clients that watch a job would otherwise stay as long as it takes
@@ -53,16 +54,15 @@ def serve(
         settings = settings.model_copy(update={"host": _EVERYWHERE})
     import uvicorn
 
-    from rholoc.jobs import JobQueue
     from rholoc.logs import configure_process_logs
     from rholoc.service import create_app
     from rholoc.service.compute import compute_threads
     from rholoc.service.connections import protocol_of, websocket_options
     from rholoc.service.guard import keys_needed
-    from rholoc.service.keys import KeyStore
 
-    settings.maps_dir.mkdir(parents=True, exist_ok=True)  # reported here, in one line, if they cannot be used
-    JobQueue(settings.data_dir, settings.jobs_database).close()
+    if settings.shared_storage is None:
+        settings.maps_dir.mkdir(parents=True, exist_ok=True)  # reported here, in one line, if they cannot be used
+    keys = opened_keys(settings)
     with listening_socket(settings.host, settings.port) as listener:
         config = uvicorn.Config(
             create_app(settings),
@@ -81,7 +81,7 @@ def serve(
         configure_process_logs()
         sys.setswitchinterval(_SWITCH_INTERVAL_S)
         print_notice(f"Serving the maps of {settings.maps_dir} at {where} (the API: /docs).")
-        if keys_needed(settings.keys, settings.host) and not KeyStore(settings.data_dir).keys():
+        if keys_needed(settings.keys, settings.host) and not keys.keys():
             print_notice("It asks for API keys, and there is none yet: rholoc key create NAME --scope admin")
         server.run(sockets=[listener])
     if not server.started:
@@ -116,7 +116,31 @@ def worker(maps: Maps = None, data: Data = None) -> None:
     configure_process_logs()
     settings = service_settings(maps_dir=maps, data_dir=data)
     print_notice(f"Working on the jobs of {settings.data_dir}; maps go to {settings.maps_dir}.")
-    run_worker(settings.data_dir, settings.maps_dir, settings.jobs_database, limits=settings.job_limits)
+    run_worker(
+        settings.data_dir,
+        settings.maps_dir,
+        settings.jobs_database,
+        limits=settings.job_limits,
+        storage_url=settings.shared_storage,
+    )
+
+
+def opened_keys(settings: Settings) -> KeyStore:
+    """The API keys, the database of which is there and up to date.
+
+    Raises:
+        InvalidInput, Conflict, StorageFull: it cannot be opened.
+    """
+    from rholoc.service.app import open_keys, open_shared
+    from rholoc.storage.database import open_database
+
+    shared = open_shared(settings)
+    if shared is None:
+        open_database(settings.data_dir, settings.jobs_database).dispose()
+    else:
+        shared.open()
+        shared.engine.dispose()
+    return open_keys(settings, shared)
 
 
 def service_settings(**options: object) -> Settings:

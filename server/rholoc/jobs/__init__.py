@@ -3,9 +3,11 @@
 from rholoc.jobs.build_process import BuildLimits
 from rholoc.jobs.embedded import EmbeddedWorker
 from rholoc.jobs.job import Job, JobKind, JobOptions, JobState
+from rholoc.jobs.moving_in import MovedIn, move_in
 from rholoc.jobs.pipeline import MappingPipeline, MappingTask, Pipeline
 from rholoc.jobs.queue import JobQueue
 from rholoc.jobs.recording_notes import (
+    WAYPOINTS_FILE,
     RecordedWaypoint,
     RecordingNotes,
     correct_waypoints,
@@ -15,10 +17,13 @@ from rholoc.jobs.recording_notes import (
     read_thumbnail,
 )
 from rholoc.jobs.recording_store import PendingRecording, RecordingEntry, RecordingStore
+from rholoc.jobs.shared_recordings import SharedRecordingStore
+from rholoc.jobs.shared_uploads import SharedUploadStore
 from rholoc.jobs.upload_store import Upload, UploadStore
 from rholoc.jobs.worker import Timing, Worker, run_worker
 
 __all__ = [
+    "WAYPOINTS_FILE",
     "BuildLimits",
     "EmbeddedWorker",
     "Job",
@@ -28,12 +33,15 @@ __all__ = [
     "JobState",
     "MappingPipeline",
     "MappingTask",
+    "MovedIn",
     "PendingRecording",
     "Pipeline",
     "RecordedWaypoint",
     "RecordingEntry",
     "RecordingNotes",
     "RecordingStore",
+    "SharedRecordingStore",
+    "SharedUploadStore",
     "Timing",
     "Upload",
     "UploadStore",
@@ -41,6 +49,7 @@ __all__ = [
     "correct_waypoints",
     "corrected_waypoints",
     "has_thumbnail",
+    "move_in",
     "read_notes",
     "read_thumbnail",
     "run_worker",

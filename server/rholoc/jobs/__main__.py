@@ -16,10 +16,11 @@ from rholoc.processes import call_when_input_ends
 def main() -> None:
     """Work until the server closes the pipe, on purpose or by dying."""
     configure_process_logs()
-    data_dir, maps_dir, database_url, *limits = json.loads(sys.stdin.buffer.readline())
+    data_dir, maps_dir, database_url, storage_url, *limits = json.loads(sys.stdin.buffer.readline())
     stop = threading.Event()
     call_when_input_ends(stop.set)
-    run_worker(Path(data_dir), Path(maps_dir), database_url, limits=BuildLimits(*limits), stop=stop)
+    limited = BuildLimits(*limits)
+    run_worker(Path(data_dir), Path(maps_dir), database_url, limits=limited, stop=stop, storage_url=storage_url)
 
 
 if __name__ == "__main__":

@@ -21,9 +21,14 @@ class EmbeddedWorker:
     """Runs ``python -m rholoc.jobs`` as a child, restarts it if it dies, and stops it with its parent."""
 
     def __init__(
-        self, data_dir: Path, maps_dir: Path, database_url: str | None = None, limits: BuildLimits | None = None
+        self,
+        data_dir: Path,
+        maps_dir: Path,
+        database_url: str | None = None,
+        limits: BuildLimits | None = None,
+        storage_url: str | None = None,
     ) -> None:
-        configuration = [str(data_dir), str(maps_dir), database_url, *astuple(limits or BuildLimits())]
+        configuration = [str(data_dir), str(maps_dir), database_url, storage_url, *astuple(limits or BuildLimits())]
         # Through the standard input, not the command line: the URL may hold a password.
         self._configuration = json.dumps(configuration).encode() + b"\n"
         self._stopping = threading.Event()

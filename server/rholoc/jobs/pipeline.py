@@ -23,7 +23,7 @@ class MappingTask:
     Attributes:
         recording: the file or folder that was uploaded.
         map_file: where the built map is kept until it is published. It exists only once it is complete.
-        maps_dir: the folder of published maps.
+        maps_dir: the folder in which the build finds maps and cameras.
         map_name: the name under which the map is published.
         options: how the map is built.
         max_frame_pixels: the most pixels a frame of the recording's video may have.
@@ -49,7 +49,7 @@ class Pipeline(Protocol):
         """Write ``task.map_file``, atomically; do nothing if it exists."""
         ...
 
-    def publish(self, task: MappingTask) -> tuple[str, ...]:
+    def publish(self, task: MappingTask, library: MapLibrary) -> tuple[str, ...]:
         """Put ``task.map_file`` into the library, atomically; do nothing if it is there already.
 
         Returns:
@@ -81,20 +81,19 @@ class MappingPipeline:
         save_map(built, partial)
         partial.replace(task.map_file)
 
-    def publish(self, task: MappingTask) -> tuple[str, ...]:
+    def publish(self, task: MappingTask, library: MapLibrary) -> tuple[str, ...]:
         """Put the map into the library, unless it is already there.
 
         Raises:
             Conflict: the map that was updated is no longer the one in the library.
             InvalidName, InvalidMap, StorageFull, InvalidInput: as :meth:`rholoc.maps.MapLibrary.put_file` does.
         """
-        library = MapLibrary(task.maps_dir)
         map_ = load_map(task.map_file)
         if _updates(task):
             library.replace(task.map_name, map_)
         elif _published_id(library, task.map_name) != map_.info.id:
             library.put_file(task.map_name, task.map_file)
-        return _doubts(map_)
+        return doubts(map_)
 
 
 def _corrected(task: MappingTask) -> Path | None:
@@ -120,7 +119,7 @@ def _updated(task: MappingTask, recording: Recording, progress: ProgressListener
     return update_map(map_, recording, UpdateOptions(task.options.poses, pictures=task.options.pictures), progress)
 
 
-def _doubts(map_: Map) -> tuple[str, ...]:
+def doubts(map_: Map) -> tuple[str, ...]:
     """Why the frame poses that a map was built on are not trusted; empty where they are."""
     trust = trust_of(map_.info)
     return tuple(f"The frame poses are not trusted: {why}" for why in trust.reasons if trust.trusted is False)

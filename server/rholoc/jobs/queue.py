@@ -12,11 +12,11 @@ from dbos import DBOSClient, EnqueueOptions
 from sqlalchemy.exc import IntegrityError
 
 from rholoc.errors import Conflict, UnknownRecording
-from rholoc.jobs.database import open_database, reporting_full_database
 from rholoc.jobs.job import Job, JobOptions, JobState
 from rholoc.jobs.recording_store import RecordingStore
 from rholoc.jobs.table import JobTable, JobWork, WorkerTable
 from rholoc.maps import check_map_name
+from rholoc.storage.database import open_database, reporting_full_database
 
 APPLICATION = "rholoc"
 QUEUE_NAME = "rholoc-mapping"
@@ -30,13 +30,20 @@ APPLICATION_VERSION = "1"
 class JobQueue:
     """The queue of mapping jobs."""
 
-    def __init__(self, data_dir: Path, database_url: str | None = None) -> None:
+    def __init__(
+        self, data_dir: Path, database_url: str | None = None, recordings: RecordingStore | None = None
+    ) -> None:
         """Open the queue, and create its tables where they are missing.
+
+        Args:
+            data_dir: where the SQLite file is kept, and the recordings.
+            database_url: ``postgresql://…``, or None for the SQLite file.
+            recordings: those that jobs are about, where they are kept elsewhere.
 
         Raises:
             StorageFull: the disk is full.
         """
-        self._recordings = RecordingStore(data_dir)
+        self._recordings = recordings or RecordingStore(data_dir)
         self._engine = open_database(data_dir, database_url)
         self._client = open_client(self._engine)
         self._jobs = JobTable(self._engine)

@@ -22,6 +22,8 @@ from rholoc.reports import report_from_json, report_to_json
 WAYPOINTS_FILE = ".waypoints.csv"
 _NOTES_FILE = ".notes.json"
 _THUMBNAIL_FILE = ".thumbnail.jpg"
+READ_FILES = (_NOTES_FILE, _THUMBNAIL_FILE)  # what a job writes
+NOTE_FILES = (*READ_FILES, WAYPOINTS_FILE)
 _THUMBNAIL_S = 1.0  # after the first frame: the first is often of the floor
 
 

@@ -8,7 +8,7 @@ import re
 import shutil
 import time
 import uuid
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path, PurePosixPath
@@ -49,9 +49,9 @@ class PendingRecording:
     As a context manager it is discarded at the end, unless it was committed.
     """
 
-    def __init__(self, root: Path, max_bytes: int | None) -> None:
+    def __init__(self, root: Path, max_bytes: int | None, publish: Callable[[Path, RecordingEntry], None]) -> None:
         self.id = uuid.uuid4().hex
-        self._root = root
+        self._publish = publish
         self._folder = root / f"{_PENDING_PREFIX}{self.id}"
         self._max_bytes = max_bytes
         self._sizes: dict[str, int] = {}
@@ -128,7 +128,7 @@ class PendingRecording:
         try:
             with reporting_full_disk():
                 self._close_file()
-                _publish(self._folder, self._root, entry)
+                self._publish(self._folder, entry)
         except BaseException:
             self.abort()
             raise
@@ -182,7 +182,7 @@ class RecordingStore:
         Raises:
             StorageFull: the disk is full.
         """
-        return PendingRecording(self.root, max_bytes)
+        return PendingRecording(self.root, max_bytes, self._publish)
 
     def create(self, files: Iterable[tuple[str, Iterable[bytes]]], max_bytes: int | None = None) -> RecordingEntry:
         """Store files, each a name and its chunks. If anything goes wrong, nothing is left behind.
@@ -215,7 +215,7 @@ class RecordingStore:
         with reporting_full_disk(), (folder / file_name).open("rb") as file:
             os.fsync(file.fileno())
             entry = RecordingEntry(recording_id, (file_name,), os.fstat(file.fileno()).st_size, time.time())
-            _publish(folder, self.root, entry)
+            self._publish(folder, entry)
         return entry
 
     def get(self, recording_id: str) -> RecordingEntry:
@@ -269,6 +269,26 @@ class RecordingStore:
             raise unknown_recording(recording_id) from error
         shutil.rmtree(doomed, ignore_errors=True)
 
+    def sweep(self) -> None:
+        """Remove what is stored and belongs to no recording: here, nothing that a start does not remove."""
+
+    def release(self, recording_id: str) -> None:
+        """Say that the recording's files are not needed here for now: what can be fetched again may go."""
+
+    def share_notes(self, recording_id: str, files: Iterable[str]) -> None:
+        """Say that these files beside the recording's own have changed, so that others see it elsewhere."""
+
+    def _publish(self, folder: Path, entry: RecordingEntry) -> None:
+        """Write the entry, make everything durable, and give the folder the name under which recordings are found."""
+        with (folder / _ENTRY_FILE).open("w", encoding="utf-8") as file:
+            json.dump(asdict(entry), file)
+            file.flush()
+            os.fsync(file.fileno())
+        for inner in {folder / Path(name).parent for name in entry.files}:
+            sync_folder(inner)
+        folder.rename(self.root / entry.id)
+        sync_folder(self.root)
+
     def _folder(self, recording_id: str) -> Path:
         if not is_recording_id(recording_id):
             raise unknown_recording(recording_id)
@@ -291,18 +311,6 @@ class RecordingStore:
 def is_recording_id(text: str) -> bool:
     """Whether the text could be a recording's id."""
     return _ID.fullmatch(text) is not None
-
-
-def _publish(folder: Path, root: Path, entry: RecordingEntry) -> None:
-    """Write the entry, make everything durable, and rename the folder so that the recording is found."""
-    with (folder / _ENTRY_FILE).open("w", encoding="utf-8") as file:
-        json.dump(asdict(entry), file)
-        file.flush()
-        os.fsync(file.fileno())
-    for inner in {folder / Path(name).parent for name in entry.files}:
-        sync_folder(inner)
-    folder.rename(root / entry.id)
-    sync_folder(root)
 
 
 def sanitized(name: str) -> str:

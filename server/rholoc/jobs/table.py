@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from contextlib import nullcontext
 from dataclasses import asdict, dataclass
 from typing import Any
 
 import sqlalchemy as sa
 
 from rholoc.errors import Conflict, UnknownJob
-from rholoc.jobs.database import jobs_table, workers_table
 from rholoc.jobs.job import Job, JobOptions, JobState
 from rholoc.progress import Stage
+from rholoc.storage.tables import jobs_table, workers_table
 
 LOG_LINES = 50
 MAX_LINE_LENGTH = 500  # characters of a job's messages
@@ -227,16 +228,27 @@ class JobTable:
         """From here on the job cannot be cancelled. False if the lease was lost before."""
         return self._update(lease, stage=Stage.PUBLISHED, message="publishing the map")
 
-    def publish(self, lease: Lease, warnings: Sequence[str]) -> bool:
+    def publish(self, lease: Lease, warnings: Sequence[str], connection: sa.Connection | None = None) -> bool:
         """Record that the job's map is published, and any reasons why it is not to be trusted.
 
+        Args:
+            lease: on the job.
+            warnings: why.
+            connection: whose transaction it is noted in; None for one of its own.
+
         Returns:
-            Whether the lease was still valid; otherwise nothing is recorded.
+            Whether the lease was still valid, or this was recorded under it before; otherwise nothing is recorded.
         """
         kept = [shortened(warning) for warning in warnings[:MAX_WARNINGS]]
         lines = [*(f"warning: {warning}" for warning in kept), "published"]
         values = {"stage": Stage.PUBLISHED, "progress": 1.0, "warnings": kept}
-        return self._end(lease, JobState.PUBLISHED, "published", lines, **values)
+        ended = self._end(lease, JobState.PUBLISHED, "published", lines, connection, **values)
+        return ended or self._has_published(lease)
+
+    def _has_published(self, lease: Lease) -> bool:
+        found = sa.select(jobs_table.c.id).where(*_held(lease, JobState.PUBLISHED))
+        with self._engine.connect() as connection:
+            return connection.execute(found).first() is not None
 
     def fail(self, lease: Lease, failure: Failure) -> bool:
         """Record why the job failed. Returns as :meth:`publish` does."""
@@ -251,22 +263,21 @@ class JobTable:
             error_hint=shortened(failure.hint),
         )
 
-    def _end(self, lease: Lease, state: JobState, message: str, lines: Sequence[str], **values: Any) -> bool:
-        with self._engine.begin() as connection:
-            log = connection.execute(sa.select(jobs_table.c.log).where(*_held(lease))).scalar()
+    def _end(
+        self,
+        lease: Lease,
+        state: JobState,
+        message: str,
+        lines: Sequence[str],
+        connection: sa.Connection | None = None,
+        **values: Any,
+    ) -> bool:
+        with nullcontext(connection) if connection is not None else self._engine.begin() as within:
+            log = within.execute(sa.select(jobs_table.c.log).where(*_held(lease))).scalar()
             if log is None:
                 return False
-            connection.execute(
-                jobs_table.update()
-                .where(*_held(lease))
-                .values(
-                    state=state,
-                    message=message,
-                    log=_appended(log, *lines),
-                    ended=time.time(),
-                    **values,
-                )
-            )
+            values |= {"state": state, "message": message, "log": _appended(log, *lines), "ended": time.time()}
+            within.execute(jobs_table.update().where(*_held(lease)).values(**values))
             return True
 
     def _update(self, lease: Lease, **values: Any) -> bool:
@@ -337,12 +348,12 @@ _QUEUED: dict[str, Any] = {
 }
 
 
-def _held(lease: Lease) -> tuple[sa.ColumnElement[bool], ...]:
+def _held(lease: Lease, state: JobState = JobState.RUNNING) -> tuple[sa.ColumnElement[bool], ...]:
     return (
         jobs_table.c.id == lease.job,
         jobs_table.c.workflow_id == lease.workflow,
         jobs_table.c.attempts == lease.attempt,
-        jobs_table.c.state == JobState.RUNNING,
+        jobs_table.c.state == state,
     )
 
 

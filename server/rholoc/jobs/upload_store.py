@@ -22,7 +22,7 @@ from rholoc.jobs.recording_store import RecordingStore, is_recording_id, sanitiz
 from rholoc.recordings import MAX_FILES, START_BYTES, ZIP_SUFFIX, check_archive, check_file_name, check_file_start
 
 _PREFIX = ".upload-"
-_MAX_UNFINISHED = 100
+MAX_UNFINISHED = 100
 _RETRY_AFTER_S = 60.0
 _LOCK_TIMEOUT_S = 2.0
 _LOCK_POLL_S = 0.02
@@ -71,7 +71,7 @@ class UploadStore:
         jobs: JobQueue,
         expires_after_s: float,
         max_files: int = MAX_FILES,
-        max_unfinished: int = _MAX_UNFINISHED,
+        max_unfinished: int = MAX_UNFINISHED,
     ) -> None:
         """Open the store.
 
@@ -96,10 +96,7 @@ class UploadStore:
             StorageFull: the disk is full, or has too little room.
             Busy: the limit of unfinished uploads is reached.
         """
-        safe = sanitized(file_name).rsplit("/", 1)[-1]
-        check_file_name(safe)
-        if length < 1:
-            raise InvalidRecording(f"{safe} is empty.", "Record again.")
+        safe = plain_file_name(file_name, length)
         self._check_room()
         upload_id = uuid.uuid4().hex
         with reporting_full_disk(), self._recordings.new_folder() as folder:
@@ -145,20 +142,17 @@ class UploadStore:
             StorageFull: the disk is full. What was stored before is kept.
         """
         standing = self.get(upload_id)
-        if offset + len(data) > standing.length:
-            raise TooLarge(
-                f"More than the declared {standing.length} bytes.", "Start an upload that declares the whole size."
-            )
+        check_room_for_bytes(standing, offset, len(data))
         try:
             with self._locked(upload_id) as plan:
                 path = self._folder(upload_id) / plan.file_name
-                _check_offset(path.stat().st_size, offset)
+                check_offset(path.stat().st_size, offset)
                 with reporting_full_disk(), path.open("ab", buffering=0) as file:
                     _write(file, data)
                 if offset < START_BYTES <= offset + len(data):
                     self._check_start(upload_id, path)
         except FileNotFoundError:  # another request brought the last bytes
-            _check_offset(standing.length, offset)
+            check_offset(standing.length, offset)
         return self.get(upload_id)
 
     def delete(self, upload_id: str) -> None:
@@ -266,7 +260,29 @@ def _read_plan(path: Path) -> _Plan:
     return _Plan(**{**fields, "options": JobOptions.from_json(fields["options"])})
 
 
-def _check_offset(stands_at: int, offset: int) -> None:
+def plain_file_name(file_name: str, length: int) -> str:
+    """The name that an uploaded file of ``length`` bytes gets.
+
+    Raises:
+        InvalidRecording: it is no recording's, or the file is empty.
+    """
+    safe = sanitized(file_name).rsplit("/", 1)[-1]
+    check_file_name(safe)
+    if length < 1:
+        raise InvalidRecording(f"{safe} is empty.", "Record again.")
+    return safe
+
+
+def check_room_for_bytes(standing: Upload, offset: int, count: int) -> None:
+    """Refuse more bytes than were declared. Raises TooLarge."""
+    if offset + count > standing.length:
+        raise TooLarge(
+            f"More than the declared {standing.length} bytes.", "Start an upload that declares the whole size."
+        )
+
+
+def check_offset(stands_at: int, offset: int) -> None:
+    """Refuse bytes from elsewhere than where an upload stands. Raises Conflict."""
     if stands_at != offset:
         raise Conflict(
             f"The upload is at byte {stands_at}, not at {offset}.",

@@ -8,29 +8,39 @@ import shutil
 import signal
 import socket
 import threading
+import time
 import uuid
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from types import FrameType
+from typing import TypeVar
 
+import sqlalchemy as sa
 from dbos import DBOS, DBOSConfig
 from sqlalchemy.exc import SQLAlchemyError
 
 from rholoc.disk import is_full, reporting_full_disk, storage_full
-from rholoc.errors import Cancelled, RholocError
+from rholoc.errors import Cancelled, RholocError, StorageUnavailable
 from rholoc.jobs.build_process import BuildLimits, build_in_process, describe, unexpected
-from rholoc.jobs.database import open_database
-from rholoc.jobs.pipeline import MappingPipeline, MappingTask, Pipeline
+from rholoc.jobs.job import JobKind
+from rholoc.jobs.pipeline import MappingPipeline, MappingTask, Pipeline, doubts
 from rholoc.jobs.queue import APPLICATION, APPLICATION_VERSION, QUEUE_NAME, WORKFLOW_NAME, open_client
+from rholoc.jobs.recording_notes import READ_FILES
 from rholoc.jobs.recording_store import RecordingStore
+from rholoc.jobs.shared_recordings import SharedRecordingStore
 from rholoc.jobs.table import DEAD_AFTER_S, Failure, JobTable, JobWork, Lease, WorkerTable
+from rholoc.maps import CameraLibrary, Map, MapLibrary
 from rholoc.progress import Stage
+from rholoc.storage import CAMERAS, SharedStorage
+from rholoc.storage.database import open_database
 
 _log = logging.getLogger("rholoc.jobs")
 
 _MAX_ATTEMPTS = 5
+_STORAGE_PATIENCE_S, _STORAGE_AGAIN_S = 600.0, 2.0
+_T = TypeVar("_T")
 _ACTIVE = ("PENDING", "ENQUEUED", "DELAYED")  # states of workflows
 
 
@@ -67,6 +77,7 @@ class Worker:
         pipeline: Pipeline | None = None,
         timing: Timing | None = None,
         limits: BuildLimits | None = None,
+        storage_url: str | None = None,
     ) -> None:
         self.id = f"{socket.gethostname()[:40]}-{os.getpid()}-{uuid.uuid4().hex[:8]}"
         self._data_dir = Path(data_dir).resolve()
@@ -75,6 +86,7 @@ class Worker:
         self._timing = timing or Timing()
         self._limits = limits or BuildLimits()
         self._database_url = database_url
+        self._shared = None if storage_url is None else SharedStorage(storage_url, self._data_dir, database_url)
         self._stopping = threading.Event()
         self._idle = threading.Condition()
         self._leases: set[Lease] = set()
@@ -86,8 +98,13 @@ class Worker:
         Raises:
             StorageFull: the disk is full.
         """
-        self._recordings = RecordingStore(self._data_dir)
-        self._engine = open_database(self._data_dir, self._database_url)
+        if self._shared is None:
+            self._recordings = RecordingStore(self._data_dir)
+            self._engine = open_database(self._data_dir, self._database_url)
+        else:
+            self._shared.open()
+            self._recordings = SharedRecordingStore(self._data_dir, self._shared)
+            self._engine = self._shared.engine
         self._client = open_client(self._engine)
         self._jobs, self._workers = JobTable(self._engine), WorkerTable(self._engine)
         self._workers.beat(self.id)
@@ -174,8 +191,8 @@ class Worker:
 
     def _build(self, lease: Lease, work: JobWork) -> Failure | None:
         try:
-            task = self._task(lease, work)
-            return build_in_process(
+            task = self._patiently(lease, lambda: self._task(lease, work))
+            failure = build_in_process(
                 self._pipeline,
                 task,
                 note=partial(self._note, lease),
@@ -184,6 +201,8 @@ class Worker:
                 cancel_grace_s=self._timing.cancel_grace_s,
                 limits=self._limits,
             )
+            self._recordings.share_notes(work.recording, READ_FILES)
+            return failure
         except Cancelled:
             raise
         except RholocError as error:
@@ -194,13 +213,52 @@ class Worker:
         if not self._jobs.begin_publishing(lease):
             raise Cancelled("This worker no longer has the job.")
         try:
-            return self._pipeline.publish(self._task(lease, work))
+            task = self._patiently(lease, lambda: self._task(lease, work))
+            if not task.map_file.exists():  # it was built on another machine, whose disk this one does not see
+                failure = self._build(lease, work)
+                if failure is not None:
+                    return failure
+            reasons = self._patiently(lease, lambda: self._pipeline.publish(task, self._library(lease)))
+            self._recordings.release(work.recording)
+            return reasons
+        except Cancelled:
+            raise
         except RholocError as error:
             return describe(error)
         except OSError as error:
             return describe(storage_full()) if is_full(error) else unexpected(error)
         except Exception as error:
             return unexpected(error)
+
+    def _patiently(self, lease: Lease, act: Callable[[], _T]) -> _T:
+        """Do what needs the shared storage; while that does not answer, try again, for a time.
+
+        Raises:
+            Cancelled: the job is not this worker's any more.
+            StorageUnavailable: it has not answered for that time.
+        """
+        last_s = time.monotonic() + _STORAGE_PATIENCE_S
+        while True:
+            try:
+                return act()
+            except StorageUnavailable as error:
+                if time.monotonic() > last_s or self._stopping.is_set():
+                    raise
+                _log.warning("job %s waits for the storage: %s", lease.job, error.message)
+            self._stopping.wait(_STORAGE_AGAIN_S)
+            self._check_held(lease)
+
+    def _library(self, lease: Lease) -> MapLibrary:
+        """Where the map goes; in a shared one the job's end is noted with it, or neither."""
+        if self._shared is None:
+            return MapLibrary(self._maps_dir)
+
+        def note(connection: sa.Connection, map_: Map) -> None:
+            if not self._jobs.publish(lease, doubts(map_), connection):
+                raise Cancelled("This worker no longer has the job.")
+
+        self._shared.refresh()
+        return self._shared.library.publishing_with(note)
 
     def _task(self, lease: Lease, work: JobWork) -> MappingTask:
         folder = self._work_dir(lease)
@@ -209,12 +267,27 @@ class Worker:
         return MappingTask(
             recording=self._recordings.path(work.recording),
             map_file=folder / "map.rho",
-            maps_dir=self._maps_dir,
+            maps_dir=self._maps_dir if self._shared is None else self._inputs(folder, work),
             map_name=work.map_name,
             options=work.options,
             max_frame_pixels=self._limits.frame_pixels,
             folder=self._recordings.folder(work.recording),
         )
+
+    def _inputs(self, folder: Path, work: JobWork) -> Path:
+        """A folder with copies of the map and the camera that a job needs of the shared ones."""
+        assert self._shared is not None
+        self._shared.refresh()
+        inputs = folder / "inputs"
+        inputs.mkdir(exist_ok=True)
+        if work.options.kind is JobKind.UPDATE:
+            source = MapLibrary(inputs).path(work.map_name)
+            if not source.exists():
+                shutil.copyfile(self._shared.library.path(work.map_name), source)
+        cameras = CameraLibrary(inputs, self._shared.documents(CAMERAS))
+        if work.options.camera is not None and "," not in work.options.camera:
+            CameraLibrary(inputs).put(work.options.camera, cameras.get(work.options.camera))
+        return inputs
 
     def _work_dir(self, lease: Lease) -> Path:
         return self._data_dir / "work" / lease.workflow
@@ -296,6 +369,7 @@ def run_worker(
     timing: Timing | None = None,
     limits: BuildLimits | None = None,
     stop: threading.Event | None = None,
+    storage_url: str | None = None,
 ) -> None:
     """Work until SIGINT, SIGTERM or ``stop``. Call it in the main thread of a process that does nothing else.
 
@@ -310,7 +384,9 @@ def run_worker(
 
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, ask_to_stop)
-    worker = Worker(data_dir, maps_dir, database_url, pipeline=pipeline, timing=timing, limits=limits)
+    worker = Worker(
+        data_dir, maps_dir, database_url, pipeline=pipeline, timing=timing, limits=limits, storage_url=storage_url
+    )
     worker.start()
     stop.wait()
     worker.stop()

@@ -1,12 +1,13 @@
 """The map, its file formats, the library of maps on disk."""
 
 from rholoc.density import DensityKind
-from rholoc.maps.cameras import CameraLibrary, CameraProfile
+from rholoc.maps.cameras import CameraLibrary, CameraProfile, check_camera_name
 from rholoc.maps.cloud import Cloud
 from rholoc.maps.coefficient_reading import is_coefficient_table, read_coefficient_table
 from rholoc.maps.coefficient_table import coefficient_table, write_coefficient_table
 from rholoc.maps.corrections import Correction, CorrectionKind
 from rholoc.maps.coverage import Coverage, coverage_of
+from rholoc.maps.documents import Documents, FolderDocuments
 from rholoc.maps.export import landmark_sigmas, map_to_ply, map_to_vtp
 from rholoc.maps.floor_plan import MAX_PLAN_BYTES, FloorPlan, check_plan
 from rholoc.maps.gltf import map_to_gltf
@@ -56,7 +57,9 @@ __all__ = [
     "CorrectionKind",
     "Coverage",
     "DensityKind",
+    "Documents",
     "FloorPlan",
+    "FolderDocuments",
     "Map",
     "MapInfo",
     "MapLabels",
@@ -73,6 +76,7 @@ __all__ = [
     "TrajectoryTable",
     "Trust",
     "areas_at",
+    "check_camera_name",
     "check_labels",
     "check_map_name",
     "check_names",

@@ -9,7 +9,7 @@ from typing import Any
 
 from rholoc.errors import InvalidCamera, InvalidInput, UnknownCamera
 from rholoc.geometry import Camera
-from rholoc.maps.files import replace_file
+from rholoc.maps.documents import Documents, FolderDocuments
 from rholoc.maps.json_values import check_json_value
 from rholoc.maps.library import check_name, is_name
 
@@ -30,26 +30,22 @@ class CameraProfile:
 
 
 class CameraLibrary:
-    """Camera profiles as ``cameras/NAME.json`` in the folder of maps; safe to share between threads and processes.
+    """Camera profiles by name; safe to share between threads and processes.
 
     The files have the members of a recording's ``camera.json``, and can be used as one.
+
+    Args:
+        maps_dir: the folder of maps, in which they are ``cameras/NAME.json``.
+        files: where they are kept instead.
     """
 
-    def __init__(self, maps_dir: Path) -> None:
-        self.folder = maps_dir / FOLDER
+    def __init__(self, maps_dir: Path, files: Documents | None = None) -> None:
+        self._files = files or FolderDocuments(maps_dir / FOLDER)
 
     def names(self) -> list[str]:
-        """The names of all cameras, sorted; empty if the folder does not exist."""
-        files = self.folder.glob(f"*{_SUFFIX}")
-        return sorted(file.stem for file in files if is_name(file.stem) and file.is_file())
-
-    def path(self, name: str) -> Path:
-        """The path for a camera of that name, whether or not it exists.
-
-        Raises:
-            InvalidName: it is not a valid name.
-        """
-        return self.folder / (check_name(name, "camera") + _SUFFIX)
+        """The names of all cameras, sorted."""
+        names = [name.removesuffix(_SUFFIX) for name in self._files.names() if name.endswith(_SUFFIX)]
+        return sorted(name for name in names if is_name(name))
 
     def get(self, name: str) -> CameraProfile:
         """The camera of that name.
@@ -60,7 +56,7 @@ class CameraLibrary:
             InvalidCamera: its file is damaged.
         """
         try:
-            text = self.path(name).read_text(encoding="utf-8")
+            text = self._files.read(_file_name(name)).decode()
         except FileNotFoundError as error:
             raise self._unknown(name) from error
         except (OSError, UnicodeDecodeError) as error:
@@ -73,20 +69,14 @@ class CameraLibrary:
         Raises:
             InvalidName, StorageFull, InvalidInput: nothing was replaced.
         """
-        path = self.path(name)
+        file_name = _file_name(name)
         try:
             check_json_value(profile.calibration)
             values = {**profile.camera.to_dict(), "calibration": profile.calibration}
             text = json.dumps(values, indent=2, allow_nan=False)
         except (TypeError, ValueError, RecursionError) as error:
             raise InvalidInput(f"The camera's calibration cannot be stored: {error}.", "Send plain JSON.") from error
-        try:
-            self.folder.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise InvalidInput(
-                f"{self.folder} cannot be created: {error.strerror}.", "Check the map folder."
-            ) from error
-        replace_file(path, f"{text}\n".encode())
+        self._files.write(file_name, f"{text}\n".encode(), called=file_name)
 
     def delete(self, name: str) -> None:
         """Delete a camera.
@@ -96,7 +86,7 @@ class CameraLibrary:
             UnknownCamera: there is no such camera.
         """
         try:
-            self.path(name).unlink()
+            self._files.delete(_file_name(name))
         except FileNotFoundError as error:
             raise self._unknown(name) from error
 
@@ -113,6 +103,19 @@ class CameraLibrary:
         known = ", ".join(names[:_NAMES_SHOWN]) + (", …" if len(names) > _NAMES_SHOWN else "")
         hint = f"There are: {known}." if names else "There are none yet: rholoc camera add, or rholoc camera calibrate."
         return UnknownCamera(f"There is no camera {name}.", hint)
+
+
+def check_camera_name(name: str) -> str:
+    """The name, if it may name a camera.
+
+    Raises:
+        InvalidName: it may not.
+    """
+    return check_name(name, "camera")
+
+
+def _file_name(name: str) -> str:
+    return check_camera_name(name) + _SUFFIX
 
 
 def _from_json(name: str, text: str) -> CameraProfile:

@@ -24,7 +24,7 @@ _NAMES_SHOWN = 5
 _PIECE_BYTES = 2**20
 _ALL = "all"
 _PREVIOUS = ".previous"  # the folder within a library's that keeps the maps that were replaced
-_KEPT_VERSIONS = 5  # of each map that was replaced
+KEPT_VERSIONS = 5  # of each map that was replaced
 
 
 def is_name(name: str) -> bool:
@@ -181,10 +181,10 @@ class MapLibrary:
             InvalidName, InvalidMap, StorageFull, InvalidInput, and what ``check`` raises: nothing was replaced.
         """
 
-        path = self.path(name)
+        called = check_map_name(name) + SUFFIX
 
         def read(arrived: Path) -> Map:
-            map_ = load_map(arrived, path.name)
+            map_ = load_map(arrived, called)
             check(map_)
             return map_
 
@@ -192,18 +192,22 @@ class MapLibrary:
 
     def _put(self, name: str, data: bytes | Iterator[bytes], read: Callable[[Path], Map]) -> Map:
         """Store a file under a name, once ``read`` has found a map in it; keep the map that it replaces."""
-        path = self.path(name)
+        called = check_map_name(name) + SUFFIX
         self._make_folder()
         arrived = self.folder / f".{uuid4().hex}.upload"  # in the same folder, so that it can be renamed into place
-        replace_file(arrived, data, called=path.name)
+        replace_file(arrived, data, called=called)
         try:
             map_ = read(arrived)
-            with self._lock:
-                self._keep_previous(name)
-                arrived.replace(path)
+            self._publish(name, arrived, map_)
         finally:
             arrived.unlink(missing_ok=True)
         return map_
+
+    def _publish(self, name: str, arrived: Path, map_: Map) -> None:
+        """Put a file that holds a map in the place of the map of a name, which is kept."""
+        with self._lock:
+            self._keep_previous(name)
+            arrived.replace(self.path(name))
 
     def replace(self, name: str, next_version: Map) -> None:
         """Store the next version of a map in place of its predecessor; do nothing if it is already there.
@@ -219,9 +223,7 @@ class MapLibrary:
             if present == next_version.info:
                 return
             if (present.id, present.version) != (next_version.info.id, next_version.info.version - 1):
-                raise Conflict(
-                    f"The map {name} was changed in the meantime.", "Try again: the change will start from the new one."
-                )
+                raise changed(name)
             self.put(name, next_version)
 
     def previous(self, name: str) -> MapInfo | None:
@@ -239,9 +241,9 @@ class MapLibrary:
             InvalidName: it is not a name.
         """
         found = {}
-        for number in range(1, _KEPT_VERSIONS + 1):
+        for number in range(1, KEPT_VERSIONS + 1):
             with contextlib.suppress(InvalidMap):
-                found[number] = load_info(self._previous_path(name, number))
+                found[number] = load_info(self.previous_path(name, number))
         return found
 
     def restore(self, name: str, number: int = 1) -> None:
@@ -256,44 +258,43 @@ class MapLibrary:
             InvalidMap: the one that was replaced cannot be read; nothing was changed.
         """
         with self._lock:
-            path, previous = self.path(name), self._previous_path(name, number)
+            path, previous = self.path(name), self.previous_path(name, number)
             self.stat(name)
             if not previous.is_file():
-                if number == 1:
-                    raise Conflict(f"The map {name} has not replaced another.", "There is nothing to restore.")
-                raise Conflict(f"The map {name} keeps no version {number}.", "Its versions are listed by number.")
+                raise no_version(name, number)
             load_map(previous, f"The map before {name}")
             present = previous.with_name(f".{uuid4().hex}.present")
             _link(path, present)
             previous.replace(path)
             self._make_room(name, number)
-            present.replace(self._previous_path(name))
+            present.replace(self.previous_path(name))
 
-    def _previous_path(self, name: str, number: int = 1) -> Path:
+    def previous_path(self, name: str, number: int = 1) -> Path:
+        """The file of a map that was replaced under a name, whether there is one of that number or not."""
         path = self.folder / _PREVIOUS / self.path(name).name
         return path if number == 1 else path.with_name(f"{path.name}.{number}")
 
     def _previous_paths(self, name: str) -> list[Path]:
         """The files of all replaced maps that are kept."""
-        paths = [self._previous_path(name, number) for number in range(1, _KEPT_VERSIONS + 1)]
+        paths = [self.previous_path(name, number) for number in range(1, KEPT_VERSIONS + 1)]
         return [path for path in paths if path.is_file()]
 
     def _keep_previous(self, name: str) -> None:
         """Keep the map that is about to be replaced, if there is one, as number 1."""
-        path, previous = self.path(name), self._previous_path(name)
+        path, previous = self.path(name), self.previous_path(name)
         if not path.is_file():
             return
         previous.parent.mkdir(exist_ok=True)
         arrived = previous.with_name(f".{uuid4().hex}.kept")
         _link(path, arrived)
-        self._make_room(name, _KEPT_VERSIONS)
+        self._make_room(name, KEPT_VERSIONS)
         arrived.replace(previous)
 
     def _make_room(self, name: str, last: int) -> None:
         """Free number 1 by moving numbers up by one, as far as the first free one; ``last`` is dropped if none is."""
-        free = next((n for n in range(1, last) if not self._previous_path(name, n).is_file()), last)
+        free = next((n for n in range(1, last) if not self.previous_path(name, n).is_file()), last)
         for number in range(free, 1, -1):
-            self._previous_path(name, number - 1).replace(self._previous_path(name, number))
+            self.previous_path(name, number - 1).replace(self.previous_path(name, number))
 
     def delete(self, name: str) -> None:
         """Delete a map, and those that it replaced.
@@ -324,13 +325,16 @@ class MapLibrary:
             if not old.is_file():
                 raise self._unknown(name)
             if new.exists():
-                raise Conflict(f"There is already a map {new_name}.", "Choose another name, or delete that map first.")
+                raise name_taken(new_name)
             old.rename(new)
             for path in self._previous_paths(new_name):
                 path.unlink(missing_ok=True)
             for path in self._previous_paths(name):
                 path.rename(path.with_name(new_name + path.name.removeprefix(name)))
             self._cache.drop(name)
+
+    def sweep(self) -> None:
+        """Remove what is stored and belongs to no map: here, nothing."""
 
     def _make_folder(self) -> None:
         try:
@@ -344,6 +348,25 @@ class MapLibrary:
         names = self.names()
         known = ", ".join(names[:_NAMES_SHOWN]) + (", …" if len(names) > _NAMES_SHOWN else "")
         return UnknownMap(f"There is no map {name}.", f"There are: {known}." if names else "There are none yet.")
+
+
+def changed(name: str) -> Conflict:
+    """The error for a change that started from a map that is no longer there."""
+    return Conflict(
+        f"The map {name} was changed in the meantime.", "Try again: the change will start from the new one."
+    )
+
+
+def no_version(name: str, number: int) -> Conflict:
+    """The error for a version that is not kept."""
+    if number == 1:
+        return Conflict(f"The map {name} has not replaced another.", "There is nothing to restore.")
+    return Conflict(f"The map {name} keeps no version {number}.", "Its versions are listed by number.")
+
+
+def name_taken(name: str) -> Conflict:
+    """The error for a name that a map has already."""
+    return Conflict(f"There is already a map {name}.", "Choose another name, or delete that map first.")
 
 
 def _link(path: Path, other: Path) -> None:

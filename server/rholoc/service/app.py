@@ -15,7 +15,14 @@ from starlette.exceptions import HTTPException
 
 from rholoc import __version__
 from rholoc.errors import RholocError
-from rholoc.jobs import EmbeddedWorker, JobQueue, RecordingStore, UploadStore
+from rholoc.jobs import (
+    EmbeddedWorker,
+    JobQueue,
+    RecordingStore,
+    SharedRecordingStore,
+    SharedUploadStore,
+    UploadStore,
+)
 from rholoc.logs import configure_logs
 from rholoc.maps import CameraLibrary, MapLibrary
 from rholoc.service import web
@@ -50,6 +57,7 @@ from rholoc.service.settings import Settings
 from rholoc.service.state import State
 from rholoc.service.stream_count import OpenStreams
 from rholoc.service.tus import Tus
+from rholoc.storage import CAMERAS, KEYS, SharedStorage
 
 _BODIES_AT_ONCE = 8  # of the largest size allowed
 
@@ -63,11 +71,13 @@ Errors have one shape: `{code, message, hint, request_id}`. "No pose" is an answ
 def create_app(settings: Settings | None = None) -> FastAPI:
     """The service as an ASGI application. Its threads and its worker live from start-up to shut-down."""
     settings, metrics = settings or Settings(), Metrics()
+    shared = open_shared(settings)
+    keys = open_keys(settings, shared)
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
         configure_logs()
-        app.state.rholoc = state = _start(settings, metrics)
+        app.state.rholoc = state = _start(settings, metrics, keys, shared)
         if state.worker is not None:
             state.worker.start()
         cleanup = asyncio.create_task(clean_up_regularly(state))
@@ -80,6 +90,8 @@ def create_app(settings: Settings | None = None) -> FastAPI:
             state.compute.close()
             await state.renderings.close()
             state.jobs.close()
+            if shared is not None:
+                shared.close()
 
     app = FastAPI(
         title="rholoc",
@@ -96,7 +108,6 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     web.install(app)
     for kind in (RholocError, ValidationError, RequestValidationError, HTTPException, OSError, SQLAlchemyError):
         app.add_exception_handler(kind, _answer_error)
-    keys = KeyStore(settings.data_dir)
     app.add_middleware(JsonBodies, max_bytes=settings.max_json_bytes)
     app.add_middleware(FramesFirst, busy=lambda scope: scope["app"].state.rholoc.compute.busy)
     app.add_middleware(SlowBodies, silence_s=settings.slow_client_timeout_s)
@@ -109,11 +120,39 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     return app
 
 
-def _start(settings: Settings, metrics: Metrics) -> State:
-    for folder in (settings.maps_dir, settings.data_dir):
-        folder.mkdir(parents=True, exist_ok=True)
-    library = MapLibrary(settings.maps_dir, settings.map_cache_bytes)
-    recordings, jobs = RecordingStore(settings.data_dir), JobQueue(settings.data_dir, settings.jobs_database)
+def open_shared(settings: Settings) -> SharedStorage | None:
+    """What the service shares with others, not yet opened; None where it keeps all to itself.
+
+    Raises:
+        InvalidInput: an URL is not valid.
+    """
+    if settings.shared_storage is None:
+        return None
+    return SharedStorage(
+        settings.shared_storage,
+        settings.data_dir,
+        settings.jobs_database,
+        settings.storage_cache_bytes,
+        settings.map_cache_bytes,
+    )
+
+
+def open_keys(settings: Settings, shared: SharedStorage | None) -> KeyStore:
+    """The API keys of the service."""
+    return KeyStore(settings.data_dir, None if shared is None else shared.documents(KEYS))
+
+
+def _start(settings: Settings, metrics: Metrics, keys: KeyStore, shared: SharedStorage | None) -> State:
+    settings.data_dir.mkdir(parents=True, exist_ok=True)
+    if shared is None:
+        settings.maps_dir.mkdir(parents=True, exist_ok=True)
+        library = MapLibrary(settings.maps_dir, settings.map_cache_bytes)
+        cameras, recordings = CameraLibrary(settings.maps_dir), RecordingStore(settings.data_dir)
+    else:
+        shared.open(follow=True)
+        library, cameras = shared.library, CameraLibrary(settings.maps_dir, shared.documents(CAMERAS))
+        recordings = SharedRecordingStore(settings.data_dir, shared)
+    jobs = JobQueue(settings.data_dir, settings.jobs_database, recordings)
     compute = ComputePool(settings.concurrency, settings.queue_length)
     metrics.gauge("rholoc_jobs", "Mapping jobs", "state", lambda: {str(state): n for state, n in jobs.counts().items()})
     metrics.gauge("rholoc_frames", "Frames that are being localized, or wait", "at", lambda: {"now": compute.taken})
@@ -122,7 +161,9 @@ def _start(settings: Settings, metrics: Metrics) -> State:
     return State(
         settings=settings,
         library=library,
-        cameras=CameraLibrary(settings.maps_dir),
+        cameras=cameras,
+        keys=keys,
+        shared=shared,
         localizers=Localizers(library, settings.min_confidence),
         renderings=Renderings(settings.data_dir / "renderings", library),
         compute=compute,
@@ -131,9 +172,7 @@ def _start(settings: Settings, metrics: Metrics) -> State:
         metrics=metrics,
         live=Live(settings.live, settings.keep_failures),
         recordings=recordings,
-        uploads=UploadStore(
-            recordings, jobs, settings.upload_expires_s, settings.max_upload_files, settings.max_unfinished_uploads
-        ),
+        uploads=_uploads(settings, recordings, jobs, shared),
         jobs=jobs,
         job_events=JobEvents(jobs),
         worker=_worker(settings) if settings.worker else None,
@@ -141,8 +180,19 @@ def _start(settings: Settings, metrics: Metrics) -> State:
     )
 
 
+def _uploads(
+    settings: Settings, recordings: RecordingStore, jobs: JobQueue, shared: SharedStorage | None
+) -> UploadStore:
+    limits = (settings.upload_expires_s, settings.max_upload_files, settings.max_unfinished_uploads)
+    if shared is not None and isinstance(recordings, SharedRecordingStore):
+        return SharedUploadStore(recordings, jobs, shared, *limits)
+    return UploadStore(recordings, jobs, *limits)
+
+
 def _worker(settings: Settings) -> EmbeddedWorker:
-    return EmbeddedWorker(settings.data_dir, settings.maps_dir, settings.jobs_database, settings.job_limits)
+    return EmbeddedWorker(
+        settings.data_dir, settings.maps_dir, settings.jobs_database, settings.job_limits, settings.shared_storage
+    )
 
 
 async def _answer_error(request: Request, error: Exception) -> JSONResponse:

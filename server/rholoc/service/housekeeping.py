@@ -26,5 +26,7 @@ async def clean_up_regularly(state: State) -> None:
 
 def _clean(state: State) -> None:
     state.uploads.sweep()
+    state.library.sweep()
+    state.recordings.sweep()
     state.renderings.sweep()
     state.jobs.delete_mapped_recordings(state.settings.recording_retention_days * _DAY_S)

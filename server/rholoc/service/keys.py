@@ -8,14 +8,15 @@ import json
 import re
 import secrets
 import time
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from enum import StrEnum
 from pathlib import Path
 
 from rholoc.errors import Conflict, InvalidName, NotFound
-from rholoc.maps.files import replace_file
+from rholoc.maps import Documents, FolderDocuments
 
-_FOLDER = "keys"
+FOLDER = "keys"
 _PREFIX = "rho_"
 _BYTES = 32
 _HASH = re.compile(r"[0-9a-f]{64}")
@@ -59,14 +60,18 @@ class ApiKey:
 
 
 class KeyStore:
-    """The keys in a data folder: a file each, named by the key's SHA-256.
+    """The keys of a service: a file each, named by the key's SHA-256.
 
     A key is 32 random bytes, which cannot be guessed, so a slow hash is not needed. New and revoked keys take effect
     with the next request, in every process that shares the folder.
+
+    Args:
+        data_dir: the folder that they are kept in.
+        files: where they are kept instead.
     """
 
-    def __init__(self, data_dir: Path) -> None:
-        self._folder = Path(data_dir) / _FOLDER
+    def __init__(self, data_dir: Path, files: Documents | None = None) -> None:
+        self._files = files or FolderDocuments(Path(data_dir) / FOLDER, mode=0o700)
 
     def create(self, name: str, scope: Scope, lifetime_s: float | None = None) -> str:
         """Make a key and return it; it cannot be seen again.
@@ -83,13 +88,12 @@ class KeyStore:
         secret = _PREFIX + secrets.token_urlsafe(_BYTES)
         now = time.time()
         key = ApiKey(name, scope, now, None if lifetime_s is None else now + lifetime_s)
-        self._folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-        replace_file(self._folder / _hash(secret), json.dumps(asdict(key)).encode(), called="the key")
+        self._files.write(_hash(secret), json.dumps(asdict(key)).encode(), called="the key")
         return secret
 
     def keys(self) -> list[ApiKey]:
         """All keys, expired ones too, the oldest first."""
-        return sorted((_read(path) for path in self._files()), key=lambda key: key.created)
+        return sorted((key for key in map(self._read, self._hashes()) if key is not None), key=lambda key: key.created)
 
     def revoke(self, name: str) -> None:
         """Forget the key of that name.
@@ -97,28 +101,30 @@ class KeyStore:
         Raises:
             NotFound: there is no key of this name.
         """
-        found = [path for path in self._files() if _read(path).name == name]
+        found = [hashed for hashed in self._hashes() if (key := self._read(hashed)) is not None and key.name == name]
         if not found:
             raise NotFound(f"There is no key called {name}.", "rholoc key list shows the keys.")
-        for path in found:
-            path.unlink(missing_ok=True)
+        for hashed in found:
+            with suppress(FileNotFoundError):
+                self._files.delete(hashed)
 
     def find(self, secret: str) -> ApiKey | None:
         """The key, expired or not, or None. The comparison takes the same time wherever two hashes differ."""
         given = _hash(secret)
-        matching = [path for path in self._files() if hmac.compare_digest(path.name, given)]
-        return _read(matching[0]) if matching else None
+        matching = [hashed for hashed in self._hashes() if hmac.compare_digest(hashed, given)]
+        return self._read(matching[0]) if matching else None
 
-    def _files(self) -> list[Path]:
-        if not self._folder.is_dir():
-            return []
-        return [path for path in self._folder.iterdir() if _HASH.fullmatch(path.name)]
+    def _hashes(self) -> list[str]:
+        return [name for name in self._files.names() if _HASH.fullmatch(name)]
+
+    def _read(self, hashed: str) -> ApiKey | None:
+        """A key; None where it was revoked meanwhile."""
+        try:
+            stored = json.loads(self._files.read(hashed))
+        except FileNotFoundError:
+            return None
+        return ApiKey(stored["name"], Scope(stored["scope"]), stored["created"], stored["expires"])
 
 
 def _hash(secret: str) -> str:
     return hashlib.sha256(secret.encode()).hexdigest()
-
-
-def _read(path: Path) -> ApiKey:
-    stored = json.loads(path.read_bytes())
-    return ApiKey(stored["name"], Scope(stored["scope"]), stored["created"], stored["expires"])

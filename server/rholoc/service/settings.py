@@ -33,6 +33,18 @@ class Settings(BaseSettings):
         default=SecretStr(""),
         description="The database of jobs, postgresql://user:password@host/name; empty: an SQLite file in data_dir.",
     )
+    storage_url: SecretStr = Field(
+        default=SecretStr(""),
+        description="Where servers and workers on several machines keep maps and recordings together: "
+        "s3://bucket/prefix, gs://bucket/prefix, az://container/prefix or file:///folder; cameras and keys then go "
+        "into the database. Empty: in maps_dir and data_dir.",
+    )
+    storage_cache_bytes: int = Field(
+        default=10 * 2**30,
+        ge=0,
+        description="What copies of the maps in storage_url may take in data_dir; those used longest ago leave for "
+        "others.",
+    )
     host: str = Field(default="127.0.0.1", description="The address that the server listens on.")
     port: int = Field(
         default=8080, ge=0, le=65535, description="The port that the server listens on; 0 takes a free one."
@@ -137,3 +149,8 @@ class Settings(BaseSettings):
     def jobs_database(self) -> str | None:
         """The URL of the jobs' database, None for the SQLite file."""
         return self.database_url.get_secret_value() or None
+
+    @property
+    def shared_storage(self) -> str | None:
+        """The URL of the storage that servers and workers share, None for folders of their own."""
+        return self.storage_url.get_secret_value() or None

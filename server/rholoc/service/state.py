@@ -14,12 +14,14 @@ from rholoc.service.bodies import HeldBodies
 from rholoc.service.compute import ComputePool
 from rholoc.service.exports import Exports
 from rholoc.service.job_events import JobEvents
+from rholoc.service.keys import KeyStore
 from rholoc.service.live import Live
 from rholoc.service.localizers import Localizers
 from rholoc.service.metrics import Metrics
 from rholoc.service.renderings import Renderings
 from rholoc.service.settings import Settings
 from rholoc.service.stream_count import OpenStreams
+from rholoc.storage import SharedStorage
 
 
 @dataclass(frozen=True)
@@ -29,6 +31,8 @@ class State:
     settings: Settings
     library: MapLibrary
     cameras: CameraLibrary
+    keys: KeyStore
+    shared: SharedStorage | None
     localizers: Localizers
     renderings: Renderings
     compute: ComputePool

@@ -45,7 +45,7 @@ async def get_camera(camera: str, service: Service) -> CameraProfileOut:
 )
 async def put_camera(camera: str, given: CameraProfileIn, service: Service, response: Response) -> CameraProfileOut:
     """Requests that name it use it from then on; maps keep the camera that they were made with."""
-    new = not service.cameras.path(camera).exists()
+    new = camera not in await run_in_threadpool(service.cameras.names)
     profile = CameraProfile(Camera.from_dict(given.model_dump(exclude={"calibration"})), given.calibration)
     await run_in_threadpool(service.cameras.put, camera, profile)
     response.status_code = 201 if new else 200

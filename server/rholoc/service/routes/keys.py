@@ -42,13 +42,13 @@ async def hand_on_key(wanted: KeyIn, request: Request, service: Service) -> Hand
     if not needed:
         return HandedKeyOut(key=None, name=None, scope=wanted.scope, expires=None)
     lifetime_s = wanted.lifetime_s if expires is None else min(wanted.lifetime_s, expires - time.time())
-    return await run_in_threadpool(_hand_on, KeyStore(service.settings.data_dir), wanted, lifetime_s)
+    return await run_in_threadpool(_hand_on, service.keys, wanted, lifetime_s)
 
 
 @router.get("/keys", dependencies=[NEEDS_ADMIN], summary="All keys")
 async def list_keys(service: Service) -> KeyList:
     """Their names and scopes, the oldest first; not the keys themselves, of which the server only has hashes."""
-    keys = await run_in_threadpool(KeyStore(service.settings.data_dir).keys)
+    keys = await run_in_threadpool(service.keys.keys)
     return KeyList(keys=[_shown(key) for key in keys])
 
 
@@ -61,7 +61,7 @@ async def list_keys(service: Service) -> KeyList:
 )
 async def revoke_key(name: str, service: Service) -> None:
     """It is refused from the next request on."""
-    await run_in_threadpool(KeyStore(service.settings.data_dir).revoke, name)
+    await run_in_threadpool(service.keys.revoke, name)
 
 
 @router.post(

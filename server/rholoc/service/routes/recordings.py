@@ -20,6 +20,7 @@ from rholoc.errors import (
     UnknownRecording,
 )
 from rholoc.jobs import (
+    WAYPOINTS_FILE,
     JobKind,
     JobOptions,
     PendingRecording,
@@ -251,6 +252,7 @@ def _corrected(
 ) -> RecordingDetail:
     folder = recordings.folder(recording)
     correct_waypoints(folder, given, read_notes(folder))
+    recordings.share_notes(recording, [WAYPOINTS_FILE])
     return _detail(recordings, recording, may_see)
 
 

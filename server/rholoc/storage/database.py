@@ -1,4 +1,4 @@
-"""The database of jobs: an SQLite file by default, Postgres by URL. DBOS keeps its tables in the same one."""
+"""The database: an SQLite file by default, PostgreSQL by URL. DBOS keeps its tables in the same one."""
 
 from __future__ import annotations
 
@@ -10,45 +10,15 @@ from typing import Any
 import sqlalchemy as sa
 from dbos import DBOS
 from sqlalchemy.exc import DatabaseError, OperationalError
-from sqlalchemy.schema import CreateColumn, CreateTable
 
 from rholoc.disk import reporting_full_disk, storage_full
 from rholoc.errors import Conflict, InvalidInput
+from rholoc.storage.tables import VERSION_TABLE
 
+HEAD = "0002"  # the last of the migrations; their numbers are in order as text
 _BUSY_TIMEOUT_MS = 10_000
-
-_metadata = sa.MetaData()
-
-jobs_table = sa.Table(
-    "rholoc_jobs",
-    _metadata,
-    sa.Column("id", sa.String(32), primary_key=True),
-    sa.Column("recording", sa.String(32), nullable=False),
-    sa.Column("map_name", sa.Text, nullable=False),
-    sa.Column("options", sa.JSON, nullable=False),
-    sa.Column("state", sa.String(16), nullable=False),
-    sa.Column("stage", sa.String(16), nullable=False),
-    sa.Column("progress", sa.Float, nullable=False),
-    sa.Column("message", sa.Text, nullable=False),
-    sa.Column("log", sa.JSON, nullable=False),
-    sa.Column("warnings", sa.JSON),  # null in jobs from before there were warnings
-    sa.Column("error_code", sa.Text),
-    sa.Column("error_message", sa.Text),
-    sa.Column("error_hint", sa.Text),
-    sa.Column("created", sa.Float, nullable=False),
-    sa.Column("started", sa.Float),
-    sa.Column("ended", sa.Float),
-    sa.Column("attempts", sa.Integer, nullable=False),
-    # The DBOS workflow of the latest submission or retry; with ``attempts`` it says who holds the job.
-    sa.Column("workflow_id", sa.Text, nullable=False),
-)
-
-workers_table = sa.Table(
-    "rholoc_workers",
-    _metadata,
-    sa.Column("id", sa.String(100), primary_key=True),
-    sa.Column("heartbeat", sa.Float, nullable=False),
-)
+_MIGRATIONS = Path(__file__).with_name("migrations")
+_LOCK_NUMBER = 0x72686F6C6F63  # of PostgreSQL's advisory locks: "rholoc"
 
 
 def open_database(data_dir: Path, database_url: str | None = None) -> sa.Engine:
@@ -63,24 +33,73 @@ def open_database(data_dir: Path, database_url: str | None = None) -> sa.Engine:
         InvalidInput: the URL is not valid, or its database cannot be reached.
         Conflict: the file exists, but is not an SQLite database.
     """
-    with reporting_full_disk():
-        Path(data_dir).mkdir(parents=True, exist_ok=True)
-    if database_url is None:
-        url = sa.make_url(f"sqlite:///{Path(data_dir).resolve() / 'jobs.sqlite'}")
-    else:
-        url = _postgres_url(database_url)
-    engine = sa.create_engine(url, pool_pre_ping=True)
-    if database_url is None:
-        sa.event.listen(engine, "connect", _prepare_sqlite)
+    engine = database_engine(data_dir, database_url)
+    prepare_database(engine)
+    return engine
+
+
+def database_engine(data_dir: Path, database_url: str | None = None) -> sa.Engine:
+    """The engine of the database, which is connected to when it is first used.
+
+    Raises:
+        InvalidInput: the URL is not valid.
+    """
+    if database_url is not None:
+        return sa.create_engine(_postgres_url(database_url), pool_pre_ping=True)
+    engine = sa.create_engine(f"sqlite:///{Path(data_dir).resolve() / 'jobs.sqlite'}", pool_pre_ping=True)
+    sa.event.listen(engine, "connect", _prepare_sqlite)
+    return engine
+
+
+def prepare_database(engine: sa.Engine) -> None:
+    """Make the tables, or bring those of an earlier release up to date.
+
+    Raises:
+        StorageFull: the disk is full.
+        InvalidInput: the database cannot be reached.
+        Conflict: the file is there, and no SQLite database.
+    """
+    if engine.dialect.name == "sqlite":
+        with reporting_full_disk():
+            Path(str(engine.url.database)).parent.mkdir(parents=True, exist_ok=True)
     else:
         _check_connection(engine)
-    with reporting_full_database(), _reporting_no_database(url):
-        DBOS.migrate(url.render_as_string(hide_password=False))
-        with engine.begin() as connection:
-            for table in _metadata.sorted_tables:
-                connection.execute(CreateTable(table, if_not_exists=True))
-                _add_missing_columns(connection, table)
-    return engine
+    with reporting_full_database(), _reporting_no_database(engine.url):
+        DBOS.migrate(engine.url.render_as_string(hide_password=False))
+        _migrate(engine)
+
+
+def _migrate(engine: sa.Engine) -> None:
+    """Bring rholoc's tables up to date; of several processes that start at once, one does and the others wait."""
+    present = _revision(engine)
+    if present is not None and present >= HEAD:  # a later release's tables serve this one, too
+        return
+    from alembic import command  # only where there is something to do: it takes a start's time to import
+    from alembic.config import Config
+
+    config = Config()
+    config.set_main_option("script_location", str(_MIGRATIONS))
+    with engine.connect() as connection:
+        _lock(connection)
+        config.attributes["connection"] = connection
+        command.upgrade(config, "head")
+        connection.commit()
+
+
+def _revision(engine: sa.Engine) -> str | None:
+    """The last migration that the database has seen; None where it has seen none."""
+    with engine.connect() as connection:
+        if not sa.inspect(connection).has_table(VERSION_TABLE):
+            return None
+        return connection.execute(sa.select(sa.column("version_num")).select_from(sa.table(VERSION_TABLE))).scalar()
+
+
+def _lock(connection: sa.Connection) -> None:
+    """Until the transaction ends, no other process may migrate."""
+    if connection.dialect.name == "sqlite":
+        connection.exec_driver_sql("BEGIN IMMEDIATE")
+    else:
+        connection.execute(sa.select(sa.func.pg_advisory_xact_lock(_LOCK_NUMBER)))
 
 
 @contextmanager
@@ -94,15 +113,6 @@ def _reporting_no_database(url: sa.URL) -> Iterator[None]:
             f"{url.database} is damaged, or not a database of jobs.",
             "Move it away; a new one will be created in its place.",
         ) from error
-
-
-def _add_missing_columns(connection: sa.Connection, table: sa.Table) -> None:
-    """Bring a table of an earlier version up to date; later columns are nullable, so that old rows remain valid."""
-    present = {column["name"] for column in sa.inspect(connection).get_columns(table.name)}
-    for column in table.columns:
-        if column.name not in present:
-            definition = CreateColumn(column).compile(dialect=connection.dialect)
-            connection.execute(sa.text(f"ALTER TABLE {table.name} ADD COLUMN {definition}"))
 
 
 def _postgres_url(text: str) -> sa.URL:

@@ -1,0 +1,44 @@
+"""``rholoc storage``: what several servers share."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+
+import typer
+
+from rholoc.cli.console import fraction_progress, output, print_json, print_notice
+from rholoc.cli.options import Json
+from rholoc.cli.serve import Data, Maps, service_settings
+from rholoc.errors import InvalidInput
+
+app = typer.Typer(help="Bring what a server has into a storage that several share.", no_args_is_help=True)
+
+
+@app.callback()
+def _group() -> None:
+    pass
+
+
+@app.command("import")
+def import_folders(maps: Maps = None, data: Data = None, as_json: Json = False) -> None:
+    """Copy maps, cameras, keys and recordings from this server's folders into RHOLOC_STORAGE_URL."""
+    from rholoc.jobs import move_in
+    from rholoc.service.app import open_shared
+
+    settings = service_settings(maps_dir=maps, data_dir=data)
+    shared = open_shared(settings)
+    if shared is None:
+        raise InvalidInput("RHOLOC_STORAGE_URL is not set.", "Set it to the storage that the servers share.")
+    shared.open()
+    try:
+        with fraction_progress("importing") as advance:
+            moved = move_in(settings.maps_dir, settings.data_dir, shared, advance)
+    finally:
+        shared.close()
+    if as_json:
+        print_json(asdict(moved))
+        return
+    for what in moved.left:
+        print_notice(f"Left, for the storage has it already: {what}")
+    counts = f"{moved.maps} maps, {moved.cameras} cameras, {moved.keys} keys, {moved.recordings} recordings"
+    output.print(f"Imported {counts}. The folders stay as they are.", markup=False, soft_wrap=True)

@@ -1,0 +1,63 @@
+"""Small files by name: in a folder here, or wherever else a service keeps what all its servers share."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Protocol
+
+from rholoc.errors import InvalidInput
+from rholoc.maps.files import replace_file
+
+
+class Documents(Protocol):
+    """Small files by name, each replaced whole or not at all. Safe to share between threads and processes."""
+
+    def names(self) -> list[str]:
+        """The names of all, in no order."""
+        ...
+
+    def read(self, name: str) -> bytes:
+        """What a file holds. Raises FileNotFoundError, and OSError where it cannot be read."""
+        ...
+
+    def write(self, name: str, content: bytes, called: str = "") -> None:
+        """Store a file, in place of the one that was there; errors speak of it as ``called``.
+
+        Raises:
+            StorageFull, InvalidInput: nothing was replaced.
+        """
+        ...
+
+    def delete(self, name: str) -> None:
+        """Remove a file. Raises FileNotFoundError."""
+        ...
+
+
+class FolderDocuments:
+    """The files of a folder, which is made when the first is written, with the permissions ``mode``."""
+
+    def __init__(self, folder: Path, mode: int = 0o777) -> None:
+        self._folder = folder
+        self._mode = mode
+
+    def names(self) -> list[str]:
+        """The names of all files that are not hidden."""
+        if not self._folder.is_dir():
+            return []
+        return [path.name for path in self._folder.iterdir() if path.is_file() and not path.name.startswith(".")]
+
+    def read(self, name: str) -> bytes:
+        """What a file holds. Raises FileNotFoundError, and OSError where it cannot be read."""
+        return (self._folder / name).read_bytes()
+
+    def write(self, name: str, content: bytes, called: str = "") -> None:
+        """Store a file. Raises StorageFull, InvalidInput: nothing was replaced."""
+        try:
+            self._folder.mkdir(mode=self._mode, parents=True, exist_ok=True)
+        except OSError as error:
+            raise InvalidInput(f"{self._folder} cannot be created: {error.strerror}.", "Check the folder.") from error
+        replace_file(self._folder / name, content, called)
+
+    def delete(self, name: str) -> None:
+        """Remove a file. Raises FileNotFoundError."""
+        (self._folder / name).unlink()

@@ -1,0 +1,6 @@
+"""Where a service keeps what it holds: the database, and object storage for those that share it."""
+
+from rholoc.storage.objects import MissingObject, ObjectStorage
+from rholoc.storage.shared import CAMERAS, KEYS, SharedStorage
+
+__all__ = ["CAMERAS", "KEYS", "MissingObject", "ObjectStorage", "SharedStorage"]

@@ -1,0 +1,126 @@
+"""Copies of stored objects on the server's own disk: those used last, as many as there is room for."""
+
+from __future__ import annotations
+
+import os
+import threading
+import uuid
+from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
+
+from rholoc.disk import reporting_full_disk
+from rholoc.errors import StorageUnavailable
+from rholoc.storage.objects import ObjectStorage
+
+_SUFFIX = ".rho"
+
+
+class Copies:
+    """Files by the name of their object, fetched when they are first needed. Safe to share between threads, processes.
+
+    Args:
+        objects: the storage.
+        prefix: of the objects' keys.
+        folder: of the copies.
+        most_bytes: what the copies may take; those that were used longest ago leave for others.
+    """
+
+    def __init__(self, objects: ObjectStorage, prefix: str, folder: Path, most_bytes: float) -> None:
+        self._objects = objects
+        self._prefix = prefix
+        self.folder = folder
+        self._most_bytes = most_bytes
+        self._fetching: dict[str, threading.Lock] = {}
+        self._lock = threading.Lock()
+
+    def store(self, file: Path) -> str:
+        """Store a file's content as a new object; returns the object's name. The file becomes the copy.
+
+        Raises:
+            StorageUnavailable, StorageFull: as :meth:`ObjectStorage.put`; the file stays what it was.
+        """
+        blob = uuid.uuid4().hex
+        self._objects.put(self._key(blob), file)
+        file.replace(self._path(blob))
+        self._make_room(blob)
+        return blob
+
+    def path(self, blob: str, size_bytes: int) -> Path:
+        """The copy of an object, fetched if it is not here.
+
+        Raises:
+            MissingObject, StorageUnavailable, StorageFull: as :meth:`ObjectStorage.fetch`, or it is not of that size.
+        """
+        path = self._path(blob)
+        with suppress(FileNotFoundError):
+            os.utime(path)
+            return path
+        with self._lock:
+            fetching = self._fetching.setdefault(blob, threading.Lock())
+        try:
+            with fetching:
+                if not path.is_file():
+                    self._fetch(blob, size_bytes, path)
+        finally:
+            with self._lock:
+                self._fetching.pop(blob, None)
+        return path
+
+    def has(self, blob: str) -> bool:
+        """Whether there is a copy of an object here."""
+        return self._path(blob).is_file()
+
+    def stored(self) -> Iterator[tuple[str, float]]:
+        """The names of all objects in the storage, and when they were stored, seconds since the epoch.
+
+        Raises:
+            StorageUnavailable: the storage does not answer.
+        """
+        for one in self._objects.list(self._prefix):
+            if one.key.endswith(_SUFFIX):
+                yield one.key.rpartition("/")[2].removesuffix(_SUFFIX), one.modified
+
+    def remove(self, blob: str) -> None:
+        """Remove an object, and the copy of it here.
+
+        Raises:
+            StorageUnavailable: the storage does not answer.
+        """
+        self._objects.delete(self._key(blob))
+        self._path(blob).unlink(missing_ok=True)
+
+    def _fetch(self, blob: str, size_bytes: int, path: Path) -> None:
+        with reporting_full_disk():
+            self.folder.mkdir(parents=True, exist_ok=True)
+        arrived = path.with_name(f".{uuid.uuid4().hex}.arrived")
+        try:
+            size = self._objects.fetch(self._key(blob), arrived)
+            if size != size_bytes:
+                message = f"The storage gave {size} bytes of a map of {size_bytes}."
+                raise StorageUnavailable(message, "Try again later.")
+            arrived.replace(path)
+        finally:
+            arrived.unlink(missing_ok=True)
+        self._make_room(blob)
+
+    def _make_room(self, kept: str) -> None:
+        """Remove the copies that were used longest ago until the rest fits; ``kept`` stays."""
+        found = []
+        for path in self.folder.glob(f"*{_SUFFIX}"):
+            with suppress(FileNotFoundError):
+                status = path.stat()
+                found.append((status.st_mtime, status.st_size, path))
+        total = sum(size for _, size, _ in found)
+        for _, size, path in sorted(found):
+            if total <= self._most_bytes:
+                return
+            if path.stem != kept:
+                path.unlink(missing_ok=True)
+                total -= size
+
+    def _key(self, blob: str) -> str:
+        return f"{self._prefix}/{blob}{_SUFFIX}"
+
+    def _path(self, blob: str) -> Path:
+        return self.folder / f"{blob}{_SUFFIX}"

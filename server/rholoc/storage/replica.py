@@ -1,0 +1,216 @@
+"""The catalogue as one process sees it: in memory, followed as other processes change it.
+
+Requests are answered from memory, so a database that is restarted or gone does not stop them; what changed meanwhile is
+seen when it is back.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, replace
+from typing import TypeVar
+
+import sqlalchemy as sa
+import structlog
+from sqlalchemy.exc import SQLAlchemyError
+
+from rholoc.errors import RholocError
+from rholoc.storage.tables import catalogue_table, documents_table, maps_table
+
+FOLLOW_EVERY_S = 0.5
+_LOOK_AGAIN_AFTER_S = 0.1
+_log = structlog.get_logger("rholoc.storage")
+
+
+@dataclass(frozen=True)
+class MapRow:
+    """A map in the catalogue.
+
+    Attributes:
+        name: the map's.
+        blob: the object that holds its file.
+        size_bytes: the file's size.
+        modified: when it was published, seconds since the epoch.
+        map_id, version: as in the file.
+        revision: of the catalogue when it was published.
+    """
+
+    name: str
+    blob: str
+    size_bytes: int
+    modified: float
+    map_id: str
+    version: int
+    revision: int
+
+
+@dataclass(frozen=True)
+class _Changes:
+    """What changed up to a revision: maps and small files by name, None where they were deleted."""
+
+    revision: int
+    maps: Mapping[str, MapRow | None]
+    documents: Mapping[str, bytes | None]
+
+
+class Replica:
+    """What the catalogue holds, as of the last :meth:`refresh`. Safe to share between threads.
+
+    Args:
+        engine: the database's.
+        prepare: called with the row before and the row after a map was changed by another process, before the change is
+            seen here. Where it raises, the map before is seen until it succeeds.
+    """
+
+    def __init__(
+        self, engine: sa.Engine, prepare: Callable[[MapRow, MapRow], None] = lambda before, after: None
+    ) -> None:
+        self._engine = engine
+        self._prepare = prepare
+        self._maps: dict[str, MapRow] = {}
+        self._documents: dict[str, bytes] = {}
+        self._revision = -1
+        self._looked_again_s = float("-inf")
+        self._unprepared: dict[str, MapRow] = {}
+        self._lock = threading.Lock()
+        self._stopping = threading.Event()
+        self._follower: threading.Thread | None = None
+
+    @property
+    def maps(self) -> Mapping[str, MapRow]:
+        """The maps by name."""
+        return self._maps
+
+    @property
+    def documents(self) -> Mapping[str, bytes]:
+        """The small files by path."""
+        return self._documents
+
+    @property
+    def engine(self) -> sa.Engine:
+        """The database's."""
+        return self._engine
+
+    def refresh(self) -> None:
+        """See what has changed.
+
+        Raises:
+            SQLAlchemyError: the database does not answer; what was seen stays.
+        """
+        self._apply(self._changes())
+
+    def look_again(self) -> None:
+        """See what has changed, where somebody asks for what is not known here; not more than a few times a second."""
+        now = time.monotonic()
+        if now - self._looked_again_s < _LOOK_AGAIN_AFTER_S:
+            return
+        self._looked_again_s = now
+        with suppress(SQLAlchemyError):
+            self.refresh()
+
+    @contextmanager
+    def changing(self) -> Iterator[tuple[sa.Connection, int]]:
+        """A transaction that changes the catalogue, and its revision. What it did is seen here when it has ended.
+
+        Raises:
+            SQLAlchemyError: the database does not answer; nothing was changed.
+        """
+        with self._engine.begin() as connection:
+            connection.execute(catalogue_table.update().values(revision=catalogue_table.c.revision + 1))
+            revision: int = connection.execute(sa.select(catalogue_table.c.revision)).scalar_one()
+            yield connection, revision
+        try:
+            self.refresh()
+        except SQLAlchemyError:
+            _log.warning("catalogue_not_refreshed", exc_info=True)  # it is the next time
+
+    def follow(self) -> None:
+        """Begin to follow what other processes change, in a thread."""
+        self._follower = threading.Thread(target=self._follow, name="rholoc-catalogue", daemon=True)
+        self._follower.start()
+
+    def close(self) -> None:
+        """Stop following."""
+        self._stopping.set()
+        if self._follower is not None:
+            self._follower.join()
+
+    def _changes(self) -> _Changes:
+        """What has changed since what is seen."""
+        seen = self._revision
+        with self._engine.connect() as connection:
+            newest = connection.execute(sa.select(catalogue_table.c.revision)).scalar_one()
+            if newest == seen:
+                return _Changes(newest, {}, {})
+            maps = connection.execute(sa.select(maps_table).where(maps_table.c.revision > seen)).mappings().all()
+            edited = sa.select(documents_table).where(documents_table.c.revision > seen)
+            documents = connection.execute(edited).mappings().all()
+        return _Changes(
+            newest,
+            {row["name"]: None if row["blob"] is None else MapRow(**row) for row in maps},
+            {row["path"]: None if row["content"] is None else bytes(row["content"]) for row in documents},
+        )
+
+    def _apply(self, changes: _Changes) -> None:
+        with self._lock:
+            if changes.revision <= self._revision:  # another thread was quicker, and has seen all of this
+                return
+            self._maps = _merged(self._maps, changes.maps)
+            self._documents = _merged(self._documents, changes.documents)
+            self._revision = changes.revision
+
+    def _follow(self) -> None:
+        failing = False
+        while not self._stopping.wait(FOLLOW_EVERY_S):
+            try:
+                changes = self._changes()
+                self._apply(replace(changes, maps=self._prepared(changes.maps)))
+                self._apply_late()
+                failing = False
+            except SQLAlchemyError:
+                if not failing:
+                    _log.warning("catalogue_not_refreshed", exc_info=True)
+                failing = True
+
+    def _prepared(self, changed: Mapping[str, MapRow | None]) -> dict[str, MapRow | None]:
+        """The maps that changed and are ready to be asked; those that are not stay what they are meanwhile."""
+        ready = {}
+        for name, row in changed.items():
+            self._unprepared.pop(name, None)
+            if self._is_prepared(name, row):
+                ready[name] = row
+            elif row is not None:
+                self._unprepared[name] = row
+        return ready
+
+    def _is_prepared(self, name: str, row: MapRow | None) -> bool:
+        before = self._maps.get(name)
+        if row is None or before is None or before.revision >= row.revision:
+            return True
+        try:
+            self._prepare(before, row)
+        except RholocError:
+            _log.warning("map_not_fetched", map=name, exc_info=True)
+            return False
+        return True
+
+    def _apply_late(self) -> None:
+        """See the maps that could not be prepared before and now can."""
+        late = {name: row for name, row in self._unprepared.items() if self._is_prepared(name, row)}
+        self._unprepared = {name: row for name, row in self._unprepared.items() if name not in late}
+        with self._lock:
+            present = self._maps
+            newer = {n: row for n, row in late.items() if n in present and present[n].revision < row.revision}
+            self._maps = _merged(present, newer)
+
+
+T = TypeVar("T")
+
+
+def _merged(before: Mapping[str, T], changes: Mapping[str, T | None]) -> dict[str, T]:
+    """What there is after changes, of which None deletes."""
+    after = {name: value for name, value in before.items() if name not in changes}
+    return after | {name: value for name, value in changes.items() if value is not None}

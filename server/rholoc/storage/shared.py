@@ -1,0 +1,92 @@
+"""What several servers and workers share: a database, an object storage, and a place for copies of their own."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import sqlalchemy as sa
+
+from rholoc.disk import reporting_full_disk
+from rholoc.storage.copies import Copies
+from rholoc.storage.database import database_engine, prepare_database, reporting_full_database
+from rholoc.storage.documents import CatalogueDocuments
+from rholoc.storage.maps import SharedMapLibrary
+from rholoc.storage.objects import ObjectStorage
+from rholoc.storage.replica import MapRow, Replica
+
+CAMERAS, KEYS = "cameras", "keys"  # kinds of small files
+_MAPS = "maps"
+_COPIES = "copies"
+
+
+class SharedStorage:
+    """The storage of one process. Nothing is asked of the database before :meth:`open`.
+
+    Args:
+        storage_url: of the objects, as :class:`ObjectStorage` takes it.
+        data_dir: where copies are kept, and the database where it is an SQLite file.
+        database_url: ``postgresql://…``, or None for the SQLite file.
+        copies_bytes: what copies of maps may take on this disk.
+        cache_bytes: what maps may take in memory.
+
+    Raises:
+        InvalidInput: an URL is not valid.
+    """
+
+    def __init__(
+        self,
+        storage_url: str,
+        data_dir: Path,
+        database_url: str | None = None,
+        copies_bytes: float = math.inf,
+        cache_bytes: float = math.inf,
+    ) -> None:
+        self.objects = ObjectStorage(storage_url)
+        self._copies = Copies(self.objects, _MAPS, Path(data_dir) / _COPIES, copies_bytes)
+        self._replica = Replica(database_engine(data_dir, database_url), self._prepare)
+        self.library = SharedMapLibrary(self._replica, self._copies, cache_bytes)
+
+    @property
+    def engine(self) -> sa.Engine:
+        """The database's."""
+        return self._replica.engine
+
+    def documents(self, kind: str) -> CatalogueDocuments:
+        """The small files of one kind."""
+        return CatalogueDocuments(self._replica, kind)
+
+    def open(self, follow: bool = False) -> None:
+        """Make or update the tables, and see what the catalogue holds.
+
+        Args:
+            follow: whether to go on seeing what others change, in a thread, until :meth:`close`.
+
+        Raises:
+            StorageFull: the disk is full.
+            InvalidInput: the database cannot be reached.
+            Conflict: the SQLite file is none.
+        """
+        with reporting_full_disk():
+            self._copies.folder.mkdir(parents=True, exist_ok=True)
+        prepare_database(self.engine)
+        with reporting_full_database():
+            self._replica.refresh()
+        if follow:
+            self._replica.follow()
+
+    def refresh(self) -> None:
+        """See what others have changed.
+
+        Raises:
+            SQLAlchemyError: the database does not answer.
+        """
+        self._replica.refresh()
+
+    def close(self) -> None:
+        """Stop following, and close the connections."""
+        self._replica.close()
+        self.engine.dispose()
+
+    def _prepare(self, before: MapRow, after: MapRow) -> None:
+        self.library.prepare(before, after)

@@ -1,0 +1,124 @@
+"""The tables of the database: jobs and workers, and the catalogue of what lies in object storage.
+
+Every change of a table is a migration in ``migrations/versions``; a test compares them with what stands here.
+"""
+
+from __future__ import annotations
+
+import sqlalchemy as sa
+
+VERSION_TABLE = "rholoc_schema"  # which of the migrations the database has
+
+metadata = sa.MetaData()
+
+jobs_table = sa.Table(
+    "rholoc_jobs",
+    metadata,
+    sa.Column("id", sa.String(32), primary_key=True),
+    sa.Column("recording", sa.String(32), nullable=False),
+    sa.Column("map_name", sa.Text, nullable=False),
+    sa.Column("options", sa.JSON, nullable=False),
+    sa.Column("state", sa.String(16), nullable=False),
+    sa.Column("stage", sa.String(16), nullable=False),
+    sa.Column("progress", sa.Float, nullable=False),
+    sa.Column("message", sa.Text, nullable=False),
+    sa.Column("log", sa.JSON, nullable=False),
+    sa.Column("warnings", sa.JSON),  # null in jobs of before there were warnings
+    sa.Column("error_code", sa.Text),
+    sa.Column("error_message", sa.Text),
+    sa.Column("error_hint", sa.Text),
+    sa.Column("created", sa.Float, nullable=False),
+    sa.Column("started", sa.Float),
+    sa.Column("ended", sa.Float),
+    sa.Column("attempts", sa.Integer, nullable=False),
+    # The DBOS workflow of the latest submission or retry; with ``attempts`` it says who holds the job.
+    sa.Column("workflow_id", sa.Text, nullable=False),
+)
+
+workers_table = sa.Table(
+    "rholoc_workers",
+    metadata,
+    sa.Column("id", sa.String(100), primary_key=True),
+    sa.Column("heartbeat", sa.Float, nullable=False),
+)
+
+# One row. Whoever changes the catalogue counts it up first and so holds the row until the transaction ends: revisions
+# become visible in their order, and a reader that has seen one has seen all before it.
+catalogue_table = sa.Table(
+    "rholoc_catalogue",
+    metadata,
+    sa.Column("id", sa.Integer, primary_key=True),
+    sa.Column("revision", sa.BigInteger, nullable=False),
+)
+
+maps_table = sa.Table(
+    "rholoc_maps",
+    metadata,
+    sa.Column("name", sa.String(64), primary_key=True),
+    sa.Column("blob", sa.String(32)),  # null: the map was deleted
+    sa.Column("size_bytes", sa.BigInteger, nullable=False),
+    sa.Column("modified", sa.Float, nullable=False),
+    sa.Column("map_id", sa.Text, nullable=False),
+    sa.Column("version", sa.Integer, nullable=False),
+    sa.Column("revision", sa.BigInteger, nullable=False, index=True),
+)
+
+# The maps that were replaced, of each name the one that was replaced last first by ``number``, from 1.
+map_versions_table = sa.Table(
+    "rholoc_map_versions",
+    metadata,
+    sa.Column("name", sa.String(64), primary_key=True),
+    sa.Column("number", sa.Integer, primary_key=True),
+    sa.Column("blob", sa.String(32), nullable=False),
+    sa.Column("size_bytes", sa.BigInteger, nullable=False),
+    sa.Column("map_id", sa.Text, nullable=False),
+    sa.Column("version", sa.Integer, nullable=False),
+)
+
+# Small files that every server needs: cameras, keys.
+documents_table = sa.Table(
+    "rholoc_documents",
+    metadata,
+    sa.Column("path", sa.String(200), primary_key=True),
+    sa.Column("content", sa.LargeBinary),  # null: it was deleted
+    sa.Column("revision", sa.BigInteger, nullable=False, index=True),
+)
+
+recordings_table = sa.Table(
+    "rholoc_recordings",
+    metadata,
+    sa.Column("id", sa.String(32), primary_key=True),
+    sa.Column("files", sa.JSON, nullable=False),
+    sa.Column("size_bytes", sa.BigInteger, nullable=False),
+    sa.Column("created", sa.Float, nullable=False),
+)
+
+# What a job read in a recording and what people corrected: its hidden files.
+recording_notes_table = sa.Table(
+    "rholoc_recording_notes",
+    metadata,
+    sa.Column("recording", sa.String(32), primary_key=True),
+    sa.Column("file", sa.String(100), primary_key=True),
+    sa.Column("content", sa.LargeBinary, nullable=False),
+)
+
+uploads_table = sa.Table(
+    "rholoc_uploads",
+    metadata,
+    sa.Column("id", sa.String(32), primary_key=True),
+    sa.Column("file_name", sa.Text, nullable=False),
+    sa.Column("length", sa.BigInteger, nullable=False),
+    sa.Column("offset", sa.BigInteger, nullable=False),
+    sa.Column("map_name", sa.Text, nullable=False),
+    sa.Column("options", sa.JSON, nullable=False),
+    sa.Column("touched", sa.Float, nullable=False),
+)
+
+upload_pieces_table = sa.Table(
+    "rholoc_upload_pieces",
+    metadata,
+    sa.Column("upload", sa.String(32), primary_key=True),
+    sa.Column("start", sa.BigInteger, primary_key=True),
+    sa.Column("size_bytes", sa.BigInteger, nullable=False),
+    sa.Column("blob", sa.String(32), nullable=False),
+)

@@ -1,0 +1,39 @@
+"""Places that share a storage."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from rholoc.storage import SharedStorage
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "jobs"))  # of the tiny map and the sites of jobs
+
+OpenStorage = Callable[..., SharedStorage]
+
+
+@pytest.fixture
+def storage_url(tmp_path: Path) -> str:
+    """The URL of a folder that serves as storage."""
+    return f"file://{tmp_path}/storage"
+
+
+@pytest.fixture
+def open_storage(tmp_path: Path, storage_url: str) -> Iterator[OpenStorage]:
+    """Opens the storage as one more process sees it, by default on one SQLite file; closes it at the end."""
+    opened = []
+
+    def open_one(database_url: str | None = None, follow: bool = False, **options: object) -> SharedStorage:
+        shared = SharedStorage(storage_url, tmp_path / "data", database_url, **options)
+        shared._copies.folder = tmp_path / f"copies-{len(opened)}"  # each process may be on another machine
+        shared.library.folder = shared._copies.folder
+        shared.open(follow)
+        opened.append(shared)
+        return shared
+
+    yield open_one
+    for shared in opened:
+        shared.close()

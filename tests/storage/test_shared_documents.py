@@ -1,0 +1,50 @@
+"""Cameras and keys that several processes share."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from rholoc.errors import NotFound, UnknownCamera
+from rholoc.geometry import Camera
+from rholoc.maps import CameraLibrary, CameraProfile
+from rholoc.service.keys import KeyStore, Scope
+from rholoc.storage import CAMERAS, KEYS
+
+_CAMERA = CameraProfile(Camera(640, 480, 500.0, 500.0, 320.0, 240.0), {"rms_px": 0.2})
+
+
+def test_cameras_are_shared(open_storage: Any, tmp_path: Path) -> None:
+    one, other = open_storage(), open_storage()
+    here, there = (CameraLibrary(tmp_path, shared.documents(CAMERAS)) for shared in (one, other))
+    here.put("phone", _CAMERA)
+    here.put("axis", _CAMERA)
+    other.refresh()
+    assert there.names() == ["axis", "phone"]
+    assert there.get("phone") == _CAMERA
+    there.delete("phone")
+    one.refresh()
+    assert here.names() == ["axis"]
+    with pytest.raises(UnknownCamera):
+        here.get("phone")
+    there.put("phone", _CAMERA)
+    one.refresh()
+    assert here.get("phone") == _CAMERA, "a name may come back"
+
+
+def test_keys_are_shared_and_only_their_hashes_are_kept(open_storage: Any, tmp_path: Path) -> None:
+    one, other = open_storage(), open_storage()
+    here, there = (KeyStore(tmp_path / "data", shared.documents(KEYS)) for shared in (one, other))
+    secret = here.create("robot", Scope.LOCALIZE)
+    other.refresh()
+    found = there.find(secret)
+    assert found is not None
+    assert (found.name, found.scope) == ("robot", Scope.LOCALIZE)
+    assert not any(secret.encode() in path.read_bytes() for path in (tmp_path / "data").glob("jobs.sqlite*"))
+    there.revoke("robot")
+    one.refresh()
+    assert here.find(secret) is None
+    with pytest.raises(NotFound):
+        here.revoke("robot")

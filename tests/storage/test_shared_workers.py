@@ -1,0 +1,84 @@
+"""Workers on several machines: a database and a storage in common, and nothing else."""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+from fake_pipeline import KILL_POINTS
+from job_site import Site
+
+from rholoc.jobs import JobState
+from waiting import until
+
+if TYPE_CHECKING:
+    from postgres_server import PostgresServer
+
+
+@pytest.fixture
+def campus(tmp_path: Path, postgres_url: str, storage_url: str) -> Iterator[Site]:
+    """A site whose workers share no folder."""
+    site = Site(tmp_path, postgres_url, storage_url)
+    yield site
+    site.close()
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)  # workers are started again after each kill, in a minute on a busy machine
+def test_workers_killed_in_every_stage_lose_no_job_and_publish_each_once(campus: Site) -> None:
+    plans = [KILL_POINTS[:3], KILL_POINTS[3:6], KILL_POINTS[6:]]
+    jobs = campus.survive_kills(plans)
+    assert [job.state for job in jobs] == [JobState.PUBLISHED] * len(jobs)
+    assert campus.shared is not None
+    campus.shared.refresh()
+    assert campus.library.names() == sorted(job.map_name for job in jobs)
+    assert all(campus.library.versions(name) == {} for name in campus.library.names()), "each was published once"
+    assert all(campus.library.get(name).info.version == 1 for name in campus.library.names())
+
+
+@pytest.mark.slow
+def test_a_worker_that_dies_between_building_and_publishing_is_followed_by_one_on_another_machine(campus: Site) -> None:
+    campus.control.hold("built")
+    first = campus.start_worker()
+    job = campus.submit()
+    campus.wait_at("built")
+    os.kill(first.pid, signal.SIGKILL)
+    campus.control.let_go("built")
+    campus.start_worker()
+    assert campus.wait_for(job, JobState.PUBLISHED, JobState.FAILED).state is JobState.PUBLISHED
+    until(lambda: campus.library.names() == ["room"])
+
+
+@pytest.mark.slow
+def test_a_job_outlives_a_storage_that_is_gone_for_a_while(campus: Site, storage_url: str) -> None:
+    folder = Path(storage_url.removeprefix("file://"))
+    campus.control.hold("built")
+    campus.start_worker()
+    job = campus.submit()
+    campus.wait_at("built")
+    folder.rename(folder.with_name("gone"))
+    folder.write_text("a file stands where the storage was")
+    campus.control.let_go("built")
+    until(lambda: "publishing" in campus.queue.get(job.id).message)
+    folder.unlink()
+    folder.with_name("gone").rename(folder)
+    assert campus.wait_for(job, JobState.PUBLISHED, JobState.FAILED).state is JobState.PUBLISHED
+    until(lambda: campus.library.names() == ["room"])
+
+
+@pytest.mark.slow
+def test_a_job_outlives_a_database_that_is_started_again(campus: Site, postgres: PostgresServer) -> None:
+    campus.control.hold("poses")
+    campus.start_worker()
+    job = campus.submit()
+    campus.wait_at("poses")
+    campus.library.names()
+    postgres.stop()
+    postgres.start()
+    campus.control.let_go("poses")
+    assert campus.wait_for(job, JobState.PUBLISHED, JobState.FAILED).state is JobState.PUBLISHED
+    until(lambda: campus.library.names() == ["room"])
