@@ -40,7 +40,7 @@ def test_cameras_are_added_listed_shown_and_removed(run, tmp_path):
     library = CameraLibrary(tmp_path / "maps")
     camera = Camera(1920, 1080, 1510.2, 1509.8, 959.5, 539.5, (0.08, -0.17, 0.0, 0.0))
     assert library.get("phone").camera == camera
-    assert run("camera", "add", "copy", library.path("phone"))[0] == 0
+    assert run("camera", "add", "copy", tmp_path / "maps" / "cameras" / "phone.json")[0] == 0
     assert run("camera", "add", "site", ROOT / "maps" / "testsite.rho")[0] == 0
     status, out, _ = run("camera", "list", "--json")
     assert status == 0

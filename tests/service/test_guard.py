@@ -6,7 +6,7 @@ import httpx
 import pytest
 
 from rholoc.errors import Conflict, InvalidName, NotFound
-from rholoc.service import keys as key_store
+from rholoc.maps import FolderDocuments
 from rholoc.service.access import Access, RouteAccess
 from rholoc.service.errors import CrossSite, InvalidRequest
 from rholoc.service.guard import KeyPolicy, _address, check_query, check_same_site, keys_needed
@@ -196,8 +196,8 @@ def test_the_pages_files_are_kept_and_asked_about(service):
 def test_of_many_keys_only_the_one_that_was_sent_is_read(tmp_path, monkeypatch):
     store = KeyStore(tmp_path)
     secrets = {f"robot-{i}": store.create(f"robot-{i}", Scope.LOCALIZE) for i in range(20)}
-    read, really = [], key_store._read
-    monkeypatch.setattr(key_store, "_read", lambda path: read.append(path) or really(path))
+    read, really = [], FolderDocuments.read
+    monkeypatch.setattr(FolderDocuments, "read", lambda folder, name: read.append(name) or really(folder, name))
     for name, secret in secrets.items():
         assert store.find(secret).name == name
     assert store.find("another") is None
