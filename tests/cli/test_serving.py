@@ -44,6 +44,7 @@ def test_a_server_answers_until_its_user_fails(tmp_path: Path) -> None:
     assert "Traceback" not in server.log.read_text()
 
 
+@pytest.mark.slow
 def test_sigterm_stops_the_server_too(tmp_path: Path) -> None:
     before = signal.getsignal(signal.SIGTERM)
     with (
@@ -136,6 +137,7 @@ main()
 """
 
 
+@pytest.mark.slow
 def test_sigterm_ends_a_server_whose_threads_do_not_end(tmp_path: Path, picture_world: Any) -> None:
     (tmp_path / "maps").mkdir()
     (tmp_path / "maps" / "room.rho").write_bytes(picture_world.rho())

@@ -68,6 +68,7 @@ def test_importing_it_loads_nothing_heavy() -> None:
     assert "has no attribute 'nothing'" in done.stderr
 
 
+@pytest.mark.slow
 def test_the_site_builds_without_network_and_without_a_warning(tmp_path: Path) -> None:
     pytest.importorskip("mkdocs")
     unreachable = dict.fromkeys(("http_proxy", "https_proxy", "HTTP_PROXY", "HTTPS_PROXY"), "http://127.0.0.1:9")

@@ -143,7 +143,12 @@ def test_the_pixels_of_a_video_are_a_setting_of_the_service(tmp_path):
         MappingPipeline().build(task, lambda *_: None)
 
 
-@pytest.mark.parametrize("size", [(100_000, 10), (10, 100_000), (40_000, 1000)])
+_SLOW = pytest.mark.slow
+
+
+@pytest.mark.parametrize(
+    "size", [pytest.param((100_000, 10), marks=_SLOW), (10, 100_000), pytest.param((40_000, 1000), marks=_SLOW)]
+)
 def test_a_video_of_a_size_beyond_reason_fails_its_job_in_one_line(tmp_path, size):
     path = tmp_path / "walk.avi"
     writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"FFV1"), 30, size)

@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-import schemathesis
 from hypothesis import HealthCheck, given, settings
-from schemathesis.checks import CHECKS
 
 from rholoc.service import Settings, create_app
-
-schemathesis.serializer.alias("application/offset+octet-stream", "application/octet-stream")
 
 METHODS = ("get", "put", "post", "patch", "delete", "head", "options")
 
@@ -64,6 +60,10 @@ def test_every_reference_leads_somewhere():
 
 
 def test_every_route_does_what_its_schema_says(service):
+    import schemathesis  # which takes a second of every start, and is used here alone
+    from schemathesis.checks import CHECKS
+
+    schemathesis.serializer.alias("application/offset+octet-stream", "application/octet-stream")
     schema = schemathesis.openapi.from_url(service.url + "/openapi.json")
     checks = CHECKS.get_by_names(["not_a_server_error", "status_code_conformance", "response_schema_conformance"])
     bounded = settings(

@@ -10,8 +10,7 @@ from __future__ import annotations
 from functools import cache
 
 import numpy as np
-from scipy.special import gammainc
-from scipy.stats import norm, qmc
+from scipy.special import gammainc, ndtri
 
 from rholoc.geometry import FloatArray
 
@@ -19,6 +18,7 @@ RIGHT_M = 0.10
 RIGHT_RAD = float(np.deg2rad(5.0))
 """What confidence speaks of: a pose is right within 10 cm and 5°."""
 
+_GOLDEN = 1.1127756842787055  # the golden ratio's kin in six dimensions: g⁷ = g + 1
 _DIRECTIONS = 512  # over which the probability is averaged; it is then good to a percent
 
 
@@ -90,6 +90,10 @@ def trust_in_map(local: FloatArray, map_covariance: FloatArray | None) -> float:
 
 @cache
 def _directions() -> FloatArray:
-    """(N, 6) unit vectors, evenly spread, the same each time."""
-    normal = norm.ppf(qmc.Sobol(6, seed=0).random(_DIRECTIONS))
+    """(N, 6) unit vectors, evenly spread, the same each time: by the additive recurrence of Roberts (2018).
+
+    SciPy has sequences like it, in ``scipy.stats``, whose import takes a tenth of the time that a server needs to start.
+    """
+    uniform = (0.5 + np.outer(np.arange(1, _DIRECTIONS + 1), _GOLDEN ** -np.arange(1.0, 7.0))) % 1
+    normal = ndtri(uniform)
     return np.asarray(normal / np.linalg.norm(normal, axis=1, keepdims=True))
