@@ -183,6 +183,9 @@ def test_a_landscape_is_about_the_pose_at_its_height(localizer: Localizer, room_
     assert np.abs(peak - truth.position[:2]).max() < 1.5 * around.grid.spacing_m
     assert around.values.max() == pytest.approx(around.values[16, 16], rel=0.2)
     np.testing.assert_allclose(around.grid.points.mean(axis=0), around.T_map_camera[:3, 3])
+    evidence = around.ascents[-1].evidence
+    expected = product_over_positions(room_map, evidence, around.T_map_camera, around.grid, 12.0)[0]
+    np.testing.assert_allclose(around.values, expected)
     beside = Pose(pose_matrix(truth.R_map_camera, truth.position + np.array([0.2, 0.0, 0.0])))
     there = landscape_around(by_densities, features, point_room.camera, beside.T_map_camera)
     assert there is not None

@@ -12,11 +12,22 @@ import pytest
 from rholoc.density import Evidence
 from rholoc.features import FeatureSet
 from rholoc.geometry import FloatArray, Pose
-from rholoc.localization import Dof, Intrinsics, Localizer, Prior, Query, Reason
+from rholoc.localization import (
+    Cause,
+    Dof,
+    Intrinsics,
+    Localizer,
+    Prior,
+    Query,
+    Reason,
+    density_localizer,
+    focal,
+)
 from rholoc.localization import localizer as module
 from rholoc.localization.ascent import Optimum
 from rholoc.localization.focal import FocalEstimate
 from rholoc.localization.localizer import (
+    SearchOptions,
     _Found,
     _likelier,
     _near_prior,
@@ -28,7 +39,14 @@ from rholoc.localization.localizer import (
 from rholoc.localization.matches import Matches
 from rholoc.localization.rivals import sureness
 from rholoc.localization.support import Support
-from rholoc.localization.verification import ENOUGH_MATCHES, Verified, matches_about, verify
+from rholoc.localization.verification import (
+    ENOUGH_MATCHES,
+    FINAL_TOLERANCE_PX,
+    SEARCH_RADII_PX,
+    Verified,
+    matches_about,
+    verify,
+)
 
 HERE = Pose.from_heading(np.array([1.0, 2.0, 1.5]), np.array([0.6, 0.8, 0.0]))
 
@@ -351,3 +369,100 @@ def test_a_pose_is_verified_by_six_matches(
     if verified is not None:
         assert verified.by_chance == pytest.approx(by_chance.sum())
         assert len(verified.pixels) == len(verified.matches) == 6
+
+
+@pytest.mark.parametrize(
+    "tolerances_px",
+    [
+        SearchOptions().seed_tolerances_px,
+        focal._TOLERANCES_PX,
+        focal._FIRST_TOLERANCES_PX,
+        density_localizer.TOLERANCES_PX,
+        SEARCH_RADII_PX,
+        module._TRACKING_RADII_PX,
+    ],
+)
+def test_each_tolerance_holds_what_the_one_before_it_finds(tolerances_px: tuple[float, ...]) -> None:
+    """Narrowing to a third at most at a time, from no more than an eighth of a picture to where matches agree."""
+    ratios = np.array(tolerances_px[:-1]) / tolerances_px[1:]
+    assert (ratios > 1.4).all()
+    assert (ratios <= 3).all()
+    assert tolerances_px[0] <= 80
+    assert FINAL_TOLERANCE_PX <= tolerances_px[-1] <= 6
+
+
+def test_how_hard_is_looked_is_what_the_options_say(
+    localizer: Localizer, point_room: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    truth = point_room.walk(9)[4]
+    seen = point_room.see(truth, 8)
+    query, rays = Query(seen, point_room.camera, Dof.FREE), point_room.camera.rays(seen.pixels)
+    ransac: list[tuple[Any, ...]] = []
+    samples: list[tuple[Any, ...]] = []
+    places: list[int] = []
+    voted = module.places_by_votes
+
+    def vote(index: Any, matches: Any, views_each: int, prior: Any) -> Any:
+        for place in voted(index, matches, views_each, prior):
+            places.append(views_each)
+            yield place
+
+    monkeypatch.setattr(module, "lo_ransac", lambda plane, points, *how: ransac.append(how))
+    monkeypatch.setattr(module, "minimal_samples", lambda *how: (samples.append(how[3:]), np.zeros((0, 4, 4)))[1])
+    monkeypatch.setattr(module, "places_by_votes", vote)
+    search = localizer._search(query, _Stopwatch(None))
+    assert search.best is None
+    assert search.reason is Reason.NO_AGREEMENT
+    assert set(ransac) == {(point_room.camera.focal, 12.0, 1000, 30)}
+    assert places == [10] * 8
+    assert samples == [(150, 8)] * 8
+    assert len(ransac) == 2 * 8  # at a glance and closely
+    assert np.isfinite(rays).all()
+    strict = Localizer(localizer.map, options=SearchOptions(places=3, seeds=5, samples=7), index=localizer.index)
+    samples.clear()
+    strict._search(query, _Stopwatch(None))
+    assert samples == [(7, 20)] * 3
+
+
+def test_a_sure_pose_at_the_prior_ends_the_search_and_is_the_one_tracked(
+    localizer: Localizer, point_room: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    truth = point_room.walk(9)[4]
+    query = Query(point_room.see(truth, 8), point_room.camera, prior=Prior(truth, 0.5, 0.3))
+    search = localizer._search(query, _Stopwatch(None))
+    assert search.place is None  # no place was searched
+    assert search.best is not None
+    assert search.matches == len(search.best.verified.wide)
+    monkeypatch.setattr(localizer, "_track", lambda *_: None)
+    untracked = localizer._search(query, _Stopwatch(None))
+    assert untracked.place is not None
+    assert untracked.best is not None
+    unknown = replace(query, intrinsics=Intrinsics.UNKNOWN)
+    monkeypatch.setattr(localizer, "_track", lambda *_: pytest.fail("tracked without a camera"))
+    localizer._search(unknown, _Stopwatch(None))
+
+
+def test_more_features_are_looked_up_where_a_quick_look_was_not_sure(localizer: Localizer, point_room: Any) -> None:
+    truth = point_room.walk(9)[4]
+    every = point_room.see(truth, 8)
+    few = Query(every.take(np.arange(7)), point_room.camera, more_features=lambda: every)
+    sure = Query(every, point_room.camera, more_features=lambda: pytest.fail("asked for more"))
+    assert localizer.attempt(few) is None
+    answer = localizer.attempt(sure)
+    assert answer is not None
+    assert answer.confidence >= 0.9
+    assert localizer.localize(sure).localized
+    unknown = localizer.localize(replace(few, intrinsics=Intrinsics.UNKNOWN))
+    assert "extract" in unknown.timings_ms
+    assert localizer.candidate(few) is not None
+
+
+@pytest.mark.parametrize(("count", "cause"), [(39, Cause.TOO_LITTLE_TEXTURE), (40, Cause.UNKNOWN_PLACE)])
+def test_a_refusal_of_few_features_is_for_a_bare_wall(
+    localizer: Localizer, point_room: Any, count: int, cause: Cause
+) -> None:
+    seen = point_room.see(point_room.walk(9)[4], 8)
+    strange = replace(seen, descriptors=np.random.default_rng(1).integers(0, 256, seen.descriptors.shape, np.uint8))
+    answer = localizer.localize(Query(strange.take(np.arange(count)), point_room.camera))
+    assert answer.diagnosis is not None
+    assert answer.diagnosis.cause is cause

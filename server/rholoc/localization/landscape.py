@@ -125,7 +125,7 @@ def over_headings(
     evidence = _evidence(map_, look.feature, look.camera.rays(look.pixel[None]), look.camera.focal)
     pose = Pose(look.T_map_camera)
     azimuth = np.arctan2(pose.heading[1], pose.heading[0])
-    elevation = np.arcsin(np.clip(pose.heading[2], -1, 1))
+    elevation = np.arctan2(pose.heading[2], np.hypot(pose.heading[0], pose.heading[1]))
     offsets = np.linspace(-half_rad, half_rad, count)
     values = np.zeros((count, count))
     for i, up in enumerate(offsets):

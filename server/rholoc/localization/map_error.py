@@ -92,7 +92,7 @@ def trust_in_map(local: FloatArray, map_covariance: FloatArray | None) -> float:
 def _directions() -> FloatArray:
     """(N, 6) unit vectors, evenly spread, the same each time: by the additive recurrence of Roberts (2018).
 
-    SciPy has sequences like it, in ``scipy.stats``, whose import takes a tenth of the time that a server needs to start.
+    SciPy has sequences like it, in ``scipy.stats``, whose import is a tenth of the time that a server takes to start.
     """
     uniform = (0.5 + np.outer(np.arange(1, _DIRECTIONS + 1), _GOLDEN ** -np.arange(1.0, 7.0))) % 1
     normal = ndtri(uniform)
