@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 from rholoc.density import Evidence, RayDensities
 from rholoc.geometry import FloatArray, pose_distances, pose_matrix
-from rholoc.localization.ascent import ascend, moved, optimum_at
+from rholoc.localization.ascent import ascend, covariance_at, information_at, moved, optimum_at
 from rholoc.localization.joint_ascent import Link, _bounded, _link_equations, ascend_together, joint_covariances
 from rholoc.localization.types import Dof
 
@@ -136,3 +139,59 @@ def test_stiff_links_share_what_each_frame_knows_and_loose_ones_do_not() -> None
     assert together[1] < 0.7 * alone[1]
     between = sigmas_m(0.5 * alone[1])
     assert together[1] < between[1] < alone[1]
+
+
+def test_a_joint_step_is_newtons_with_hardly_any_damping() -> None:
+    curvature = np.diag(np.arange(1.0, 13.0))
+    slope = np.linspace(-0.02, 0.03, 12)
+    expected = slope / (np.diag(curvature) + 1e-9 * 6.5 + 1e-6)
+    np.testing.assert_allclose(_bounded(slope, curvature).ravel(), expected, rtol=1e-12)
+    np.testing.assert_allclose(_bounded(np.full(6, 1e-7), np.zeros((6, 6))), [[0.1] * 6], rtol=1e-12)
+
+
+def test_joint_covariances_are_of_all_that_frames_and_links_know() -> None:
+    truth = _random_poses(3, 11)
+    evidences = [_evidence(T, seed, 40) for seed, T in enumerate(truth)]
+    optima = [optimum_at(RayDensities(), e, T, 8.0) for e, T in zip(evidences, truth, strict=True)]
+    for found, one, optimum in zip(joint_covariances(evidences, optima, []), evidences, optima, strict=True):
+        np.testing.assert_allclose(found, covariance_at(one, optimum), rtol=1e-6, atol=1e-12)
+    links = [Link(0, 1, np.linalg.inv(truth[0]) @ truth[1], 0.002, 0.001)]
+    links.append(Link(1, 2, np.linalg.inv(truth[1]) @ truth[2], 0.004, 0.003))
+    axes = 1e-5 * np.eye(18)
+
+    def fallen(step: FloatArray) -> float:
+        return -_log_likelihood(_moved_all(truth, step), links)
+
+    bent = np.array([[fallen(a + b) - fallen(a - b) for b in axes] for a in axes]) / 2e-10
+    for i, (one, optimum) in enumerate(zip(evidences, optima, strict=True)):
+        bent[6 * i : 6 * i + 6, 6 * i : 6 * i + 6] += information_at(one, optimum)
+    whole = np.linalg.inv(bent + 1e-6 * np.eye(18))
+    for i, found in enumerate(joint_covariances(evidences, optima, links)):
+        expected = whole[6 * i : 6 * i + 6, 6 * i : 6 * i + 6]
+        np.testing.assert_allclose(found, expected, atol=2e-3 * np.abs(expected).max())
+
+
+def test_five_steps_at_each_tolerance_unless_they_are_below_a_tenth_of_a_millimetre() -> None:
+    truth = _random_poses(2, 12)
+    rng = np.random.default_rng(0)
+    exact = [_evidence(T, seed) for seed, T in enumerate(truth)]
+    evidences = [replace(one, landmarks=one.landmarks + rng.normal(0, 0.05, (30, 3))) for one in exact]
+    start = _moved_all(truth, np.full(12, 0.05))
+
+    def climbed(iterations: int | None) -> FloatArray:
+        more = {} if iterations is None else {"iterations": iterations}
+        optima = ascend_together(RayDensities(), evidences, start, _links(truth, 0.3, 0.3), (30.0,), Dof.FREE, **more)
+        return np.array([one.T_map_camera for one in optima])
+
+    ways = [climbed(count) for count in range(1, 40)]
+    np.testing.assert_array_equal(climbed(None), ways[4])
+    lengths = [
+        max(
+            np.abs(np.r_[(b - a)[:3, 3], Rotation.from_matrix(b[:3, :3] @ a[:3, :3].T).as_rotvec()]).max()
+            for a, b in zip(one, next_, strict=True)
+        )
+        for one, next_ in pairwise(ways)
+    ]
+    taken = [length for length in lengths if length > 0]
+    assert 5 < len(taken) < len(lengths)  # it goes on after five, and settles
+    assert taken[-1] < 1e-4 <= min(taken[:-1])

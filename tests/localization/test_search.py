@@ -172,6 +172,11 @@ def test_a_pose_is_near_a_prior_in_place_and_heading(apart_m: float, turned_deg:
     )
     assert _near_prior(there.T_map_camera, Prior(HERE, 0.5, math.radians(20))) is near
     assert _near_prior(there.T_map_camera, None)
+    usual = Prior(Pose(there.T_map_camera))  # within a metre and 0.6 radians
+    for away_m, aside, expected in ((0.99, 0.59, True), (1.01, 0.0, False), (0.0, 0.61, False)):
+        heading = np.array([np.cos(turned + aside), np.sin(turned + aside), 0.0])
+        beside = Pose.from_heading(there.position + np.array([0, 0, away_m]), heading)
+        assert _near_prior(beside.T_map_camera, usual) is expected
 
 
 def test_a_stopwatch_adds_up_stages_and_knows_its_deadline(monkeypatch: pytest.MonkeyPatch) -> None:
