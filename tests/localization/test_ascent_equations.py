@@ -349,3 +349,27 @@ def test_a_focal_length_changes_by_a_tenth_at_a_time_and_sixteenfold_at_most() -
         assert np.log(found) == pytest.approx(0.6 * way)
         _, found, _ = ascend_with_focal(evidence, HERE, (800.0 * scale,), Dof.FREE, 40)
         assert found == 4.0**way
+
+
+def test_with_a_free_focal_length_steps_of_a_centimetre_end_a_tolerance_and_of_a_millimetre_the_last(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    lengths: dict[float, list[float]] = {}
+
+    def equations(evidence: Evidence, T: FloatArray, tolerance_px: float, dof: Dof) -> tuple[FloatArray, FloatArray]:
+        slope, curvature = _focal_equations(evidence, T, tolerance_px, dof)
+        step = _bounded(slope, curvature)
+        assert step is not None
+        lengths.setdefault(tolerance_px, []).append(float(np.abs(step).max()))
+        return slope, curvature
+
+    monkeypatch.setattr("rholoc.localization.ascent._focal_equations", equations)
+    between = 0
+    for seed in range(20):
+        lengths.clear()
+        ascend_with_focal(scene(seed, 25, 4.0, 1.05), HERE, (40.0, 20.0), Dof.FREE, 40)
+        for settled, mine in zip((1e-2, 1e-3), map(np.array, lengths.values()), strict=True):
+            assert (mine[:-1] >= settled).all()
+            assert mine[-1] < settled or len(mine) == 40
+            between += ((mine > settled) & (mine < 8 * settled)).sum()
+    assert between > 20  # so that another limit would show

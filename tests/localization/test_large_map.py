@@ -6,6 +6,7 @@ from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
+import faiss
 import numpy as np
 import pytest
 
@@ -280,3 +281,37 @@ def test_what_has_been_looked_up_is_not_looked_up_again(room_map: Map, point_roo
         index.nearest_everywhere(features, some)
         assert asked.pop() is some
         assert asked == []
+
+
+def test_two_places_are_looked_at_first_then_eight_with_their_rivals(
+    large: LargeMapLocalizer, point_room: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[list[int]] = []
+
+    def groups(votes: Any, shared_with: Any, views_each: int) -> Any:
+        asked.append([views_each, 0])
+        for number in range(1, 1000):
+            asked[-1][1] = number
+            yield number, np.array([number])
+
+    sizes: list[tuple[int, int]] = []
+    first_views = large._first_views
+
+    def chosen(views: Any, size: _Size) -> Any:
+        sizes.append((size.landmarks, size.views))
+        return first_views(views, size)
+
+    monkeypatch.setattr("rholoc.localization.large_map.groups_by_votes", groups)
+    monkeypatch.setattr(
+        large,
+        "_first_views",
+        lambda views, size: (sizes.append((size.landmarks, size.views)), first_views(views, size))[1],
+    )
+    truth = point_room.walk(8)[2]
+    seen = point_room.see(truth, 7)
+    large.around([seen])
+    assert asked == [[10, 8], [10, 4]]
+    assert large.localize(Query(seen, point_room.camera, Dof.FREE)).localized
+    assert asked[2:4] == [[10, 2], [10, 2]]
+    assert sizes[:2] == [(6000, 128), (3000, 48)]
+    assert isinstance(large.index._descriptors._indices[0], faiss.IndexBinaryIVF)  # it is not searched one by one

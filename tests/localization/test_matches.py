@@ -1,4 +1,4 @@
-"""Matches: united, ordered, mutual, and how probable each is by its descriptors."""
+"""Matches: ordered, mutual, and how probable each is by its descriptors."""
 
 from __future__ import annotations
 
@@ -17,13 +17,6 @@ def matches(*rows: tuple[int, int, float]) -> Matches:
 
 def rows_of(some: Matches) -> list[tuple[int, int, float]]:
     return list(zip(some.detections.tolist(), some.landmarks.tolist(), some.chances.tolist(), strict=True))
-
-
-def test_a_union_has_every_match_once_with_its_best_chance() -> None:
-    union = Matches.union([matches((3, 7, 0.2), (1, 7, 0.5), (1, 8, 0.4)), matches((3, 7, 0.9), (3, 8, 0.1))])
-    assert rows_of(union) == [(1, 7, 0.5), (1, 8, 0.4), (3, 7, 0.9), (3, 8, 0.1)]
-    assert len(Matches.union([Matches.none(), Matches.none()])) == 0
-    assert rows_of(Matches.union([Matches.none(), matches((0, 0, 0.3))])) == [(0, 0, 0.3)]
 
 
 def test_the_likeliest_comes_first_and_equal_ones_keep_their_order() -> None:

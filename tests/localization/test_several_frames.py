@@ -299,6 +299,7 @@ def test_what_is_not_sure_enough_is_not_given_out(localizer: Localizer, point_ro
     assert found.inliers == given.inliers
     assert given.first.reason is None
     assert given.first.matches > 0
+    assert 0 < given.first.timings_ms["match"] < 60_000
     assert given.first.covariance is not None
     shown = point_room.camera.project(
         (localizer.index.landmarks[given.first.inlier_features[: given.inliers[0]]] - given.poses[0].position)

@@ -45,18 +45,6 @@ class Matches:
         nothing = np.zeros(0, dtype=np.int64)
         return cls(nothing, nothing, np.zeros(0))
 
-    @classmethod
-    def union(cls, sets: list[Matches]) -> Matches:
-        """All different matches of the sets; where a match stands in several, its best chance counts."""
-        detections = np.concatenate([s.detections for s in sets])
-        landmarks = np.concatenate([s.landmarks for s in sets])
-        chances = np.concatenate([s.chances for s in sets])
-        order = np.lexsort((-chances, landmarks, detections))
-        detections, landmarks, chances = detections[order], landmarks[order], chances[order]
-        new = np.ones(len(order), dtype=bool)
-        new[1:] = (np.diff(detections) != 0) | (np.diff(landmarks) != 0)
-        return cls(detections[new], landmarks[new], chances[new])
-
 
 @dataclass(frozen=True, eq=False)
 class NearestLandmarks:
