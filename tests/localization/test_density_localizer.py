@@ -81,6 +81,8 @@ def test_four_places_are_climbed_from_and_one_where_the_start_is_given(
     every = list(four.ascents(features, point_room.camera))
     assert len(every) == 4
     for one in every:
+        tolerances_px = sorted({step.tolerance_px for step in one.steps}, reverse=True)
+        assert tolerances_px == [80, 40, 24, 12, 6, 4]
         np.testing.assert_array_equal(one.positions, [step.T_map_camera[:3, 3] for step in one.steps])
     list(four.ascents(features, point_room.camera, start=localizer.map.T_map_camera[0]))
     assert voted == [(4, 10), (1, 10)]

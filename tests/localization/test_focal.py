@@ -11,8 +11,8 @@ from scipy.stats import norm
 
 from rholoc.density import Evidence
 from rholoc.features import FeatureSet
-from rholoc.geometry import Camera, Pose
-from rholoc.localization import Cause, Intrinsics, Localizer, Query
+from rholoc.geometry import Camera, FloatArray, Pose
+from rholoc.localization import Cause, Intrinsics, Localizer, Query, focal
 from rholoc.localization.ascent import ascend_with_focal, freed_focal
 from rholoc.localization.focal import (
     FocalEstimate,
@@ -190,7 +190,12 @@ def test_a_focal_length_fits_where_freeing_it_changes_nothing_around_the_pose_an
     place = every.take(np.arange(min(len(every), len(verified.wide)) - 1))  # as many as around the pose would hide one
     assert len(place) > 60
     changes = {len(verified.wide): (0.0, 0.0), len(place): (moved_m, gain)}
-    monkeypatch.setattr("rholoc.localization.focal.freed_focal", lambda evidence, *_: changes[len(evidence)])
+
+    def freed(evidence: Evidence, T: FloatArray, tolerance_px: float, dof: Dof) -> tuple[float, float]:
+        assert tolerance_px == 14.0
+        return changes[len(evidence)]
+
+    monkeypatch.setattr("rholoc.localization.focal.freed_focal", freed)
     assert _fits(localizer.index, query, verified, place) is fits
     changes = {len(verified.wide): (moved_m, gain), len(place): (0.0, 0.0)}
     assert _fits(localizer.index, query, verified, place) is fits
@@ -257,3 +262,54 @@ def test_an_estimated_focal_lengths_belief_is_that_the_place_is_within_ten_centi
     few = matches.take(np.arange(9))
     absurd = replace(query, camera=point_room.camera.zoomed(0.3))
     assert verify_with_focal(localizer.index, absurd, truth.T_map_camera, few) is None
+
+
+def test_a_focal_length_is_sought_ever_more_closely_until_it_stays(
+    localizer: Localizer, point_room: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    truth, camera, index = corners(point_room)[0], point_room.camera.zoomed(0.85), localizer.index
+    query = Query(point_room.see(truth, 700), camera)
+    matches = index.match_everywhere(query.features)
+    verified = verify(index, query, camera.rays(query.features.pixels), truth.T_map_camera)
+    assert verified is not None
+    climb, match_near = focal.ascend_with_focal, index.match_near
+    climbs: list[tuple[float, ...]] = []
+    changes: list[float] = []
+    radii_px: list[float] = []
+
+    def ascended(evidence: Any, T: Any, tolerances_px: tuple[float, ...], dof: Any) -> Any:
+        climbs.append(tolerances_px)
+        found = climb(evidence, T, tolerances_px, dof)
+        changes.append(abs(np.log(found[1])))
+        return found
+
+    monkeypatch.setattr(focal, "ascend_with_focal", ascended)
+    monkeypatch.setattr(index, "match_near", lambda *how: (radii_px.append(how[3]), match_near(*how))[1])
+    check_focal(index, query, verified, matches)
+    rounds = len(climbs)
+    assert rounds in (2, 3)
+    assert climbs == [(40.0, 15.0, 5.0)] + [(14.0, 7.0, 4.0)] * (rounds - 1)
+    assert radii_px == [14.0] * (rounds if changes[-1] >= 0.02 else rounds - 1)
+    assert min(changes[:-1]) >= 0.02
+    for given in (climbs, changes, radii_px):
+        given.clear()
+    assert verify_with_focal(index, query, truth.T_map_camera, matches) is not None
+    rounds = len(climbs)
+    assert climbs == [(24.0, 12.0, 6.0)] + [(14.0, 7.0, 4.0)] * (rounds - 1)
+    assert radii_px == [14.0] * (rounds - 1) + [14.0, 5.0]  # those of the verification at last
+    assert min(changes[1:-1], default=1) >= 0.02
+
+    scale, turned = 1.03, verified.optimum  # which never stays: three rounds are made
+    monkeypatch.setattr(focal, "ascend_with_focal", lambda *_: (climbs.append(()), (turned, scale, 0.01))[1])
+    climbs.clear()
+    assert check_focal(index, query, verified, matches).focal_px == pytest.approx(camera.focal * 1.03**3)
+    assert len(climbs) == 3
+    climbs.clear()
+    verify_with_focal(index, query, truth.T_map_camera, matches)
+    assert len(climbs) == 4
+    scale = 100.0
+    assert verify_with_focal(index, query, truth.T_map_camera, matches) is None
+    scale = 1.019  # which is near enough
+    climbs.clear()
+    check_focal(index, query, verified, matches)
+    assert len(climbs) == 1

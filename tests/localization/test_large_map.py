@@ -21,6 +21,7 @@ from rholoc.localization import (
     Prior,
     Query,
     SeveralFrames,
+    large_map,
     likeliest_views,
     localize_together,
     localizer_of,
@@ -148,6 +149,7 @@ def test_a_map_is_large_by_its_landmarks(
     room_map: Map, large: LargeMapLocalizer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert isinstance(localizer_of(room_map), Localizer)
+    assert large_map.LARGE_MAP == 30_000
     monkeypatch.setattr("rholoc.localization.large_map.LARGE_MAP", len(large.map) - 1)
     assert isinstance(localizer_of(large.map), LargeMapLocalizer)
 

@@ -13,7 +13,16 @@ from scipy.spatial.transform import Rotation
 from rholoc.errors import InvalidDescriptors, InvalidInput
 from rholoc.features import FeatureSet
 from rholoc.geometry import Pose, pose_distances, pose_matrix
-from rholoc.localization import Dof, Intrinsics, Localizer, Query, Reason, SeveralFrames, localize_together
+from rholoc.localization import (
+    Dof,
+    Intrinsics,
+    Localizer,
+    Query,
+    Reason,
+    SeveralFrames,
+    localize_together,
+    several_frames,
+)
 from rholoc.localization.matches import Matches
 from rholoc.localization.seeds import Place
 from rholoc.localization.several_frames import _Candidate, _Joint
@@ -275,13 +284,18 @@ def test_the_rigs_seed_is_asked_of_all_frames_matches(
 
     def estimate(plane: Any, points: Any, mounted: Any, cameras: Any, asked: dict[str, Any], more: Any) -> Any:
         settings.append(asked)
+        assert [camera["params"] for camera in cameras] == [[point_room.camera.focal, 0.0, 0.0]] * 3
+        for own, one, rays in zip(plane, used, joint.rays, strict=True):
+            seen = rays[one.likeliest_first().detections]
+            np.testing.assert_allclose(own, point_room.camera.focal * seen[:, :2] / seen[:, 2:])
         return pose, {"num_inliers": agreeing}
 
     monkeypatch.setattr("rholoc.localization.several_frames.poselib.estimate_generalized_absolute_pose", estimate)
-    found = joint._seed([matches[0].take(np.arange(6)), nothing, nothing])
+    used = [matches[0].take(np.arange(6)), nothing, nothing]
+    found = joint._seed(used)
     assert found is not None
     np.testing.assert_allclose(found[:3, 3], (-1, -2, -3))
-    agreeing = 5
+    agreeing, used = 5, matches
     assert joint._seed(matches) is None
     agreeing, pose = 6, SimpleNamespace(R=np.full((3, 3), np.nan), t=np.zeros(3))
     assert joint._seed(matches) is None
@@ -306,3 +320,27 @@ def test_what_is_not_sure_enough_is_not_given_out(localizer: Localizer, point_ro
         @ given.poses[0].R_map_camera
     )
     assert np.median(np.linalg.norm(shown - given.first.inlier_pixels, axis=1)) < 3
+
+
+def test_frames_are_matched_again_within_either_radius(
+    localizer: Localizer, point_room: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    truths = point_room.walk(40, sideways_m=0.1)[5:15:4]
+    joint = _Joint(localizer, _asked(point_room, truths, 60))
+    tolerances_px: list[tuple[float, ...]] = []
+    radii_px: list[float] = []
+    climb, match_near = several_frames.ascend_together, localizer.index.match_near
+    monkeypatch.setattr(several_frames, "ascend_together", lambda *how: (tolerances_px.append(how[4]), climb(*how))[1])
+    monkeypatch.setattr(localizer.index, "match_near", lambda *how: (radii_px.append(how[3]), match_near(*how))[1])
+    candidate = joint._verified(np.array([truth.T_map_camera for truth in truths]))
+    assert candidate is not None
+    assert tolerances_px == [(14.0, 7.0, 4.0), (5.0, 4.0)]
+    assert radii_px == [14.0] * 3 + [5.0] * 3
+    assert candidate.confidence > 0.9
+    five = match_near(joint.frames[0].features, point_room.camera, truths[0].T_map_camera, 5.0)[0].take(np.arange(5))
+    nothing = np.zeros(60)
+    for last, found in ((0, False), (1, True)):
+        counts = iter([five, five.take(np.arange(last)), Matches.none()] * 2)
+        monkeypatch.setattr(localizer.index, "match_near", lambda *_, counts=counts: (next(counts), nothing))
+        again = joint._verified(np.array([truth.T_map_camera for truth in truths]))
+        assert (again is not None) is found

@@ -425,9 +425,7 @@ class Localizer:
         watch.lap("verify")
         return checked
 
-    def _look_with_any_focal(
-        self, place: Place, query: Query, rays: FloatArray, watch: _Stopwatch
-    ) -> Iterator[_Found | None]:
+    def _look_with_any_focal(self, place: Place, query: Query, rays: FloatArray, watch: _Stopwatch) -> Iterator[_Found]:
         """As :meth:`_look_closely`, the focal length estimated along with the pose."""
         matches = self.index.match_within(query.features, place.landmarks)
         watch.lap("match")
@@ -498,7 +496,7 @@ class Localizer:
         if search.place is not None and query.intrinsics is Intrinsics.GIVEN:
             rays = query.camera.rays(query.features.pixels)
             for refocused in self._look_with_any_focal(search.place, freed, rays, watch):
-                if refocused is not None and refocused.confidence >= self.options.conclusive:
+                if refocused.confidence >= self.options.conclusive:
                     return wrong_camera(query.camera.focal, refocused.focal.focal_px)
         return diagnose_picture(query.image, self.map, len(query.features), _FEW_FEATURES)
 
