@@ -21,7 +21,7 @@ Name = Annotated[str, typer.Argument(metavar="NAME", help="The camera's name.")]
 Maps = Annotated[
     Path,
     typer.Option(
-        "--maps", metavar="DIR", envvar=options.MAPS_VARIABLE, help="The folder of maps, which the cameras are beside."
+        "--maps", metavar="DIR", envvar=options.MAPS_VARIABLE, help="The folder of maps, which holds the cameras too."
     ),
 ]
 _MAPS = Path(options.DEFAULT_MAPS)
@@ -42,7 +42,7 @@ def add(
     ] = None,
     maps: Maps = _MAPS,
 ) -> None:
-    """Keep a camera under a name, replacing the one that was there."""
+    """Store a camera under a name, replacing any of that name."""
     from rholoc.maps import CameraLibrary, CameraProfile
 
     profile = CameraProfile(_parse(source, size) if "," in source else _read(Path(source)))
@@ -93,7 +93,7 @@ def calibrate(
     charuco: Annotated[
         bool, typer.Option("--charuco", help="The board has ArUco markers in its white squares.")
     ] = False,
-    name: Annotated[str | None, typer.Option(help="Keep the camera under this name.")] = None,
+    name: Annotated[str | None, typer.Option(help="Store the camera under this name.")] = None,
     picture: Annotated[
         Path | None, typer.Option(metavar="PNG", help="Draw where in the image the board was seen, and the residuals.")
     ] = None,
@@ -112,7 +112,7 @@ def calibrate(
     looked_for = Board.parse(board, square_mm, kind)
     library = CameraLibrary(maps)
     if name is not None:
-        check_camera_name(name)  # refused before the work
+        check_camera_name(name)  # refuses an invalid name before the work
     shown = read_recording(source, frames=frames).frames
     with frame_progress("looking for the board", len(shown.times)) as advance:
         found = calibrated(shown, looked_for, advance)

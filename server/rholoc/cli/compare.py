@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from rholoc.recordings import Recording
 
 _MAP_WALK, _QUERY_WALK = 1, 2
-_MAP_FPS, _QUERY_FPS = 4.0, 2.0  # poses are given, so that a few frames of a whole walk do
+_MAP_FPS, _QUERY_FPS = 4.0, 2.0  # poses are given, so a few frames of a whole walk are enough
 
 
 def compare(
@@ -44,7 +44,7 @@ def compare(
         list[str] | None,
         typer.Option(metavar="START:STOP[:STEP]", help="The queries' frames; give it again for another set."),
     ] = None,
-    every: Annotated[int, typer.Option(min=1, help="Only every so many of the queries.")] = 1,
+    every: Annotated[int, typer.Option(min=1, help="Only every N-th query.")] = 1,
     truth: Annotated[bool, typer.Option("--truth", help="Take poses from a simulated recording's truth.csv.")] = False,
     camera: options.Camera = None,
     features: Annotated[
@@ -197,7 +197,7 @@ def _lighting_pairs(folder: Path, features: list[str] | None, out: Path | None, 
 
 @contextmanager
 def _folder(out: Path | None) -> Iterator[Path]:
-    """The folder of what is simulated: kept where the user asked for one, else gone afterwards."""
+    """The folder for simulated recordings: the user's, which is kept, or else a temporary one."""
     if out is not None:
         yield out
     else:
@@ -284,7 +284,7 @@ def _scenes_table(pairs: Sequence[ScenePair]) -> Table:
 
 
 def _print(table: Table) -> None:
-    """Print a table in all its width, so that a narrow terminal wraps its lines rather than its words."""
+    """Print a table at its full width, so that a narrow terminal wraps its lines rather than its words."""
     from rich.console import Console
     from rich.measure import Measurement
 

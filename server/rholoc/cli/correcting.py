@@ -1,4 +1,4 @@
-"""``rholoc map correct``: a map made right by what people know of the place."""
+"""``rholoc map correct``: corrects a map by what people know about the place."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from rholoc.maps import Map
 
 app = typer.Typer(
-    no_args_is_help=True, help="Correct a map by what you know of the place; see `map info` for the result."
+    no_args_is_help=True, help="Correct a map by what you know about the place; see `map info` for the result."
 )
 
 Out = Annotated[Path | None, typer.Option("--out", "-o", metavar="MAP.rho", help="Where to; default: the map itself.")]
@@ -75,11 +75,11 @@ def scale(
     map_file: options.MapFile,
     start: Annotated[str, typer.Option(metavar="X,Y,Z", help="One end of a measured distance, present frame.")],
     end: Annotated[str, typer.Option(metavar="X,Y,Z", help="The other end.")],
-    length: Annotated[float, typer.Option(metavar="METRES", min=0, help="How far apart they are in truth.")],
+    length: Annotated[float, typer.Option(metavar="METRES", min=0, help="The measured distance.")],
     out: Out = None,
     as_json: options.Json = False,
 ) -> None:
-    """Correct the map's scale by a distance that was measured; the map is metric from then on."""
+    """Correct the map's scale by a measured distance; the map is metric from then on."""
     from rholoc.mapping import set_distance
 
     _correct(map_file, out, as_json, lambda map_: set_distance(map_, _vector(start, 3), _vector(end, 3), length))
@@ -91,11 +91,11 @@ def plan(
     pair: Annotated[
         list[str], typer.Option(metavar="X,Y,Z=X,Y", help="A point of the map and where it is on the plan, m; repeat.")
     ],
-    scaled: Annotated[bool, typer.Option("--scaled", help="Take the plan's scale, too.")] = False,
+    scaled: Annotated[bool, typer.Option("--scaled", help="Take on the plan's scale too.")] = False,
     out: Out = None,
     as_json: options.Json = False,
 ) -> None:
-    """Lay the map over a floor plan, whose frame becomes the map's."""
+    """Align the map with a floor plan, whose frame becomes the map's."""
     import numpy as np
 
     from rholoc.mapping import lay_over_plan
@@ -118,7 +118,7 @@ def region(
     out: Out = None,
     as_json: options.Json = False,
 ) -> None:
-    """Remove the landmarks of a region, or all others."""
+    """Remove the landmarks inside a region, or all others."""
     from rholoc.mapping import remove_region
 
     if keep not in ("inside", "outside"):
@@ -154,7 +154,7 @@ def names(
     area: Annotated[
         list[str] | None, typer.Option(metavar="NAME='X Y, X Y, …'", help="Name an area, or redraw one; repeat.")
     ] = None,
-    remove: Annotated[list[str] | None, typer.Option(metavar="NAME", help="Take a name away; repeat.")] = None,
+    remove: Annotated[list[str] | None, typer.Option(metavar="NAME", help="Remove a name; repeat.")] = None,
     out: Out = None,
     as_json: options.Json = False,
 ) -> None:
@@ -184,12 +184,12 @@ def labels(
     site: Annotated[str | None, typer.Option(help="Such as a building; default: as it was.")] = None,
     floor: Annotated[str | None, typer.Option(help="Of the site; default: as it was.")] = None,
     tag: Annotated[
-        list[str] | None, typer.Option(help="A further word, in place of those that it had; repeat.")
+        list[str] | None, typer.Option(help="A tag; together they replace those that it had; repeat.")
     ] = None,
     out: Out = None,
     as_json: options.Json = False,
 ) -> None:
-    """Say what the map belongs to: lists are grouped and searched by it."""
+    """Set the map's site, floor and tags, by which lists are grouped and searched."""
     from rholoc.mapping import set_labels
     from rholoc.maps import MapLabels
 
@@ -208,7 +208,7 @@ def labels(
 
 
 def _correct(map_file: Path, out: Path | None, as_json: bool, corrected: Callable[[Map], Map]) -> None:
-    """Write the map's next version, and say what became of it."""
+    """Write the map's next version, and print what was corrected."""
     from rholoc.maps import load_map, save_map
     from rholoc.maps.info import info_to_json
 
@@ -223,10 +223,10 @@ def _correct(map_file: Path, out: Path | None, as_json: bool, corrected: Callabl
 
 
 def _vector(text: str, count: int) -> FloatArray:
-    """So many coordinates.
+    """``count`` coordinates.
 
     Raises:
-        InvalidInput: the text holds something else.
+        InvalidInput: the text is something else.
     """
     import numpy as np
 

@@ -1,4 +1,4 @@
-"""``rholoc demo``: the whole path on simulated recordings, over HTTP, through the server's own worker."""
+"""``rholoc demo``: the whole flow on simulated recordings, over HTTP, with the server's own worker."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ class _Files:
 
     @property
     def truth(self) -> Path:
-        """True poses, apart from the recordings: what is uploaded holds none."""
+        """The true poses, kept apart from the recordings: uploads hold none."""
         return self.folder / "truth"
 
     @property
@@ -87,7 +87,7 @@ class _Files:
 def demo(
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Where everything goes.")] = Path("demo-output"),
     seconds: Annotated[float, typer.Option(min=30, max=120, help="The length of each walk: 30, or longer.")] = 30.0,
-    every: Annotated[int, typer.Option(min=1, help="Localize every so many frames of the second walk.")] = 3,
+    every: Annotated[int, typer.Option(min=1, help="Localize every N-th frame of the second walk.")] = 3,
     seed: Seed = 0,
     leave_open: Annotated[
         bool, typer.Option("--open", help="Leave the server running and open its pages, until Ctrl-C.")
@@ -134,7 +134,7 @@ def _run(files: _Files, seconds: float, every: int, seed: int, leave_open: bool,
 
 
 def _put_truth_apart(recording: Path, files: _Files) -> None:
-    """What is uploaded does not hold the true poses."""
+    """Move the true poses out of a recording, so that they are not uploaded."""
     (recording / "truth.csv").rename(files.truth / f"{recording.name}.csv")
     print_notice(f"simulated {recording.name}: video, IMU, waypoints")
 
@@ -174,8 +174,8 @@ class _Figures:
 
     Attributes:
         evaluation: of the second walk, against the truth.
-        map: what the server says of the map.
-        warnings: why the job says that the map is not to be trusted.
+        map: what the server says about the map.
+        warnings: the job's reasons why the map is not to be trusted.
         median_ms: of a frame, over HTTP.
         build_s: from the upload to the published map.
         total_s: of the whole demo.

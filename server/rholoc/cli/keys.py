@@ -28,10 +28,10 @@ def create(
         str,
         typer.Option(metavar="read|localize|map|admin", help="What it allows; each scope includes the ones before."),
     ] = "localize",
-    expires: Annotated[float | None, typer.Option(metavar="DAYS", min=0, help="For how many days it is good.")] = None,
+    expires: Annotated[float | None, typer.Option(metavar="DAYS", min=0, help="How many days it is valid.")] = None,
     data: Data = None,
 ) -> None:
-    """Make a key and print it. It is shown this once: the server keeps only its hash."""
+    """Make a key and print it. It is shown only once: the server only keeps its hash."""
     from rholoc.service.keys import Scope
 
     wanted = choice(Scope, scope, "--scope")
@@ -42,7 +42,7 @@ def create(
 
 @app.command("list")
 def list_keys(data: Data = None, as_json: Json = False) -> None:
-    """Show the keys there are."""
+    """Show all keys."""
     keys = _store(data).keys()
     if as_json:
         print_json(
@@ -58,7 +58,7 @@ def list_keys(data: Data = None, as_json: Json = False) -> None:
 
 @app.command()
 def revoke(name: Name, data: Data = None) -> None:
-    """Take a key back. It is refused from the next request on."""
+    """Revoke a key. It is refused from the next request on."""
     _store(data).revoke(name)
     print_notice(f"The key of {name} is revoked.")
 

@@ -1,4 +1,4 @@
-"""``rholoc map``: build maps, let them learn and forget, look into them, export them."""
+"""``rholoc map``: builds maps, makes them learn and forget, inspects and exports them."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 _MOST_SHOWN = 12  # of a list; --json has all
 
-app = typer.Typer(no_args_is_help=True, help="Build maps, let them learn and forget, look into them, export them.")
+app = typer.Typer(no_args_is_help=True, help="Build maps, make them learn and forget, inspect and export them.")
 app.command()(density)
 app.add_typer(correct, name="correct")
 
@@ -89,7 +89,7 @@ def list_maps(
     ] = None,
     as_json: options.Json = False,
 ) -> None:
-    """Show the maps of a folder, whether they are to be trusted, and how wrong they expect to be."""
+    """Show the maps of a folder, whether they are to be trusted, and how far they expect to be off."""
     from rholoc.maps import MapLibrary, expected_error_m, trust_of
 
     folder = maps or Path(os.environ.get(options.MAPS_VARIABLE, options.DEFAULT_MAPS))
@@ -135,7 +135,7 @@ def trust_line(trusted: bool | None, reason: str) -> str:
 
 @app.command()
 def info(map_file: options.MapFile, as_json: options.Json = False) -> None:
-    """Print what a map says of itself, its quality report included."""
+    """Print what a map says about itself, including its quality report."""
     from rholoc.maps import load_map
 
     _print_map(load_map(map_file), map_file, as_json)
@@ -213,7 +213,7 @@ def forget(
     ] = None,
     as_json: options.Json = False,
 ) -> None:
-    """Take out of a map what it learned from a recording."""
+    """Make a map forget what it learned from a recording."""
     from rholoc.mapping import forget_recording
     from rholoc.maps import load_map
 
@@ -263,7 +263,7 @@ def import_(
     out: Annotated[Path, typer.Option("--out", "-o", metavar="MAP.rho", help="Where to.")],
     as_json: options.Json = False,
 ) -> None:
-    """Read a map from CSV. It localizes as the map that was written."""
+    """Read a map from CSV. It localizes like the map that was written."""
     from rholoc.maps import read_coefficient_table
 
     _save(read_coefficient_table(table), out, as_json)
@@ -277,7 +277,7 @@ def report(
     ] = None,
     as_json: options.Json = False,
 ) -> None:
-    """Draw a map's report: where it works and where not, how wrong it was, what its landmarks are worth."""
+    """Draw a map's report: where it works and where not, how consistent it is, how exact its landmarks are."""
     from rholoc.maps import load_map
     from rholoc.maps.files import replace_file
     from rholoc.pictures.map_report import report_png

@@ -1,4 +1,4 @@
-"""``rholoc recording``: look into recordings before a map is made of them."""
+"""``rholoc recording``: inspects recordings before a map is made from them."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from rholoc.cli import options
 from rholoc.cli.console import output, print_figures, print_json, print_notice
 from rholoc.cli.flow import flow
 
-app = typer.Typer(no_args_is_help=True, help="Look into recordings before a map is made of them.")
+app = typer.Typer(no_args_is_help=True, help="Inspect recordings before a map is made from them.")
 app.command()(flow)
 
 

@@ -1,4 +1,4 @@
-"""``rholoc track``: a tracker run over a recording."""
+"""``rholoc track``: runs a tracker over a recording."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def track(
     ] = None,
     drift: Annotated[
         float | None,
-        typer.Option(min=0, max=50, metavar="PERCENT", help="Simulate odometry: the truth, drifting so many percent."),
+        typer.Option(min=0, max=50, metavar="PERCENT", help="Simulate odometry: the truth, with this much drift."),
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="--drift: another seed drifts another way.")] = 0,
     truth: Annotated[

@@ -1,12 +1,12 @@
-"""An IMU's table as a phone logged it → seconds, m/s², rad/s, one row a time. Pure functions, used by all readers.
+"""An IMU's table as a phone logged it → seconds, m/s², rad/s, one row per time. Pure functions, used by all readers.
 
-Formats document their units, and apps, versions and settings depart from them. What the numbers themselves show is
-believed before the documentation, and each departure is reported as a warning:
+Formats document their units, but apps, versions and settings deviate from them. The numbers themselves take precedence
+over the documentation, and each deviation is reported as a warning:
 
 - the unit of time by the interval between samples, since no IMU samples slower than 2.5 or faster than 2500 times a
   second;
 - g or m/s², and gravity included or removed, by the length of the acceleration, which is steady only with gravity;
-- degrees or radians by speeds that no hand reaches, else by which of them turns gravity as the accelerometer feels it;
+- degrees or radians by speeds that no hand reaches, else by which of them rotates gravity as the accelerometer does;
 - Apple's sign, which gravity alone cannot show, by poses that come with the recording.
 """
 
@@ -25,7 +25,7 @@ from rholoc.reports import RecordingWarning, WarningKind
 STANDARD_GRAVITY = 9.80665  # m/s²
 MIN_RATE_HZ = 25.0  # the paper's floor
 
-_PER_SECOND = {"s": 1.0, "ms": 1e3, "µs": 1e6, "ns": 1e9}  # divided by, which rounds right: 1e-9 is not exact
+_PER_SECOND = {"s": 1.0, "ms": 1e3, "µs": 1e6, "ns": 1e9}  # divisors, which are exact: 1e-9 is not
 _LONGEST_IMU_INTERVAL_S = 0.4
 _SHORTEST_FRAME_INTERVAL_S = 0.002
 _LONGEST_FRAME_INTERVAL_S = 4.0
@@ -39,9 +39,9 @@ _ONE_G_TOLERANCE = 0.15  # of the median length, in g
 _LARGEST = 1e5  # of a reading in any unit
 _FASTEST_TURN = 12.0  # rad/s that a walking hand does not exceed in one row of twenty
 _TURN_WINDOW_S = 0.4
-_NOTICEABLE_TURN = 0.05  # rad that gravity must turn between two windows to tell anything …
+_NOTICEABLE_TURN = 0.05  # rad that gravity must turn between two windows to count …
 _MIN_TURNS = 5  # … this often
-_DISTINCTLY = 3.0  # times better, for degrees to be believed; a wrong sign alone makes 2
+_DISTINCTLY = 3.0  # degrees must fit this many times better to be accepted; a wrong sign alone makes 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +59,7 @@ class Samples:
 
 @dataclass(frozen=True)
 class ImuConvention:
-    """What a format says of its numbers.
+    """What a format says about its numbers.
 
     Attributes:
         time_unit: one of s, ms, µs, ns.
@@ -80,16 +80,16 @@ def normalise_imu(
     says: ImuConvention,
     R_camera_imu: FloatArray | None = None,
 ) -> tuple[Imu, tuple[RecordingWarning, ...]]:
-    """Bring both sensors to one table at the gyroscope's times, in seconds, m/s² and rad/s.
+    """Combine both sensors in one table at the gyroscope's times, in seconds, m/s² and rad/s.
 
     Args:
-        accelerometer, gyroscope: as logged; their times may differ, and be in disorder.
-        says: the format's own convention, believed where the numbers do not contradict it.
+        accelerometer, gyroscope: as logged; their times may differ, and be out of order.
+        says: the format's own convention, used unless the numbers contradict it.
         R_camera_imu: (3, 3), or None where unknown.
 
     Raises:
-        InvalidRecording: times go back for good, make no sense in any unit, the two sensors hardly overlap, or a value
-            is one that no sensor gives.
+        InvalidRecording: too many times go back, times are implausible in every unit, the two sensors hardly overlap,
+            or a value is out of range in any unit.
     """
     _check_range(accelerometer, "accelerometer")
     _check_range(gyroscope, "gyroscope")
@@ -125,8 +125,8 @@ def time_unit(times: FloatArray, longest_s: float = _LONGEST_IMU_INTERVAL_S) -> 
 
 
 def frame_times_s(times: FloatArray, says: str) -> tuple[FloatArray, tuple[RecordingWarning, ...]]:
-    """Times (N,) of frames in seconds. Frames may be seconds apart, so ``says``, the format's own unit, is believed
-    where it makes an interval of 2 ms to 4 s; else the interval shows the unit, as it does an IMU's."""
+    """Times (N,) of frames in seconds. Frames may be seconds apart, so ``says``, the format's own unit, is used if it
+    makes an interval of 2 ms to 4 s; otherwise the interval shows the unit, as for an IMU."""
     steps = np.abs(np.diff(times)) / _PER_SECOND[says]
     plausible = len(steps) == 0 or _SHORTEST_FRAME_INTERVAL_S < np.median(steps) <= _LONGEST_FRAME_INTERVAL_S
     unit = says if plausible else time_unit(times, 1000 * _SHORTEST_FRAME_INTERVAL_S) or says
@@ -135,9 +135,9 @@ def frame_times_s(times: FloatArray, says: str) -> tuple[FloatArray, tuple[Recor
 
 
 def checked_span(times: FloatArray, what: str) -> FloatArray:
-    """Times (M,) in seconds as they are, if they span no more than two days.
+    """Times (M,) in seconds, unchanged, if they span no more than two days.
 
-    A single wrong time would otherwise stand for years of samples to be filled in.
+    A single wrong time could otherwise stand for years of samples to fill in.
 
     Raises:
         InvalidRecording: they span more.
@@ -152,7 +152,7 @@ def checked_span(times: FloatArray, what: str) -> FloatArray:
 
 
 def advancing_rows(times: FloatArray, what: str) -> tuple[IntArray, tuple[RecordingWarning, ...]]:
-    """The rows of times (M,) that come after all before them, and a warning of those that do not.
+    """The rows of times (M,) that come after all before them, and a warning about those that do not.
 
     Raises:
         InvalidRecording: more than one row in twenty does not.
@@ -170,7 +170,7 @@ def advancing_rows(times: FloatArray, what: str) -> tuple[IntArray, tuple[Record
             "Record again, or repair the table of times.",
         )
     repeated = int(np.sum(times[1:] == latest[:-1]))
-    text = f"{dropped} rows of the {what} left out: {repeated} repeat a time, {dropped - repeated} go back."
+    text = f"{dropped} rows of the {what} were ignored: {repeated} repeat a time, {dropped - repeated} go back."
     return np.flatnonzero(advances), (RecordingWarning(WarningKind.REPEATED_TIMES, text),)
 
 
@@ -201,11 +201,11 @@ def gap_rows(times: FloatArray) -> IntArray:
 
 
 def measure_acceleration(values: FloatArray, says: ImuConvention) -> ImuConvention:
-    """What the accelerations (M, 3) themselves show of unit and gravity; the rest as the format says."""
+    """What the accelerations (M, 3) themselves show about unit and gravity; the rest as the format says."""
     if len(values) < _MIN_TO_MEASURE:
         return says
     low, median = np.percentile(np.linalg.norm(values, axis=1), [10, 50])
-    if _is_one(median / STANDARD_GRAVITY):  # no hand thrusts as hard as gravity half of the time
+    if _is_one(median / STANDARD_GRAVITY):  # no hand accelerates as hard as gravity half of the time
         return replace(says, in_g=False, includes_gravity=True)
     if low <= _STEADY * median:
         return replace(says, includes_gravity=False)
@@ -213,8 +213,8 @@ def measure_acceleration(values: FloatArray, says: ImuConvention) -> ImuConventi
 
 
 def is_in_degrees(turned: Samples, felt: Samples | None) -> bool:
-    """Whether the gyroscope's values are degrees, not radians: too fast for a hand, or gravity, where the accelerations
-    ``felt`` include it, turns as they say only as degrees."""
+    """Whether the gyroscope's values are degrees, not radians: too fast for a hand, or only as degrees consistent with
+    how gravity turns in the accelerations ``felt``, if these include it."""
     if len(turned.values) < _MIN_TO_MEASURE:
         return False
     if np.percentile(np.linalg.norm(turned.values, axis=1), 95) > _FASTEST_TURN:
@@ -250,7 +250,7 @@ def force_points_up(imu: Imu, times: FloatArray, R_map_camera: FloatArray) -> bo
 def with_sign_by_poses(
     imu: Imu, times: FloatArray, poses: GivenPoses | None
 ) -> tuple[Imu, tuple[RecordingWarning, ...]]:
-    """The IMU with its acceleration turned round where upright poses at ``times`` (N,) show it to have Apple's sign."""
+    """The IMU, with its acceleration negated if upright poses at ``times`` (N,) show that it has Apple's sign."""
     if poses is None or force_points_up(imu, times[poses.known], poses.T_map_camera[poses.known, :3, :3]) is not False:
         return imu, ()
     text = "The acceleration points down at rest, against its format; it was turned round."
@@ -273,7 +273,7 @@ def _is_one(length_g: float) -> bool:
 
 
 def _on_clock(what: str, sensors: list[Samples], says: str, warnings: list[RecordingWarning]) -> list[Samples]:
-    """Sensors with the same times, in seconds, without the rows that do not advance; notes what is wrong with them."""
+    """Sensors with the same times, in seconds, without rows that do not advance; adds to ``warnings``."""
     times = sensors[0].times
     unit = time_unit(times)
     if unit is None and len(times) >= _MIN_TO_MEASURE:

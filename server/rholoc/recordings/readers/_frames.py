@@ -1,4 +1,4 @@
-"""What readers share: videos with tables of times, images by lists, files by name."""
+"""Shared by the readers: videos with tables of times, images by lists, files by name."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ class TimedFrames:
 
     Attributes:
         frames: those whose time advances.
-        rows: (N,) of the table, one a frame.
-        warnings: what did not fit.
+        rows: (N,) of the table, one per frame.
+        warnings: what did not match.
     """
 
     frames: FrameSource
@@ -37,7 +37,7 @@ class TimedFrames:
 
 
 def timed_video(video: Path, times: FloatArray, table: str) -> TimedFrames:
-    """A video with times (N,) in seconds, row by row, from a table of that name; what either has more of at its end is
+    """A video with times (N,) in seconds, row by row, from a table of that name; surplus frames or rows at the end are
     dropped.
 
     Raises:
@@ -51,7 +51,7 @@ def timed_video(video: Path, times: FloatArray, table: str) -> TimedFrames:
         if max(len(times), len(frames.times)) - count > MAX_FRAME_COUNT_DIFFERENCE:
             hint = f"Both must have the same number, give or take {MAX_FRAME_COUNT_DIFFERENCE} at the end."
             raise InvalidRecording(f"{difference}.", hint)
-        warnings.append(RecordingWarning(WarningKind.FRAME_COUNT, f"{difference}; the rest is left out."))
+        warnings.append(RecordingWarning(WarningKind.FRAME_COUNT, f"{difference}; the rest is ignored."))
     rows, found = advancing_rows(times[:count], "frames")
     return TimedFrames(_chosen(replace(frames, times=times[:count]), rows), rows, (*warnings, *found))
 
@@ -67,9 +67,9 @@ def timed_images(paths: Sequence[Path], times: FloatArray) -> TimedFrames:
 
 
 def untimed_images(paths: Sequence[Path]) -> TimedFrames:
-    """Images without times: numbered by their names, or in their names' order where that fails, at 30 a second.
+    """Images without times: numbered by their names, or in the order of their names if that fails, at 30 a second.
 
-    ``rows`` are places in ``paths``.
+    ``rows`` are indices into ``paths``.
 
     Raises:
         InvalidRecording: an image is missing or broken, or sizes differ.
@@ -98,10 +98,10 @@ def depth_images(
 
 
 def find_video(folder: Path, name: str = "video") -> Path | None:
-    """The video of that name, suffix aside, or the only video there is.
+    """The video of that name, with any suffix, or the only video there is.
 
     Raises:
-        InvalidRecording: there are several, and none has the name, or more than one.
+        InvalidRecording: there are several, and none or more than one has the name.
     """
     videos = [
         path
@@ -130,7 +130,7 @@ def require_video(folder: Path, name: str) -> Path:
 
 
 def listed_file(folder: Path, name: str) -> Path:
-    """The file that a list in the folder names, by a path relative to it.
+    """The file that a list in the folder refers to, by a path relative to it.
 
     Raises:
         InvalidRecording: the name leads out of the folder.

@@ -55,7 +55,7 @@ def recognises(folder: Path) -> bool:
 
 
 def read(folder: Path) -> Recording:
-    """Read the folder; images that the model does not place are left aside.
+    """Read the folder; images that the model does not place are ignored.
 
     Raises:
         InvalidRecording: the model or an image is broken.
@@ -141,7 +141,7 @@ def _camera(
         raise InvalidCamera(f"cameras.txt has no camera {used}, which images.txt uses.")
     found = _intrinsics(cameras[used])
     if found is None:
-        text = f"The camera's model is {cameras[used][0]}, which is not supported: its intrinsics are left aside."
+        text = f"The camera's model is {cameras[used][0]}, which is not supported: its intrinsics are ignored."
         return None, (RecordingWarning(WarningKind.CAMERA_UNSUPPORTED, text),)
     (width, height), (fx, fy, cx, cy), distortion = found
     return Camera(width, height, fx, fy, cx, cy, distortion).fitted(*size), ()

@@ -8,7 +8,7 @@
     mav0/imu0/sensor.yaml   T_BS
     mav0/state_groundtruth_estimate0/data.csv    #timestamp, p_RS_R_x [m],…,q_RS_w [],…    of the body
 
-``groundtruth_cam0.txt`` instead holds time [ns], x, y, z, qx, qy, qz, qw of cam0 itself. Other cameras are left aside.
+``groundtruth_cam0.txt`` instead holds time [ns], x, y, z, qx, qy, qz, qw of cam0 itself. Other cameras are ignored.
 """
 
 from __future__ import annotations
@@ -89,7 +89,7 @@ def _camera(sensor: dict[str, Any], size: tuple[int, int]) -> tuple[Camera | Non
         return None, ()
     distortion = sensor.get("distortion_model", "radial-tangential")
     if distortion not in ("radial-tangential", "radtan", "none"):
-        text = f"The camera's distortion is {distortion}, which is not supported: its intrinsics are left aside."
+        text = f"The camera's distortion is {distortion}, which is not supported: its intrinsics are ignored."
         return None, (RecordingWarning(WarningKind.CAMERA_UNSUPPORTED, text),)
     try:
         fx, fy, cx, cy = (float(value) for value in sensor["intrinsics"])

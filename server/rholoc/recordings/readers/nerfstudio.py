@@ -6,7 +6,7 @@
                       frames: [{"file_path": "images/frame_00001.png", "transform_matrix": 4×4}]
 
 ``transform_matrix`` is T_world_camera of a camera that looks along −z with y up; pixel (0.5, 0.5) is the centre of the
-top-left one. Intrinsics may stand with each frame instead. The unit of length is not stated.
+top-left one. Each frame may have its own intrinsics instead. The unit of length is not stated.
 """
 
 from __future__ import annotations
@@ -110,7 +110,7 @@ def _number(values: dict[str, Any], name: str) -> float:
 def _camera(values: dict[str, Any], size: tuple[int, int]) -> tuple[Camera | None, tuple[RecordingWarning, ...]]:
     model = str(values.get("camera_model", "OPENCV")).upper()
     if model not in _PINHOLE:
-        text = f"The camera's model is {model}, which is not supported: its intrinsics are left aside."
+        text = f"The camera's model is {model}, which is not supported: its intrinsics are ignored."
         return None, (RecordingWarning(WarningKind.CAMERA_UNSUPPORTED, text),)
     width, height = (_number(values, name) for name in ("w", "h"))
     width, height = (width, height) if width > 0 and height > 0 else size

@@ -1,4 +1,4 @@
-"""Spectacular AI's recordings: a video, and all else as JSON lines.
+"""Spectacular AI's recordings: a video, and everything else as JSON lines.
 
 ::
 
@@ -31,7 +31,7 @@ _ROTATION_TOLERANCE = 1e-2
 
 @dataclass(eq=False)
 class _Log:
-    """What the lines hold: rows of time and three values a sensor; time and parameters a frame."""
+    """The lines: rows of time and three values for each sensor; time and parameters of each frame."""
 
     sensors: dict[str, list[list[float]]] = field(default_factory=lambda: {"accelerometer": [], "gyroscope": []})
     frames: list[tuple[float, dict[str, Any]]] = field(default_factory=list)
@@ -151,7 +151,7 @@ def _camera(values: dict[str, Any], size: tuple[int, int]) -> tuple[Camera | Non
         k1, k2, k3 = coefficients
         coefficients = [k1, k2, 0.0, 0.0, k3]
     elif model not in ("pinhole", "brown-conrady"):
-        text = f"The camera's model is {model}, which is not supported: its intrinsics are left aside."
+        text = f"The camera's model is {model}, which is not supported: its intrinsics are ignored."
         return None, (RecordingWarning(WarningKind.CAMERA_UNSUPPORTED, text),)
     camera = Camera(width, height, fx, fy, cx, cy, tuple(coefficients))
     return camera.fitted(*size), ()

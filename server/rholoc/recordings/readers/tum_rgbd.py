@@ -1,11 +1,11 @@
-"""TUM RGB-D, a dataset of a Kinect: lists with blanks between, in seconds.
+"""TUM RGB-D, a dataset of a Kinect: lists separated by spaces, in seconds.
 
 ::
 
     rgb.txt             # timestamp filename
     groundtruth.txt     # timestamp tx ty tz qx qy qz qw     of the colour camera, z up
     depth.txt           # timestamp filename                of images that show what the colour image shows
-    accelerometer.txt   # timestamp ax ay az                 no gyroscope comes with it: left aside
+    accelerometer.txt   # timestamp ax ay az                 ignored, since there is no gyroscope
 
 Depth is in units of 1/5000 m; a frame has that of the nearest time. Intrinsics are not in the folder.
 """
@@ -45,7 +45,7 @@ def read(folder: Path) -> Recording:
     truth = folder / "groundtruth.txt"
     warnings = list(timed.warnings)
     if (folder / "accelerometer.txt").is_file():
-        text = "accelerometer.txt is left aside: without a gyroscope it says little."
+        text = "accelerometer.txt is ignored: without a gyroscope it is of little use."
         warnings.append(RecordingWarning(WarningKind.NOT_USED, text))
     return Recording(
         name=folder.resolve().name,

@@ -1,4 +1,4 @@
-"""Tables of numbers in CSV files, with errors that name the file and what is wrong in it."""
+"""Tables of numbers in CSV files, with errors that name the file and say what is wrong in it."""
 
 from __future__ import annotations
 
@@ -22,18 +22,18 @@ _MOST_SHOWN = 200  # characters of a table in a message
 
 
 def read_text(path: Path, error: type[InvalidInput] = InvalidRecording, max_bytes: int = MAX_TABLE_BYTES) -> str:
-    """The text of a UTF-8 file, a byte order mark left out.
+    """The text of a UTF-8 file, without a byte order mark.
 
     Raises:
         error: the file is missing, unreadable, not text, or over ``max_bytes``.
     """
-    with _telling(path, error):
+    with _raising(error, path):
         _check_size(path, error, max_bytes)
         return path.read_text(encoding="utf-8-sig")
 
 
 def read_json(path: Path, error: type[InvalidInput] = InvalidRecording, max_bytes: int = MAX_JSON_BYTES) -> Any:
-    """What a JSON file holds.
+    """The content of a JSON file.
 
     Raises:
         error: the file cannot be read, is over ``max_bytes``, not JSON, or nested too deep.
@@ -85,7 +85,7 @@ def read_numbers(
 @contextmanager
 def table_rows(path: Path, error: type[InvalidInput], max_rows: int) -> Iterator[tuple[list[str], Iterator[list[str]]]]:
     """A CSV file's header, and its rows as they are read; what is wrong with it is raised inside the block."""
-    with _telling(path, error):
+    with _raising(error, path):
         _check_size(path, error, MAX_TABLE_BYTES)
         with path.open(encoding="utf-8-sig", newline="") as file:
             lines = (row for row in csv.reader(file, strict=True) if any(map(str.strip, row)))
@@ -108,8 +108,8 @@ def _checked_rows(
 
 
 @contextmanager
-def _telling(path: Path, error: type[InvalidInput]) -> Iterator[None]:
-    """Whatever reading a text file raises becomes ``error``."""
+def _raising(error: type[InvalidInput], path: Path) -> Iterator[None]:
+    """Raise every error of reading a text file as ``error``."""
     try:
         yield
     except FileNotFoundError as cause:

@@ -38,6 +38,6 @@ def _uncovered(times: FloatArray, imu: Imu) -> tuple[RecordingWarning, ...]:
     else:
         text = (
             f"IMU and frames have no common time: {imu.times[0]:.3f}–{imu.times[-1]:.3f} s and "
-            f"{times[0]:.3f}–{times[-1]:.3f} s; the IMU is of no use."
+            f"{times[0]:.3f}–{times[-1]:.3f} s; the IMU cannot be used."
         )
     return (RecordingWarning(WarningKind.NO_OVERLAP, text),)
