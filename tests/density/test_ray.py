@@ -11,7 +11,6 @@ from rholoc.density.ray import (
     landmarks_from_information,
     observation_information,
     ray_density,
-    ray_density_gradient,
     squared_ray_distance,
 )
 
@@ -61,24 +60,6 @@ def test_the_squared_distance_is_that_of_the_perpendicular(seed: int) -> None:
     m, x, b = rng.normal(size=3), rng.normal(size=3), rng.normal(size=3)
     b /= np.linalg.norm(b)
     assert squared_ray_distance(m, b, x) == pytest.approx(np.linalg.norm(np.cross(b, m - x)) ** 2, abs=1e-9)
-
-
-@given(seed=seeds)
-def test_gradients_agree_with_finite_differences(seed: int) -> None:
-    landmark, positions, bearings = _rays(seed, 1)
-    x, tolerance = positions[0], np.array(0.5)
-    b = bearings[0] + np.random.default_rng(seed + 1).normal(size=3) * 0.02
-    by_bearing, by_position = ray_density_gradient(landmark, b, x, tolerance)
-    if not 0.05 < ray_density(landmark, b, x, tolerance) < 1:
-        return
-    step = 1e-6
-    for axis in np.eye(3):
-        forward = ray_density(landmark, b, x + step * axis, tolerance)
-        backward = ray_density(landmark, b, x - step * axis, tolerance)
-        assert by_position @ axis == pytest.approx((forward - backward) / (2 * step), abs=1e-4)
-        forward = ray_density(landmark, b + step * axis, x, tolerance)
-        backward = ray_density(landmark, b - step * axis, x, tolerance)
-        assert by_bearing @ axis == pytest.approx((forward - backward) / (2 * step), abs=1e-4)
 
 
 def test_landmarks_behind_the_camera_have_no_density() -> None:

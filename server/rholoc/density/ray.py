@@ -88,16 +88,6 @@ def _density(along: FloatArray, aside: FloatArray, squared_tolerances: FloatArra
     return np.asarray(np.where(along > 0, np.maximum(1 - aside / squared_tolerances, 0), 0))
 
 
-def ray_density_gradient(
-    landmarks: FloatArray, bearings: FloatArray, positions: FloatArray, tolerances: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """∂ρ/∂b (..., 3) and ∂ρ/∂x (..., 3, 1/m), equation (4), the tolerances held; of densities above 0."""
-    to_landmark = landmarks - positions
-    along = np.einsum("...i,...i->...", bearings, to_landmark)[..., None]
-    scale = (2 / tolerances**2)[..., None]
-    return scale * along * to_landmark, scale * (to_landmark - along * bearings)
-
-
 def ray_densities(evidence: Evidence, T_map_camera: FloatArray, tolerance_px: float) -> FloatArray:
     """ρ (H, M) of all matches at poses (H, 4, 4)."""
     bearings = evidence.rays @ T_map_camera[:, :3, :3].transpose(0, 2, 1)
