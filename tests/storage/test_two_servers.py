@@ -101,3 +101,22 @@ def test_an_upload_that_lost_its_server_goes_on_at_another(servers: list[str]) -
     listed = [httpx.get(f"{server}/v1/recordings").json()["recordings"] for server in servers]
     assert listed[0] == listed[1]
     assert listed[0][0]["size_bytes"] == length
+
+
+@pytest.mark.slow
+def test_servers_stay_ready_while_the_database_is_gone(serve: Any, tmp_path: Any, postgres: Any) -> None:
+    url = serve(database_url=postgres.create_database("gone"), storage_url=f"file://{tmp_path}/storage").url
+    answer = httpx.get(f"{url}/readyz")
+    assert (answer.status_code, answer.json()["checks"]["maps"], answer.json()["checks"]["jobs"]) == (200, "ok", "ok")
+    postgres.stop()
+    try:
+        answer = httpx.get(f"{url}/readyz")
+        assert (answer.status_code, answer.json()["ready"]) == (200, True)
+        assert "does not answer" in answer.json()["checks"]["jobs"]
+        refused = httpx.put(
+            f"{url}/v1/cameras/phone", json={"width": 9, "height": 9, "fx": 9, "fy": 9, "cx": 4, "cy": 4}
+        )
+        assert (refused.status_code, refused.json()["code"]) == (503, "storage_unavailable")
+    finally:
+        postgres.start()
+    until(lambda: httpx.get(f"{url}/readyz").json()["checks"]["jobs"] == "ok")

@@ -80,7 +80,8 @@ def serve(
         server = uvicorn.Server(config)
         configure_process_logs()
         sys.setswitchinterval(_SWITCH_INTERVAL_S)
-        print_notice(f"Serving the maps of {settings.maps_dir} at {where} (the API: /docs).")
+        source = settings.maps_dir if settings.shared_storage is None else "the shared storage"
+        print_notice(f"Serving the maps of {source} at {where} (the API: /docs).")
         if keys_needed(settings.keys, settings.host) and not keys.keys():
             print_notice("It asks for API keys, and there is none yet: rholoc key create NAME --scope admin")
         server.run(sockets=[listener])
@@ -115,7 +116,8 @@ def worker(maps: Maps = None, data: Data = None) -> None:
 
     configure_process_logs()
     settings = service_settings(maps_dir=maps, data_dir=data)
-    print_notice(f"Working on the jobs of {settings.data_dir}; maps go to {settings.maps_dir}.")
+    target = settings.maps_dir if settings.shared_storage is None else "the shared storage"
+    print_notice(f"Working on the jobs of {settings.data_dir}; maps go to {target}.")
     run_worker(
         settings.data_dir,
         settings.maps_dir,

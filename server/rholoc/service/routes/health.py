@@ -10,15 +10,18 @@ from fastapi import APIRouter, Response
 from starlette.concurrency import run_in_threadpool
 
 from rholoc import __version__
+from rholoc.errors import StorageUnavailable
 from rholoc.service.access import NEEDS_READ, OPEN
 from rholoc.service.metrics import METRICS_TYPE
 from rholoc.service.openapi import BINARY
 from rholoc.service.schemas import Health, Readiness
 from rholoc.service.state import Service, State
+from rholoc.storage import SharedStorage
 
 router = APIRouter(tags=["service"])
 _OK = "ok"
 _LEAST_FREE_BYTES = 2**26
+_PROBED = "probe"  # a folder of the storage in which nothing lies
 
 
 @router.get("/healthz", dependencies=[OPEN], summary="Whether the process answers")
@@ -33,9 +36,15 @@ async def healthz() -> Health:
 async def readyz(service: Service, response: Response) -> Readiness:
     """200 when maps can be read, uploads stored, jobs queued and frames localized; else 503 and what is not ready.
 
-    Workers apart from the server are reported, but a server without any is ready: the jobs wait."""
+    Workers apart from the server are reported, but a server without any is ready: the jobs wait. Of several servers that
+    share a storage, each is ready without the storage and the database, for it answers for the maps that it has: were all
+    of them taken out of service at once, nobody would answer."""
     checks = await run_in_threadpool(_checks, service)
-    needed = checks.keys() - (set() if service.settings.worker else {"worker"})
+    needed = set(checks)
+    if not service.settings.worker:
+        needed -= {"worker"}
+    if service.shared is not None:
+        needed -= {"maps", "jobs"}
     ready = all(checks[name] == _OK for name in needed)
     response.status_code = 200 if ready else 503
     return Readiness(ready=ready, checks=checks)
@@ -55,7 +64,7 @@ async def metrics(service: Service) -> Response:
 
 def _checks(service: State) -> dict[str, str]:
     return {
-        "maps": _folder(service.settings.maps_dir),
+        "maps": _folder(service.settings.maps_dir) if service.shared is None else _storage(service.shared),
         "data": _folder(service.settings.data_dir),
         "jobs": _jobs(service),
         "worker": _worker(service),
@@ -69,6 +78,14 @@ def _folder(folder: Path) -> str:
     if not os.access(folder, os.R_OK | os.W_OK | os.X_OK) or os.statvfs(folder).f_flag & os.ST_RDONLY:
         return "the folder cannot be read and written"
     return _OK if shutil.disk_usage(folder).free >= _LEAST_FREE_BYTES else "the disk is full"
+
+
+def _storage(shared: SharedStorage) -> str:
+    try:
+        next(iter(shared.objects.list(_PROBED)), None)
+    except StorageUnavailable:
+        return "the storage does not answer"
+    return _OK
 
 
 def _worker(service: State) -> str:

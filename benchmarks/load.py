@@ -1,0 +1,270 @@
+"""How a service holds up: throughput against cores, latency at 80 % of it, shedding beyond, memory over time.
+
+    python benchmarks/load.py [--servers 2] [--seconds 30] [--soak 600] [--json FILE]
+
+Starts servers on 127.0.0.1 with the shipped map and asks them for poses of its pictures:
+
+- capacity: as many requests at a time as a server works on, with 1, 2, … of the machine's cores; frames a second;
+- 80 %: requests that come at random moments (Poisson), four fifths of the capacity; the median, 99 % and worst;
+- overload: twice the capacity; what is shed (503 with Retry-After), the times of what is accepted, and of /healthz;
+- soak, if asked: half the capacity for so long; resident memory after the first tenth and at the end.
+
+With ``--servers`` above 1 they share the cores, a storage (a folder) and a database file, as on several machines, and
+requests take turns. What asks runs on the same cores, which costs some of them. Ends by itself; prints one JSON object.
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import json
+import os
+import random
+import subprocess
+import sys
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from itertools import cycle
+from pathlib import Path
+from typing import Any
+
+import httpx
+import numpy as np
+
+from localize_request import START_SECONDS, free_port
+
+SHIPPED = Path(__file__).resolve().parents[1] / "maps"
+MAP = "testsite"
+WARM_UP = 10  # requests to each server, before anything is measured
+HEALTH_EVERY_S = 0.1
+MOST_AT_ONCE = 400  # requests that are open: more would measure what asks
+PATIENCE_S = 60.0
+
+
+@dataclass
+class Outcome:
+    """What came of a number of requests."""
+
+    seconds: float = 0.0
+    accepted_ms: list[float] = field(default_factory=list)
+    health_ms: list[float] = field(default_factory=list)
+    statuses: Counter[str] = field(default_factory=Counter)
+
+    @property
+    def frames_a_second(self) -> float:
+        """Answered with 200."""
+        return len(self.accepted_ms) / self.seconds
+
+    def summary(self) -> dict[str, Any]:
+        """As it is printed."""
+        figures: dict[str, Any] = {"seconds": round(self.seconds, 1), "statuses": dict(self.statuses)}
+        figures["frames_a_second"] = round(self.frames_a_second, 1)
+        for name, values in (("accepted", self.accepted_ms), ("healthz", self.health_ms)):
+            if values:
+                p50, p99 = np.percentile(values, [50, 99])
+                figures[name] = {"p50_ms": round(p50, 1), "p99_ms": round(p99, 1), "worst_ms": round(max(values), 1)}
+                figures[name]["p99_over_p50"] = round(p99 / p50, 2)
+        return figures
+
+
+@dataclass(frozen=True)
+class Server:
+    """A server and where it is."""
+
+    process: subprocess.Popen[bytes]
+    url: str
+
+    def resident_mib(self) -> float:
+        """The memory of its process."""
+        pages = int(Path(f"/proc/{self.process.pid}/statm").read_text().split()[1])
+        return pages * os.sysconf("SC_PAGE_SIZE") / 2**20
+
+
+@contextmanager
+def serving(count: int, cores: int) -> Iterator[list[Server]]:
+    """Servers that together work on as many frames at a time as they have cores; stopped in the end."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        servers: list[Server] = []
+        try:
+            for number in range(count):
+                servers.append(start(folder, number if count > 1 else None, cores, -(-cores // count)))
+            for server in servers:
+                wait_until_ready(server)
+            publish(servers[0])
+            yield servers
+        finally:
+            for server in servers:
+                server.process.terminate()
+            for server in servers:
+                server.process.wait(30)
+
+
+def start(folder: Path, number: int | None, cores: int, concurrency: int) -> Server:
+    """A server: one of several that share a storage, or the only one where ``number`` is None."""
+    port = free_port()
+    home = folder / (str(number) if number is not None else "only")
+    single = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
+    environment = {**os.environ, **single, "RHOLOC_CONCURRENCY": str(concurrency)}
+    if number is not None:
+        environment["RHOLOC_STORAGE_URL"] = f"file://{folder}/storage"
+        home = folder / "shared"  # of the database's file; copies of maps never change, and may be shared as well
+    chosen = set(sorted(os.sched_getaffinity(0))[:cores])
+    command = [sys.executable, "-c", "from rholoc.cli import main; main()", "serve", "--port", str(port), "--no-worker"]
+    process = subprocess.Popen(
+        [*command, "--maps", str(home / "maps"), "--data", str(home / "data")],
+        env=environment, preexec_fn=lambda: os.sched_setaffinity(0, chosen),
+        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+    )  # fmt: skip
+    return Server(process, f"http://127.0.0.1:{port}")
+
+
+def wait_until_ready(server: Server) -> None:
+    """Raises SystemExit where the server does not start."""
+    deadline = time.monotonic() + START_SECONDS
+    while time.monotonic() < deadline and server.process.poll() is None:
+        try:
+            if httpx.get(f"{server.url}/readyz").status_code == 200:
+                return
+        except httpx.TransportError:
+            time.sleep(0.1)
+    raise SystemExit("A server did not start.")
+
+
+def publish(server: Server) -> None:
+    """Give the servers the shipped map."""
+    content = (SHIPPED / f"{MAP}.rho").read_bytes()
+    httpx.put(f"{server.url}/v1/maps/{MAP}", content=content, timeout=PATIENCE_S).raise_for_status()
+
+
+class Asker:
+    """Asks servers for poses, in turns."""
+
+    def __init__(self, servers: Sequence[Server], client: httpx.AsyncClient) -> None:
+        self._client = client
+        self._urls = [server.url for server in servers]
+        pictures = [path.read_bytes() for path in sorted((SHIPPED / "queries").glob("*.jpg"))]
+        self._next = cycle([(url, picture) for picture in pictures for url in self._urls])
+
+    async def ask(self, outcome: Outcome) -> None:
+        """Ask once, and note what came of it."""
+        url, picture = next(self._next)
+        begun = time.perf_counter()
+        try:
+            answer = await self._client.post(
+                f"{url}/v1/maps/{MAP}/localize", content=picture, headers={"Content-Type": "image/jpeg"}
+            )
+        except httpx.HTTPError as error:
+            outcome.statuses[type(error).__name__] += 1
+            return
+        status = str(answer.status_code)
+        if answer.status_code == 503 and "Retry-After" not in answer.headers:
+            status += " without Retry-After"
+        outcome.statuses[status] += 1
+        if answer.status_code == 200:
+            outcome.accepted_ms.append(1e3 * (time.perf_counter() - begun))
+
+    async def warm_up(self) -> None:
+        """Ask each server a few times; what comes of it does not count."""
+        for _ in range(WARM_UP * len(self._urls)):
+            await self.ask(Outcome())
+
+    async def always(self, at_once: int, seconds: float) -> Outcome:
+        """Keep so many requests open."""
+        outcome, end_s = Outcome(), time.perf_counter() + seconds
+
+        async def go_on() -> None:
+            while time.perf_counter() < end_s:
+                await self.ask(outcome)
+
+        begun = time.perf_counter()
+        await asyncio.gather(*(go_on() for _ in range(at_once)))
+        outcome.seconds = time.perf_counter() - begun
+        return outcome
+
+    async def at_random(self, rate_hz: float, seconds: float, seed: int = 0) -> Outcome:
+        """Requests at random moments, ``rate_hz`` on average, however long the answers take; /healthz beside."""
+        outcome, moments = Outcome(), random.Random(seed)
+        tasks: set[asyncio.Task[None]] = set()
+        watching = asyncio.create_task(self._watch_health(outcome))
+        begun = due = time.perf_counter()
+        while due < begun + seconds:
+            due += moments.expovariate(rate_hz)
+            await asyncio.sleep(max(0.0, due - time.perf_counter()))
+            if len(tasks) < MOST_AT_ONCE:
+                task = asyncio.create_task(self.ask(outcome))
+                tasks.add(task)
+                task.add_done_callback(tasks.discard)
+        await asyncio.gather(*tasks)
+        outcome.seconds = time.perf_counter() - begun
+        watching.cancel()
+        return outcome
+
+    async def _watch_health(self, outcome: Outcome) -> None:
+        for url in cycle(self._urls):
+            begun = time.perf_counter()
+            await self._client.get(f"{url}/healthz")
+            outcome.health_ms.append(1e3 * (time.perf_counter() - begun))
+            await asyncio.sleep(HEALTH_EVERY_S)
+
+
+async def measure(servers: Sequence[Server], cores: int, seconds: float, soak_s: float) -> dict[str, Any]:
+    """All that is asked of servers on all the cores."""
+    limits = httpx.Limits(max_connections=2 * MOST_AT_ONCE, max_keepalive_connections=2 * MOST_AT_ONCE)
+    async with httpx.AsyncClient(timeout=PATIENCE_S, limits=limits) as client:
+        asker = Asker(servers, client)
+        await asker.warm_up()
+        capacity = await asker.always(2 * cores, seconds)
+        figures = {"capacity": capacity.summary()}
+        hz = capacity.frames_a_second
+        figures["at 80 %"] = (await asker.at_random(0.8 * hz, seconds)).summary()
+        figures["at 200 %"] = (await asker.at_random(2 * hz, seconds)).summary()
+        if soak_s:
+            await asker.at_random(0.5 * hz, 0.1 * soak_s, seed=1)
+            before = [server.resident_mib() for server in servers]
+            soaked = await asker.at_random(0.5 * hz, 0.9 * soak_s, seed=2)
+            after = [server.resident_mib() for server in servers]
+            growth = [round(100 * (b / a - 1), 1) for a, b in zip(before, after, strict=True)]
+            figures["soak"] = {**soaked.summary(), "resident_mib": [round(mib) for mib in after], "growth_%": growth}
+    return figures
+
+
+async def capacity_of(servers: Sequence[Server], cores: int, seconds: float) -> float:
+    """Frames a second."""
+    async with httpx.AsyncClient(timeout=PATIENCE_S) as client:
+        asker = Asker(servers, client)
+        await asker.warm_up()
+        return (await asker.always(2 * cores, seconds)).frames_a_second
+
+
+def main() -> None:
+    """Run the benchmark."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--servers", type=int, default=1, choices=range(1, 9), metavar="N")
+    parser.add_argument("--seconds", type=float, default=30.0, help="how long each part takes")
+    parser.add_argument("--soak", type=float, default=0.0, metavar="SECONDS")
+    parser.add_argument("--json", type=Path, help="write the figures here as well")
+    args = parser.parse_args()
+    available = len(os.sched_getaffinity(0))
+    figures: dict[str, Any] = {"cores": available, "servers": args.servers}
+    with serving(args.servers, available) as servers:
+        figures |= asyncio.run(measure(servers, available, args.seconds, args.soak))
+    by_cores = {}
+    for cores in range(1, available):
+        with serving(1, cores) as servers:
+            by_cores[cores] = round(asyncio.run(capacity_of(servers, cores, args.seconds)), 1)
+    by_cores[available] = figures["capacity"]["frames_a_second"]
+    figures["frames_a_second_by_cores"] = by_cores
+    figures["share_of_linear"] = round(by_cores[available] / (available * by_cores[1]), 2) if available > 1 else 1.0
+    text = json.dumps(figures, indent=2)
+    print(text)
+    if args.json:
+        args.json.write_text(text + "\n")
+
+
+if __name__ == "__main__":
+    main()
