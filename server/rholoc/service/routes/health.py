@@ -36,9 +36,9 @@ async def healthz() -> Health:
 async def readyz(service: Service, response: Response) -> Readiness:
     """200 when maps can be read, uploads stored, jobs queued and frames localized; else 503 and what is not ready.
 
-    Workers apart from the server are reported, but a server without any is ready: the jobs wait. Of several servers that
-    share a storage, each is ready without the storage and the database, for it answers for the maps that it has: were all
-    of them taken out of service at once, nobody would answer."""
+    Workers apart from the server are reported, but a server without any is ready: the jobs wait. Of several servers
+    that share a storage, each is ready without the storage and the database, because it goes on answering for the maps
+    that it has: if all of them were taken out of service at once, nobody would."""
     checks = await run_in_threadpool(_checks, service)
     needed = set(checks)
     if not service.settings.worker:
