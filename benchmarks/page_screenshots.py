@@ -63,7 +63,7 @@ NAMES = MapNames(
     areas=(NamedArea("lounge", ((-1.0, -1.0), (2.0, -1.0), (2.0, 1.5), (-1.0, 1.5))),),
 )
 TRIED_FRAME = 300
-TRACKED_FRAMES = range(240, 420, 3)
+TRACKED_FRAMES = range(60, 660, 5)
 TRACKED_HZ = 10
 PLAN_M_PER_PX = 0.02
 MOST_TURNS = 30
@@ -227,6 +227,7 @@ def take_all(browser: Browser, pages: dict[str, str], tried: Path, device: str, 
             page.get_by_label("Picture, video or trajectory").set_input_files(tried.with_name("tracked.webm"))
             page.get_by_role("button", name="Stop the video").wait_for()
             page.get_by_role("button", name="Use the camera").wait_for()
+            page.get_by_role("button", name="From above").click()
         page.wait_for_timeout(1500)
         save(page, out / f"{name}-{device}-{scheme}.jpg")
     context.close()

@@ -140,6 +140,21 @@ def test_no_answer_claims_to_be_certain(desk_browser, running, pictures, opened,
         expect(page.locator(".answer")).to_contain_text("confidence over 99 %")
 
 
+def test_all_maps_are_tried(desk_browser, running, pictures, opened, settled):
+    with opened(desk_browser, running.url, "try/loose") as page:
+        take(settled(page), pictures / "frame.png")
+        page.get_by_role("button", name="Try all maps").click()
+        said = page.get_by_text("Most confident of all maps:")
+        expect(said).to_contain_text(re.compile(r"confidence (over )?\d+ %"))
+        found = said.get_by_role("link").inner_text()
+        assert found in {one["name"] for one in httpx.get(f"{running.url}/v1/maps").json()["maps"]}
+        said.get_by_role("link").click()
+        expect(page.get_by_label("Map", exact=True)).to_have_value(found)
+        take(settled(page), pictures / "blank.png")
+        page.get_by_role("button", name="Try all maps").click()
+        expect(page.get_by_text("No map localizes this picture.")).to_be_visible()
+
+
 def test_an_answer_says_which_named_areas_the_camera_is_in(desk_browser, running, pictures, opened, settled):
     with opened(desk_browser, running.url, "try/room") as page:
         settled(page)

@@ -280,6 +280,7 @@ export function drawFloorPlan(context, { image, lines, turn, perPixel }, corner,
   context.rotate(-turn);
   if (image) {
     context.globalAlpha = 0.6;
+    if (matchMedia("(prefers-color-scheme: dark)").matches) context.filter = "invert(1) hue-rotate(180deg)";
     context.drawImage(image, 0, -image.height * size, image.width * size, image.height * size);
   }
   context.strokeStyle = stroke;

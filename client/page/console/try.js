@@ -49,7 +49,7 @@ export async function showTry(main, name, signal) {
   }
   const { cameras } = await get("v1/cameras", { signal });
   const map = await get(path`v1/maps/${name ?? maps[0].name}`, { signal });
-  const trial = new Trial(map, cameras, signal);
+  const trial = new Trial(map, cameras, maps.length > 1, signal);
   fill(main, layout(trial, maps));
   await showScene(trial.scene, map, signal);
 }
@@ -59,8 +59,9 @@ class Trial {
   #asked = 0; // the number of the newest question; answers to older ones are not shown
   #question = new AbortController();
 
-  constructor(map, cameras, signal) {
+  constructor(map, cameras, several, signal) {
     this.map = map;
+    this.several = several; // whether there are other maps
     this.cameras = cameras;
     this.signal = signal;
     this.ends = []; // of what runs; each ends it
@@ -80,6 +81,7 @@ class Trial {
     this.tracks = h("input", { type: "checkbox", checked: metric, disabled: !metric });
     this.copying = h("div", { class: "copy stack", hidden: true });
     this.landscape = h("div", { class: "stack" });
+    this.elsewhere = h("div", { class: "stack", role: "status" });
     this.still = null; // the picture that is tried, unless a camera runs
     signal.addEventListener("abort", () => {
       this.stop();
@@ -98,8 +100,33 @@ class Trial {
     this.show(still.source);
     fill(this.answer, h("p", { class: "muted" }, t`Localizing …`));
     fill(this.landscape);
+    fill(this.elsewhere);
     await this.localize(still.blob, still.source, {});
-    if (this.still === still) fill(this.landscape, this.offerLandscape(still));
+    if (this.still !== still) return;
+    fill(this.landscape, this.offerLandscape(still));
+    if (this.several) fill(this.elsewhere, this.offerAllMaps(still));
+  }
+
+  /** A button that tries all maps, and shows the most confident answer in its own place. */
+  offerAllMaps({ blob, source }) {
+    return action(t`Try all maps`, async () => {
+      const number = this.#asked;
+      const { query, known } = this.intrinsicsOf(source.width, source.height);
+      const found = await call("POST", "v1/localize", {
+        body: blob,
+        headers: { "Content-Type": blob.type },
+        query: { ...this.queryOf({ query }), maps: "all" },
+        signal: AbortSignal.any([this.signal, this.#question.signal]),
+      });
+      if (number !== this.#asked) return;
+      const link = h("a", { href: `#/try/${encodeURIComponent(found.map)}` }, found.map);
+      fill(
+        this.elsewhere,
+        found.localized
+          ? h("p", { class: "row" }, t`Most confident of all maps:`, link, confidenceOf(found, known))
+          : h("p", {}, t`No map localizes this picture.`),
+      );
+    });
   }
 
   /** A button that shows the landscape around the answer's pose in its own place. */
@@ -198,6 +225,7 @@ class Trial {
     this.still = null;
     this.copying.hidden = true;
     fill(this.landscape);
+    fill(this.elsewhere);
     this.#asked++;
     this.#question.abort();
     this.picture.getContext("2d").clearRect(0, 0, this.picture.width, this.picture.height);
@@ -274,6 +302,7 @@ class Trial {
     if (this.signal.aborted || error.name === "AbortError") return;
     this.scene.showPose(null);
     fill(this.landscape);
+    fill(this.elsewhere);
     if (this.still) this.show(this.still.source);
     fill(this.answer, problem({ summary: error.summary ?? error.message, hint: error.hint }));
   }
@@ -355,7 +384,7 @@ function layout(trial, maps) {
       "div",
       { class: "try-columns" },
       h("div", { class: "stack" }, dropZone(trial), sources(trial)),
-      h("div", { class: "stack" }, trial.scene.element, trial.answer, trial.landscape, trial.copying),
+      h("div", { class: "stack" }, trial.scene.element, trial.answer, trial.elsewhere, trial.landscape, trial.copying),
     ),
     h("details", { class: "card" }, h("summary", {}, t`Camera options`), options(trial)),
   );
