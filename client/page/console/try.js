@@ -291,7 +291,7 @@ class Trial {
           found.camera &&
             t`${found.camera.fx.toFixed(0)} px, estimated to ${found.camera.focal_sigma_px.toFixed(0)} px`,
         ],
-        [t`Matches`, t`${found.inliers} of ${found.matches} agree`],
+        [t`Matches`, t`${found.inliers} of ${Math.max(found.matches, found.inliers)} agree`],
         [t`Took`, [`${found.timings_ms.total.toFixed(0)} ms`, extra].filter(Boolean).join(", ")],
       ]),
     );
@@ -560,7 +560,7 @@ function eachAlone(trial) {
  * one is needed, and estimates a focal length that is not known. Other options begin another track.
  */
 function tracked(trial, signal) {
-  let stream, begunWith, show, shown;
+  let stream, begunWith, shown, rateShown;
   return async (frame, rated) => {
     const chosen = [trial.intrinsics.value, trial.degrees.value, trial.rolls.checked].join();
     if (stream && chosen !== begunWith) {
@@ -568,14 +568,15 @@ function tracked(trial, signal) {
       stream = null;
     }
     shown = frame.source;
+    rateShown = rated();
     if (!stream) {
-      const found = await trial.localize(frame.blob, frame.source, {}, rated);
+      const found = await trial.localize(frame.blob, frame.source, {}, () => rateShown);
       const { known, extents, camera } = trial.intrinsicsOf(frame.source.width, frame.source.height);
-      if (!found || (known === Known.ESTIMATED && !found.camera)) return;
+      if (!found || (known === Known.ESTIMATED && !found.localized)) return;
       const track = new Track();
-      show = (message) => {
+      const show = (message) => {
         track.take(message);
-        trial.showTrack(shown, track, known, extents, rated());
+        trial.showTrack(shown, track, known, extents, rateShown);
       };
       begunWith = chosen;
       const { fx, fy, cx, cy, distortion } = { distortion: [], ...(found.camera ?? camera) };
