@@ -63,7 +63,7 @@ NAMES = MapNames(
     areas=(NamedArea("lounge", ((-1.0, -1.0), (2.0, -1.0), (2.0, 1.5), (-1.0, 1.5))),),
 )
 TRIED_FRAME = 300
-TRACKED_FRAMES = range(60, 660, 5)
+TRACKED_FRAMES = range(120, 300, 3)
 TRACKED_HZ = 10
 PLAN_M_PER_PX = 0.02
 MOST_TURNS = 30
@@ -188,7 +188,7 @@ def take_all(browser: Browser, pages: dict[str, str], tried: Path, device: str, 
     """Every page on one device in one colour scheme."""
     context = browser.new_context(viewport=WINDOWS[device], color_scheme=scheme, locale="en-GB")
     page = context.new_page()
-    page.set_default_timeout(120_000)
+    page.set_default_timeout(300_000)
     for name, address in pages.items():
         page.goto(address)
         page.locator("main h1").first.wait_for()
