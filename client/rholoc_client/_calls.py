@@ -22,20 +22,24 @@ from rholoc_client.models import (
     Job,
     Localization,
     MapSummary,
+    NearPlace,
+    OfSite,
     Place,
     Prior,
+    Site,
     parse_job,
     parse_localization,
     parse_map,
     parse_place,
     parse_profile,
+    parse_site,
 )
 
 T = TypeVar("T")
 
 Standing = tuple[int, str | None]  # of an upload: how many bytes the service has; the job's id once it has all
 Outcome = httpx.Response | httpx.TransportError
-Maps = str | Sequence[str] | None  # one map, several, or all
+Maps = str | Sequence[str] | OfSite | NearPlace | None  # one map, several, a site's, those near a place, or all
 
 _TUS = {"Tus-Resumable": "1.0.0"}
 
@@ -111,7 +115,7 @@ def localize_features(maps: Maps, features: Features, options: Mapping[str, Any]
     )
 
 
-def find_places(maps: Maps, image: ImageLike, limit: int) -> Call[list[Place]]:
+def find_places(maps: str | Sequence[str] | None, image: ImageLike, limit: int) -> Call[list[Place]]:
     """The most similar views for a picture."""
     content, media_type = encoded(image)
     names = maps if isinstance(maps, str) else _several(maps)["maps"]
@@ -298,6 +302,34 @@ def delete_camera(name: str) -> Call[None]:
     return Call("DELETE", _camera_path(name), lambda response: None, idempotent=False)
 
 
+def list_sites() -> Call[list[Site]]:
+    """All sites."""
+    return Call("GET", "/v1/sites", lambda response: [parse_site(one) for one in response.json()["sites"]])
+
+
+def get_site(name: str) -> Call[Site]:
+    """One site."""
+    return Call("GET", _site_path(name), _site)
+
+
+def put_site(name: str, document: Mapping[str, Any]) -> Call[Site]:
+    """Store a site."""
+    headers = {"Content-Type": "application/json"}
+    content = json.dumps(dict(document)).encode()
+    return Call("PUT", _site_path(name), _site, "version" not in document, headers=headers, content=content)
+
+
+def find_site_link(name: str, first: str, second: str) -> Call[Site]:
+    """Find the pose between two maps of a site."""
+    headers, content = {"Content-Type": "application/json"}, json.dumps({"first": first, "second": second}).encode()
+    return Call("POST", f"{_site_path(name)}/links", _site, headers=headers, content=content)
+
+
+def delete_site(name: str) -> Call[None]:
+    """Delete a site."""
+    return Call("DELETE", _site_path(name), lambda response: None, idempotent=False)
+
+
 def delete_map(name: str) -> Call[None]:
     """Delete a map."""
     return Call("DELETE", _map_path(name), lambda response: None, idempotent=False)
@@ -393,8 +425,26 @@ def _localize_path(maps: Maps) -> str:
     return f"{_map_path(maps)}/localize" if isinstance(maps, str) else "/v1/localize"
 
 
-def _several(maps: Maps) -> dict[str, str]:
-    return {} if isinstance(maps, str) else {"maps": "all" if maps is None else ",".join(maps)}
+def _several(maps: Maps) -> dict[str, Any]:
+    match maps:
+        case str():
+            return {}
+        case None:
+            return {"maps": "all"}
+        case OfSite():
+            return {"site": maps.site}
+        case NearPlace():
+            return {"latitude": maps.latitude_deg, "longitude": maps.longitude_deg, "radius_m": maps.radius_m}
+        case _:
+            return {"maps": ",".join(maps)}
+
+
+def _site_path(name: str) -> str:
+    return f"/v1/sites/{_segment(name)}"
+
+
+def _site(response: httpx.Response) -> Site:
+    return parse_site(response.json())
 
 
 def _map_path(name: str) -> str:

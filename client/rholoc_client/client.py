@@ -27,6 +27,7 @@ from rholoc_client.models import (
     MapSummary,
     Place,
     Prior,
+    Site,
     Vector3,
 )
 
@@ -91,7 +92,8 @@ class Client:
         """Where a picture was taken. "No pose" is an answer: look at ``localized``.
 
         Args:
-            maps: a map's name; or several names, or None for all: the most confident answer is returned.
+            maps: a map's name; or several names, :class:`OfSite`, :class:`NearPlace`, or None for all: the most
+                confident answer is returned.
             image: a JPEG or PNG as bytes or as a path, or an array (H, W, 3) BGR or (H, W) grey of uint8.
             camera: the picture's intrinsics, or a stored camera's name; None: the map's own, where they fit.
             prior: where the pose is expected.
@@ -119,7 +121,8 @@ class Client:
         """Where several frames were taken, whose poses relative to each other are known: one answer for all.
 
         Args:
-            maps: a map's name; or several names, or None for all: the most confident answer is returned.
+            maps: a map's name; or several names, :class:`OfSite`, :class:`NearPlace`, or None for all: the most
+                confident answer is returned.
             frames: 2 to 10 of them: of a rig, or of one camera with its own odometry.
             camera: the intrinsics of the frames that have none of their own, or a stored camera's name.
             dof: as for one frame.
@@ -129,7 +132,7 @@ class Client:
         """
         return self._send(_calls.localize_frames(maps, frames, camera, dof, sigma_m, sigma_deg, deadline_ms))
 
-    def places(self, maps: Maps, image: ImageLike, *, limit: int = 10) -> list[Place]:
+    def places(self, maps: str | Sequence[str] | None, image: ImageLike, *, limit: int = 10) -> list[Place]:
         """Which views a picture resembles most, the best match first; without a pose, and faster than with one.
 
         Args:
@@ -246,6 +249,29 @@ class Client:
     def delete_camera(self, name: str) -> None:
         """Delete a stored camera; maps that were made with it keep it."""
         self._send(_calls.delete_camera(name))
+
+    def sites(self) -> list[Site]:
+        """All sites."""
+        return self._send(_calls.list_sites())
+
+    def site(self, name: str) -> Site:
+        """One site: its maps, where they lie, and the links that this follows from."""
+        return self._send(_calls.get_site(name))
+
+    def put_site(self, name: str, document: Mapping[str, Any]) -> Site:
+        """Store a site: ``maps``, ``links``, ``earth`` and ``version`` as the service's documentation says.
+
+        Poses of maps that are not given are found from the links.
+        """
+        return self._send(_calls.put_site(name, document))
+
+    def find_site_link(self, name: str, first: str, second: str) -> Site:
+        """Find the pose between two maps of a site, by points that both have or by overlap; places the site anew."""
+        return self._send(_calls.find_site_link(name, first, second))
+
+    def delete_site(self, name: str) -> None:
+        """Delete a site; its maps stay."""
+        self._send(_calls.delete_site(name))
 
     def delete_map(self, name: str) -> None:
         """Delete a map for good."""
@@ -411,7 +437,7 @@ class AsyncClient:
         """As :meth:`Client.localize_together`."""
         return await self._send(_calls.localize_frames(maps, frames, camera, dof, sigma_m, sigma_deg, deadline_ms))
 
-    async def places(self, maps: Maps, image: ImageLike, *, limit: int = 10) -> list[Place]:
+    async def places(self, maps: str | Sequence[str] | None, image: ImageLike, *, limit: int = 10) -> list[Place]:
         """As :meth:`Client.places`."""
         return await self._send(_calls.find_places(maps, image, limit))
 
@@ -513,6 +539,26 @@ class AsyncClient:
     async def delete_camera(self, name: str) -> None:
         """As :meth:`Client.delete_camera`."""
         await self._send(_calls.delete_camera(name))
+
+    async def sites(self) -> list[Site]:
+        """As :meth:`Client.sites`."""
+        return await self._send(_calls.list_sites())
+
+    async def site(self, name: str) -> Site:
+        """As :meth:`Client.site`."""
+        return await self._send(_calls.get_site(name))
+
+    async def put_site(self, name: str, document: Mapping[str, Any]) -> Site:
+        """As :meth:`Client.put_site`."""
+        return await self._send(_calls.put_site(name, document))
+
+    async def find_site_link(self, name: str, first: str, second: str) -> Site:
+        """As :meth:`Client.find_site_link`."""
+        return await self._send(_calls.find_site_link(name, first, second))
+
+    async def delete_site(self, name: str) -> None:
+        """As :meth:`Client.delete_site`."""
+        await self._send(_calls.delete_site(name))
 
     async def delete_map(self, name: str) -> None:
         """As :meth:`Client.delete_map`."""

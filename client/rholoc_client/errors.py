@@ -24,6 +24,7 @@
         │   ├── UnknownMap
         │   ├── UnknownCamera
         │   ├── UnknownRecording
+        │   ├── UnknownSite
         │   ├── UnknownPicture
         │   ├── UnknownJob
         │   └── UnknownRoute        an older service, or a wrong base URL
@@ -183,6 +184,12 @@ class UnknownRecording(NotFound):
     """No recording has this id."""
 
     code = "unknown_recording"
+
+
+class UnknownSite(NotFound):
+    """No site has this name."""
+
+    code = "unknown_site"
 
 
 class UnknownPicture(NotFound):

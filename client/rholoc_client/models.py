@@ -38,6 +38,103 @@ class CameraProfile:
 
 
 @dataclass(frozen=True)
+class OfSite:
+    """All maps of a site, where a request may name several maps."""
+
+    site: str
+
+
+@dataclass(frozen=True)
+class NearPlace:
+    """The maps of sites near a place on Earth, where a request may name several maps.
+
+    Attributes:
+        latitude_deg, longitude_deg: WGS 84.
+        radius_m: how far from there a map's origin may lie.
+    """
+
+    latitude_deg: float
+    longitude_deg: float
+    radius_m: float = 100.0
+
+
+@dataclass(frozen=True)
+class SiteMap:
+    """A map of a site.
+
+    Attributes:
+        map: its name.
+        floor: empty where it is not said.
+        position: (3,) of its origin in the site's frame, metres; None where the map has no place there.
+        quaternion_xyzw: R_site_map; None likewise.
+        given: whether somebody gave the pose; else it was found from links.
+        covariance: 6×6 of the pose: metres, then radians, in the site's axes; None where there is no pose.
+        present: whether there is a map of this name now.
+    """
+
+    map: str
+    floor: str
+    position: Vector3 | None
+    quaternion_xyzw: tuple[float, float, float, float] | None
+    given: bool
+    covariance: tuple[tuple[float, ...], ...] | None
+    present: bool
+
+
+@dataclass(frozen=True)
+class Site:
+    """Maps in one frame.
+
+    Attributes:
+        name: the site's.
+        version: counted up with every change.
+        maps: its maps.
+        links: the poses between pairs of them, as the service's ``links``.
+        earth: where it lies on Earth, as the service's ``earth``; None where nobody said.
+    """
+
+    name: str
+    version: int
+    maps: tuple[SiteMap, ...]
+    links: tuple[Mapping[str, Any], ...] = ()
+    earth: Mapping[str, Any] | None = None
+
+
+@dataclass(frozen=True)
+class OnEarth:
+    """A camera on Earth, WGS 84; ``heading_deg`` is clockwise from true north, None where it looks up or down."""
+
+    latitude_deg: float
+    longitude_deg: float
+    height_m: float
+    heading_deg: float | None
+
+
+@dataclass(frozen=True)
+class SitePose:
+    """A pose in the frame of a site.
+
+    Attributes:
+        site, version: which.
+        floor: the map's; empty where it is not said.
+        position: (3,) metres.
+        heading: (3,) the optical axis.
+        quaternion_xyzw: R_site_camera.
+        covariance: as :attr:`Localization.covariance`, in the site's axes.
+        earth: the same on Earth; None where nobody said where the site lies.
+    """
+
+    site: str
+    version: int
+    floor: str
+    position: Vector3
+    heading: Vector3
+    quaternion_xyzw: tuple[float, float, float, float]
+    covariance: tuple[tuple[float, ...], ...] | None
+    earth: OnEarth | None
+
+
+@dataclass(frozen=True)
 class Prior:
     """The pose near which the answer is expected: metres and unit vectors in the map frame.
 
@@ -168,6 +265,7 @@ class Localization:
         agreeing: the matches that agree with the pose, where they were asked for.
         areas: the named areas of the map that the camera is in, the smallest first.
         near: its named points within 2 m of the camera, the nearest first.
+        site: the pose in the frame of the map's site; None where it belongs to none.
     """
 
     localized: bool
@@ -192,6 +290,7 @@ class Localization:
     agreeing: Matches | None = None
     areas: tuple[str, ...] = ()
     near: tuple[str, ...] = ()
+    site: SitePose | None = None
 
 
 @dataclass(frozen=True)
@@ -330,7 +429,48 @@ def parse_localization(answer: Mapping[str, Any]) -> Localization:
         agreeing=_matches(answer.get("agreeing")),
         areas=tuple(answer.get("areas", ())),
         near=tuple(answer.get("near", ())),
+        site=_site_pose(answer.get("site")),
     )
+
+
+def _site_pose(answer: Mapping[str, Any] | None) -> SitePose | None:
+    if answer is None:
+        return None
+    x, y, z = answer["position"]
+    hx, hy, hz = answer["heading"]
+    qx, qy, qz, qw = answer["quaternion_xyzw"]
+    earth = answer["earth"]
+    return SitePose(
+        site=answer["site"],
+        version=answer["version"],
+        floor=answer["floor"],
+        position=(x, y, z),
+        heading=(hx, hy, hz),
+        quaternion_xyzw=(qx, qy, qz, qw),
+        covariance=_rows(answer["covariance"]),
+        earth=None if earth is None else OnEarth(**{name: earth[name] for name in OnEarth.__dataclass_fields__}),
+    )
+
+
+def parse_site(answer: Mapping[str, Any]) -> Site:
+    """The JSON of a site → :class:`Site`."""
+    maps = tuple(
+        SiteMap(
+            one["map"],
+            one["floor"],
+            None if one["pose"] is None else tuple(one["pose"]["position"]),
+            None if one["pose"] is None else tuple(one["pose"]["quaternion_xyzw"]),
+            one["given"],
+            _rows(one["covariance"]),
+            one["present"],
+        )
+        for one in answer["maps"]
+    )
+    return Site(answer["name"], answer["version"], maps, tuple(answer["links"]), answer["earth"])
+
+
+def _rows(matrix: Sequence[Sequence[float]] | None) -> tuple[tuple[float, ...], ...] | None:
+    return None if matrix is None else tuple(tuple(row) for row in matrix)
 
 
 def _matches(agreeing: Mapping[str, Any] | None) -> Matches | None:

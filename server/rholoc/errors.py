@@ -16,6 +16,7 @@
     │   ├── UnknownMap
     │   ├── UnknownCamera
     │   ├── UnknownRecording
+    │   ├── UnknownSite
     │   └── UnknownJob
     ├── Conflict                the request contradicts the present state
     ├── MappingFailed           a recording was read but gave no trustworthy map
@@ -120,6 +121,12 @@ class UnknownRecording(NotFound):
     """No recording has this id."""
 
     code = "unknown_recording"
+
+
+class UnknownSite(NotFound):
+    """No site has this name."""
+
+    code = "unknown_site"
 
 
 class UnknownPicture(NotFound):

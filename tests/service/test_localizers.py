@@ -10,6 +10,7 @@ from rholoc.maps import MapLibrary, save_map
 from rholoc.maps.map_cache import memory_bytes
 from rholoc.service.localize import Stopwatch, each_map
 from rholoc.service.localizers import Localizers
+from rholoc.service.map_choice import Candidates
 
 
 def test_a_map_that_leaves_memory_takes_its_localizer_along(tmp_path: Path, picture_world) -> None:
@@ -33,6 +34,8 @@ def test_loading_a_map_is_timed_apart() -> None:
 
     asked: list[str] = []
     clock = Stopwatch()
-    each_map(["a", "b"], cast(Localizers, Cold()), lambda name, _: asked.append(name), clock, passing_over=False)
+    each_map(
+        Candidates(("a", "b"), passing_over=False), cast(Localizers, Cold()), lambda name, _: asked.append(name), clock
+    )
     assert asked == ["a", "b"]
     assert clock.stages_ms["load"] >= 40

@@ -9,9 +9,10 @@ import pytest
 
 from rholoc.errors import NotFound, UnknownCamera
 from rholoc.geometry import Camera
-from rholoc.maps import CameraLibrary, CameraProfile
+from rholoc.localization import MapFinder
+from rholoc.maps import CameraLibrary, CameraProfile, Site, SiteLibrary, SiteMap
 from rholoc.service.keys import KeyStore, Scope
-from rholoc.storage import CAMERAS, KEYS
+from rholoc.storage import CAMERAS, KEYS, SITES
 
 _CAMERA = CameraProfile(Camera(640, 480, 500.0, 500.0, 320.0, 240.0), {"rms_px": 0.2})
 
@@ -48,3 +49,29 @@ def test_keys_are_shared_and_only_their_hashes_are_kept(open_storage: Any, tmp_p
     assert here.find(secret) is None
     with pytest.raises(NotFound):
         here.revoke("robot")
+
+
+def test_sites_are_shared(open_storage: Any, tmp_path: Path) -> None:
+    one, other = open_storage(), open_storage()
+    here, there = (SiteLibrary(tmp_path, shared.documents(SITES)) for shared in (one, other))
+    here.put("campus", Site(maps=(SiteMap("hall"),)))
+    other.refresh()
+    assert there.get("campus").maps == (SiteMap("hall"),)
+    assert there.put("campus", Site(), replaces=1).version == 2
+    one.refresh()
+    assert here.get("campus").maps == ()
+
+
+def test_each_server_indexes_the_maps_that_others_publish(open_storage: Any, tmp_path: Path, picture_world) -> None:
+    one, other = open_storage(), open_storage()
+    finder = MapFinder(other.library, tmp_path / "views.sqlite")
+    finder.refresh()
+    assert finder.counts() == {"present": 0, "indexed": 0}
+    one.library.put("hall", picture_world.map_)
+    other.refresh()
+    finder.refresh()
+    assert finder.counts() == {"present": 1, "indexed": 1}
+    one.library.delete("hall")
+    other.refresh()
+    finder.refresh()
+    assert finder.counts() == {"present": 0, "indexed": 0}

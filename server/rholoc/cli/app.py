@@ -10,9 +10,11 @@ import typer
 
 from rholoc import __version__
 from rholoc.cli import (
+    backup,
     cameras,
     compare,
     demo,
+    doctor,
     evaluate,
     jobs,
     keys,
@@ -22,6 +24,7 @@ from rholoc.cli import (
     recordings,
     serve,
     simulate,
+    sites,
     storage,
     track,
 )
@@ -44,9 +47,13 @@ app = typer.Typer(
 app.command()(demo.demo)
 app.command()(serve.serve)
 app.command()(serve.worker)
+app.command()(backup.backup)
+app.command()(backup.restore)
+app.command()(doctor.doctor)
 app.command()(simulate.simulate)
 app.add_typer(maps.app, name="map")
 app.add_typer(cameras.app, name="camera")
+app.add_typer(sites.app, name="site")
 app.add_typer(recordings.app, name="recording")
 app.add_typer(paper.app, name="paper")
 app.add_typer(keys.app, name="key")

@@ -37,8 +37,19 @@ class Vlad:
         words = min(_MOST_WORDS, max(1, len(training) // _FEWEST_TRAINING_DESCRIPTORS))
         kmeans = faiss.Kmeans(training.shape[1], words, niter=_ITERATIONS, seed=_SEED)
         kmeans.train(training)
-        self.words: FloatArray = np.asarray(kmeans.centroids)
-        self._index = kmeans.index
+        self._take(np.asarray(kmeans.centroids))
+
+    @classmethod
+    def of_words(cls, words: FloatArray) -> Vlad:
+        """The vocabulary of words (W, D) that were learned before."""
+        vlad = cls.__new__(cls)
+        vlad._take(np.ascontiguousarray(words, dtype=np.float32))
+        return vlad
+
+    def _take(self, words: FloatArray) -> None:
+        self.words = words
+        self._index = faiss.IndexFlatL2(words.shape[1])
+        self._index.add(words)
 
     def vector(self, descriptors: ByteArray) -> FloatArray:
         """(W · D,) of a picture's descriptors (N, D), of unit length; zeros where there are none.

@@ -4,6 +4,7 @@ from rholoc.localization.confidence import MIN_CONFIDENCE
 from rholoc.localization.diagnosis import TOO_LITTLE_TIME, Cause, Diagnosis
 from rholoc.localization.large_map import LARGE_MAP, AnyLocalizer, LargeMapLocalizer, localizer_of
 from rholoc.localization.localizer import Localizer
+from rholoc.localization.map_finder import VECTORS_FILE, MapFinder
 from rholoc.localization.place_recognition import LikelyView, likeliest_views
 from rholoc.localization.several_frames import (
     FEWEST_FRAMES,
@@ -13,6 +14,7 @@ from rholoc.localization.several_frames import (
     localize_together,
 )
 from rholoc.localization.types import Dof, Intrinsics, Localization, Prior, Query, Reason
+from rholoc.localization.view_index import LikelyMap
 
 __all__ = [
     "FEWEST_FRAMES",
@@ -20,6 +22,7 @@ __all__ = [
     "MIN_CONFIDENCE",
     "MOST_FRAMES",
     "TOO_LITTLE_TIME",
+    "VECTORS_FILE",
     "AnyLocalizer",
     "Cause",
     "Diagnosis",
@@ -27,9 +30,11 @@ __all__ = [
     "Intrinsics",
     "JointLocalization",
     "LargeMapLocalizer",
+    "LikelyMap",
     "LikelyView",
     "Localization",
     "Localizer",
+    "MapFinder",
     "Prior",
     "Query",
     "Reason",

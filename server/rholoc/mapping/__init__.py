@@ -20,17 +20,20 @@ from rholoc.mapping.frames import levelled
 from rholoc.mapping.learning import UpdateOptions, update_map
 from rholoc.mapping.merging import merge_maps
 from rholoc.mapping.observation_table import observation_table
+from rholoc.mapping.site_poses import find_link, pose_in_site, solve_site, with_link
 
 __all__ = [
     "DEFAULT_FEATURES",
     "BuildOptions",
     "UpdateOptions",
     "build_map",
+    "find_link",
     "forget_recording",
     "lay_over_plan",
     "levelled",
     "merge_maps",
     "observation_table",
+    "pose_in_site",
     "remove_region",
     "remove_views",
     "set_distance",
@@ -42,5 +45,7 @@ __all__ = [
     "set_up",
     "set_wall",
     "small_picture",
+    "solve_site",
     "update_map",
+    "with_link",
 ]

@@ -43,13 +43,13 @@ def merge_maps(a: Map, b: Map, progress: ProgressListener = silent) -> Map:
         MappingFailed: the maps do not overlap, or disagree; says by how much.
         Cancelled: ``progress`` asked to stop.
     """
-    _check_alike(a, b)
+    check_alike(a, b)
     shared = {source.id for source in a.info.sources}
     if all(source.id in shared for source in b.info.sources):
         raise Conflict("The first map already contains all that the second does.", "There is nothing to merge.")
     b = _without_shared(ray_form(b), shared)
     localizer = Localizer(ray_form(a), min_confidence=LEARNING_CONFIDENCE)
-    frames, own = _frames(b), b.T_map_camera
+    frames, own = remembered_frames(b), b.T_map_camera
     tried = np.unique(np.linspace(0, len(frames) - 1, _MAX_LOCALIZED).round().astype(np.int64))
     found = find_frames(localizer, frames, tried, "The second map", progress)
     alignment = align_to_found(own, found, a.info.metric and b.info.metric, "The second map")
@@ -97,7 +97,13 @@ def _placed_in(a: Map, b: Map) -> Map:
     return replace(b, view_covariances=b.view_covariances + uncertainty_in(a, b.T_map_camera))
 
 
-def _check_alike(a: Map, b: Map) -> None:
+def check_alike(a: Map, b: Map) -> None:
+    """Check that views of one map can be found in the other, and be learned.
+
+    Raises:
+        InvalidInput: a map does not remember its observations, they have different features, or other densities than
+            ``ray``.
+    """
     for map_, which in ((a, "The first map"), (b, "The second map")):
         check_observations(map_, which)
         if map_.info.density is not DensityKind.RAY:
@@ -118,7 +124,7 @@ def _without_shared(map_: Map, shared: set[str | None]) -> Map:
     return map_
 
 
-def _frames(map_: Map) -> list[tuple[Camera, FeatureSet]]:
+def remembered_frames(map_: Map) -> list[tuple[Camera, FeatureSet]]:
     """What the map remembers of its views, as frames: the features seen, each with its first descriptor."""
     observations = check_observations(map_, "The map")
     first = np.searchsorted(map_.descriptor_features, np.arange(len(map_)))
@@ -142,7 +148,7 @@ def _frames(map_: Map) -> list[tuple[Camera, FeatureSet]]:
 def _same_features(localizer: Localizer, moved: Map, progress: ProgressListener) -> IntArray:
     """For each feature of the second map the one of the first that it is, or -1; by votes of the views."""
     index, metric = localizer.index, localizer.extractor.metric
-    frames, poses = _frames(moved), moved.T_map_camera
+    frames, poses = remembered_frames(moved), moved.T_map_camera
     pairs = [np.zeros((0, 2), dtype=np.int64)]
     for k, (camera, features) in enumerate(frames):
         matches, _ = index.match_near(features, camera, poses[k], _RADIUS_PX)

@@ -34,8 +34,20 @@ from rholoc.maps.observations import (
     unpacked_pixels,
 )
 from rholoc.maps.part import MapPart, part_of
-from rholoc.maps.rho_file import load_map, map_to_bytes, save_map
+from rholoc.maps.rho_file import load_info, load_map, map_to_bytes, save_map
 from rholoc.maps.scene import cloud_to_bytes, map_to_scene
+from rholoc.maps.sites import (
+    MOST_MAPS,
+    SITES_FOLDER,
+    FramePose,
+    LinkOrigin,
+    Site,
+    SiteLibrary,
+    SiteLink,
+    SiteMap,
+    SiteOnEarth,
+    check_site,
+)
 from rholoc.maps.surfaces import map_surfaces_vtp
 from rholoc.maps.tables import ObservationTable, observations_csv
 from rholoc.maps.trajectory_table import (
@@ -50,6 +62,8 @@ from rholoc.maps.validation import check_usable, validate_map
 
 __all__ = [
     "MAX_PLAN_BYTES",
+    "MOST_MAPS",
+    "SITES_FOLDER",
     "CameraLibrary",
     "CameraProfile",
     "Cloud",
@@ -60,6 +74,8 @@ __all__ = [
     "Documents",
     "FloorPlan",
     "FolderDocuments",
+    "FramePose",
+    "LinkOrigin",
     "Map",
     "MapInfo",
     "MapLabels",
@@ -72,6 +88,11 @@ __all__ = [
     "NamedPoint",
     "ObservationTable",
     "Observations",
+    "Site",
+    "SiteLibrary",
+    "SiteLink",
+    "SiteMap",
+    "SiteOnEarth",
     "Source",
     "TrajectoryTable",
     "Trust",
@@ -83,6 +104,7 @@ __all__ = [
     "check_observations",
     "check_outline",
     "check_plan",
+    "check_site",
     "check_usable",
     "cloud_to_bytes",
     "coefficient_table",
@@ -91,6 +113,7 @@ __all__ = [
     "expected_error_m",
     "is_coefficient_table",
     "landmark_sigmas",
+    "load_info",
     "load_map",
     "map_surfaces_vtp",
     "map_to_bytes",

@@ -133,6 +133,13 @@ class MapLibrary:
             raise self._unknown(name) from error
         return MapStat(name, status.st_size, status.st_mtime, (status.st_ino, status.st_mtime_ns, status.st_size))
 
+    def stamp(self) -> int | None:
+        """Changes whenever a map is published, renamed or deleted, by any process; None where that is not known."""
+        try:
+            return self.folder.stat().st_mtime_ns
+        except OSError:
+            return None
+
     def get(self, name: str) -> Map:
         """The map of that name, from memory unless its file was replaced. Reading one does not block others.
 

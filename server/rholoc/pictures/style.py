@@ -7,6 +7,7 @@ import io
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.font_manager import findfont
 from matplotlib.lines import Line2D
 
 INK = "#22303c"
@@ -26,6 +27,17 @@ def figure_of(size_inches: tuple[float, float] | None, dpi: int) -> Figure:
     FigureCanvasAgg(figure)
     figure.set_layout_engine("constrained")
     return figure
+
+
+def missing_fonts() -> list[str]:
+    """The names of the fonts that pictures want and this machine has not."""
+    missing = []
+    for family in ("DejaVu Sans", "DejaVu Sans Mono"):
+        try:
+            findfont(family, fallback_to_default=False)
+        except ValueError:
+            missing.append(family)
+    return missing
 
 
 def png_of(figure: Figure) -> bytes:

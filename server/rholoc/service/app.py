@@ -23,8 +23,9 @@ from rholoc.jobs import (
     SharedUploadStore,
     UploadStore,
 )
+from rholoc.localization import VECTORS_FILE, MapFinder
 from rholoc.logs import configure_logs
-from rholoc.maps import CameraLibrary, MapLibrary
+from rholoc.maps import CameraLibrary, MapLibrary, SiteLibrary
 from rholoc.service import web
 from rholoc.service.bodies import HeldBodies
 from rholoc.service.compute import ComputePool
@@ -47,6 +48,7 @@ from rholoc.service.json_bodies import JsonBodies
 from rholoc.service.keys import KeyStore
 from rholoc.service.live import Live
 from rholoc.service.localizers import Localizers
+from rholoc.service.map_watch import MapWatch
 from rholoc.service.metrics import Metered, Metrics
 from rholoc.service.middleware import RequestBoundary
 from rholoc.service.openapi import install
@@ -57,7 +59,7 @@ from rholoc.service.settings import Settings
 from rholoc.service.state import State
 from rholoc.service.stream_count import OpenStreams
 from rholoc.service.tus import Tus
-from rholoc.storage import CAMERAS, KEYS, SharedStorage
+from rholoc.storage import CAMERAS, KEYS, SITES, SharedStorage
 
 _BODIES_AT_ONCE = 8  # of the largest size allowed
 
@@ -78,6 +80,7 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
         configure_logs()
         app.state.rholoc = state = _start(settings, metrics, keys, shared)
+        state.watch.start()
         if state.worker is not None:
             state.worker.start()
         cleanup = asyncio.create_task(clean_up_regularly(state))
@@ -87,6 +90,7 @@ def create_app(settings: Settings | None = None) -> FastAPI:
             cleanup.cancel()
             if state.worker is not None:
                 state.worker.stop()
+            state.watch.stop()
             state.compute.close()
             await state.renderings.close()
             state.jobs.close()
@@ -148,14 +152,18 @@ def _start(settings: Settings, metrics: Metrics, keys: KeyStore, shared: SharedS
         settings.maps_dir.mkdir(parents=True, exist_ok=True)
         library = MapLibrary(settings.maps_dir, settings.map_cache_bytes)
         cameras, recordings = CameraLibrary(settings.maps_dir), RecordingStore(settings.data_dir)
+        sites = SiteLibrary(settings.maps_dir)
     else:
         shared.open(follow=True)
         library, cameras = shared.library, CameraLibrary(settings.maps_dir, shared.documents(CAMERAS))
         recordings = SharedRecordingStore(settings.data_dir, shared)
+        sites = SiteLibrary(settings.maps_dir, shared.documents(SITES))
     jobs = JobQueue(settings.data_dir, settings.jobs_database, recordings)
+    finder = MapFinder(library, settings.data_dir / VECTORS_FILE)
     compute = ComputePool(settings.concurrency, settings.queue_length)
     metrics.gauge("rholoc_jobs", "Mapping jobs", "state", lambda: {str(state): n for state, n in jobs.counts().items()})
     metrics.gauge("rholoc_frames", "Frames that are being localized, or wait", "at", lambda: {"now": compute.taken})
+    metrics.gauge("rholoc_maps", "Maps in the folder, and how many of them are indexed", "state", finder.counts)
     streams = OpenStreams(settings.max_streams)
     metrics.gauge("rholoc_streams", "Streams of frames that are open", "at", lambda: {"now": streams.count})
     return State(
@@ -165,6 +173,9 @@ def _start(settings: Settings, metrics: Metrics, keys: KeyStore, shared: SharedS
         keys=keys,
         shared=shared,
         localizers=Localizers(library, settings.min_confidence),
+        finder=finder,
+        sites=sites,
+        watch=MapWatch(finder),
         renderings=Renderings(settings.data_dir / "renderings", library),
         compute=compute,
         held_bodies=HeldBodies(_BODIES_AT_ONCE * settings.max_request_bytes),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
 from typing import TypeVar
@@ -13,13 +13,14 @@ import cv2
 import numpy as np
 import structlog
 
-from rholoc.errors import DeadlineExceeded, InvalidCamera, InvalidDescriptors
+from rholoc.errors import DeadlineExceeded, InvalidCamera, InvalidDescriptors, RholocError
 from rholoc.features import Extractor, FeatureSet
 from rholoc.geometry import ByteArray, FloatArray, Pose
 from rholoc.localization import TOO_LITTLE_TIME, AnyLocalizer, Localization, Query, Reason, likeliest_views
 from rholoc.maps import areas_at, points_near, trust_of
 from rholoc.recordings.frames.image import SENT_FORMATS, decode_image
 from rholoc.service.localizers import Localizers
+from rholoc.service.map_choice import CONCLUSIVE, Candidates, MapChoice
 from rholoc.service.queries import Frame, camera_for, feature_set, gravity_of, prior_of
 from rholoc.service.schemas import (
     DiagnosisOut,
@@ -35,8 +36,10 @@ from rholoc.trajectory import Scale
 
 _log = structlog.get_logger("rholoc.service")
 T = TypeVar("T")
+_Answered = tuple[str, AnyLocalizer, Localization]  # by which map
 
 _NEAR_M = 2.0  # named points within it are listed
+_STAGES = ("queue", "load", "decode", "extract", "match", "seed", "ascend", "verify", "diagnose")
 _DEGREES = np.array([1, 1, 1, *[180 / np.pi] * 3])
 
 
@@ -62,6 +65,11 @@ class Stopwatch:
             raise DeadlineExceeded("The deadline passed before the work was done.", "Allow more time.")
 
     @property
+    def worked_ms(self) -> float:
+        """All stages together."""
+        return sum(self.stages_ms.values())
+
+    @property
     def elapsed_s(self) -> float:
         """Seconds since the request came in."""
         return time.perf_counter() - self.start_s
@@ -78,17 +86,12 @@ def late_answer(name: str, localizer: AnyLocalizer, clock: Stopwatch) -> Localiz
 
 
 def localize_frame(
-    frame: Frame,
-    names: Sequence[str],
-    localizers: Localizers,
-    settings: Settings,
-    clock: Stopwatch,
-    passing_over: bool = False,
+    frame: Frame, maps: MapChoice, localizers: Localizers, settings: Settings, clock: Stopwatch
 ) -> LocalizationOut:
-    """The best answer of the named maps: the most confident pose, or the most confident answer if none has a pose.
+    """The best answer of some maps: the most confident pose, or the most confident answer if none has a pose.
 
-    Of several maps, those whose features or camera do not fit the frame are passed over; if ``passing_over``, so are
-    those that cannot be used for any other reason, which is right for maps that nobody named.
+    Of several maps, those whose features or camera do not fit the frame are passed over; where nobody named them, so
+    are those that cannot be used for any other reason.
 
     Raises:
         UnknownMap, InvalidMap, InvalidImage, InvalidCamera, InvalidDescriptors, InvalidInput: what was sent is not
@@ -97,27 +100,25 @@ def localize_frame(
     clock.stages_ms["queue"] = 1000 * clock.elapsed_s
     deadline_s = frame_deadline_s(frame.options.deadline_ms, settings)
     features = FrameFeatures(frame, settings, clock, deadline_s)
-    name, localizer, found = best_map(
-        names,
-        localizers,
-        lambda localizer: _localize(frame, localizer, features, deadline_s, clock),
-        lambda found: (found.localized, found.confidence),
-        clock,
-        passing_over,
-    )
+
+    def surest(asked: Candidates) -> _Answered:
+        def localize(localizer: AnyLocalizer) -> Localization:
+            return _localize(frame, localizer, features, deadline_s, clock)
+
+        return best_map(asked, localizers, localize, _rank, clock)
+
+    likely = chosen(maps, features.by_quick, clock)
+    if likely.are_ranked:
+        name, localizer, found = _looking_twice(likely.at_first(), maps, features, surest, clock)
+    else:
+        name, localizer, found = surest(likely)
     return answer_of(name, localizer, found, clock, frame.options.with_matches)
 
 
 def likeliest_places(
-    frame: Frame,
-    names: Sequence[str],
-    localizers: Localizers,
-    settings: Settings,
-    clock: Stopwatch,
-    most: int,
-    passing_over: bool,
+    frame: Frame, maps: MapChoice, localizers: Localizers, settings: Settings, clock: Stopwatch, most: int
 ) -> PlacesOut:
-    """The views of the named maps that a picture resembles most, at most ``most`` in all.
+    """The views of some maps that a picture resembles most, at most ``most`` in all.
 
     Raises:
         As :func:`localize_frame`.
@@ -139,64 +140,107 @@ def likeliest_places(
             for found in likeliest_views(localizer, features.by(localizer.extractor), most)
         )
 
-    each_map(names, localizers, ask, clock, passing_over)
+    each_map(chosen(maps, features.by, clock), localizers, ask, clock)
     return PlacesOut(places=sorted(places, key=lambda place: -place.score)[:most])
 
 
+def chosen(maps: MapChoice, features_by: Callable[[Extractor], FeatureSet], clock: Stopwatch) -> Candidates:
+    """The maps to ask for a frame, the likeliest first; what extracting its features takes is not part of the stage."""
+    before_ms, start_s = clock.worked_ms, time.perf_counter()
+    found = maps.candidates(features_by)
+    if found.are_ranked:
+        spent_ms = 1000 * (time.perf_counter() - start_s) - (clock.worked_ms - before_ms)
+        clock.stages_ms["choose"] = clock.stages_ms.get("choose", 0.0) + spent_ms
+    return found
+
+
+def _looking_twice(
+    at_first: Candidates,
+    maps: MapChoice,
+    features: FrameFeatures,
+    surest: Callable[[Candidates], _Answered],
+    clock: Stopwatch,
+) -> _Answered:
+    """The surest answer of the maps that a quick look at a frame finds; where it is not sure, of those that a closer
+    look finds as well.
+
+    Raises:
+        RholocError: none of them could be asked.
+    """
+    answers, refused = [], None
+    try:
+        answers.append(surest(at_first))
+    except DeadlineExceeded:
+        raise
+    except RholocError as error:
+        refused = error
+    if not answers or _rank(answers[0][2]) < (True, CONCLUSIVE):
+        others = chosen(maps, features.by, clock).besides(at_first)
+        if others.names:
+            answers.append(surest(others))
+    if not answers and refused is not None:
+        raise refused
+    return max(answers, key=lambda answer: _rank(answer[2]))
+
+
+def _rank(found: Localization) -> tuple[bool, float]:
+    return found.localized, found.confidence
+
+
 def best_map(
-    names: Sequence[str],
+    maps: Candidates,
     localizers: Localizers,
     localize: Callable[[AnyLocalizer], T],
     rank: Callable[[T], tuple[bool, float]],
     clock: Stopwatch,
-    passing_over: bool,
 ) -> tuple[str, AnyLocalizer, T]:
     """The map whose answer ranks highest: its name, its localizer and the answer.
 
     Raises:
         InvalidCamera, InvalidDescriptors: the frame fits none of the maps.
-        RholocError: a map cannot be used; if ``passing_over``, only where none can.
+        RholocError: a map cannot be used; where maps may be passed over, only where none can.
     """
     best: tuple[str, AnyLocalizer, T] | None = None
 
-    def ask(name: str, localizer: AnyLocalizer) -> None:
+    def ask(name: str, localizer: AnyLocalizer) -> bool:
         nonlocal best
         found = localize(localizer)
         if best is None or rank(found) > rank(best[2]):
             best = (name, localizer, found)
+        is_localized, confidence = rank(best[2])
+        asked = maps.names.index(name) + 1
+        return is_localized and maps.is_settled(asked, maps.names.index(best[0]), confidence)
 
-    each_map(names, localizers, ask, clock, passing_over)
+    each_map(maps, localizers, ask, clock)
     assert best is not None
     return best
 
 
 def each_map(
-    names: Sequence[str],
-    localizers: Localizers,
-    ask: Callable[[str, AnyLocalizer], None],
-    clock: Stopwatch,
-    passing_over: bool,
+    maps: Candidates, localizers: Localizers, ask: Callable[[str, AnyLocalizer], bool | None], clock: Stopwatch
 ) -> None:
-    """Ask maps one after another, passing over those that a frame does not fit.
+    """Ask maps one after another until ``ask`` says that it is enough, passing over those that a frame does not fit.
 
     Raises:
         InvalidCamera, InvalidDescriptors: the frame fits none of the maps.
-        RholocError: a map cannot be used; if ``passing_over``, only where none can.
+        RholocError: a map cannot be used; where maps may be passed over, only where none can.
     """
     asked = 0
     refused: Exception | None = None
-    for name in names:
+    for name in maps.names:
         try:
             with clock.stage("load"):
                 localizer = localizers.get(name)
-            ask(name, localizer)
+            enough = ask(name, localizer)
             asked += 1
+            if enough:
+                return
         except (InvalidCamera, InvalidDescriptors) as error:
             refused = refused or error
         except DeadlineExceeded:
             raise
         except Exception as error:
-            if not passing_over:
+            if not maps.passing_over:
                 raise
             _log.warning("map_passed_over", map=name, error=repr(error)[:200])
             refused = refused or error
@@ -243,6 +287,10 @@ class FrameFeatures:
                     found = feature_set(self._frame.features, extractor, self._settings.max_features)
             self._extracted[extractor] = found
         return self._extracted[extractor]
+
+    def by_quick(self, extractor: Extractor) -> FeatureSet:
+        """The features that a quick look at the frame finds."""
+        return self.by(extractor.quick)
 
     def more_by(self, extractor: Extractor) -> Callable[[], FeatureSet] | None:
         """A function that finds more features than the quick extractor does; None where there are no more."""
@@ -309,8 +357,7 @@ def answer_of(
     """A map's answer as it is sent."""
     info = localizer.map.info
     total_ms = 1000 * clock.elapsed_s
-    stages = dict.fromkeys(("queue", "load", "decode", "extract", "match", "seed", "ascend", "verify", "diagnose"), 0.0)
-    timings_ms = {**stages, **clock.stages_ms, "total": total_ms}
+    timings_ms = {**dict.fromkeys(_STAGES, 0.0), **clock.stages_ms, "total": total_ms}
     given_out = found if found.localized else replace(found, pose=None, covariance=None)
     return LocalizationOut(
         localized=found.localized,

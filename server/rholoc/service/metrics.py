@@ -18,6 +18,8 @@ from rholoc.service.access import found_route
 _log = structlog.get_logger("rholoc.service")
 METRICS_TYPE = "text/plain; version=0.0.4; charset=utf-8"
 _KEPT_S = 0.5
+_MOST_MAPS = 200  # that have counters of their own: each has one for every outcome
+_OTHER_MAPS = "other maps"  # no map can be called so
 _SECONDS = (0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0, 60.0)
 
 
@@ -38,14 +40,33 @@ class Metrics:
         self._localizations = Counter(
             "rholoc_localizations", "Frames that were localized, or why not", ("outcome",), registry=self._registry
         )
+        self._of_maps = Counter(
+            "rholoc_map_localizations",
+            "The same by the map that answered; beyond 200 maps, those that answered later are together 'other maps'",
+            ("map", "outcome"),
+            registry=self._registry,
+        )
+        self._stages = Histogram(
+            "rholoc_stage_seconds",
+            "How long the stages of answering frames took",
+            ("stage",),
+            buckets=_SECONDS,
+            registry=self._registry,
+        )
+        self._maps: set[str] = set()
 
     def request(self, method: str, route: str, status: int, duration_s: float) -> None:
         """Count a request that was answered."""
         self._requests.labels(method, route, str(status)).observe(duration_s)
 
-    def localization(self, reason: str | None) -> None:
-        """Count a frame: ``reason`` says why it has no pose, if it has none."""
+    def localization(self, map_name: str, reason: str | None, timings_ms: Mapping[str, float]) -> None:
+        """Count a frame: the map that answered, why it has no pose, if it has none, and how long each stage took."""
         self._localizations.labels(reason or "localized").inc()
+        if len(self._maps) < _MOST_MAPS:
+            self._maps.add(map_name)
+        self._of_maps.labels(map_name if map_name in self._maps else _OTHER_MAPS, reason or "localized").inc()
+        for stage, duration_ms in timings_ms.items():
+            self._stages.labels(stage).observe(max(0.0, duration_ms / 1000))
 
     def gauge(self, name: str, text: str, label: str, read: Callable[[], Mapping[str, float]]) -> None:
         """Add a gauge whose values, by label, are read whenever the metrics are."""

@@ -11,7 +11,20 @@ from pydantic.config import JsonDict
 from rholoc.features import Channel
 from rholoc.jobs import JobState, RecordedWaypoint
 from rholoc.localization import Cause, Dof, Intrinsics, Reason
-from rholoc.maps import Correction, DensityKind, FloorPlan, MapLabels, MapNames, MapWaypoint, Source
+from rholoc.maps import (
+    MOST_MAPS,
+    Correction,
+    DensityKind,
+    FloorPlan,
+    FramePose,
+    LinkOrigin,
+    MapLabels,
+    MapNames,
+    MapWaypoint,
+    SiteLink,
+    SiteOnEarth,
+    Source,
+)
 from rholoc.progress import Stage
 from rholoc.reports import MapReport
 from rholoc.service.examples import CORRECTION, NAMES, REPORT, SOURCE, WAYPOINT, sent
@@ -37,6 +50,23 @@ _JOB_ID = "0b6e0f6f4f0c4d5f9a8b7c6d5e4f3a21"
 _RECORDING_ID = "9c5d1c3f5b8e4a0d8e6f7a8b9c0d1e2f"
 _CAMERA: JsonDict = {"width": 640, "height": 480, "fx": 525.5, "fy": 525.5, "cx": 320.0, "cy": 240.0, "distortion": []}
 _PROFILE: JsonDict = {**_CAMERA, "calibration": {"rms_px": 0.21, "views": 24, "sigmas": {"fx": 0.6, "fy": 0.6}}}
+
+
+_FRAME: JsonDict = {"position": [4.2, 0.0, 0.0], "quaternion_xyzw": [0.0, 0.0, 0.7071, 0.7071]}
+_EARTH: JsonDict = {"latitude_deg": 52.52, "longitude_deg": 13.405, "height_m": 74.0, "heading_deg": 12.5}
+_LINK: JsonDict = {
+    "first": "hall", "second": "kitchen", "pose": _FRAME, "sigma_m": 0.05, "sigma_deg": 0.5, "origin": "given"
+}  # fmt: skip
+_SITE: JsonDict = {
+    "maps": [{"map": "hall", "floor": "0"}, {"map": "kitchen", "floor": "0"}], "links": [_LINK], "earth": _EARTH
+}  # fmt: skip
+_SITE_ANSWER: JsonDict = {
+    "name": "campus",
+    "version": 1,
+    "maps": [{"map": "hall", "floor": "0", "pose": _FRAME, "given": True, "covariance": None, "present": True}],
+    "links": [_LINK],
+    "earth": _EARTH,
+}
 
 
 class _In(BaseModel):
@@ -307,6 +337,32 @@ class FramePoseOut(_Out):
     inliers: int = Field(description="how many of its matches agree with the pose")
 
 
+class EarthOut(_Out):
+    """A camera on Earth, WGS 84."""
+
+    latitude_deg: float
+    longitude_deg: float
+    height_m: float = Field(description="above the ellipsoid")
+    heading_deg: float | None = Field(
+        description="where it looks: degrees from true north, clockwise; null where it looks straight up or down"
+    )
+
+
+class SitePoseOut(_Out):
+    """The pose in the frame of a site that the map belongs to."""
+
+    site: str
+    version: int = Field(description="of the site")
+    floor: str = Field(description="the map's; empty where it is not said")
+    position: list[float] = Field(description="the camera's centre: x, y, z in m")
+    heading: list[float] = Field(description="the optical axis, unit length")
+    quaternion_xyzw: list[float] = Field(description="R_site_camera as x, y, z, w")
+    covariance: list[list[float]] | None = Field(
+        description="as `covariance` of the answer, in the site's axes; how well the map is placed is part of it"
+    )
+    earth: EarthOut | None = Field(description="the same on Earth; null where nobody said where the site lies")
+
+
 class LocalizationOut(_Out):
     """The answer for one frame. ``localized`` false is an answer, not an error."""
 
@@ -334,6 +390,7 @@ class LocalizationOut(_Out):
                 "areas": ["kitchen"],
                 "near": [],
                 "frames": None,
+                "site": None,
                 "timings_ms": {
                     "queue": 0.1, "load": 0.0, "decode": 2.1, "extract": 11.0, "match": 9.5, "seed": 14.2,
                     "ascend": 20.3, "verify": 1.7, "diagnose": 0.0, "total": 59.4,
@@ -373,9 +430,13 @@ class LocalizationOut(_Out):
     frames: list[FramePoseOut] | None = Field(
         default=None, description="each frame's pose where several were sent; `pose` is the first one's"
     )
+    site: SitePoseOut | None = Field(
+        default=None, description="the pose in the frame of the map's site; null without one"
+    )
     timings_ms: dict[str, float] = Field(
         description="milliseconds: queue, load (of a map that was not in memory), decode, extract, match, seed, "
-        "ascend, verify, diagnose, total; in a large map also place, which finds the place first"
+        "ascend, verify, diagnose, total; in a large map also place, which finds the place first; of more than five "
+        "maps also choose, which finds those to ask"
     )
 
 
@@ -792,6 +853,104 @@ class ForgetIn(_In):
     model_config = ConfigDict(extra="forbid", frozen=True, json_schema_extra={"example": {"source": "walk-1"}})
 
     source: str = Field(description="its id or name in the map's sources")
+
+
+class FramePoseIn(_In):
+    """Where one frame lies in another."""
+
+    position: tuple[Number, Number, Number] = Field(default=(0.0, 0.0, 0.0), description="of its origin, m")
+    quaternion_xyzw: tuple[Number, Number, Number, Number] = Field(
+        default=(0.0, 0.0, 0.0, 1.0), description="its rotation, x, y, z, w"
+    )
+
+
+class SiteMapIn(_In):
+    """A map of a site."""
+
+    map: str
+    floor: str = Field(default="", description="such as '1' or 'ground floor'")
+    pose: FramePoseIn | None = Field(default=None, description="T_site_map; without one it is found from links")
+    covariance: list[list[Number]] | None = Field(
+        default=None,
+        max_length=6,
+        description="6×6 of a given pose: x, y, z in m, then a small rotation about the site's axes in radians",
+    )
+
+
+class SiteLinkIn(_In):
+    """The pose between two maps."""
+
+    first: str
+    second: str
+    pose: FramePoseIn = Field(description="T_first_second")
+    sigma_m: Number = Field(default=0.05, description="one sigma of its position, m")
+    sigma_deg: Number = Field(default=0.5, description="one sigma of its rotation, degrees")
+    origin: LinkOrigin = Field(default=LinkOrigin.GIVEN, description="where it comes from")
+
+
+class SiteEarthIn(_In):
+    """Where a site's frame lies on Earth, WGS 84; its z axis is up."""
+
+    latitude_deg: Number
+    longitude_deg: Number
+    height_m: Number = 0.0
+    heading_deg: Number = Field(default=0.0, description="of the site's y axis: degrees from true north, clockwise")
+
+
+class SiteIn(_In):
+    """A site: maps in one frame."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, json_schema_extra={"example": _SITE})
+
+    maps: list[SiteMapIn] = Field(max_length=MOST_MAPS)
+    links: list[SiteLinkIn] = Field(default_factory=list, max_length=10_000)
+    earth: SiteEarthIn | None = None
+    version: int | None = Field(default=None, description="the version that this was made from; default: whichever")
+
+
+class SiteLinkWanted(_In):
+    """Two maps of a site, the pose between which is looked for."""
+
+    model_config = ConfigDict(
+        extra="forbid", frozen=True, json_schema_extra={"example": {"first": "hall", "second": "kitchen"}}
+    )
+
+    first: str
+    second: str
+
+
+class SiteMapOut(_Out):
+    """A map of a site."""
+
+    map: str
+    floor: str
+    pose: FramePose | None = Field(description="T_site_map; null where neither anybody nor a link says")
+    given: bool = Field(description="whether somebody gave the pose")
+    covariance: list[list[float]] | None = Field(
+        description="6×6 of the pose: x, y, z in m, then a small rotation about the site's axes in radians"
+    )
+    present: bool = Field(description="whether there is a map of this name now")
+
+
+class SiteOut(_Out):
+    """A site."""
+
+    model_config = ConfigDict(frozen=True, json_schema_extra={"example": _SITE_ANSWER})
+
+    name: str
+    version: int
+    maps: list[SiteMapOut]
+    links: tuple[SiteLink, ...]
+    earth: SiteOnEarth | None
+
+
+class SiteList(_Out):
+    """All sites."""
+
+    model_config = ConfigDict(frozen=True, json_schema_extra={"example": {"sites": [_SITE_ANSWER], "unreadable": {}}})
+
+    sites: list[SiteOut]
+    unreadable: dict[str, str] = Field(description="names of site files that cannot be read, and why")
 
 
 class MapReportOut(_Out):

@@ -5,7 +5,6 @@ from __future__ import annotations
 import base64
 import binascii
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -21,8 +20,9 @@ from rholoc.localization import (
     SeveralFrames,
     localize_together,
 )
-from rholoc.service.localize import FrameFeatures, Stopwatch, answer_of, best_map, pose_out, too_late
+from rholoc.service.localize import FrameFeatures, Stopwatch, answer_of, best_map, chosen, pose_out, too_late
 from rholoc.service.localizers import Localizers
+from rholoc.service.map_choice import MapChoice
 from rholoc.service.queries import Frame, camera_for, direction, finite, gravity_of
 from rholoc.service.schemas import FrameIn, FramePoseOut, FramesQuery, LocalizationOut, LocalizeOptions, PoseOut
 from rholoc.service.settings import Settings
@@ -73,14 +73,13 @@ def _frame(query: FramesQuery, number: int, one: FrameIn, images: dict[int, byte
 
 def localize_frames(
     frames: Frames,
-    names: Sequence[str],
+    maps: MapChoice,
     localizers: Localizers,
     settings: Settings,
     clock: Stopwatch,
     deadline_s: float,
-    passing_over: bool = False,
 ) -> LocalizationOut:
-    """The best answer of the named maps for several frames.
+    """The best answer of some maps for several frames; of many, those are asked that the first frame is most like.
 
     Raises:
         As :func:`rholoc.service.localize.localize_frame`.
@@ -88,12 +87,11 @@ def localize_frames(
     clock.stages_ms["queue"] = 1000 * clock.elapsed_s
     features = [FrameFeatures(frame, settings, clock, deadline_s) for frame in frames.frames]
     name, localizer, joint = best_map(
-        names,
+        chosen(maps, features[0].by, clock),
         localizers,
         lambda localizer: _localize(frames, localizer, features, deadline_s, clock),
         lambda found: (found.first.localized, found.first.confidence),
         clock,
-        passing_over,
     )
     answer = answer_of(name, localizer, joint.first, clock, with_matches=False)
     nowhere: list[PoseOut | None] = [None] * len(frames.frames)

@@ -9,7 +9,8 @@ from typing import Annotated
 from fastapi import Depends, Request
 
 from rholoc.jobs import EmbeddedWorker, JobQueue, RecordingStore, UploadStore
-from rholoc.maps import CameraLibrary, MapLibrary
+from rholoc.localization import MapFinder
+from rholoc.maps import CameraLibrary, MapLibrary, SiteLibrary
 from rholoc.service.bodies import HeldBodies
 from rholoc.service.compute import ComputePool
 from rholoc.service.exports import Exports
@@ -17,6 +18,7 @@ from rholoc.service.job_events import JobEvents
 from rholoc.service.keys import KeyStore
 from rholoc.service.live import Live
 from rholoc.service.localizers import Localizers
+from rholoc.service.map_watch import MapWatch
 from rholoc.service.metrics import Metrics
 from rholoc.service.renderings import Renderings
 from rholoc.service.settings import Settings
@@ -34,6 +36,9 @@ class State:
     keys: KeyStore
     shared: SharedStorage | None
     localizers: Localizers
+    finder: MapFinder
+    sites: SiteLibrary
+    watch: MapWatch
     renderings: Renderings
     compute: ComputePool
     held_bodies: HeldBodies

@@ -90,6 +90,10 @@ class SharedMapLibrary(MapLibrary):
         row = self._row(name)
         return MapStat(name, row.size_bytes, row.modified, (row.revision, int(row.modified * 1e9), row.size_bytes))
 
+    def stamp(self) -> int:
+        """As :meth:`MapLibrary.stamp`: the catalogue's revision."""
+        return self._replica.revision
+
     def replace(self, name: str, next_version: Map) -> None:
         """As :meth:`MapLibrary.replace`; what another server published meanwhile is seen, too."""
         with suppress(SQLAlchemyError):

@@ -85,6 +85,11 @@ class Replica:
         return self._maps
 
     @property
+    def revision(self) -> int:
+        """Of the catalogue, as of the last refresh."""
+        return self._revision
+
+    @property
     def documents(self) -> Mapping[str, bytes]:
         """The small files by path."""
         return self._documents

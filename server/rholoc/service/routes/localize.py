@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import re
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Annotated, Any
 
@@ -23,7 +24,9 @@ from rholoc.errors import (
     TooLarge,
     UnknownCamera,
     UnknownMap,
+    UnknownSite,
 )
+from rholoc.geometry.earth import EarthPlace
 from rholoc.localization import MOST_FRAMES
 from rholoc.recordings.frames.image import IMAGE_START_BYTES, begins_like_an_image
 from rholoc.service.access import NEEDS_LOCALIZE
@@ -34,6 +37,7 @@ from rholoc.service.json_bodies import JsonLimits
 from rholoc.service.landscape import landscape_of
 from rholoc.service.localize import Stopwatch, frame_deadline_s, late_answer, likeliest_places, localize_frame
 from rholoc.service.localizers import Localizers
+from rholoc.service.map_choice import MOST_ASKED, MapChoice
 from rholoc.service.openapi import BINARY, failures, reference, request_body
 from rholoc.service.queries import Frame, effort_of, effort_of_set
 from rholoc.service.schemas import (
@@ -46,13 +50,14 @@ from rholoc.service.schemas import (
 )
 from rholoc.service.settings import Settings
 from rholoc.service.several_frames import Frames, localize_frames
+from rholoc.service.site_answers import in_site
 from rholoc.service.state import Service, State
 
 router = APIRouter(prefix="/v1", tags=["localization"])
 
 _FAILURES = failures(
-    UnknownMap, UnknownCamera, InvalidName, InvalidRequest, InvalidImage, InvalidCamera, InvalidDescriptors,
-    InvalidInput, InvalidMap, TooLarge, UnsupportedMediaType, Busy, DeadlineExceeded,
+    UnknownMap, UnknownSite, UnknownCamera, InvalidName, InvalidRequest, InvalidImage, InvalidCamera,
+    InvalidDescriptors, InvalidInput, InvalidMap, TooLarge, UnsupportedMediaType, Busy, DeadlineExceeded,
 )  # fmt: skip
 _BODY = request_body(
     {
@@ -160,7 +165,19 @@ def _numbers(name: str, text: str | None) -> list[float] | None:
 
 
 Options = Annotated[OptionParameters, Depends()]
-MapNames = Annotated[str, Query(description="names separated by commas, or 'all'", examples=["all", "hall,kitchen"])]
+MapNames = Annotated[
+    str | None, Query(description="names separated by commas, or 'all', the default", examples=["all", "hall,kitchen"])
+]
+SiteName = Annotated[str | None, Query(description="a site, instead of maps: all of its maps", examples=["campus"])]
+Latitude = Annotated[
+    float | None,
+    Query(ge=-90, le=90, description="with `longitude`, instead of maps: those near there, WGS 84", examples=[52.52]),
+]
+Longitude = Annotated[float | None, Query(ge=-180, le=180, description="degrees east, WGS 84", examples=[13.405])]
+Radius = Annotated[
+    float, Query(gt=0, le=100_000, description="how far from that place a map's origin may lie, m", examples=[100])
+]
+_RADIUS_M = 100.0
 
 
 @router.post(
@@ -176,7 +193,7 @@ async def localize_in_map(map_name: str, request: Request, service: Service, opt
 
     Several frames whose poses relative to each other are known get one answer: send JSON with 2 to 10 `frames`, their
     pictures within or as parts `image0`, `image1`, … beside the `request` of a multipart body."""
-    return await _localize([map_name], request, service, options)
+    return await _localize(MapChoice([map_name]), request, service, options)
 
 
 @router.post(
@@ -190,11 +207,17 @@ async def localize_in_maps(
     request: Request,
     service: Service,
     options: Options,
-    maps: MapNames,
+    maps: MapNames = None,
+    site: SiteName = None,
+    latitude: Latitude = None,
+    longitude: Longitude = None,
+    radius_m: Radius = _RADIUS_M,
 ) -> LocalizationOut:
-    """Asks every map and returns the most confident answer, with the map's name."""
-    names, every = await _chosen_maps(maps, service)
-    return await _localize(names, request, service, options, every)
+    """Asks every map and returns the most confident answer, with the map's name. Of more than five maps it asks those
+    that the frame resembles most, by an index over all their views, until an answer is conclusive. The maps are named,
+    or those of a site, or those of all sites near a place on Earth; without any of these, all."""
+    choice = await _requested_maps(maps, site, _place(latitude, longitude), radius_m, service)
+    return await _localize(choice, request, service, options)
 
 
 @router.post(
@@ -208,20 +231,19 @@ async def find_places(
     request: Request,
     service: Service,
     options: Options,
-    maps: MapNames,
+    maps: MapNames = None,
     limit: Annotated[int, Query(ge=1, le=100, description="how many views at most", examples=[10])] = 10,
 ) -> PlacesOut:
     """Place recognition: fast, and useful where a pose is not needed or cannot be found. One picture or descriptor set
     is sent as for a pose."""
     clock = Stopwatch()
-    names, every = await _chosen_maps(maps, service)
+    choice = await _named_maps(maps, service)
     with service.held_bodies.hold() as on_piece:
         frame = await _read_single(request, options, service, on_piece, "Places are found for one picture at a time.")
-        for name in [] if every else names:
-            service.library.stat(name)
+        _check_named(choice, service)
         settings = service.settings
         return await service.compute.run(
-            lambda: likeliest_places(frame, names, service.localizers, settings, clock, limit, every), frame.effort
+            lambda: likeliest_places(frame, choice, service.localizers, settings, clock, limit), frame.effort
         )
 
 
@@ -253,31 +275,83 @@ async def _with_stored_camera(frame: Frame, service: State) -> Frame:
     return replace(frame, stored=profile.camera)
 
 
-async def _chosen_maps(maps: str, service: State) -> tuple[list[str], bool]:
-    """The maps that a request is for, and whether it asks for all of them."""
-    names = list(dict.fromkeys(name.strip() for name in maps.split(",")))
-    if names != ["all"]:
-        return names, False
-    names = await run_in_threadpool(service.library.readable)
+async def _requested_maps(
+    maps: str | None, site: str | None, place: EarthPlace | None, radius_m: float, service: State
+) -> MapChoice:
+    """The maps that a request is for, by their names, their site or where on Earth they are.
+
+    Raises:
+        InvalidRequest: it says more than one of them.
+        UnknownSite, UnknownMap: there is no such site, or no map of it, or none there.
+    """
+    if sum(one is not None for one in (maps, site, place)) > 1:
+        raise InvalidRequest("The request names its maps in two ways.", "Send one of maps, site, and a place on Earth.")
+    if site is not None:
+        members = [one.map for one in (await run_in_threadpool(service.sites.get, site)).maps]
+        what = f"No map of the site {site} is here."
+    elif place is not None:
+        sites = await run_in_threadpool(service.sites.all)
+        near = [name for one in sites.values() for name in one.maps_near(place, radius_m)]
+        members = list(dict.fromkeys(near))
+        what = f"No site has a map within {radius_m:g} m of there."
+    else:
+        return await _named_maps(maps, service)
+    names = await run_in_threadpool(_existing, members, service)
     if not names:
+        raise UnknownMap(what, "GET /v1/sites lists the sites and their maps.")
+    return MapChoice(names, named=False, finder=service.finder, site=site)
+
+
+def _existing(names: list[str], service: State) -> list[str]:
+    """Those names that maps have now."""
+    found = []
+    for name in names:
+        with suppress(UnknownMap):
+            found.append(service.library.stat(name).name)
+    return found
+
+
+def _place(latitude_deg: float | None, longitude_deg: float | None) -> EarthPlace | None:
+    if latitude_deg is None and longitude_deg is None:
+        return None
+    if latitude_deg is None or longitude_deg is None:
+        raise InvalidRequest("A place on Earth has a latitude and a longitude.", "Send both.")
+    return EarthPlace(latitude_deg, longitude_deg)
+
+
+async def _named_maps(maps: str | None, service: State) -> MapChoice:
+    """The maps that a request names."""
+    names = list(dict.fromkeys(name.strip() for name in (maps or "all").split(",")))
+    if names != ["all"]:
+        return MapChoice(names, finder=service.finder)
+    present = service.finder.present
+    if len(present) <= MOST_ASKED:  # the library itself knows of a map that was published this moment
+        present = await run_in_threadpool(service.library.readable)
+    if not present:
         raise UnknownMap("There is no map yet.", "Upload one, or a recording.")
-    return names, True
+    return MapChoice(present, named=False, finder=service.finder, is_all=True)
 
 
-async def _localize(
-    names: list[str], request: Request, service: State, options: OptionParameters, every: bool = False
-) -> LocalizationOut:
+def _check_named(maps: MapChoice, service: State) -> None:
+    """Refuse an unknown map, where somebody named it, before the request takes a place in the queue.
+
+    Raises:
+        InvalidName, UnknownMap: by the library.
+    """
+    for name in maps.names if maps.named else ():
+        service.library.stat(name)
+
+
+async def _localize(maps: MapChoice, request: Request, service: State, options: OptionParameters) -> LocalizationOut:
     clock = Stopwatch()
     with service.held_bodies.hold() as on_piece:
         sent = await _read(request, options.options(), service, on_piece)
         if isinstance(sent, Frame):
-            return await answer_frame(sent, names, service, clock, every)
-        return await _localize_frames(*sent, names, service, clock, every)
+            return await answer_frame(sent, maps, service, clock)
+        return await _localize_frames(*sent, maps, service, clock)
 
 
-async def answer_frame(
-    frame: Frame, names: list[str], service: State, clock: Stopwatch, every: bool
-) -> LocalizationOut:
+async def answer_frame(frame: Frame, maps: MapChoice, service: State, clock: Stopwatch) -> LocalizationOut:
     """The most confident answer of several maps for one frame, by its deadline.
 
     Raises:
@@ -286,9 +360,8 @@ async def answer_frame(
     frame = await _with_stored_camera(frame, service)
     settings = service.settings
     return await _answer_by_deadline(
-        lambda: localize_frame(frame, names, service.localizers, settings, clock, every),
-        names,
-        not every,
+        lambda: localize_frame(frame, maps, service.localizers, settings, clock),
+        maps,
         service,
         clock,
         frame_deadline_s(frame.options.deadline_ms, settings),
@@ -298,7 +371,7 @@ async def answer_frame(
 
 
 async def _localize_frames(
-    query: FramesQuery, images: dict[int, bytes], names: list[str], service: State, clock: Stopwatch, every: bool
+    query: FramesQuery, images: dict[int, bytes], maps: MapChoice, service: State, clock: Stopwatch
 ) -> LocalizationOut:
     cameras = [query.camera, *(one.camera for one in query.frames if one.camera is not None)]
     named = {camera.name for camera in cameras if camera.name is not None}
@@ -306,9 +379,8 @@ async def _localize_frames(
     frames = Frames.of(query, images, stored)
     settings, deadline_s = service.settings, frame_deadline_s(query.deadline_ms, service.settings)
     return await _answer_by_deadline(
-        lambda: localize_frames(frames, names, service.localizers, settings, clock, deadline_s, every),
-        names,
-        not every,
+        lambda: localize_frames(frames, maps, service.localizers, settings, clock, deadline_s),
+        maps,
         service,
         clock,
         deadline_s,
@@ -318,8 +390,7 @@ async def _localize_frames(
 
 async def _answer_by_deadline(
     localize: Callable[[], LocalizationOut],
-    names: list[str],
-    named: bool,
+    maps: MapChoice,
     service: State,
     clock: Stopwatch,
     deadline_s: float,
@@ -328,16 +399,16 @@ async def _answer_by_deadline(
 ) -> LocalizationOut:
     """The answer that a thread finds, or at the deadline the answer that it was too late.
 
-    ``named``: the request names the maps, so that an unknown one is an error; ``expected``: the prior's position.
+    ``expected``: the prior's position.
     """
-    for name in names if named else ():
-        service.library.stat(name)  # an unknown map is refused before the request takes a place in the queue
+    _check_named(maps, service)
     try:
         async with asyncio.timeout(deadline_s - clock.elapsed_s):
             answer = await service.compute.run(localize, effort)
     except (TimeoutError, DeadlineExceeded):
-        answer = await _late_answer(names[0], service.localizers, clock)
-    service.metrics.localization(answer.reason)
+        answer = await _late_answer(maps.first, service.localizers, clock)
+    answer = in_site(answer, service.sites, maps.site)
+    service.metrics.localization(answer.map, answer.reason, answer.timings_ms)
     service.live.note(answer, expected)
     return answer
 

@@ -12,6 +12,7 @@ from rholoc.errors import RholocError
 from rholoc.service.access import STREAM_NEEDS_LOCALIZE, STREAM_PROTOCOL
 from rholoc.service.errors import Internal, as_rholoc_error, error_body
 from rholoc.service.localize import Stopwatch
+from rholoc.service.map_choice import MapChoice
 from rholoc.service.queries import Frame
 from rholoc.service.routes.localize import answer_frame
 from rholoc.service.schemas import LocalizationOut
@@ -35,7 +36,7 @@ async def track(socket: WebSocket, map_name: str) -> None:
     request_id = uuid.uuid4().hex
 
     async def localize(frame: Frame, clock: Stopwatch) -> LocalizationOut:
-        return await answer_frame(frame, [map_name], service, clock, every=False)
+        return await answer_frame(frame, MapChoice([map_name]), service, clock)
 
     try:
         service.library.stat(map_name)

@@ -1,0 +1,358 @@
+"""Sites: maps of rooms and floors in one frame, and where that lies on Earth."""
+
+from __future__ import annotations
+
+import json
+import math
+import threading
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from pathlib import Path
+
+import numpy as np
+
+from rholoc.errors import Conflict, InvalidInput, UnknownSite
+from rholoc.geometry import FloatArray, Pose
+from rholoc.geometry.earth import EarthPlace, enu_of, place_at
+from rholoc.maps.documents import Documents, FolderDocuments
+from rholoc.maps.library import check_map_name, check_name, is_name
+from rholoc.reports import report_from_json, report_to_json
+
+SITES_FOLDER = "sites"
+MOST_MAPS = 2000
+"""Of a site."""
+
+_FORMAT, _FORMAT_VERSION = "rholoc-site", 1
+_SUFFIX = ".json"
+_NAMES_SHOWN = 5
+_MOST_LINKS = 10_000
+_MAX_FLOOR = 100
+_UNIT_TOLERANCE = 1e-2
+_MOST_M, _MOST_HEIGHT_M = 1e6, 1e5
+_NEGATIVE = -1e-6  # of the greatest: an eigenvalue that rounding made negative
+
+
+class LinkOrigin(StrEnum):
+    """Where the pose between two maps comes from."""
+
+    GIVEN = "given"  # somebody said so
+    OVERLAP = "overlap"  # views of one were localized in the other
+    WAYPOINTS = "waypoints"  # both have the same measured points
+
+
+@dataclass(frozen=True)
+class FramePose:
+    """Where one frame lies in another.
+
+    Attributes:
+        position: (3,) metres, its origin.
+        quaternion_xyzw: (4,) its rotation.
+    """
+
+    position: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    quaternion_xyzw: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 1.0)
+
+    @classmethod
+    def of(cls, T: FloatArray) -> FramePose:
+        """From a matrix (4, 4)."""
+        pose = Pose(T)
+        x, y, z = pose.position.tolist()
+        qx, qy, qz, qw = pose.quaternion_xyzw.tolist()
+        return cls((x, y, z), (qx, qy, qz, qw))
+
+    @property
+    def matrix(self) -> FloatArray:
+        """(4, 4)."""
+        return Pose.from_quaternion(np.array(self.position), np.array(self.quaternion_xyzw)).T_map_camera
+
+
+@dataclass(frozen=True)
+class SiteMap:
+    """A map of a site.
+
+    Attributes:
+        map: its name.
+        floor: such as "1" or "ground floor"; empty where it is not said.
+        given: T_site_map, where somebody gave it.
+        pose: T_site_map, given or found from links; None where nothing says.
+        covariance: (6, 6) of the pose: x, y, z in m, then a small rotation about the site's axes, from the left, in
+            radians; None where the pose is not known.
+    """
+
+    map: str
+    floor: str = ""
+    given: FramePose | None = None
+    pose: FramePose | None = None
+    covariance: tuple[tuple[float, ...], ...] | None = None
+
+
+@dataclass(frozen=True)
+class SiteLink:
+    """The pose between two maps of a site.
+
+    Attributes:
+        first, second: their names.
+        pose: T_first_second.
+        sigma_m: one sigma of its position, along each axis.
+        sigma_deg: one sigma of its rotation, about each axis.
+        origin: where it comes from.
+    """
+
+    first: str
+    second: str
+    pose: FramePose
+    sigma_m: float = 0.05
+    sigma_deg: float = 0.5
+    origin: LinkOrigin = LinkOrigin.GIVEN
+
+
+@dataclass(frozen=True)
+class SiteOnEarth:
+    """Where a site's frame lies on Earth; its z axis is up.
+
+    Attributes:
+        latitude_deg, longitude_deg, height_m: of its origin, WGS 84.
+        heading_deg: how far its y axis is turned from true north, clockwise.
+    """
+
+    latitude_deg: float
+    longitude_deg: float
+    height_m: float = 0.0
+    heading_deg: float = 0.0
+
+    @property
+    def origin(self) -> EarthPlace:
+        """Of the site's frame."""
+        return EarthPlace(self.latitude_deg, self.longitude_deg, self.height_m)
+
+    def enu(self, vector: FloatArray) -> FloatArray:
+        """A vector (3,) of the site's frame as east, north, up."""
+        turn = math.radians(self.heading_deg)
+        x, y, z = vector
+        return np.array([x * math.cos(turn) + y * math.sin(turn), y * math.cos(turn) - x * math.sin(turn), z])
+
+    def place(self, position: FloatArray) -> EarthPlace:
+        """Where a position (3,) of the site's frame, metres, lies."""
+        return place_at(self.enu(position), self.origin)
+
+    def heading_deg_of(self, direction: FloatArray) -> float | None:
+        """How far a direction (3,) is turned from true north, clockwise, 0 to 360; None where it is vertical."""
+        east, north, _ = self.enu(direction)
+        return None if math.hypot(east, north) < 1e-6 else math.degrees(math.atan2(east, north)) % 360
+
+
+@dataclass(frozen=True)
+class Site:
+    """Maps in one frame.
+
+    Attributes:
+        version: 1 for a new site, counted up with every change.
+        maps: its maps.
+        links: poses between them, from which poses are found that nobody gave.
+        earth: where it lies on Earth; None where that is not said.
+    """
+
+    version: int = 1
+    maps: tuple[SiteMap, ...] = ()
+    links: tuple[SiteLink, ...] = ()
+    earth: SiteOnEarth | None = None
+
+    def member(self, map_name: str) -> SiteMap | None:
+        """The map of that name, if it is one of the site's."""
+        return next((one for one in self.maps if one.map == map_name), None)
+
+    def maps_near(self, place: EarthPlace, radius_m: float) -> list[str]:
+        """The names of the maps whose origins lie within so many metres of a place on Earth, the nearest first."""
+        if self.earth is None:
+            return []
+        there = enu_of(place, self.earth.origin)[:2]
+        placed = [(one.map, self.earth.enu(np.array(one.pose.position))[:2]) for one in self.maps if one.pose]
+        apart = sorted((float(np.hypot(*(at - there))), name) for name, at in placed)
+        return [name for distance_m, name in apart if distance_m <= radius_m]
+
+
+def check_site(site: Site) -> Site:
+    """The site, if it can be one.
+
+    Raises:
+        InvalidInput: there are too many maps or links, a map is named twice, a link is between maps that are not the
+            site's, something is no pose, no covariance or no place on Earth.
+        InvalidName: a map's name is not one.
+    """
+    names = [one.map for one in site.maps]
+    for name in names:
+        check_map_name(name)
+    if len(names) > MOST_MAPS or len(site.links) > _MOST_LINKS:
+        raise InvalidInput(f"A site has at most {MOST_MAPS} maps and {_MOST_LINKS} links.", "Make several sites.")
+    twice = next((name for name in names if names.count(name) > 1), None) if len(set(names)) < len(names) else None
+    if twice is not None:
+        raise InvalidInput(f"The map {twice} is listed twice.", "List each map of the site once.")
+    for one in site.maps:
+        for pose in (one.given, one.pose):
+            if pose is not None:
+                _check_pose(pose, f"The pose of the map {one.map}")
+        if len(one.floor) > _MAX_FLOOR or (one.floor and not one.floor.isprintable()):
+            raise InvalidInput(f"The floor of the map {one.map} is not valid.", f"Use at most {_MAX_FLOOR} characters.")
+        if one.covariance is not None:
+            _check_covariance(one.covariance, one.map)
+    known = set(names)
+    for link in site.links:
+        stranger = next((name for name in (link.first, link.second) if name not in known), None)
+        if stranger is not None:
+            raise InvalidInput(f"A link names the map {stranger[:64]}, which is not the site's.", "List it as a map.")
+        if link.first == link.second:
+            raise InvalidInput(f"A link joins the map {link.first} to itself.", "Name two maps.")
+        what = f"The link between {link.first} and {link.second}"
+        _check_pose(link.pose, what)
+        if not (0 < link.sigma_m <= _MOST_M and 0 < link.sigma_deg <= 180):
+            raise InvalidInput(f"{what} has sigmas that are not possible.", "Give metres and degrees above 0.")
+    if site.earth is not None:
+        _check_earth(site.earth)
+    return site
+
+
+def _check_pose(pose: FramePose, what: str) -> None:
+    values = (*pose.position, *pose.quaternion_xyzw)
+    if not all(math.isfinite(value) for value in values) or max(map(abs, pose.position)) > _MOST_M:
+        raise InvalidInput(f"{what} is not a pose: a number is not finite, or beyond 1000 km.", "Give metres.")
+    length = math.hypot(*pose.quaternion_xyzw)
+    if abs(length - 1) > _UNIT_TOLERANCE:
+        raise InvalidInput(
+            f"{what} has no rotation: its quaternion's length is {length:.3g}.", "Give a unit quaternion, x, y, z, w."
+        )
+
+
+def _check_covariance(rows: tuple[tuple[float, ...], ...], name: str) -> None:
+    square = np.array(rows, dtype=np.float64) if [len(row) for row in rows] == [6] * 6 else None
+    if square is not None and np.isfinite(square).all() and np.allclose(square, square.T):
+        values = np.linalg.eigvalsh(square)
+        if values[0] >= _NEGATIVE * max(values[-1], 1e-12):
+            return
+    raise InvalidInput(f"The covariance of the map {name} is not one.", "Give 6×6 numbers, symmetric, none negative.")
+
+
+def _check_earth(earth: SiteOnEarth) -> None:
+    values = (earth.latitude_deg, earth.longitude_deg, earth.height_m, earth.heading_deg)
+    possible = all(math.isfinite(value) for value in values) and abs(earth.height_m) <= _MOST_HEIGHT_M
+    if not possible or abs(earth.latitude_deg) > 90 or abs(earth.longitude_deg) > 180 or abs(earth.heading_deg) > 360:
+        raise InvalidInput(
+            "The site's place on Earth is not possible.",
+            "Give a latitude of -90 to 90°, a longitude of -180 to 180°, a heading of -360 to 360°.",
+        )
+
+
+class SiteLibrary:
+    """Sites by name; safe to share between threads.
+
+    Two processes that change one site at the same moment may lose one of the changes, unless they name the version.
+
+    Args:
+        maps_dir: the folder of maps, in which they are ``sites/NAME.json``.
+        files: where they are kept instead.
+    """
+
+    def __init__(self, maps_dir: Path, files: Documents | None = None) -> None:
+        self._files = files or FolderDocuments(maps_dir / SITES_FOLDER)
+        self._changing = threading.Lock()
+        self._read: dict[str, tuple[bytes, Site]] = {}
+
+    def names(self) -> list[str]:
+        """The names of all sites, sorted."""
+        names = [name.removesuffix(_SUFFIX) for name in self._files.names() if name.endswith(_SUFFIX)]
+        return sorted(name for name in names if is_name(name))
+
+    def get(self, name: str) -> Site:
+        """The site of that name.
+
+        Raises:
+            InvalidName: it is not a valid name.
+            UnknownSite: there is no such site.
+            InvalidInput: its file is damaged.
+        """
+        try:
+            content = self._files.read(_file_name(name))
+        except FileNotFoundError as error:
+            raise self._unknown(name) from error
+        except OSError as error:
+            raise InvalidInput(f"The site {name} cannot be read.", "Put it again.") from error
+        known = self._read.get(name)
+        if known is None or known[0] != content:
+            known = self._read[name] = (content, _from_json(name, content))
+        return known[1]
+
+    def put(self, name: str, site: Site, replaces: int | None = None) -> Site:
+        """Store a site, whatever its version says as the next one of what is there; returns it.
+
+        Args:
+            name: the site's.
+            site: what :func:`check_site` accepts.
+            replaces: the version that it was made from; None: whichever there is.
+
+        Raises:
+            InvalidName, InvalidInput, StorageFull: nothing was replaced.
+            Conflict: the site has changed since that version.
+        """
+        file_name = _file_name(name)
+        check_site(site)
+        with self._changing:
+            try:
+                version = self.get(name).version
+            except (UnknownSite, InvalidInput):
+                version = 0
+            if replaces is not None and replaces != version:
+                raise Conflict(f"The site {name} was changed in the meantime.", f"Begin from version {version}.")
+            site = replace(site, version=version + 1)
+            document = {"format": _FORMAT, "format_version": _FORMAT_VERSION, **report_to_json(site)}
+            content = f"{json.dumps(document, indent=1, allow_nan=False)}\n".encode()
+            self._files.write(file_name, content, called=file_name)
+        return site
+
+    def delete(self, name: str) -> None:
+        """Delete a site; its maps stay.
+
+        Raises:
+            InvalidName: it is not a valid name.
+            UnknownSite: there is no such site.
+        """
+        try:
+            self._files.delete(_file_name(name))
+        except FileNotFoundError as error:
+            raise self._unknown(name) from error
+
+    def all(self) -> dict[str, Site]:
+        """All sites that can be read, by name."""
+        sites = {}
+        for name in self.names():
+            with suppress(UnknownSite, InvalidInput):
+                sites[name] = self.get(name)
+        return sites
+
+    def site_of(self, map_name: str) -> str | None:
+        """The name of the first site in which a map has a pose; None where it has one in none."""
+        for name, site in self.all().items():
+            member = site.member(map_name)
+            if member is not None and member.pose is not None:
+                return name
+        return None
+
+    def _unknown(self, name: str) -> UnknownSite:
+        names = self.names()
+        known = ", ".join(names[:_NAMES_SHOWN]) + (", …" if len(names) > _NAMES_SHOWN else "")
+        return UnknownSite(f"There is no site {name}.", f"There are: {known}." if names else "There are none yet.")
+
+
+def _file_name(name: str) -> str:
+    return check_name(name, "site") + _SUFFIX
+
+
+def _from_json(name: str, content: bytes) -> Site:
+    try:
+        document = json.loads(content)
+        if document.pop("format") != _FORMAT or document.pop("format_version") > _FORMAT_VERSION:
+            raise ValueError("it is of a later version, or no site")
+        return check_site(report_from_json(Site, document))
+    except (ArithmeticError, ValueError, TypeError, KeyError, AttributeError, RecursionError, InvalidInput) as error:
+        raise InvalidInput(
+            f"The file of the site {name} is broken: {str(error)[:200]}.", "Put the site again."
+        ) from error

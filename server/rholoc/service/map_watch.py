@@ -1,0 +1,52 @@
+"""Follows the library: a thread of low priority that keeps the index of all maps' views up to date."""
+
+from __future__ import annotations
+
+import os
+import threading
+
+import structlog
+
+from rholoc.localization import MapFinder
+
+_EVERY_S = 1.0
+_NICENESS = 10  # of the thread, where the system has that: requests come first
+_log = structlog.get_logger("rholoc.service")
+
+
+class MapWatch:
+    """A thread that refreshes a finder whenever the folder of maps has changed, by whomever.
+
+    Args:
+        finder: what is refreshed.
+        every_s: how often the folder is looked at.
+    """
+
+    def __init__(self, finder: MapFinder, every_s: float = _EVERY_S) -> None:
+        self._finder, self._every_s = finder, every_s
+        self._stopped = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="map-watch", daemon=True)
+
+    def start(self) -> None:
+        """Begin."""
+        self._thread.start()
+
+    def stop(self) -> None:
+        """End; waits for the map that is being read."""
+        self._stopped.set()
+        self._thread.join()
+        self._finder.close()
+
+    def _run(self) -> None:
+        if hasattr(os, "setpriority"):
+            os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), _NICENESS)
+        said = ""
+        while not self._stopped.is_set():
+            try:
+                self._finder.refresh(self._stopped.is_set)
+            except Exception:
+                _log.exception("map_index_failed")
+            if self._finder.trouble not in ("", said):
+                said = self._finder.trouble
+                _log.warning("map_index_not_stored", error=said[:200])
+            self._stopped.wait(self._every_s)

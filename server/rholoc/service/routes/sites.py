@@ -1,0 +1,126 @@
+"""Sites: maps of rooms and floors in one frame."""
+
+from __future__ import annotations
+
+from fastapi import APIRouter, Response
+from starlette.concurrency import run_in_threadpool
+
+from rholoc.errors import (
+    Busy,
+    Conflict,
+    InvalidInput,
+    InvalidMap,
+    InvalidName,
+    MappingFailed,
+    RholocError,
+    StorageFull,
+    UnknownMap,
+    UnknownSite,
+)
+from rholoc.mapping import find_link, solve_site, with_link
+from rholoc.service.access import NEEDS_ADMIN, NEEDS_MAP, NEEDS_READ
+from rholoc.service.compute import Effort
+from rholoc.service.errors import InvalidRequest
+from rholoc.service.openapi import failures
+from rholoc.service.schemas import SiteIn, SiteLinkWanted, SiteList, SiteOut
+from rholoc.service.site_documents import site_of, site_out
+from rholoc.service.state import Service, State
+
+router = APIRouter(prefix="/v1/sites", tags=["sites"])
+
+
+@router.get("", dependencies=[NEEDS_READ], summary="All sites")
+async def list_sites(service: Service) -> SiteList:
+    """The sites by name; files that are no sites are named apart."""
+    return await run_in_threadpool(_list, service)
+
+
+@router.get(
+    "/{site}",
+    dependencies=[NEEDS_READ],
+    summary="One site",
+    responses=failures(UnknownSite, InvalidName, InvalidInput),
+)
+async def get_site(site: str, service: Service) -> SiteOut:
+    """Its maps with their poses, and the links that these follow from."""
+    return await run_in_threadpool(lambda: site_out(site, service.sites.get(site), service.library.names()))
+
+
+@router.put(
+    "/{site}",
+    dependencies=[NEEDS_MAP],
+    summary="Store a site",
+    responses={
+        **failures(UnknownMap, InvalidName, InvalidInput, InvalidRequest, Conflict, StorageFull),
+        201: {"model": SiteOut, "description": "The site is new."},
+    },
+)
+async def put_site(site: str, wanted: SiteIn, service: Service, response: Response) -> SiteOut:
+    """Poses that are not given are found from links; without any given pose the first map's frame is the site's. Links
+    that contradict each other are refused, with what is left over around them. Maps that nothing joins to the others
+    are the site's without a pose: frames are looked for in them, and answered in the map's frame alone."""
+    stored = await run_in_threadpool(_put, service, site, wanted)
+    response.status_code = 201 if stored.version == 1 else 200
+    return stored
+
+
+@router.delete(
+    "/{site}",
+    dependencies=[NEEDS_ADMIN],
+    status_code=204,
+    summary="Delete a site",
+    responses=failures(UnknownSite, InvalidName),
+)
+async def delete_site(site: str, service: Service) -> None:
+    """Its maps stay."""
+    await run_in_threadpool(service.sites.delete, site)
+
+
+@router.post(
+    "/{site}/links",
+    dependencies=[NEEDS_MAP],
+    summary="Find the pose between two maps of a site",
+    responses=failures(
+        UnknownSite, UnknownMap, InvalidName, InvalidMap, InvalidInput, InvalidRequest, MappingFailed, Conflict, Busy,
+        StorageFull,
+    ),
+)  # fmt: skip
+async def find_site_link(site: str, wanted: SiteLinkWanted, service: Service) -> SiteOut:
+    """By three measured or named points that both maps have, else by views of the second localized in the first. The
+    link takes the place of one that was found before, and poses that nobody gave follow anew."""
+    before = await run_in_threadpool(service.sites.get, site)
+    for name in (wanted.first, wanted.second):
+        if before.member(name) is None:
+            raise InvalidInput(f"The map {name[:64]} is not one of the site {site}.", "Put the site with it first.")
+    a = await run_in_threadpool(service.library.get, wanted.first)
+    b = await run_in_threadpool(service.library.get, wanted.second)
+    link = await service.compute.run(lambda: find_link(wanted.first, a, wanted.second, b), Effort.LARGE)
+
+    def store() -> SiteOut:
+        stored = service.sites.put(site, with_link(before, link), before.version)
+        return site_out(site, stored, service.library.names())
+
+    return await run_in_threadpool(store)
+
+
+def _put(service: State, name: str, wanted: SiteIn) -> SiteOut:
+    present = set(service.library.names())
+    for one in wanted.maps:
+        if one.map not in present:
+            service.library.stat(one.map)  # which says what there is
+    stored = service.sites.put(name, solve_site(site_of(wanted)), wanted.version)
+    return site_out(name, stored, present)
+
+
+def _list(service: State) -> SiteList:
+    found: list[SiteOut] = []
+    unreadable: dict[str, str] = {}
+    present = set(service.library.names())
+    for name in service.sites.names():
+        try:
+            found.append(site_out(name, service.sites.get(name), present))
+        except UnknownSite:
+            continue  # deleted meanwhile
+        except RholocError as error:
+            unreadable[name] = error.message
+    return SiteList(sites=found, unreadable=unreadable)

@@ -1,0 +1,38 @@
+"""``rholoc backup`` and ``rholoc restore``."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+from rholoc.maps import MapLibrary
+from rholoc.service.keys import KeyStore, Scope
+
+Run = Callable[..., tuple[int, str, str]]
+
+
+def test_there_and_back_in_two_commands(command: Run, tmp_path: Path, picture_world) -> None:
+    MapLibrary(tmp_path / "maps").put("hall", picture_world.map_)
+    secret = KeyStore(tmp_path / "data").create("robot", Scope.READ)
+    here = ("--maps", tmp_path / "maps", "--data", tmp_path / "data")
+    there = ("--maps", tmp_path / "m", "--data", tmp_path / "d")
+    status, _, said = command("backup", tmp_path / "all.backup", *here)
+    assert status == 0
+    assert "Backed up: 1 maps, 0 versions, 0 sites, 0 cameras, 1 keys, 0 recordings" in said
+    status, printed, _ = command("restore", tmp_path / "all.backup", *there, "--json")
+    assert status == 0
+    assert json.loads(printed)["maps"] == 1
+    assert MapLibrary(tmp_path / "m").names() == ["hall"]
+    assert KeyStore(tmp_path / "d").find(secret) is not None
+
+
+def test_what_is_there_is_not_replaced(command: Run, tmp_path: Path, picture_world) -> None:
+    MapLibrary(tmp_path / "maps").put("hall", picture_world.map_)
+    here = ("--maps", tmp_path / "maps", "--data", tmp_path / "data")
+    command("backup", tmp_path / "all.backup", *here)
+    for again in ("backup", "restore"):
+        status, _, said = command(again, tmp_path / "all.backup", *here)
+        assert status == 1
+        assert "exist" in said
+        assert said.count("\n") == 1

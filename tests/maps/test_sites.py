@@ -1,0 +1,113 @@
+"""Sites as documents: what they may hold, how they are kept, where they lie on Earth."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rholoc.errors import Conflict, InvalidInput, InvalidName, UnknownSite
+from rholoc.geometry.earth import EarthPlace
+from rholoc.maps import FramePose, Site, SiteLibrary, SiteLink, SiteMap, SiteOnEarth, check_site
+
+HALF_TURN = (0.0, 0.0, 1.0, 0.0)
+EARTH = SiteOnEarth(52.52, 13.405, 74.0, heading_deg=90.0)
+HALL = SiteMap("hall", "0", pose=FramePose(), covariance=tuple(map(tuple, (1e-4 * np.eye(6)).tolist())))
+KITCHEN = SiteMap(
+    "kitchen", "1", given=FramePose((5.0, 0.0, 3.0), HALF_TURN), pose=FramePose((5.0, 0.0, 3.0), HALF_TURN)
+)
+LINK = SiteLink("hall", "kitchen", FramePose((5.0, 0.0, 3.0), HALF_TURN))
+SITE = Site(maps=(HALL, KITCHEN, SiteMap("attic")), links=(LINK,), earth=EARTH)
+
+
+def test_a_site_is_kept_as_it_is(tmp_path: Path) -> None:
+    library = SiteLibrary(tmp_path)
+    assert library.put("campus", SITE).version == 1
+    assert library.put("campus", SITE).version == 2
+    assert library.get("campus") == replace(SITE, version=2)
+    assert library.names() == ["campus"]
+    assert library.all() == {"campus": replace(SITE, version=2)}
+    assert library.site_of("kitchen") == "campus"
+    assert library.site_of("attic") is None  # it has no pose
+    assert json.loads((tmp_path / "sites" / "campus.json").read_text())["format"] == "rholoc-site"
+    library.delete("campus")
+    assert library.all() == {}
+    with pytest.raises(UnknownSite, match="There are none yet"):
+        library.get("campus")
+
+
+def test_a_change_of_what_was_changed_meanwhile_is_refused(tmp_path: Path) -> None:
+    library = SiteLibrary(tmp_path)
+    library.put("campus", SITE)
+    library.put("campus", SITE, replaces=1)
+    with pytest.raises(Conflict, match="version 2"):
+        library.put("campus", SITE, replaces=1)
+
+
+def rows(matrix: np.ndarray) -> tuple[tuple[float, ...], ...]:
+    return tuple(map(tuple, matrix.tolist()))
+
+
+@pytest.mark.parametrize(
+    ("site", "says"),
+    [
+        (replace(SITE, maps=(HALL, HALL)), "listed twice"),
+        (replace(SITE, maps=(HALL,)), "kitchen, which is not the site's"),
+        (replace(SITE, links=(replace(LINK, second="hall"),)), "to itself"),
+        (replace(SITE, links=(replace(LINK, sigma_m=0.0),)), "sigmas"),
+        (replace(SITE, links=(replace(LINK, sigma_deg=math.nan),)), "sigmas"),
+        (replace(SITE, links=(replace(LINK, pose=FramePose((math.inf, 0, 0))),)), "not a pose"),
+        (replace(SITE, maps=(replace(HALL, given=FramePose(quaternion_xyzw=(0, 0, 0, 2))), KITCHEN)), "length is 2"),
+        (replace(SITE, maps=(replace(HALL, given=FramePose(quaternion_xyzw=(0, 0, 0, 0))), KITCHEN)), "no rotation"),
+        (replace(SITE, maps=(replace(HALL, covariance=rows(-np.eye(6))), KITCHEN)), "covariance"),
+        (replace(SITE, maps=(replace(HALL, covariance=rows(np.eye(5))), KITCHEN)), "covariance"),
+        (replace(SITE, maps=(replace(HALL, covariance=rows(np.triu(np.ones((6, 6))))), KITCHEN)), "covariance"),
+        (replace(SITE, maps=(replace(HALL, covariance=((1.0,), (1.0, 2.0))), KITCHEN)), "covariance"),
+        (replace(SITE, maps=(replace(HALL, floor="x" * 101), KITCHEN)), "floor"),
+        (replace(SITE, earth=replace(EARTH, latitude_deg=91.0)), "on Earth"),
+        (replace(SITE, earth=replace(EARTH, longitude_deg=math.nan)), "on Earth"),
+    ],
+)
+def test_what_can_be_no_site_is_refused(tmp_path: Path, site: Site, says: str) -> None:
+    library = SiteLibrary(tmp_path)
+    with pytest.raises(InvalidInput, match=says):
+        library.put("campus", replace(site, maps=(*site.maps, *(() if "kitchen" in says else (SiteMap("cellar"),)))))
+    assert library.names() == []
+
+
+def test_names_of_sites_and_maps_are_names(tmp_path: Path) -> None:
+    with pytest.raises(InvalidName):
+        SiteLibrary(tmp_path).put("../campus", SITE)
+    with pytest.raises(InvalidName):
+        check_site(Site(maps=(SiteMap("../hall"),)))
+
+
+@pytest.mark.parametrize("text", ["", "{}", "[]", "null", '{"format": "rholoc-site"}', "[" * 100_000])
+def test_a_broken_file_is_said_to_be_broken(tmp_path: Path, text: str) -> None:
+    library = SiteLibrary(tmp_path)
+    library.put("good", SITE)
+    (tmp_path / "sites" / "campus.json").write_text(text)
+    with pytest.raises(InvalidInput, match="campus is broken"):
+        library.get("campus")
+    assert list(library.all()) == ["good"]
+
+
+def test_a_site_turned_to_the_east_looks_east() -> None:
+    ahead = EARTH.place(np.array([0.0, 100.0, 0.0]))  # along y, which points to the east
+    assert ahead.longitude_deg > EARTH.longitude_deg
+    assert ahead.latitude_deg == pytest.approx(EARTH.latitude_deg, abs=1e-6)
+    assert EARTH.heading_deg_of(np.array([0.0, 1.0, 0.0])) == pytest.approx(90.0)
+    assert EARTH.heading_deg_of(np.array([1.0, 0.0, 0.0])) == pytest.approx(180.0)
+    assert EARTH.heading_deg_of(np.array([0.0, 0.0, 1.0])) is None
+
+
+def test_maps_near_a_place_on_earth_are_found() -> None:
+    at_kitchen = EARTH.place(np.array([5.0, 0.0, 0.0]))
+    assert SITE.maps_near(at_kitchen, 3.0) == ["kitchen"]
+    assert SITE.maps_near(at_kitchen, 10.0) == ["kitchen", "hall"]
+    assert SITE.maps_near(EarthPlace(0.0, 0.0), 1000.0) == []
+    assert replace(SITE, earth=None).maps_near(at_kitchen, 10.0) == []

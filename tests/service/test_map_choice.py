@@ -1,0 +1,90 @@
+"""Of many maps, those are asked that a frame is most like."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+
+import httpx
+import numpy as np
+import pytest
+
+from rholoc.maps import map_to_bytes
+from rholoc.service.map_choice import MOST_ASKED, Candidates
+
+PNG = {"content-type": "image/png"}
+PATIENCE_S = 60.0
+
+
+@pytest.fixture(scope="module")
+def campus(serve, picture_world):
+    """A service with twenty maps of rooms, one of which the picture was taken in."""
+    running = serve()
+    for number in range(20):
+        descriptors = np.random.default_rng(number).integers(0, 256, picture_world.map_.descriptors.shape, np.uint8)
+        map_ = picture_world.map_ if number == 13 else replace(picture_world.map_, descriptors=descriptors)
+        (running.settings.maps_dir / f"room{number:02}.rho").write_bytes(map_to_bytes(map_))
+    finder, until = running.app.state.rholoc.finder, time.monotonic() + PATIENCE_S
+    while finder.counts() != {"present": 20, "indexed": 20}:
+        assert time.monotonic() < until
+        time.sleep(0.05)
+    return running
+
+
+def test_the_right_one_of_many_maps_answers(campus, picture_world, monkeypatch) -> None:
+    asked: list[str] = []
+    localizers = campus.app.state.rholoc.localizers
+    get = type(localizers).get
+    monkeypatch.setattr(type(localizers), "get", lambda self, name: (asked.append(name), get(self, name))[1])
+    answer = httpx.post(
+        f"{campus.url}/v1/localize?maps=all&dof=6", content=picture_world.png(), headers=PNG, timeout=PATIENCE_S
+    ).json()
+    assert answer["localized"]
+    assert answer["map"] == "room13"
+    assert asked[0] == "room13"
+    assert len(asked) <= MOST_ASKED
+    assert answer["timings_ms"]["choose"] > 0
+
+
+def test_places_of_many_maps_are_those_of_the_likeliest(campus, picture_world) -> None:
+    found = httpx.post(
+        f"{campus.url}/v1/places?maps=all&limit=4", content=picture_world.png(), headers=PNG, timeout=PATIENCE_S
+    ).json()
+    assert found["places"][0]["map"] == "room13"
+
+
+def test_more_maps_than_are_asked_may_be_named(campus, picture_world) -> None:
+    names = ",".join(f"room{number:02}" for number in range(8, 18))
+    answer = httpx.post(
+        f"{campus.url}/v1/localize?maps={names}&dof=6", content=picture_world.png(), headers=PNG, timeout=PATIENCE_S
+    ).json()
+    assert answer["map"] == "room13"
+    others = names.replace("room13", "room00")
+    answer = httpx.post(
+        f"{campus.url}/v1/localize?maps={others}&dof=6", content=picture_world.png(), headers=PNG, timeout=PATIENCE_S
+    ).json()
+    assert not answer["localized"]
+    assert answer["map"] in others
+
+
+def test_maps_are_counted_with_how_many_are_indexed(campus) -> None:
+    text = httpx.get(f"{campus.url}/metrics").text
+    assert 'rholoc_maps{state="present"} 20' in text
+    assert 'rholoc_maps{state="indexed"} 20' in text
+
+
+@pytest.mark.parametrize(
+    ("scores", "asked", "confidence", "settled"),
+    [
+        ((0.6, 0.3, 0.2), 1, 0.95, True),
+        ((0.6, 0.55, 0.2), 1, 0.95, False),  # a rival, which looks about the same
+        ((0.6, 0.55, 0.2), 2, 0.95, True),
+        ((0.6, 0.3, 0.2), 1, 0.7, False),
+        ((), 1, 0.99, False),  # nobody knows how likely the others are
+    ],
+)
+def test_a_sure_answer_ends_the_search_unless_another_map_is_about_as_likely(
+    scores: tuple[float, ...], asked: int, confidence: float, settled: bool
+) -> None:
+    maps = Candidates(("a", "b", "c"), passing_over=True, scores=scores)
+    assert maps.is_settled(asked, 0, confidence) is settled

@@ -1,0 +1,194 @@
+"""Sites over HTTP: stored, linked, asked; answers in the site's frame and on Earth."""
+
+from __future__ import annotations
+
+import asyncio
+
+import httpx
+import numpy as np
+import pytest
+
+from rholoc.maps import save_map
+from rholoc_client import AsyncClient, Client, Conflict, NearPlace, OfSite, UnknownMap, UnknownSite
+
+PATIENCE_S = 60
+PNG = {"content-type": "image/png"}
+TURNED = {"position": [10.0, 20.0, 3.0], "quaternion_xyzw": [0.0, 0.0, 2**-0.5, 2**-0.5]}  # by 90° about z
+EARTH = {"latitude_deg": 52.52, "longitude_deg": 13.405, "height_m": 74.0, "heading_deg": 0.0}
+LINK = {"first": "room", "second": "west", "pose": {"position": [1.0, 0.0, 0.0]}}
+
+
+@pytest.fixture(scope="module")
+def campus(serve, picture_world, point_room):
+    """A service with a room, two maps that overlap, and the rules of a site."""
+    running = serve()
+    folder = running.settings.maps_dir
+    (folder / "room.rho").write_bytes(picture_world.rho())
+    walk = point_room.walk(80)
+    for name, poses in (("west", walk[:45]), ("east", walk[25:65])):
+        save_map(point_room.map_of(poses, name), folder / f"{name}.rho")
+    return running
+
+
+@pytest.fixture
+def client(campus):
+    with Client(campus.url) as client:
+        yield client
+        for site in client.sites():
+            client.delete_site(site.name)
+
+
+def test_an_answer_is_in_the_sites_frame_and_on_earth(client, picture_world) -> None:
+    client.put_site("campus", {"maps": [{"map": "room", "floor": "2", "pose": TURNED}], "earth": EARTH})
+    answer = client.localize("room", picture_world.png(), dof=6)
+    assert answer.localized
+    assert answer.pose is not None
+    assert answer.site is not None
+    x, y, z = answer.pose.position
+    assert answer.site.position == pytest.approx((10.0 - y, 20.0 + x, 3.0 + z), abs=1e-6)
+    assert answer.site.heading == pytest.approx(
+        (-answer.pose.heading[1], answer.pose.heading[0], answer.pose.heading[2])
+    )
+    assert (answer.site.site, answer.site.version, answer.site.floor) == ("campus", 1, "2")
+    assert answer.site.earth is not None
+    assert answer.site.earth.latitude_deg == pytest.approx(52.52 + (20.0 + x) / 111_270, abs=1e-6)
+    assert answer.site.earth.height_m == pytest.approx(77.0 + z, abs=1e-3)
+    own, there = np.array(answer.covariance), np.array(answer.site.covariance)
+    assert np.trace(there[:3, :3]) >= np.trace(own[:3, :3])
+    client.delete_site("campus")
+    assert client.localize("room", picture_world.png(), dof=6).site is None
+
+
+@pytest.mark.parametrize("maps", [OfSite("campus"), NearPlace(52.5201, 13.4052, 100.0)])
+def test_a_request_names_a_site_or_a_place_on_earth(client, picture_world, maps) -> None:
+    client.put_site("campus", {"maps": [{"map": "room", "pose": TURNED}], "earth": EARTH})
+    answer = client.localize(maps, picture_world.png(), dof=6)
+    assert answer.map == "room"
+    assert answer.site is not None
+
+
+def test_a_request_without_maps_asks_all(campus, picture_world) -> None:
+    answer = httpx.post(
+        f"{campus.url}/v1/localize?dof=6",
+        content=picture_world.png(),
+        headers=PNG,
+        timeout=PATIENCE_S,
+    )
+    assert answer.json()["map"] == "room"
+
+
+@pytest.mark.parametrize(
+    ("query", "code"),
+    [
+        ("site=nowhere", "unknown_site"),
+        ("site=../x", "invalid_name"),
+        ("site=campus&maps=all", "invalid_request"),
+        ("site=campus&latitude=1&longitude=1", "invalid_request"),
+        ("latitude=52", "invalid_request"),
+        ("latitude=91&longitude=0", "invalid_request"),
+        ("latitude=-33&longitude=151", "unknown_map"),
+        ("latitude=nan&longitude=0", "invalid_request"),
+    ],
+)
+def test_what_names_no_maps_is_refused(client, campus, picture_world, query: str, code: str) -> None:
+    client.put_site("campus", {"maps": [{"map": "room", "pose": TURNED}], "earth": EARTH})
+    answer = httpx.post(
+        f"{campus.url}/v1/localize?{query}",
+        content=picture_world.png(),
+        headers=PNG,
+        timeout=PATIENCE_S,
+    )
+    assert answer.json()["code"] == code
+
+
+def test_maps_that_overlap_are_placed(client) -> None:
+    before = client.put_site("campus", {"maps": [{"map": "west"}, {"map": "east"}, {"map": "room"}]})
+    assert [one.position is None for one in before.maps] == [False, True, True]
+    after = client.find_site_link("campus", "west", "east")
+    assert after.version == 2
+    assert after.maps[1].position == pytest.approx((0, 0, 0), abs=0.03)  # both are in the frame of one walk
+    assert after.links[0]["origin"] == "overlap"
+    assert client.site("campus") == after
+    assert client.sites() == [after]
+
+
+@pytest.mark.parametrize(
+    ("body", "status", "code"),
+    [
+        ({"maps": [{"map": "nowhere"}]}, 404, "unknown_map"),
+        ({"maps": [{"map": "room"}, {"map": "room"}]}, 422, "invalid_input"),
+        ({"maps": [{"map": "room", "pose": {"quaternion_xyzw": [0, 0, 0, 2.0]}}]}, 422, "invalid_input"),
+        ({"maps": [{"map": "room"}], "links": [LINK]}, 422, "invalid_input"),
+        ({"maps": [{"map": "room", "pose": {"position": [1.0, 2.0]}}]}, 422, "invalid_request"),
+        ({"maps": [{"map": "room"}], "earth": {**EARTH, "latitude_deg": 91.0}}, 422, "invalid_input"),
+        ({"maps": [{"map": "room"}], "colour": "red"}, 422, "invalid_request"),
+        ({"maps": [{"map": "room"}], "version": 7}, 409, "conflict"),
+        (
+            {
+                "maps": [{"map": "room", "pose": {}}, {"map": "west", "pose": {}}],
+                "links": [LINK],
+            },
+            422,
+            "invalid_input",
+        ),
+    ],
+)
+def test_what_can_be_no_site_is_refused(campus, client, body, status: int, code: str) -> None:
+    answer = httpx.put(f"{campus.url}/v1/sites/campus", json=body, timeout=PATIENCE_S)
+    assert (answer.status_code, answer.json()["code"]) == (status, code), answer.text
+    assert client.sites() == []
+
+
+@pytest.mark.parametrize(
+    ("pair", "code"),
+    [
+        (("west", "nowhere"), "invalid_input"),
+        (("west", "room"), "invalid_input"),  # which remembers nothing of its views
+    ],
+)
+def test_maps_that_cannot_be_linked_are_refused(campus, client, pair: tuple[str, str], code: str) -> None:
+    client.put_site("campus", {"maps": [{"map": "west"}, {"map": "east"}, {"map": "room"}]})
+    body = {"first": pair[0], "second": pair[1]}
+    answer = httpx.post(f"{campus.url}/v1/sites/campus/links", json=body, timeout=PATIENCE_S)
+    assert answer.json()["code"] == code
+    assert client.site("campus").version == 1
+
+
+def test_a_map_that_is_deleted_is_said_to_be_gone(campus, client, picture_world) -> None:
+    (campus.settings.maps_dir / "short.rho").write_bytes(picture_world.rho())
+    client.put_site("campus", {"maps": [{"map": "short"}]})
+    client.delete_map("short")
+    assert [one.present for one in client.site("campus").maps] == [False]
+    with pytest.raises(UnknownMap, match="No map of the site campus is here"):
+        client.localize(OfSite("campus"), picture_world.png())
+
+
+def test_a_change_from_an_old_version_is_refused(client) -> None:
+    client.put_site("campus", {"maps": [{"map": "room"}]})
+    client.put_site("campus", {"maps": [{"map": "west"}], "version": 1})
+    with pytest.raises(Conflict, match="changed in the meantime"):
+        client.put_site("campus", {"maps": [{"map": "room"}], "version": 1})
+
+
+def test_a_broken_file_is_named_apart(campus, client) -> None:
+    client.put_site("campus", {"maps": [{"map": "room"}]})
+    broken = campus.settings.maps_dir / "sites" / "broken.json"
+    broken.write_text("{")
+    listed = httpx.get(f"{campus.url}/v1/sites").json()
+    assert [site["name"] for site in listed["sites"]] == ["campus"]
+    assert "broken" in listed["unreadable"]
+    broken.unlink()
+
+
+def test_the_async_client_does_the_same(campus, client) -> None:
+    async def ask() -> None:
+        async with AsyncClient(campus.url) as other:
+            put = await other.put_site("campus", {"maps": [{"map": "west"}, {"map": "east"}]})
+            assert await other.site("campus") == put
+            assert (await other.find_site_link("campus", "west", "east")).version == 2
+            assert len(await other.sites()) == 1
+            await other.delete_site("campus")
+            with pytest.raises(UnknownSite):
+                await other.site("campus")
+
+    asyncio.run(ask())
