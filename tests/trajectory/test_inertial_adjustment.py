@@ -11,6 +11,7 @@ from test_dead_reckoning import STOPS, walk, waypoints
 from rholoc.errors import MappingFailed
 from rholoc.geometry import FloatArray, pose_distances, pose_matrix
 from rholoc.recordings import Imu
+from rholoc.trajectory import inertial_adjustment
 from rholoc.trajectory.dead_reckoning import integrate_between_waypoints
 from rholoc.trajectory.inertial_adjustment import adjust_between_waypoints
 
@@ -62,3 +63,58 @@ def test_a_gap_is_said() -> None:
     )
     with pytest.raises(MappingFailed, match="gap between"):
         adjust_between_waypoints(broken, waypoints((0, 1, 2, 3)), np.array([2.0, 3.0]))
+
+
+def test_the_nearest_of_increasing_times() -> None:
+    times = np.array([0.0, 1.0, 2.0, 4.0])
+    assert inertial_adjustment._nearest(times, np.array([-3.0, 0.4, 0.6, 1.0, 2.9, 3.1, 9.0])).tolist() == [
+        0, 0, 1, 1, 2, 3, 3,
+    ]  # fmt: skip
+
+
+def test_a_camera_rests_well_inside_its_pauses_between_the_waypoints(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every tenth of a second, a fifth of a second away from a pause's ends; short ones are passed over."""
+    spans = np.array([[0.0, 1.25], [3.0, 3.75], [5.0, 5.39], [8.0, 9.15]])
+    monkeypatch.setattr(inertial_adjustment, "pauses", lambda imu: spans)
+    imu, _, _ = walk()
+    found = inertial_adjustment._resting(imu, np.array([0.55, 4.0, 8.75]))
+    expected = [0.6, 0.7, 0.8, 0.9, 1.0, 3.2, 3.3, 3.4, 3.5, 8.2, 8.3, 8.4, 8.5, 8.6, 8.7]
+    np.testing.assert_allclose(found, expected)
+
+
+def test_a_perfect_imu_and_waypoints_give_the_perfect_walk() -> None:
+    imu, path, R = walk()
+    exact = replace(
+        imu,
+        acceleration=imu.acceleration - [0.03, -0.02, 0.02],
+        angular_velocity=imu.angular_velocity - [0.002, -0.001, 0.001],
+    )
+    rows = np.flatnonzero((imu.times >= STOPS[0]) & (imu.times <= STOPS[-1]))[::100]
+    found = adjust_between_waypoints(exact, waypoints((0, 1, 2, 3)), imu.times[rows])
+    np.testing.assert_allclose(found[:, :3, 3], path[rows], atol=2e-3)
+    np.testing.assert_allclose(found[:, :3, :3], R[rows], atol=2e-3)
+
+
+def test_steady_biases_are_found() -> None:
+    """As large as a phone's: the walk does not show them."""
+    imu, path, R = walk()
+    worse = replace(
+        imu,
+        acceleration=np.add(imu.acceleration, [0.07, -0.05, 0.06]),
+        angular_velocity=np.add(imu.angular_velocity, [0.01, -0.008, 0.012]),
+    )
+    rows = np.flatnonzero((imu.times >= STOPS[0]) & (imu.times <= STOPS[-1]))[::100]
+    found = adjust_between_waypoints(worse, waypoints((0, 1, 2, 3)), imu.times[rows])
+    moved_m, turned_deg = _errors(found, path[rows], R[rows])
+    assert moved_m < 0.01
+    assert turned_deg < 0.6
+
+
+def test_a_waypoint_that_is_wrong_does_not_bend_the_walk() -> None:
+    imu, path, _ = walk()
+    measured = waypoints((0, 1, 2, 3))
+    x, y, z = measured[2].position
+    measured[2] = replace(measured[2], position=(x, y, z + 1.0))
+    rows = np.flatnonzero((imu.times >= STOPS[0]) & (imu.times <= STOPS[-1]))[::100]
+    found = adjust_between_waypoints(imu, measured, imu.times[rows])
+    assert np.median(np.linalg.norm(found[:, :3, 3] - path[rows], axis=1)) < 0.15

@@ -59,3 +59,60 @@ def test_too_few_common_keyframes_prove_nothing() -> None:
     assert not found.same
     assert found.common == 20
     assert found.why == "Only 20 of 40 keyframes could be checked by a second reconstruction."
+
+
+@pytest.mark.parametrize(
+    ("distance", "of_most", "angle_deg", "same"),
+    [
+        (0.019, 0.039, 1.9, True),
+        (0.021, 0.039, 1.9, False),
+        (0.019, 0.041, 1.9, False),
+        (0.019, 0.039, 2.1, False),
+        (np.nan, np.nan, np.nan, False),
+    ],
+)
+def test_what_counts_as_the_same(distance: float, of_most: float, angle_deg: float, same: bool) -> None:
+    assert Agreement(distance, of_most, angle_deg, 9, 10).same is same
+
+
+def test_distances_are_shares_of_the_depth_and_angles_are_degrees() -> None:
+    """Two in five keyframes are elsewhere, so little that the rest decides the alignment."""
+    walk = _walk()
+    moved = walk.copy()
+    moved[::2, :3, 3] += [0.0, 0.0, 0.03]
+    moved[1::2, :3, 3] -= [0.0, 0.0, 0.03]
+    turn = Rotation.from_euler("x", np.where(np.arange(_COUNT) % 2, 0.5, -0.5)[:, None], degrees=True).as_matrix()
+    moved[:, :3, :3] = moved[:, :3, :3] @ turn
+    found = _against(moved)
+    assert found.distance == pytest.approx(0.03 / _DEPTH, rel=0.05)
+    assert found.distance_of_most == pytest.approx(0.03 / _DEPTH, rel=0.3)
+    assert found.angle_deg == pytest.approx(0.5, rel=0.1)
+    assert (found.common, found.of) == (_COUNT, _COUNT)
+
+
+@pytest.mark.parametrize(("placed", "compared"), [(27, False), (28, True)])
+def test_seven_in_ten_keyframes_must_be_placed_by_both(placed: int, compared: bool) -> None:
+    assert np.isfinite(_against(_walk(), placed).distance) == compared
+    here = np.arange(_COUNT) >= _COUNT - placed
+    found = compare(_walk(), here, np.arange(_COUNT), _walk(), np.ones(_COUNT, bool), _DEPTH)
+    assert np.isfinite(found.distance) == compared
+    assert found.common == placed
+
+
+@pytest.mark.parametrize(("count", "compared"), [(2, False), (3, True)])
+def test_three_keyframes_are_the_least(count: int, compared: bool) -> None:
+    every = np.ones(count, bool)
+    found = compare(
+        _walk()[10:], np.ones(30, bool), 4 * np.arange(count), _walk()[10 : 10 + 4 * count : 4], every, _DEPTH
+    )
+    assert np.isfinite(found.distance) == compared
+
+
+def test_some_of_the_keyframes_are_compared_with_their_like() -> None:
+    some = np.arange(0, _COUNT, 2)
+    found = compare(_walk(), np.ones(_COUNT, bool), some, _walk()[some], np.ones(len(some), bool), _DEPTH)
+    assert found.distance == pytest.approx(0, abs=1e-9)
+    assert (
+        found.why
+        == "Two reconstructions agree: 0.0% of the median depth and 0.0° apart, nine in ten keyframes within 0.0%."
+    )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from rholoc.trajectory.checks.blame import LeftOut, explain, leave_out, worst
+from rholoc.trajectory.checks.blame import LeftOut, explain, held_against, leave_out, worst
 
 _SIGMA_M = 0.02
 
@@ -80,3 +80,41 @@ def test_the_furthest_off_is_named_with_its_coordinate() -> None:
     assert worst(names[:1], outs[:1]) is None
     assert explain("W1", outs[1].off_m) == "W1: its y looks wrong by 0.20 m; it was left out."
     assert "W2 is 0.42 m from where the walk has it" in explain("W2", outs[2].off_m)
+
+
+@pytest.mark.parametrize(
+    ("off_m", "sigmas", "mistaken"), [(0.5, 4.4, False), (0.5, 4.6, True), (0.079, 9.0, False), (0.081, 9.0, True)]
+)
+def test_a_mistake_is_far_off_in_sigmas_and_in_metres(off_m: float, sigmas: float, mistaken: bool) -> None:
+    assert LeftOut(np.array([0.0, 0.6, -0.8]) * off_m, sigmas).mistaken is mistaken
+
+
+def test_a_distance_in_sigmas_is_of_both_uncertainties() -> None:
+    covariance = np.diag([0.03, 0.04, 0.0]) ** 2
+    found = held_against(np.array([1.1, 2.0, 3.0]), np.array([1.0, 2.0, 3.1]), covariance, 0.04)
+    np.testing.assert_allclose(found.off_m, [0.1, 0, -0.1])
+    assert found.sigmas == pytest.approx(np.sqrt((0.1 / 0.05) ** 2 + (0.1 / 0.04) ** 2))
+
+
+def test_taking_out_a_waypoint_is_exact_where_its_loss_is_square() -> None:
+    """Place and waypoint along each axis: a mean of two, of which one is taken back. With Cauchy's weight elsewhere."""
+    others, own = np.array([0.03, 0.05, 0.02]), _SIGMA_M
+    measured, without = np.array([1.0, 2.0, 3.0]), np.array([1.001, 1.999, 3.0005])
+    off = measured - without
+    weight = 1 / own**2
+    for _ in range(60):
+        place = (without / others**2 + weight * measured) / (others**-2 + weight)
+        weight = 1 / own**2 / (1 + (np.linalg.norm(measured - place) / (3 * own)) ** 2)
+    covariance = np.diag(1 / (others**-2 + weight))
+    found = leave_out(measured, place, covariance, own)
+    np.testing.assert_allclose(found.off_m, off, rtol=1e-6)
+    assert found.sigmas == pytest.approx(np.sqrt(np.sum(off**2 / (others**2 + own**2))), rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("off", "one"), [((0.0, 0.19, 0.09), True), ((0.0, 0.18, -0.09), False), ((-0.2, 0.0, 0.0), True)]
+)
+def test_one_coordinate_is_named_where_it_is_nine_tenths_of_the_error(
+    off: tuple[float, float, float], one: bool
+) -> None:
+    assert ("looks wrong by" in explain("W", np.array(off))) is one

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from rholoc.geometry import BoolArray
+from rholoc.reports import MissingSpan
 from rholoc.trajectory.checks.gaps import describe, missing_spans
 from rholoc.trajectory.visual.flow import Flow
 
@@ -73,3 +74,48 @@ def test_a_moment_is_not_missing() -> None:
 
 def test_of_a_walk_without_any_place_nothing_is_listed() -> None:
     assert missing_spans(_flow(_GAP), _ROWS, np.zeros(len(_ROWS), np.bool_)) == ()
+
+
+@pytest.mark.parametrize(
+    ("gap", "why"),
+    [
+        ({"brightness": 24.0}, "is too dark"),
+        ({"brightness": 26.0}, "shows nothing that links it to the rest of the walk"),
+        ({"contrast": 9.0}, "shows a blank wall"),
+        ({"contrast": 11.0}, "shows nothing that links it to the rest of the walk"),
+        ({"sharpness": 24.0}, "is blurred"),
+        ({"sharpness": 26.0}, "shows nothing that links it to the rest of the walk"),
+        ({"corners": 59}, "shows a blank wall"),
+        ({"corners": 61}, "shows nothing that links it to the rest of the walk"),
+    ],
+)
+def test_where_a_reason_begins(gap: dict[str, float], why: str) -> None:
+    (span,) = missing_spans(_flow(_GAP, **gap), _ROWS, ~_GAP[_ROWS])
+    assert span.why == why
+
+
+def test_a_span_goes_from_the_first_frame_without_a_place_to_the_next_with_one() -> None:
+    """Keyframes are every second frame at 10 Hz: the seventh and eighth are missing."""
+    placed = np.ones(len(_ROWS), np.bool_)
+    placed[[7, 8]] = False
+    (span,) = missing_spans(_flow(_GAP), _ROWS, placed)
+    assert (span.start_s, span.end_s) == pytest.approx((1.3, 1.8))
+    placed[8] = True
+    assert missing_spans(_flow(_GAP), _ROWS, placed) == ()  # for three tenths of a second
+    placed[:] = True
+    placed[-3:] = False
+    (span,) = missing_spans(_flow(_GAP), _ROWS, placed)
+    assert (span.start_s, span.end_s) == pytest.approx((19.3, 19.9))
+
+
+def test_the_reason_is_that_of_the_frames_that_are_missing() -> None:
+    dark = (np.arange(200) >= 13) & (np.arange(200) < 18)
+    placed = np.ones(len(_ROWS), np.bool_)
+    placed[[7, 8]] = False
+    (span,) = missing_spans(_flow(dark, brightness=5.0), _ROWS, placed)
+    assert span.why == "is too dark"
+
+
+def test_times_are_minutes_and_seconds() -> None:
+    spans = (MissingSpan(59.4, 61.6, "is blurred"), MissingSpan(600.0, 725.0, "is too dark"))
+    assert describe(spans) == "0:59–1:02 is blurred. 10:00–12:05 is too dark."

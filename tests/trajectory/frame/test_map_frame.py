@@ -19,7 +19,7 @@ from rholoc.trajectory.frame.map_frame import (
     up_by_gravity,
     up_by_pictures,
 )
-from rholoc.trajectory.frame.waypoint_alignment import UpMeasurement
+from rholoc.trajectory.frame.waypoint_alignment import UpMeasurement, align_to_waypoints
 
 TIMES = np.linspace(0.0, 30.0, 91)
 TURNED = Rotation.from_euler("xyz", [0.4, -0.3, 0.9]).as_matrix()
@@ -141,3 +141,73 @@ def test_waypoints_that_no_choice_fits_fail() -> None:
         frame_of_waypoints(TIMES, reconstructed(), [strange], UP, "")
     with pytest.raises(MappingFailed, match="No pauses"):
         frame_of_waypoints(TIMES, reconstructed(), [], UP, "")
+
+
+@pytest.mark.parametrize(("sigma", "metric"), [(0.09, True), (0.11, False)])
+def test_a_scale_known_to_a_tenth_is_a_scale(sigma: float, metric: bool) -> None:
+    assert (first(UP, sigma).scale is Scale.METRIC) is metric
+
+
+@pytest.mark.parametrize(("tilt_deg", "upright"), [(14.5, True), (15.5, False)])
+def test_up_may_differ_from_the_waypoints_by_fifteen_degrees(tilt_deg: float, upright: bool) -> None:
+    test_up_and_the_waypoints_may_differ_by_a_little(tilt_deg, upright)
+
+
+@pytest.mark.parametrize(
+    ("scale", "sigma", "doubted"),
+    [
+        (1.14, 0.01, False),
+        (1.17, 0.01, True),
+        (1.22, 0.06, False),
+        (1.22, 0.05, True),
+        (1.5, 0.11, False),
+        (1.5, 0.099, True),
+    ],
+)
+def test_scales_may_differ_by_a_seventh_or_four_sigmas(scale: float, sigma: float, doubted: bool) -> None:
+    test_an_accelerometer_that_is_sure_of_another_scale_is_heard(scale, sigma, doubted)
+
+
+@pytest.mark.parametrize(
+    ("off_m", "next_off_m", "doubted"),
+    [(0.05, 0.09, True), (0.05, 0.11, False), (0.0, 0.035, True), (0.0, 0.045, False)],
+)
+def test_the_next_best_choice_must_be_twice_as_bad(off_m: float, next_off_m: float, doubted: bool) -> None:
+    """Than the best, or than two centimetres; by the waypoint that is missed furthest."""
+    found = frame_of_waypoints(
+        TIMES, reconstructed(), [_bent(next_off_m), _bent(off_m), _bent(next_off_m + 0.05)], None, ""
+    )
+    assert ("Other pauses" in " ".join(found.doubts)) is doubted
+    assert found.waypoints == _bent(off_m)
+
+
+def _bent(worst_m: float) -> tuple[Waypoint, ...]:
+    """Four waypoints of which the camera's path misses the worst by so much."""
+    shape = np.array([[0, 0, 1.0], [0, 0, -1.0], [0, 0, 1.0], [0, 0, -1.0]])
+    low, high = 0.0, 0.25
+    for _ in range(40):
+        size = (low + high) / 2
+        bent = waypoints(0, 25, 50, 80, off=size * shape)
+        missed = align_to_waypoints(TIMES, reconstructed()[:, :3, 3], bent).worst_m
+        low, high = (size, high) if missed < worst_m else (low, size)
+    return waypoints(0, 25, 50, 80, off=low * shape)
+
+
+def test_a_camera_that_looks_straight_up_has_any_heading() -> None:
+    """Its frame is a rotation all the same, upright and with the camera at its origin."""
+    T = np.tile(np.eye(4), (2, 1, 1))  # z ahead is up
+    T[:, :3, 3] = [1.0, 2.0, 3.0]
+    found = frame_of_first_camera(T, UpMeasurement(np.array([0.0, 0, 1]), 0.3), "", 2.0, None).similarity
+    np.testing.assert_allclose(found.rotation @ found.rotation.T, np.eye(3), atol=1e-12)
+    np.testing.assert_allclose(found.rotation[2], [0, 0, 1], atol=1e-12)
+    np.testing.assert_allclose(found.points(T[:1, :3, 3]), 0, atol=1e-12)
+    assert found.scale == 0.5
+
+
+def test_how_well_up_is_known() -> None:
+    assert up_by_gravity()[0].sigma_deg == 0.3
+    pictures, why = up_by_pictures(reconstructed()[:, :3, :3])
+    assert pictures is not None
+    assert pictures.sigma_deg == 1.5
+    spread = np.linalg.svd(reconstructed()[:, :3, 0], compute_uv=False) / np.sqrt(len(TIMES))
+    assert f"spread {np.degrees(np.arcsin(spread[1])):.0f}°" in why

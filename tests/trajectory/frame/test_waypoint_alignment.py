@@ -14,7 +14,13 @@ from scipy.spatial.transform import Rotation
 from rholoc.errors import InvalidWaypoints, MappingFailed
 from rholoc.geometry import FloatArray, Similarity, align_poses, pose_matrix, umeyama
 from rholoc.recordings import Waypoint
-from rholoc.trajectory.frame.waypoint_alignment import UpMeasurement, align_to_waypoints
+from rholoc.trajectory.frame import waypoint_alignment
+from rholoc.trajectory.frame.waypoint_alignment import (
+    UpMeasurement,
+    WaypointAlignment,
+    align_to_waypoints,
+    positions_at,
+)
 
 _TIMES = np.arange(0.0, 10.0, 0.1)
 
@@ -137,3 +143,138 @@ def test_waypoints_far_from_any_posed_frame_are_left_out() -> None:
     assert np.isnan(found.residuals_m[3])
     with pytest.raises(MappingFailed, match="late"):
         align_to_waypoints(_TIMES, path, [waypoints[0], waypoints[1], waypoints[3]])
+
+
+def _moved(waypoints: list[Waypoint], offs: dict[int, tuple[float, float, float]]) -> list[Waypoint]:
+    found = list(waypoints)
+    for i, off in offs.items():
+        x, y, z = np.add(waypoints[i].position, off)
+        found[i] = replace(waypoints[i], position=(x, y, z))
+    return found
+
+
+_ROWS = [0, 20, 45, 70, 99]
+
+
+@pytest.mark.parametrize(
+    ("off_m", "noise_m", "found"),
+    [(0.14, 0.0, False), (0.17, 0.0, True), (0.5, 0.02, True), (1.0, 0.09, False), (0.3, 0.05, False)],
+)
+def test_a_mistake_is_a_hand_off_and_the_others_agree(off_m: float, noise_m: float, found: bool) -> None:
+    """By six centimetres at most, and by half of what any other choice leaves."""
+    path = _walk()
+    shifts = {0: (0.0, 0.0, noise_m), 1: (0.0, 0.0, -noise_m), 3: (noise_m, 0, 0), 4: (-noise_m, -noise_m, 0)}
+    shifts[2] = (0.0, 0.0, off_m)
+    waypoints = _moved(_waypoints(path, _ROWS), shifts)
+    mistake = waypoint_alignment._mistake(waypoints, path[_ROWS])
+    assert mistake == (2 if found else None)
+
+
+def test_of_four_waypoints_none_is_a_mistake() -> None:
+    path = _walk()
+    wrong = _moved(_waypoints(path, _ROWS), {2: (0.0, 0.0, 0.5)})
+    assert waypoint_alignment._mistake(wrong[:4], path[_ROWS[:4]]) is None
+
+
+@pytest.mark.parametrize(("miss_m", "refused"), [(0.23, False), (0.27, True)])
+def test_a_quarter_of_a_metre_may_be_missed(miss_m: float, refused: bool) -> None:
+    """In the root mean square of few waypoints: of a triangle whose sides disagree with the walk's."""
+    path = 4 * _walk()
+    waypoints = _waypoints(path, [0, 33, 66, 99])
+    own = path.copy()
+    corners = np.array([waypoint.position for waypoint in waypoints])
+    shape = np.array([[0, 0, 1.0], [0, 0, -1.0], [0, 0, 1.0], [0, 0, -1.0]])
+    found = 0.0
+    for size in np.linspace(0, 2, 400):  # until so much is missed
+        fitted = umeyama(corners, corners + size * shape)
+        found = float(np.sqrt(np.mean(np.sum((fitted.points(corners) - corners - size * shape) ** 2, axis=1))))
+        if found >= miss_m:
+            break
+    assert found == pytest.approx(miss_m, abs=0.01)
+    moved = _moved(waypoints, {i: tuple(size * shape[i]) for i in range(4)})
+    if refused:
+        with pytest.raises(MappingFailed, match=r"misses the waypoints by 0.2[5-9]"):
+            align_to_waypoints(_TIMES, own, moved)
+    else:
+        align_to_waypoints(_TIMES, own, moved)
+
+
+def test_long_ways_may_miss_more() -> None:
+    """By half a hundredth of the way between the waypoints: here of 500 m and more."""
+    path = 250 * _walk()
+    rng = np.random.default_rng(3)
+    shifts = {i: tuple(rng.normal(0, 0.8, 3)) for i in range(3)}
+    align_to_waypoints(_TIMES, path, _moved(_waypoints(path, [0, 45, 90]), shifts))
+    near = _waypoints(path, [0, 2, 4])
+    with pytest.raises(MappingFailed, match="misses the waypoints"):
+        align_to_waypoints(_TIMES, path, _moved(near, {1: (0.0, 0.0, 6.0)}))
+
+
+def test_between_frames_a_place_lies_on_a_smooth_path() -> None:
+    times = np.array([0.0, 1.0, 2.0, 3.0, 4.0])
+    line = np.outer(times, [1.0, -2.0, 0.5]) + 3
+    np.testing.assert_allclose(
+        positions_at(times, line, np.array([0.5, 3.25])), np.outer([0.5, 3.25], [1, -2, 0.5]) + 3
+    )
+    np.testing.assert_allclose(positions_at(times, line, np.array([-9.0, 9.0])), line[[0, -1]])  # and not beyond
+    np.testing.assert_array_equal(positions_at(times[:1], line[:1], np.array([0.3, 7.0])), line[[0, 0]])
+    np.testing.assert_allclose(positions_at(times[:2], line[:2], np.array([0.5])), [[3.5, 2.0, 3.25]])
+
+
+@pytest.mark.parametrize(("late_s", "near"), [(0.45, True), (0.55, False)])
+def test_a_waypoint_half_a_second_from_any_frame_has_no_place(late_s: float, near: bool) -> None:
+    path = _walk()
+    waypoints = [*_waypoints(path, [0, 45, 70]), Waypoint("late", _TIMES[-1] + late_s, tuple(path[-1]))]
+    assert np.isfinite(align_to_waypoints(_TIMES, path, waypoints).residuals_m[3]) == near
+
+
+def test_the_worst_of_the_waypoints_that_were_used() -> None:
+    off = np.array([0.1, np.nan, 0.5, 0.2])
+    assert WaypointAlignment(Similarity.identity(), off).worst_m == 0.5
+    assert WaypointAlignment(Similarity.identity(), off, mistake=2).worst_m == 0.2
+
+
+def test_waypoints_and_gravity_weigh_by_what_they_are_worth() -> None:
+    """Two centimetres at two metres are as much as half a degree: where they disagree, they meet halfway."""
+    own = np.array([[0.0, 0, 0], [4.0, 0, 0], [0, 0.3, 0], [4.0, 0.3, 0]])  # nearly a line: its roll is open
+    tilted = Rotation.from_euler("x", 2, degrees=True)
+    measured = tilted.apply(own - own.mean(axis=0))
+    lever = np.sqrt(np.sum(own[:, 1] ** 2) - 4 * own[:, 1].mean() ** 2)  # of the points about the long axis
+    for sigma_deg in (0.5, 5.0):
+        found = waypoint_alignment._fit(own, measured, UpMeasurement(np.array([0.0, 0, 1]), sigma_deg))
+        angle_deg = np.degrees(np.arctan2(found.rotation[2, 1], found.rotation[2, 2]))
+        by_waypoints, by_gravity = (lever / 0.02) ** 2, np.radians(sigma_deg) ** -2
+        assert angle_deg == pytest.approx(2 * by_waypoints / (by_waypoints + by_gravity), abs=0.02)
+
+
+@pytest.mark.parametrize(("count", "robust"), [(4, False), (5, True)])
+def test_five_waypoints_outvote_one_and_four_do_not(count: int, robust: bool) -> None:
+    path = _walk()
+    rows = _ROWS[:count]
+    wrong = np.array(path[rows])
+    wrong[1, 2] += 0.1
+    found = waypoint_alignment._fit(path[rows], wrong, None)
+    squares = umeyama(path[rows], wrong)
+    apart = np.linalg.norm(found.points(path[rows]) - squares.points(path[rows]), axis=1).max()
+    assert bool(apart > 5e-3) is robust
+    assert robust or apart < 1e-4
+
+
+def test_a_camera_that_did_not_move_has_no_scale() -> None:
+    measured = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]])
+    with pytest.raises(MappingFailed, match="did not move"):
+        waypoint_alignment._fit(np.zeros((3, 3)), measured, None)
+
+
+@pytest.mark.parametrize(
+    ("off", "says"),
+    [
+        ((0.0, 0.5, 0.0), "while all others agree; it was left out. Check its y: 2.00 is written, 1.50 would fit."),
+        ((0.0, 0.5, 0.2), "Check its y: 2.00 is written, 1.50 would fit."),
+        ((0.0, 0.5, 0.3), "Check its coordinates."),
+        ((1.0, 0.0, 0.0), "Check its x: 1.00 is written, 0.00 would fit."),
+        ((0.0, 0.0, -0.25), "Check its z: 3.00 is written, 3.25 would fit."),
+    ],
+)  # fmt: skip
+def test_a_mistake_along_one_axis_says_what_would_fit(off: tuple[float, float, float], says: str) -> None:
+    assert waypoint_alignment._explain(Waypoint("W", 0.0, (1.0, 2.0, 3.0)), np.array(off)).endswith(says)

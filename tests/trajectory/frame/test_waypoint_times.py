@@ -8,6 +8,7 @@ import pytest
 from rholoc.errors import InvalidWaypoints
 from rholoc.geometry import BoolArray, FloatArray, pose_matrix
 from rholoc.recordings import Imu, Waypoint
+from rholoc.trajectory.frame import waypoint_times
 from rholoc.trajectory.frame.map_frame import frame_of_waypoints
 from rholoc.trajectory.frame.waypoint_times import choices_of_pauses, find_pauses, times_are_known
 
@@ -85,3 +86,47 @@ def test_of_very_many_pauses_the_longest_are_taken() -> None:
     choices = list(choices_of_pauses(_unnamed(0, 1, 2, 3, 4), pauses))
     assert len(choices) <= 2000
     np.testing.assert_allclose([waypoint.time for waypoint in choices[0]], pauses[35:].mean(axis=1))
+
+
+@pytest.mark.parametrize(
+    ("rate", "imu", "still"), [(0.09, False, True), (0.11, False, False), (0.14, True, True), (0.16, True, False)]
+)
+def test_how_fast_a_picture_at_rest_may_tremble(rate: float, imu: bool, still: bool) -> None:
+    """A tenth of its width in a second, and half as much again where the IMU rests, too."""
+    resting = Imu(np.arange(-1.0, 41.0, 0.01), np.zeros((4200, 3)), np.zeros((4200, 3)), True, None)
+    found = find_pauses(_TIMES, np.full(len(_TIMES), rate / 30), resting if imu else None)
+    assert (len(found) == 1) is still
+    if still:
+        np.testing.assert_allclose(found, [[0.0, _TIMES[-1]]])
+
+
+@pytest.mark.parametrize(("seconds", "counts"), [(0.85, False), (0.95, True)])
+def test_a_pause_of_a_second_may_be_a_tenth_too_short(
+    seconds: float, counts: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    times = np.arange(0.0, 10.0, 0.05)
+    felt = Imu(times, np.zeros((200, 3)), np.zeros((200, 3)), True, None)
+    monkeypatch.setattr(waypoint_times, "is_still", lambda imu: (imu.times > 3) & (imu.times < 3 + seconds + 0.051))
+    assert len(find_pauses(times, np.zeros(200), felt)) == counts
+
+
+def test_pictures_are_judged_by_a_moment_and_outside_of_its_table_the_imu_does_not_rest() -> None:
+    times = np.arange(0.0, 20.0, 0.1)
+    motion = np.zeros(200)
+    motion[100] = 0.025  # in a tenth of a second: spread over three frames, less than a tenth of the width a second
+    assert len(find_pauses(times, motion, None)) == 1
+    motion[100] = 0.035
+    assert len(find_pauses(times, motion, None)) == 2
+    half = Imu(np.arange(5.0, 12.0, 0.01), np.zeros((700, 3)), np.zeros((700, 3)), True, None)
+    np.testing.assert_allclose(find_pauses(times, np.zeros(200), half), [[5.0, 12.0]], atol=0.11)
+
+
+@pytest.mark.parametrize(("pauses", "choices"), [(14, 1001), (16, 1820), (17, 1820), (30, 1820)])
+def test_no_more_than_two_thousand_choices_are_tried(pauses: int, choices: int) -> None:
+    """Four of sixteen can be taken in 1820 ways, four of seventeen in 2380."""
+    spans = np.column_stack([10.0 * np.arange(pauses), 10.0 * np.arange(pauses) + 2])
+    assert len(list(choices_of_pauses(_unnamed(0, 1, 2, 3), spans))) == choices
+
+
+def test_two_pauses_are_too_few_for_three_waypoints_and_three_are_not() -> None:
+    assert len(list(choices_of_pauses(_unnamed(0, 1, 2), _RESTS[:3]))) == 1

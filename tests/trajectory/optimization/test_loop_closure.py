@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from rholoc.geometry import Camera, FloatArray, Pose
+from rholoc.trajectory.optimization import loop_closure
 from rholoc.trajectory.optimization.adjustment import State
-from rholoc.trajectory.optimization.loop_closure import loop_pose, loops_in_reach, place_features
+from rholoc.trajectory.optimization.loop_closure import PlacedFeatures, loop_pose, loops_in_reach, place_features
 from rholoc.trajectory.visual.matching import VerifiedPair
 
 _CAMERA = Camera(640, 480, 520.0, 520.0, 319.5, 239.5)
@@ -72,3 +74,94 @@ def test_where_a_loops_keyframes_stand_to_each_other_is_free_of_drift(drift_m: f
     moved = R @ found.T_first_second[:3, 3]
     np.testing.assert_allclose(np.sign(found.second - found.first) * moved, [0.15, 0.0, 0.0], atol=1e-3)
     np.testing.assert_allclose(found.T_first_second[:3, :3], np.eye(3), atol=1e-3)
+
+
+def _placed(off_m: float, known: int) -> PlacedFeatures:
+    """Two keyframes a hundred metres of way apart, whose thirty features are off by so much; so many are known."""
+    state = State(np.tile(np.eye(4), (3, 1, 1)), np.zeros((0, 3)), _CAMERA)
+    state.T_map_camera[1, 0, 3] = 50.0
+    one = np.random.default_rng(0).uniform(-1, 1, (_POINTS, 3))
+    points = np.concatenate([one, np.add(one, [0.0, 0.0, off_m])])
+    numbers = np.arange(_POINTS)
+    plane = [np.zeros((_POINTS, 2))] * 3
+    is_known = np.tile(numbers < known, 2)
+    return PlacedFeatures(points, is_known, [numbers, numbers, numbers + _POINTS], plane, state)
+
+
+@pytest.mark.parametrize(
+    ("off_m", "sigmas_m", "kept"),
+    [
+        (0.59, (0.0, 0.0, 0.0), True),  # a tenth of a metre, and half a metre for the way of a hundred
+        (0.61, (0.0, 0.0, 0.0), False),
+        (0.79, (0.05, 0.0, 0.01), True),  # and four sigmas of the less sure one
+        (0.81, (0.05, 0.0, 0.01), False),
+        (0.79, (0.01, 0.0, 0.05), True),
+        (0.81, (0.01, 0.0, 0.05), False),
+    ],
+)
+def test_how_far_a_loop_may_be_from_closing(off_m: float, sigmas_m: tuple[float, ...], kept: bool) -> None:
+    pair = VerifiedPair(0, 2, np.tile(np.arange(_POINTS)[:, None], 2), np.eye(3))
+    assert loops_in_reach([pair], _placed(off_m, 30), np.array(sigmas_m)).tolist() == [kept]
+
+
+@pytest.mark.parametrize(("known", "kept"), [(4, False), (5, True)])
+def test_five_features_must_have_a_place(known: int, kept: bool) -> None:
+    pair = VerifiedPair(0, 2, np.tile(np.arange(_POINTS)[:, None], 2), np.eye(3))
+    assert loops_in_reach([pair], _placed(0.0, known), np.zeros(3)).tolist() == [kept]
+
+
+def test_features_are_known_where_they_are_seen_from_apart_and_fit() -> None:
+    """From places a degree and a half apart; within four pixels everywhere."""
+    state, pixels = _rooms(np.zeros(3))
+    pair = _pair(0, 5)
+    for moved_px, known in ((3.0, True), (12.0, False)):
+        moved = [one.copy() for one in pixels]
+        moved[5][4, 1] += moved_px
+        placed = place_features([pair], moved, state)
+        assert placed.known[placed.labels[0]].sum() >= _POINTS - 1
+        assert placed.known[placed.labels[0][4]] == known
+        assert placed.labels[0][4] == placed.labels[5][4]
+        np.testing.assert_allclose(
+            _CAMERA.project(np.column_stack([placed.plane[5], np.ones(_POINTS)])), moved[5], atol=1e-3
+        )
+    near, far = state.T_map_camera.copy(), state.T_map_camera.copy()
+    for T, step_m, known in ((near, 0.02, False), (far, 0.4, True)):
+        T[1, :3, 3] = T[0, :3, 3] + [step_m, 0.0, 0.0]
+        room = np.random.default_rng(2).uniform([-1.5, 3.0, 0.4], [1.5, 5.0, 2.4], (_POINTS, 3))
+        seen = [_CAMERA.project((room - T[k, :3, 3]) @ T[k, :3, :3]) for k in (0, 1)]
+        both = State(T[:2], np.zeros((0, 3)), _CAMERA)
+        assert place_features([_pair(0, 1)], seen, both).known.all() == known
+
+
+@pytest.mark.parametrize(("agreeing", "found"), [(8, False), (9, True)])
+def test_nine_points_must_say_where_a_loops_keyframes_stand(agreeing: int, found: bool) -> None:
+    state, pixels = _rooms(np.array([0.0, 0.5, 0.0]))
+    placed = place_features(_neighbours(), pixels, state)
+    few = VerifiedPair(2, 9, np.tile(np.arange(agreeing)[:, None], 2), np.eye(3))
+    assert (loop_pose(few, placed) is not None) is found
+
+
+def test_of_two_ways_to_a_loops_pose_the_one_with_more_points_is_taken() -> None:
+    """One keyframe's neighbours have placed a third of what the other's have."""
+    state, pixels = _rooms(np.array([0.0, 0.5, 0.0]))
+    placed = place_features(_neighbours(), pixels, state)
+    for poor in (2, 9):
+        known = placed.known.copy()
+        known[placed.labels[poor][10:]] = False
+        found = loop_pose(_pair(2, 9), replace(placed, known=known))
+        assert found is not None
+        assert found.first == 11 - poor
+    assert loop_closure._seen_by(replace(placed, known=np.zeros_like(placed.known)), 2, 9, _pair(2, 9).matches) == (
+        None,
+        0,
+    )
+
+
+def test_a_point_three_pixels_off_agrees() -> None:
+    state, pixels = _rooms(np.zeros(3))
+    placed = place_features(_neighbours(), pixels, state)
+    for off_px, agreeing in ((2.5, _POINTS), (4.5, _POINTS - 1)):
+        plane = [one.copy() for one in placed.plane]
+        plane[9][3, 1] += off_px / _CAMERA.focal
+        _, count = loop_closure._seen_by(replace(placed, plane=plane), 2, 9, _pair(2, 9).matches)
+        assert count == agreeing

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
+from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
 
 from rholoc.geometry import Camera, FloatArray, pose_matrix
+from rholoc.trajectory.optimization import pose_graph
 from rholoc.trajectory.optimization.adjustment import Fix, InertialState, State
 from rholoc.trajectory.optimization.pose_graph import RelativePose, bend
 
@@ -94,3 +97,79 @@ def test_a_walk_that_closes_stays_and_velocities_turn_with_the_cameras() -> None
     assert drifted.inertial is not None
     seen = [np.einsum("kji,kj->ki", one.R_map_camera, one.inertial.velocities) for one in (drifted, found)]
     np.testing.assert_allclose(seen[0], seen[1], atol=1e-9)
+
+
+@pytest.mark.parametrize("length_m", [0.0, 0.3, 4.0])
+def test_a_step_is_known_by_its_length_and_gravity_holds_its_tilt(length_m: float) -> None:
+    """A fiftieth of a degree of tilt, a tenth about the vertical; a fiftieth of its length and a millimetre."""
+    T = pose_matrix(Rotation.from_euler("xyz", [-70, 20, 40], degrees=True).as_matrix(), np.ones(3))
+    step = pose_matrix(np.eye(3), length_m * np.array([0.6, 0.0, 0.8]))
+    covariance = pose_graph._step_noise(T, step).covariance()
+    about_map = np.degrees(np.degrees(T[:3, :3] @ covariance[:3, :3] @ T[:3, :3].T))
+    np.testing.assert_allclose(about_map, np.diag([0.02**2, 0.02**2, 0.02**2 + 0.1**2]), atol=1e-12)
+    np.testing.assert_allclose(covariance[3:, 3:], (0.001 + 0.02 * length_m) ** 2 * np.eye(3), atol=1e-12)
+    assert not covariance[:3, 3:].any()
+
+
+def _straight(count: int) -> FloatArray:
+    """Cameras a metre apart along their own way, z up."""
+    R = np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]])
+    return pose_matrix(np.tile(R, (count, 1, 1)), np.outer(np.arange(count), [1.0, 0, 0]))
+
+
+def _cauchy(sigmas: float) -> float:
+    return float(4.5 * np.log1p(sigmas**2 / 9))
+
+
+@pytest.mark.parametrize("longer_m", [0.1, 1.0])
+def test_loops_and_fixes_are_weighed_against_steps(longer_m: float) -> None:
+    """Along a straight line all is one number a keyframe: the lowest cost, with three sigmas before doubt."""
+    step_m = 0.021
+
+    def lowest(cost: object) -> FloatArray:
+        return np.asarray(
+            minimize(
+                cost,
+                np.arange(1.0, 4.0),
+                method="Nelder-Mead",
+                options={"xatol": 1e-7, "fatol": 1e-10, "maxiter": 4000},
+            ).x
+        )  # type: ignore[call-overload]
+
+    def steps(x: FloatArray) -> float:
+        return float(np.sum((np.diff(np.append(0.0, x)) - 1) ** 2)) / step_m**2 / 2
+
+    true = _straight(4)
+    longer = true[3].copy()
+    longer[0, 3] += longer_m
+    loop = RelativePose(0, 3, np.linalg.inv(true[0]) @ longer)
+    found = bend(_state(true), [loop]).T_map_camera
+    expected = lowest(lambda x: steps(x) + _cauchy((x[2] - 3 - longer_m) / 0.05))
+    np.testing.assert_allclose(found[1:, 0, 3], expected, atol=2e-4)
+    np.testing.assert_allclose(found[:, 1:3, 3], 0, atol=1e-6)
+
+    fixes = [Fix(0, (0.0, 0.0, 0.0), 9.0), Fix(3, (3.0 + longer_m, 0.0, 0.0), 9.0)]
+    met = bend(_state(true), [], fixes).T_map_camera[:, 0, 3]
+
+    def cost(x: FloatArray) -> float:
+        return steps(x[1:] - x[0]) + _cauchy(x[0] / 0.05) + _cauchy((x[3] - 3 - longer_m) / 0.05)
+
+    best = minimize(
+        cost, np.arange(4.0), method="Nelder-Mead", options={"xatol": 1e-7, "fatol": 1e-10, "maxiter": 6000}
+    ).x
+    np.testing.assert_allclose(met, best, atol=5e-4)
+
+
+def test_a_loop_turns_a_walk_by_what_headings_and_levels_are_worth() -> None:
+    """About the vertical by the steps' tenth of a degree against the loop's half; about the level next to nothing."""
+    true = _straight(5)
+    for axis, share in ((2, (4 * 0.0104) / (4 * 0.0104 + 0.25)), (1, None)):
+        turned = true[4].copy()
+        turned[:3, :3] = Rotation.from_rotvec(np.radians(0.3) * np.eye(3)[axis]).as_matrix() @ turned[:3, :3]
+        loop = RelativePose(0, 4, np.linalg.inv(true[0]) @ turned)
+        found = bend(_state(true), [loop]).T_map_camera
+        angle_deg = np.degrees(Rotation.from_matrix(found[4, :3, :3] @ true[4, :3, :3].T).as_rotvec())[axis]
+        if share is None:
+            assert 0 < angle_deg < 0.003
+        else:
+            assert angle_deg == pytest.approx(0.3 * share, rel=0.05)

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from rholoc.geometry import FloatArray
-from rholoc.trajectory.visual.directions import direction_between
+from rholoc.trajectory.visual.directions import PairDirection, direction_between
 
 _FOCAL_PX = 500.0
 _TOLERANCE_PX = 2.0
@@ -69,3 +69,64 @@ def test_the_shorter_the_way_the_less_is_known() -> None:
 def test_matches_that_agree_on_nothing_tell_no_direction(wrong: float) -> None:
     R, plane = _seen(np.array([0.3, 0.0, 0.0]), wrong=wrong)
     assert direction_between(0, 1, R, plane, 0.2, _FOCAL_PX) is None
+
+
+def _between(R: FloatArray, plane: tuple[FloatArray, FloatArray]) -> PairDirection | None:
+    return direction_between(0, 1, R, plane, _TOLERANCE_PX, _FOCAL_PX)
+
+
+@pytest.mark.parametrize("way", [np.array([0.3, 0.0, 0.0]), np.array([0.02, 0.01, 0.05])])
+def test_its_sigma_is_made_of_rays_rotation_and_what_nobody_knows(way: FloatArray) -> None:
+    """Of perfect matches: 0.7 px of the rays, 0.1° of the rotation between the cameras, and half a degree."""
+    R, plane = _seen(way)
+    found = _between(R, plane)
+    assert found is not None
+    a, b = (np.column_stack([one, np.ones(60)]) @ R[k].T for k, one in enumerate(plane))
+    across = np.cross(a / np.linalg.norm(a, axis=1)[:, None], b / np.linalg.norm(b, axis=1)[:, None])
+    second = np.linalg.eigvalsh(across.T @ across)[1]
+    parallax = np.median(np.linalg.norm(across, axis=1))
+    expected = (0.7 / _FOCAL_PX) ** 2 / second + (np.radians(0.1) / parallax) ** 2 + np.radians(0.5) ** 2
+    assert found.sigma_rad == pytest.approx(np.sqrt(expected), rel=1e-3)
+
+
+@pytest.mark.parametrize(("count", "enough"), [(11, False), (12, True)])
+def test_a_dozen_matches_are_needed(count: int, enough: bool) -> None:
+    R, (first, second) = _seen(np.array([0.3, 0.0, 0.1]))
+    assert (_between(R, (first[:count], second[:count])) is not None) is enough
+
+
+@pytest.mark.parametrize(("right", "enough"), [(80, True), (30, False)])
+def test_two_in_five_matches_must_agree(right: int, enough: bool) -> None:
+    """A hundred matches, the others moved off their planes by a tenth of the picture and more."""
+    rng = np.random.default_rng(0)
+    R, (first, second) = _seen(np.array([0.3, 0.0, 0.0]))
+    first, second = np.tile(first, (2, 1))[:100], np.tile(second, (2, 1))[:100]
+    second[right:, 1] += rng.uniform(0.2, 0.9, 100 - right) * rng.choice([-1, 1], 100 - right)
+    assert (_between(R, (first, second)) is not None) is enough
+
+
+@pytest.mark.parametrize(("behind", "clear"), [(0, True), (15, True), (21, False), (39, False), (45, True), (60, True)])
+def test_the_sign_is_that_by_which_most_points_lie_ahead(behind: int, clear: bool) -> None:
+    """Points behind both cameras appear where they would, were the way the other one."""
+    rng = np.random.default_rng(1)
+    way = np.array([0.3, 0.05, 0.0])
+    R = Rotation.from_rotvec([[0.1, -0.2, 0.05], [0.15, 0.1, -0.1]]).as_matrix()
+    points = rng.uniform([-1.5, -1.0, 2.0], [1.5, 1.0, 6.0], (60, 3)) @ R[0].T
+    points[:behind] *= -1
+    seen = [(points - at) @ R[k] for k, at in enumerate((np.zeros(3), way))]
+    found = _between(R, (seen[0][:, :2] / seen[0][:, 2:], seen[1][:, :2] / seen[1][:, 2:]))
+    assert (found is not None) is clear
+    if found is not None:
+        assert (found.first, found.second) == (0, 1)
+        assert _angle_deg(found.direction, way if behind < 30 else -way) < 0.1
+
+
+def test_a_few_wrong_matches_within_the_tolerance_hardly_turn_it() -> None:
+    """Moved by four pixels across their planes, each is five sigmas off and all but left out."""
+    way = np.array([0.3, 0.0, 0.0])
+    R, (first, second) = _seen(way)
+    second = second.copy()
+    second[:12, 1] += 4 / _FOCAL_PX
+    found = direction_between(0, 1, R, (first, second), 10.0, _FOCAL_PX)
+    assert found is not None
+    assert _angle_deg(found.direction, way) < 0.6

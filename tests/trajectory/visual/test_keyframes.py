@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from rholoc.geometry import FloatArray
-from rholoc.trajectory.visual.keyframes import choose_keyframes
+from rholoc.trajectory.visual.keyframes import KeyframeSteps, choose_keyframes
 
 
 def _times(count: int) -> FloatArray:
@@ -66,3 +67,41 @@ def test_a_fast_turn_does_not_take_every_frame() -> None:
 
 def test_an_empty_recording_has_none() -> None:
     assert len(choose_keyframes(np.zeros(0), np.zeros(0), np.zeros(0))) == 0
+
+
+@pytest.mark.parametrize(
+    ("motion", "step"),
+    [(0.0125, 0.05), (0.0026, 0.026), (0.001, 0.01), (0.0005, 0.01)],
+)
+def test_a_step_is_a_twentieth_of_the_picture_and_less_in_short_walks(motion: float, step: float) -> None:
+    """Of six hundred frames: where they move by less than three pictures in all, sixty steps, but of a hundredth."""
+    times = 0.05 * np.arange(600)
+    rows = choose_keyframes(times, np.full(600, motion), np.ones(600))
+    steps = 600 * (motion / step + 0.05 / 1.4)  # at rest time makes steps, too
+    assert len(rows) == pytest.approx(steps, rel=0.02)
+
+
+def test_the_sharpest_frame_of_a_step_is_known_once_the_next_begins() -> None:
+    steps = KeyframeSteps(0.1)
+    assert steps.sharpest is None
+    assert steps.end() is None
+    told = []
+    for row, (motion, sharpness) in enumerate(
+        [(0.0, 1.0), (0.04, 3.0), (0.04, 3.0), (0.04, 2.0), (0.04, 5.0), (0.1, 1.0)]
+    ):
+        told.append(steps.add(row, 7 + 0.1 * row, motion, sharpness))
+    assert told == [None, None, None, 1, None, 4]
+    assert steps.sharpest == 5
+    assert steps.end() == 5
+    assert steps.end() is None  # once
+
+
+@pytest.mark.parametrize(("apart_s", "kept"), [(0.079, 10), (0.081, 20)])
+def test_two_keyframes_are_eight_hundredths_of_a_second_apart(apart_s: float, kept: int) -> None:
+    assert len(choose_keyframes(5 + apart_s * np.arange(20), np.full(20, 0.9), np.ones(20))) == kept
+
+
+def test_at_rest_one_is_taken_every_second_and_two_fifths() -> None:
+    times = 100 + np.arange(0, 28.0, 0.05)
+    rows = choose_keyframes(times, np.zeros(len(times)), np.ones(len(times)))
+    np.testing.assert_allclose(times[rows], 100 + 1.4 * np.arange(20), atol=0.051)

@@ -7,6 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from rholoc.geometry import FloatArray
+from rholoc.trajectory.visual import parallax
 from rholoc.trajectory.visual.matching import VerifiedPair
 from rholoc.trajectory.visual.parallax import only_turned, shifts
 
@@ -57,3 +58,31 @@ def test_a_step_is_enough() -> None:
 
 def test_no_pairs_say_nothing() -> None:
     assert not only_turned([], [])
+
+
+@pytest.mark.parametrize(("shift", "standing"), [(0.0024, True), (0.0026, False)])
+def test_a_camera_goes_where_more_than_one_pair_in_twenty_shifts(
+    shift: float, standing: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pairs, planes = _walk(0.0)
+    for shifted in (np.full(100, shift), np.append(np.zeros(93), np.full(7, shift))):
+        monkeypatch.setattr(parallax, "shifts", lambda *_, shifted=shifted: shifted)
+        assert only_turned(pairs, planes) is standing
+    monkeypatch.setattr(parallax, "shifts", lambda *_: np.append(np.zeros(97), np.full(3, shift)))
+    assert only_turned(pairs, planes)
+
+
+def test_a_shift_is_the_angle_left_by_the_best_rotation() -> None:
+    """Of far things and a few near ones, that of the near ones is what does not fit."""
+    rng = np.random.default_rng(0)
+    points = rng.uniform([-200, -100, 900], [200, 100, 1000], (101, 3))
+    points[:60] = rng.uniform([-1, -1, 4.9], [1, 1, 5.1], (60, 3))
+    R = Rotation.from_euler("y", [[0], [5]], degrees=True).as_matrix()
+    for sideways_m in (0.0, 0.05):
+        seen = [(points - [sideways_m * k, 0, 0]) @ R[k] for k in range(2)]
+        planes = [one[:, :2] / one[:, 2:] for one in seen]
+        pair = VerifiedPair(0, 1, np.tile(np.arange(101)[:, None], 2), R[1].T @ R[0])
+        (found,) = shifts([pair], planes)
+        assert found < 2e-3 if sideways_m == 0 else 0 < found < 0.05 / 5
+    few = VerifiedPair(0, 1, np.tile(np.arange(40, 101)[:, None], 2), R[1].T @ R[0])
+    assert shifts([few], planes)[0] < 5e-4  # forty-one of sixty-one are far

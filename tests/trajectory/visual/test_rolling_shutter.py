@@ -8,11 +8,13 @@ from dataclasses import dataclass, field
 import cv2
 import numpy as np
 import pytest
+from synthetic_walk import followed
 
 from rholoc.features import Channel, FeatureSet
 from rholoc.geometry import ByteArray, FloatArray, IntArray
+from rholoc.trajectory.visual import rolling_shutter
 from rholoc.trajectory.visual.flow import track_corners
-from rholoc.trajectory.visual.rolling_shutter import measure_rolling_shutter
+from rholoc.trajectory.visual.rolling_shutter import RollingShutter, measure_rolling_shutter
 
 _READOUT_S = 0.015
 _SIZE = (640, 480)
@@ -92,3 +94,61 @@ def test_what_cannot_be_tracked_is_left_where_it_is() -> None:
     features = _features(np.array([[10.0, 20.0]]))
     np.testing.assert_array_equal(shutter.at_once(1, features).pixels, features.pixels)
     assert len(shutter.take(np.array([1])).velocities) == 1
+
+
+_AFFINE = np.array([[30.0, -5.0, 2000.0], [4.0, 20.0, -900.0]]) / 1000  # px/s of (u, v, 1)
+
+
+def test_a_row_is_late_by_its_share_of_the_readout() -> None:
+    """The middle row not at all, the first half of the readout too early."""
+    shutter = RollingShutter(0.02, 480, np.stack([np.zeros((2, 3)), 1000 * _AFFINE]))
+    pixels = np.array([[100.0, 239.5], [100.0, -0.5], [100.0, 479.5], [300.0, 119.5]])
+    late_s = np.array([0.0, -0.01, 0.01, -0.005])
+    speed = np.column_stack([pixels, np.ones(4)]) @ (1000 * _AFFINE).T
+    np.testing.assert_allclose(shutter.pixels_at_once(1, pixels), pixels - late_s[:, None] * speed)
+    np.testing.assert_array_equal(shutter.pixels_at_once(0, pixels), pixels)
+    np.testing.assert_array_equal(shutter.take(np.array([1])).velocities, [1000 * _AFFINE])
+
+
+def _moves(count: int, wrong: int = 0) -> tuple[FloatArray, FloatArray]:
+    """Corners before and after a motion that is affine in their places midway, some of which go elsewhere."""
+    rng = np.random.default_rng(0)
+    middle = rng.uniform([0, 0], _SIZE, (count, 2))
+    moved = np.column_stack([middle, np.ones(count)]) @ _AFFINE.T
+    moved[:wrong] += [40.0, -30.0]
+    return middle - moved / 2, middle + moved / 2
+
+
+@pytest.mark.parametrize(("count", "wrong"), [(12, 0), (40, 0), (40, 8)])
+def test_the_motion_is_affine_in_where_corners_are_midway(count: int, wrong: int) -> None:
+    np.testing.assert_allclose(rolling_shutter._affine(*_moves(count, wrong)), _AFFINE, atol=1e-9)
+
+
+def test_fewer_than_twelve_corners_show_no_motion() -> None:
+    assert not rolling_shutter._affine(*_moves(11)).any()
+    assert not rolling_shutter._affine(*_moves(0)).any()
+
+
+def test_corners_that_tremble_are_all_kept() -> None:
+    """Residuals of up to three tenths of a pixel are no outliers, however small the usual one."""
+    start, end = _moves(40)
+    end = end.copy()
+    end[::2] += [0.0, 0.25]
+    moved = rolling_shutter._affine(start, end)
+    middle = (start + end) / 2
+    expected = np.linalg.lstsq(np.column_stack([middle, np.ones(40)]), end - start, rcond=None)[0].T
+    np.testing.assert_allclose(moved, expected, atol=1e-9)
+
+
+@pytest.mark.parametrize(("row", "seconds"), [(0, 0.1), (2, 0.3), (4, 0.2)])
+def test_speed_is_between_the_frame_before_and_the_one_after(row: int, seconds: float) -> None:
+    times = np.array([10.0, 10.1, 10.2, 10.4, 10.6])
+    start, end = _moves(30)
+    ends = (max(row - 1, 0), min(row + 1, 4))
+    pixels = np.array([start + (end - start) * (k - ends[0]) / (ends[1] - ends[0]) for k in range(5)])
+    flow = followed(times, _SIZE, pixels, np.ones((5, 30), np.bool_))
+    found = measure_rolling_shutter(flow, np.array([row]), 0.015)
+    np.testing.assert_allclose(found.velocities[0], _AFFINE / seconds, atol=1e-6)
+    assert (found.readout_s, found.height) == (0.015, 480)
+    alone = followed(times[:1], _SIZE, pixels[:1], np.ones((1, 30), np.bool_))
+    assert not measure_rolling_shutter(alone, np.array([0]), 0.015).velocities.any()

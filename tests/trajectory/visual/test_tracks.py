@@ -3,15 +3,24 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scene import CAMERA, arc, cloud, in_pixels
 from scipy.spatial.transform import Rotation
 from synthetic_walk import followed
 
-from rholoc.geometry import FloatArray, rotation_angles
+from rholoc.geometry import BoolArray, FloatArray, rotation_angles
+from rholoc.trajectory.visual import tracks as module
 from rholoc.trajectory.visual.matching import VerifiedPair
-from rholoc.trajectory.visual.tracks import Observations, followed_corners, matched_features, pieces_of
+from rholoc.trajectory.visual.tracks import (
+    Observations,
+    followed_corners,
+    linked_features,
+    matched_features,
+    pieces_of,
+)
+from rholoc.trajectory.visual.two_view import TwoView
 
 
 @st.composite
@@ -142,3 +151,110 @@ def test_pieces_share_points() -> None:
     observations = Observations(np.array(keyframes), numbers, np.zeros((len(keyframes), 2)))
     piece = pieces_of(14, observations)
     assert piece.tolist() == [1, 1, 1, 1, 1, 0, 0, 0, 0, 0, 0, 0, -1, -1]
+
+
+def _neighbours(
+    monkeypatch: pytest.MonkeyPatch,
+    shared: int,
+    inliers: int,
+    turned_deg: float | None = None,
+    apart: int = 1,
+    seconds: float = 0.0,
+) -> tuple[BoolArray, float | None]:
+    """Which corners of so many agree, and the support of the rotation; those of the gyroscope's are the last five."""
+    monkeypatch.setattr(
+        module, "relative_pose", lambda a, b, tolerance: TwoView(np.arange(shared) < inliers, np.eye(3))
+    )
+    felt_ones = np.arange(shared) >= shared - 5
+    monkeypatch.setattr(module, "inliers_of_rotation", lambda a, b, R, tolerance: felt_ones)
+    rows = np.arange(6)
+    flow = followed(seconds * rows, (640, 480), np.full((6, shared, 2), 100.0), np.ones((6, shared), np.bool_))
+    felt = None if turned_deg is None else Rotation.from_euler("y", turned_deg * rows[:, None] / apart, degrees=True)
+    numbers, agree, turned = module._neighbours(flow, rows, 1, 1 + apart, CAMERA, 0.004, felt)
+    assert len(numbers) == len(agree) == shared
+    if turned is not None:
+        assert (turned.first, turned.second) == (1, 1 + apart)
+    return agree, None if turned is None else turned.support
+
+
+def test_a_dozen_corners_show_a_pose_and_thirty_a_rotation(monkeypatch: pytest.MonkeyPatch) -> None:
+    agree, support = _neighbours(monkeypatch, 11, 11)
+    assert (agree.sum(), support) == (0, None)
+    agree, support = _neighbours(monkeypatch, 12, 12)
+    assert (agree.sum(), support) == (12, None)
+    assert _neighbours(monkeypatch, 40, 29)[1] is None
+    assert _neighbours(monkeypatch, 40, 30)[1] == 30
+
+
+def test_between_neighbours_the_gyroscope_is_believed_from_a_degree_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Then corners are judged by its rotation; the pictures' own goes on counting until it is too far off."""
+    for turned_deg, apart, by_pictures, counts in (
+        (0.9, 1, True, True),
+        (1.1, 1, False, True),
+        (5.9, 1, False, True),
+        (6.1, 1, False, False),
+        (1.1, 4, True, True),
+        (6.1, 4, True, False),
+    ):
+        agree, support = _neighbours(monkeypatch, 40, 35, turned_deg, apart)
+        assert agree.tolist() == [(k < 35 if by_pictures else k >= 35) for k in range(40)], turned_deg
+        assert (support is not None) is counts, turned_deg
+    assert _neighbours(monkeypatch, 40, 35, 6.2, 4, seconds=1.0)[1] is not None  # it drifts in four seconds
+    assert _neighbours(monkeypatch, 40, 35, 6.5, 4, seconds=1.0)[1] is None
+
+
+def test_features_are_numbered_through_all_keyframes() -> None:
+    first_feature = np.array([0, 3, 5, 9])
+    links, label = linked_features(first_feature, [_pair(0, 1, [(2, 0)]), _pair(1, 2, [(0, 3), (1, 1)])])
+    assert links.tolist() == [[2, 3], [3, 8], [4, 6]]
+    assert label[2] == label[3] == label[8]
+    assert label[4] == label[6]
+    assert len(np.unique(label)) == 6
+    links, label = linked_features(first_feature, [])
+    assert links.shape == (0, 2)
+    assert len(np.unique(label)) == 9
+
+
+def test_no_sightings_are_of_no_points() -> None:
+    nothing = Observations(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 2)))
+    assert nothing.points == len(nothing) == 0
+    assert len(nothing.thinned(3)) == len(nothing.joined(nothing)) == 0
+    some = Observations(np.arange(3), np.zeros(3, np.int64), np.zeros((3, 2)))
+    assert nothing.joined(some).tracks.tolist() == [0, 0, 0]
+    assert some.joined(some).tracks.tolist() == [0, 0, 0, 1, 1, 1]
+    assert pieces_of(2, nothing).tolist() == [-1, -1]
+
+
+@pytest.mark.parametrize(
+    ("together", "count", "pieces"), [(9, 4, [-1] * 4), (10, 4, [0] * 4), (10, 2, [-1] * 2), (10, 3, [0] * 3)]
+)
+def test_a_piece_is_three_keyframes_that_see_ten_points_each_together(
+    together: int, count: int, pieces: list[int]
+) -> None:
+    keyframes, tracks = (one.ravel() for one in np.meshgrid(np.arange(count), np.arange(together)))
+    assert pieces_of(count, Observations(keyframes, tracks, np.zeros((len(tracks), 2)))).tolist() == pieces
+
+
+def test_corners_lie_where_all_rows_were_read_at_once() -> None:
+    class Late:
+        def pixels_at_once(self, frame: int, pixels: FloatArray) -> FloatArray:
+            return np.add(pixels, [10.0 * frame, 1.0])
+
+    pixels = np.array([in_pixels(cloud(40), one) for one in arc(5, 0.4)])
+    flow = followed(np.arange(5.0), (640, 480), pixels, np.ones((5, 40), np.bool_))
+    plain, _ = followed_corners(flow, np.arange(5), CAMERA, None, None)
+    late, _ = followed_corners(flow, np.arange(5), CAMERA, None, Late())  # type: ignore[arg-type]
+    shift = np.column_stack([10.0 * plain.keyframes, np.ones(len(plain))])
+    np.testing.assert_allclose(late.pixels, plain.pixels + shift)
+
+
+def test_a_corner_that_comes_into_view_later_is_followed_from_there() -> None:
+    pixels = np.array([in_pixels(cloud(60), one) for one in arc(8, 0.4)])
+    seen = np.ones((8, 60), np.bool_)
+    seen[:3, 9] = False
+    seen[4:, 11] = False
+    found, _ = followed_corners(followed(np.arange(8.0), (640, 480), pixels, seen), np.arange(8), CAMERA, None, None)
+    for number, expected in ((9, [3, 4, 5, 6, 7]), (11, [0, 1, 2, 3]), (20, list(range(8)))):
+        here = np.isin(found.pixels, pixels[:, number]).all(axis=1)
+        assert len(np.unique(found.tracks[here])) == 1
+        assert np.sort(found.keyframes[here]).tolist() == expected

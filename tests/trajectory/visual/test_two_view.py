@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from scene import CAMERA, arc, cloud, descriptors_of, on_plane, sift_like
 from scipy.spatial.transform import Rotation
 
-from rholoc.geometry import FloatArray, rotation_angles
+from rholoc.geometry import FloatArray, pose_matrix, rotation_angles
 from rholoc.trajectory.visual.two_view import (
+    absolute_pose,
     inliers_of_rotation,
     ratio_matches,
+    rays_of,
     relative_pose,
     unit_descriptors,
 )
@@ -77,3 +80,83 @@ def test_matches_are_mutual_and_distinct() -> None:
     np.testing.assert_array_equal(shuffled[found[:, 1]], found[:, 0])
     assert len(ratio_matches(a, np.tile(a, (2, 1)))) == 0  # every window of a front is alike
     assert ratio_matches(a, a[:1]).shape == (0, 2)
+
+
+def test_rays_have_length_one_and_meet_the_plane() -> None:
+    plane = np.array([[0.0, 0.0], [3.0, -4.0], [0.1, 0.2]])
+    rays = rays_of(plane)
+    np.testing.assert_allclose(np.linalg.norm(rays, axis=1), 1)
+    np.testing.assert_allclose(rays[:, :2] / rays[:, 2:], plane)
+
+
+@pytest.mark.parametrize(("off", "agrees"), [(0.9, True), (1.1, False)])
+@pytest.mark.parametrize("depth_m", [3.0, 12.0])
+def test_a_match_agrees_within_the_tolerance_of_its_epipolar_plane(off: float, agrees: bool, depth_m: float) -> None:
+    """Fifty perfect matches fix a way sideways; one more is off upward by an angle of its own."""
+    way = np.array([0.3, 0.0, 0.0])
+    points = np.append(np.random.default_rng(0).uniform([-1, -1, 2], [1, 1, 4], (50, 3)), [[0.0, 0.0, depth_m]], axis=0)
+    first, second = points[:, :2] / points[:, 2:], (points - way)[:, :2] / points[:, 2:]
+    second[-1] = [-0.3 / depth_m, 0.0]
+    ray = np.array([-0.3 / depth_m, np.tan(off * _TOLERANCE) * np.hypot(1, 0.3 / depth_m)])
+    second[-1] = ray
+    found = inliers_of_rotation(first, second, np.eye(3), _TOLERANCE)
+    assert found[:-1].all()
+    assert found[-1] == agrees
+
+
+@pytest.mark.parametrize(
+    ("from_way", "off", "agrees"), [(0.02, 2.3, True), (0.02, 4.0, False), (0.2, 0.9, True), (0.2, 1.1, False)]
+)
+def test_near_the_way_itself_a_ray_says_little(from_way: float, off: float, agrees: bool) -> None:
+    """Nearer than a twentieth of a radian, a match may be as far off its plane as there."""
+    ahead = np.random.default_rng(0).uniform([-1, -1, 2], [1, 1, 4], (50, 3))
+    moved = ahead - [0.0, 0.0, 0.3]
+    first = np.append(ahead[:, :2] / ahead[:, 2:], [[from_way, 0.0]], axis=0)
+    second = np.append(moved[:, :2] / moved[:, 2:], [[from_way, off * _TOLERANCE]], axis=0)
+    assert inliers_of_rotation(first, second, np.eye(3), _TOLERANCE)[-1] == agrees
+
+
+@pytest.mark.parametrize(("nearer", "kept"), [(0.78, True), (0.82, False)])
+def test_a_match_is_clearly_nearer_than_the_next_best(nearer: float, kept: bool) -> None:
+    """By four fifths of the distance, as Lowe has it."""
+
+    def at(distance: float, axis: int) -> FloatArray:
+        alike = 1 - distance**2 / 2
+        return alike * np.eye(4)[0] + np.sqrt(1 - alike**2) * np.eye(4)[axis]
+
+    a = np.stack([np.eye(4)[0], np.eye(4)[3]])
+    b = np.stack([at(0.4, 2), at(0.4 * nearer, 1), np.eye(4)[3]])
+    found = ratio_matches(a, b)
+    assert ([0, 1] in found.tolist()) is kept
+    assert [1, 2] in found.tolist()
+
+
+def test_only_mutual_neighbours_match() -> None:
+    """Two of the first are nearest to one of the second, which is nearest to the better of them."""
+    a = np.array([[1.0, 0.0, 0.0], [0.98, np.sqrt(1 - 0.98**2), 0.0], [0.0, 0.0, 1.0]])
+    b = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    assert ratio_matches(a, b).tolist() == [[0, 0], [2, 1]]
+    assert ratio_matches(a[:1], b).shape == (0, 2)
+    assert ratio_matches(a[[0, 2]], b).tolist() == [[0, 0], [1, 1]]
+
+
+def test_descriptors_without_a_length_stay_without_one() -> None:
+    found = unit_descriptors(sift_like(np.zeros((2, 2)), np.array([np.zeros(128), np.full(128, 3.0)])))
+    assert not found[0].any()
+    np.testing.assert_allclose(found[1], 1 / np.sqrt(128), rtol=1e-6)
+    assert found.dtype == np.float32
+
+
+def test_a_camera_is_placed_by_points_that_are_known() -> None:
+    points = cloud(80)
+    T = pose_matrix(Rotation.from_euler("xyz", [4, -7, 3], degrees=True).as_matrix(), np.array([0.4, -0.2, -4.0]))
+    plane = on_plane(points, T)
+    plane[:20] += 0.1
+    found, agreeing = absolute_pose(plane, points, _TOLERANCE)
+    np.testing.assert_allclose(found, T, atol=1e-6)
+    assert agreeing == 60
+
+
+def test_of_few_matches_nothing_is_claimed() -> None:
+    view = relative_pose(np.zeros((3, 2)), np.zeros((3, 2)), _TOLERANCE)
+    assert view.inliers.tolist() == [False] * 3

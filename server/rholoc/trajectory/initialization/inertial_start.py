@@ -97,22 +97,10 @@ def inertial_start(
         positions = x[_UNKNOWNS_APART:].reshape(-1, 6)[:, 3:]
         between = positions[second] - positions[first]
         way = np.linalg.norm(between, axis=1)
-        along = np.sum(between * unit, axis=1)
-        across = np.linalg.norm(between - along[:, None] * unit, axis=1)
-        seen = across / (sigma * np.maximum(way, _LEAST_WAY_M)) + _BACKWARD * (along < 0)
-        robust = np.concatenate(
-            [
-                1 / (1 + (felt / (_CAUCHY * max(float(np.median(felt)), 1.0))) ** 2),
-                1 / (1 + (seen / _CAUCHY) ** 2) ** 2,
-            ]
-        )
+        robust = np.concatenate([_weights_of_motion(felt), _weights_of_directions(between, unit, sigma)])
         expected[:3] = x[:3] * GRAVITY / max(float(np.linalg.norm(x[:3])), 1e-9)
         prior[:3] = _GRAVITY_SIGMA**-2
-        # Ways without a part across their directions were the first aim; but so is no way at all. From here on a way
-        # is to turn to its direction, and its length is the IMU's alone.
-        ahead = (along > 0) & (way > _LEAST_WAY_M)
-        toward = np.where(ahead[:, None], between / np.maximum(way, 1e-9)[:, None], unit)
-        way_wanted = way[:, None] * (unit - np.sum(unit * toward, axis=1)[:, None] * toward)
+        toward, way_wanted = _turned_to(between, unit)
     return InertialStart(
         -x[:3] / np.linalg.norm(x[:3]),
         positions,
@@ -120,6 +108,35 @@ def inertial_start(
         x[3:6],
         float(np.median(felt)),
     )
+
+
+def _weights_of_motion(felt: FloatArray) -> FloatArray:
+    """Cauchy's weights (N,) of equations of motion that are so many sigmas off, or of times the usual."""
+    return np.asarray(1 / (1 + (felt / (_CAUCHY * max(float(np.median(felt)), 1.0))) ** 2))
+
+
+def _weights_of_directions(between: FloatArray, unit: FloatArray, sigma_rad: FloatArray) -> FloatArray:
+    """The weights (N,) of directions (N, 3), from the ways (N, 3) that were found: next to none of one that is off.
+
+    Geman and McClure's, whose doubt grows faster than Cauchy's. A way that leads backward is some sigmas further off.
+    """
+    way_m = np.linalg.norm(between, axis=1)
+    along = np.sum(between * unit, axis=1)
+    across = np.linalg.norm(between - along[:, None] * unit, axis=1)
+    off = across / (sigma_rad * np.maximum(way_m, _LEAST_WAY_M)) + _BACKWARD * (along < 0)
+    return np.asarray(1 / (1 + (off / _CAUCHY) ** 2) ** 2)
+
+
+def _turned_to(between: FloatArray, unit: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Along which (N, 3) a way's length stays free, and what is wanted (N, 3) of it across that, to have a direction.
+
+    Ways without a part across their directions were the first aim; but so is no way at all. From then on a way is to
+    turn to its direction, and its length is the IMU's alone.
+    """
+    way_m = np.linalg.norm(between, axis=1)
+    ahead = (np.sum(between * unit, axis=1) > 0) & (way_m > _LEAST_WAY_M)
+    toward = np.where(ahead[:, None], between / np.maximum(way_m, _LEAST_WAY_M)[:, None], unit)
+    return toward, way_m[:, None] * (unit - np.sum(unit * toward, axis=1)[:, None] * toward)
 
 
 def _solved(information: csc_matrix, target: FloatArray) -> FloatArray:

@@ -1,0 +1,235 @@
+"""What an adjusted walk is made into: which keyframes count as placed, in which frame, and how sure."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from scene import CAMERA, arc, cloud, in_pixels
+from scipy.spatial.transform import Rotation
+
+from rholoc.geometry import BoolArray, FloatArray, Similarity
+from rholoc.recordings import Waypoint
+from rholoc.trajectory import Scale
+from rholoc.trajectory.checks.blame import LeftOut
+from rholoc.trajectory.frame.map_frame import MapFrame, up_by_gravity
+from rholoc.trajectory.inertial.gyroscope import GyroCalibration
+from rholoc.trajectory.optimization.adjustment import Fix, Problem, State
+from rholoc.trajectory.reconstruction import waypoints as in_waypoints
+from rholoc.trajectory.reconstruction.outcome import InertialFigures, Solved, finished
+from rholoc.trajectory.reconstruction.waypoints import in_map_frame
+from rholoc.trajectory.visual.tracks import Observations
+
+_COUNT = 6
+_GYRO = GyroCalibration(0.0, 0.0, np.zeros(3), 0.0, np.eye(3), False, 0.0, 0.0)
+_IMU = InertialFigures(_GYRO, 0.01, np.zeros(3), np.zeros(3), 0.0, 1.0, 1.0, 1.0)
+
+
+@dataclass(frozen=True, eq=False)
+class _Adjusted:
+    """Stands in for what an adjustment found: so many metres of uncertainty a keyframe."""
+
+    state: State
+    used: BoolArray
+    sigmas_m: FloatArray
+
+    def covariances(self, keyframes: list[int]) -> FloatArray:
+        found = np.zeros((len(keyframes), 6, 6))
+        found[:, 0, 0] = self.sigmas_m[keyframes] ** 2
+        found[:, 3:, 3:] = 1e-6 * np.diag([1, 4, 9])
+        return found
+
+    def camera_sigmas(self) -> FloatArray:
+        return np.arange(1.0, 10.0)
+
+
+def _solved(
+    sightings: list[int], off_px: float = 0.0, sigmas_m: FloatArray | None = None, in_frame: bool = True
+) -> Solved:
+    """Six cameras, of which each sees so many points right; half a pixel off, and one more point by so many pixels."""
+    T, points = arc(_COUNT), cloud(40)
+    keyframes, tracks, pixels = [], [], []
+    for k, count in enumerate(sightings):
+        seen = in_pixels(points, T[k])
+        for track in range(count):
+            keyframes.append(k)
+            tracks.append(track)
+            pixels.append(seen[track] + [0.3, 0.4])
+        keyframes.append(k)
+        tracks.append(39)
+        pixels.append(seen[39] + [off_px, 0.0])
+    observations = Observations(np.array(keyframes), np.array(tracks), np.array(pixels))
+    sigmas_m = np.full(_COUNT, 0.01) if sigmas_m is None else sigmas_m
+    adjusted = _Adjusted(State(T, points, CAMERA), np.ones(len(tracks), np.bool_), sigmas_m)
+    turned = Similarity(2.0, Rotation.from_euler("z", 90, degrees=True).as_matrix(), np.array([1.0, 2.0, 3.0]))
+    frame = MapFrame(turned, Scale.METRIC, True, "", "")
+    return Solved(Problem(np.arange(6.0), observations), adjusted, frame, in_frame)  # type: ignore[arg-type]
+
+
+def test_a_keyframe_is_placed_by_a_dozen_sightings_that_fit() -> None:
+    found = finished(_solved([12, 11, 10, 30, 30, 30], off_px=0.5), 3, True, None, "why")
+    assert found.placed.tolist() == [True, True, False, True, True, True]
+    wrong = finished(_solved([12, 11, 10, 30, 30, 30], off_px=2.7), 3, True, None, "why")
+    assert wrong.placed.tolist() == [True, False, False, True, True, True]
+    assert finished(_solved([12] * 6, off_px=2.3), 0, True, None, "").landmarks == 13
+    assert wrong.landmarks == 30
+    assert (wrong.loops, wrong.imu_reason, wrong.focal_sigma_px) == (3, "why", None)
+    assert wrong.residual_px == pytest.approx(0.5, rel=0.05)
+    assert finished(_solved([12] * 6), 0, False, None, "").focal_sigma_px == 1.0
+
+
+def test_sightings_that_were_not_used_place_nothing() -> None:
+    solved = _solved([30] * 6)
+    unused = replace(solved.adjusted, used=solved.problem.observations.keyframes != 2)
+    found = finished(replace(solved, adjusted=unused), 0, True, None, "")
+    assert found.placed.tolist() == [True, True, False, True, True, True]
+
+
+@pytest.mark.parametrize(
+    ("usual_m", "own_m", "carried"),
+    [(0.01, 0.049, True), (0.01, 0.051, False), (0.04, 0.079, True), (0.04, 0.081, False)],
+)
+def test_the_imu_places_a_keyframe_that_is_known_well_enough(usual_m: float, own_m: float, carried: bool) -> None:
+    """To five centimetres, or to twice what is usual."""
+    sigmas_m = np.append(np.full(5, usual_m), own_m)
+    solved = _solved([30] * 5 + [0], sigmas_m=sigmas_m)
+    assert finished(solved, 0, True, _IMU, "").placed.tolist() == [True] * 5 + [carried]
+    assert finished(solved, 0, True, None, "").placed.tolist() == [True] * 5 + [False]
+    assert finished(_solved([0] * 6, sigmas_m=sigmas_m), 0, True, _IMU, "").placed[-1] == (own_m < 0.05)
+
+
+def test_what_waypoints_have_not_put_into_the_maps_frame_is_put_there() -> None:
+    here, there = (finished(_solved([30] * 6, in_frame=one), 0, True, None, "") for one in (True, False))
+    similarity = there.frame.similarity
+    np.testing.assert_allclose(there.T_map_camera, similarity.poses(here.T_map_camera))
+    assert there.median_depth == pytest.approx(2 * here.median_depth)
+    R = similarity.rotation
+    np.testing.assert_allclose(there.covariances[:, :3, :3], 4 * R @ here.covariances[:, :3, :3] @ R.T, atol=1e-15)
+    np.testing.assert_allclose(there.covariances[:, 3:, 3:], R @ here.covariances[:, 3:, 3:] @ R.T, atol=1e-15)
+    np.testing.assert_array_equal(here.T_map_camera, arc(_COUNT))
+
+
+def test_waypoints_noise_follows_what_was_found_unless_the_operator_said_it() -> None:
+    assert in_waypoints._of_noise(Fix(3, (1.0, 2.0, 3.0), 0.02), 1.5) == Fix(3, (1.0, 2.0, 3.0), 0.03)
+    assert in_waypoints._of_noise(Fix(3, (1.0, 2.0, 3.0), 0.01), 1.5) == Fix(3, (1.0, 2.0, 3.0), 0.01)
+
+
+def test_a_waypoint_is_judged_without_itself_and_a_mistaken_one_as_it_is() -> None:
+    solved = _solved([30] * 6, sigmas_m=np.full(6, 0.01))
+    place = solved.adjusted.state.positions[2]
+    fixes = {"A": Fix(2, tuple(np.add(place, [0.1, 0.0, 0.0]).tolist()), 0.02)}
+
+    class Sure:
+        state = solved.adjusted.state
+
+        def covariances(self, keyframes: list[int]) -> FloatArray:
+            assert keyframes == [2]
+            return np.array([np.eye(6) * 1e-4])
+
+    taken = in_waypoints._each_left_out(fixes, ["A"], Sure())["A"]  # type: ignore[arg-type]
+    np.testing.assert_allclose(taken.off_m, [0.1, 0, 0])
+    assert taken.sigmas == pytest.approx(0.1 / np.hypot(0.01, 0.02))
+    left = in_waypoints._each_left_out(fixes, [], Sure())["A"]  # type: ignore[arg-type]
+    assert left.off_m[0] > 0.1
+
+
+@dataclass
+class _Walk:
+    """An adjustment that answers from a list of who is mistaken, one after the other."""
+
+    mistakes: list[str]
+    fixes: list[list[int]]
+    sigmas_m: list[float]
+    iterations: list[int]
+
+    def adjust(self, problem: Problem, state: State, iterations: int, progress: object) -> object:
+        self.fixes.append([fix.keyframe for fix in problem.fixes])
+        self.sigmas_m.append(problem.fixes[0].sigma_m)
+        self.iterations.append(iterations)
+        return _Adjusted(state, np.zeros(0, np.bool_), np.zeros(20))
+
+    def each_left_out(self, fixes: dict[str, Fix], mistaken: list[str], adjusted: object) -> dict[str, LeftOut]:
+        wrong = self.mistakes[: len(mistaken) + 1]
+        return {name: LeftOut(np.array([0.5, 0, 0]), 9.0 if name in wrong else 1.0) for name in fixes}
+
+
+def _held(
+    monkeypatch: pytest.MonkeyPatch, count: int, mistakes: list[str], late_s: float = 0.0
+) -> tuple[_Walk, Solved]:
+    times = np.arange(20.0)
+    walk = _Walk(mistakes, [], [], [])
+    monkeypatch.setattr(in_waypoints, "adjust", walk.adjust)
+    monkeypatch.setattr(in_waypoints, "_each_left_out", walk.each_left_out)
+    T = np.tile(np.eye(4), (20, 1, 1))
+    T[:, :3, 3] = np.column_stack([times, np.sin(times), 0 * times])
+    state = State(T, np.zeros((0, 3)), CAMERA)
+    named = tuple(Waypoint(f"W{i}", 2.0 * i + (late_s if i == 1 else 0.0), (0.0, 0.0, 0.0)) for i in range(count))
+    frame = MapFrame(Similarity.identity(), Scale.METRIC, True, "", "", named)
+    nothing = Observations(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 2)))
+
+    class Progress:
+        def step(self, start: float, end: float, what: str) -> None:
+            assert 0.75 <= start < end <= 0.95
+
+    solved = in_waypoints._held_by_waypoints(Problem(times, nothing), state, frame, (), Progress())  # type: ignore[arg-type]
+    return walk, solved
+
+
+def test_waypoints_are_taken_out_one_after_the_other(monkeypatch: pytest.MonkeyPatch) -> None:
+    walk, solved = _held(monkeypatch, 9, ["W3", "W1"])
+    every = [2 * i for i in range(9)]
+    without = [k for k in every if k not in (2, 6)]
+    assert walk.fixes == [every, [k for k in every if k != 6], without, without]
+    assert solved.mistaken == ("W3", "W1")
+    assert solved.in_frame
+    assert walk.iterations == [12, 12, 12, 8]
+    factor = np.sqrt((2 + 7) / (2 + 21))
+    assert walk.sigmas_m == pytest.approx([0.02, 0.02, 0.02, factor * 0.02])
+
+
+@pytest.mark.parametrize(("count", "taken_out"), [(9, 3), (8, 2), (6, 2), (5, 1), (4, 1), (3, 0)])
+def test_a_third_of_the_waypoints_may_be_mistaken(count: int, taken_out: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """And three are always left."""
+    walk, solved = _held(monkeypatch, count, [f"W{i}" for i in range(count)])
+    assert len(solved.mistaken) == taken_out
+    assert len(walk.fixes[-1]) == count - taken_out
+
+
+@pytest.mark.parametrize(("gap_s", "used"), [(0.4, False), (0.6, True)])
+def test_a_waypoint_far_from_any_keyframe_fixes_nothing(
+    gap_s: float, used: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """W1 stands halfway between two keyframes."""
+    monkeypatch.setattr(in_waypoints, "MAX_GAP_S", gap_s)
+    walk, solved = _held(monkeypatch, 5, [], late_s=0.5)
+    assert (2 in walk.fixes[0]) is used
+    assert ("W1" in solved.left_out) is used
+
+
+def test_without_waypoints_the_walk_stays_in_its_own_frame() -> None:
+    solved = _solved([30] * 6)
+    found = in_map_frame(solved.problem, solved.adjusted, [], up_by_gravity(), 0.01, (), None)  # type: ignore[arg-type]
+    assert not found.in_frame
+    assert found.adjusted is solved.adjusted
+    assert found.frame.scale is Scale.METRIC
+    open_scale = in_map_frame(solved.problem, solved.adjusted, [], up_by_gravity(), None, (), None)  # type: ignore[arg-type]
+    depths = np.einsum("ni,ni->n", *_depths(solved))
+    assert open_scale.frame.similarity.scale == pytest.approx(1 / np.median(depths))
+
+
+def _depths(solved: Solved) -> tuple[FloatArray, FloatArray]:
+    seen = solved.problem.observations
+    T = solved.adjusted.state.T_map_camera[seen.keyframes]
+    return solved.adjusted.state.points[seen.tracks] - T[:, :3, 3], T[:, :3, 2]
+
+
+@pytest.mark.parametrize("upright", [True, False])
+def test_gravity_is_free_where_the_waypoints_are_not_upright(upright: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    solved = _solved([30] * 6)
+    frame = replace(solved.frame, upright=upright)
+    monkeypatch.setattr(in_waypoints, "frame_of_waypoints", lambda *_: frame)
+    monkeypatch.setattr(in_waypoints, "_held_by_waypoints", lambda problem, *_: problem)
+    named = [(Waypoint("A", 0.0, (0.0, 0.0, 0.0)),)]
+    problem = in_map_frame(solved.problem, solved.adjusted, named, up_by_gravity(), 0.01, (), None)  # type: ignore[arg-type]
+    assert problem.level_sigma_rad == (solved.problem.level_sigma_rad if upright else None)  # type: ignore[attr-defined]
