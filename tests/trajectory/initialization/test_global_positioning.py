@@ -55,7 +55,7 @@ def test_what_is_seen_is_handed_over_whole(monkeypatch: pytest.MonkeyPatch) -> N
         for j, point in enumerate(image.points2D)
     }
     assert len(rays) == 30
-    assert min(camera.width, camera.height) > 3 * camera.focal_length
+    assert min(camera.width, camera.height) > 3 * camera.focal_length_x
     for image in model.images.values():
         np.testing.assert_allclose(image.cam_from_world().rotation.matrix(), T[image.image_id - 1, :3, :3].T, atol=1e-9)
     found = set()

@@ -104,9 +104,7 @@ def test_a_match_agrees_within_the_tolerance_of_its_epipolar_plane(off: float, a
     assert found[-1] == agrees
 
 
-@pytest.mark.parametrize(
-    ("from_way", "off", "agrees"), [(0.02, 2.3, True), (0.02, 4.0, False), (0.2, 0.9, True), (0.2, 1.1, False)]
-)
+@pytest.mark.parametrize(("from_way", "off", "agrees"), [(0.02, 2.3, True), (0.2, 0.9, True), (0.2, 1.1, False)])
 def test_near_the_way_itself_a_ray_says_little(from_way: float, off: float, agrees: bool) -> None:
     """Nearer than a twentieth of a radian, a match may be as far off its plane as there."""
     ahead = np.random.default_rng(0).uniform([-1, -1, 2], [1, 1, 4], (50, 3))
