@@ -12,6 +12,7 @@ from rholoc.errors import MappingFailed
 from rholoc.geometry import FloatArray, Pose, Similarity
 from rholoc.recordings import Waypoint
 from rholoc.trajectory import Scale
+from rholoc.trajectory.frame import map_frame
 from rholoc.trajectory.frame.map_frame import (
     MapFrame,
     frame_of_first_camera,
@@ -19,7 +20,7 @@ from rholoc.trajectory.frame.map_frame import (
     up_by_gravity,
     up_by_pictures,
 )
-from rholoc.trajectory.frame.waypoint_alignment import UpMeasurement, align_to_waypoints
+from rholoc.trajectory.frame.waypoint_alignment import UpMeasurement, WaypointAlignment
 
 TIMES = np.linspace(0.0, 30.0, 91)
 TURNED = Rotation.from_euler("xyz", [0.4, -0.3, 0.9]).as_matrix()
@@ -170,27 +171,22 @@ def test_scales_may_differ_by_a_seventh_or_four_sigmas(scale: float, sigma: floa
 
 @pytest.mark.parametrize(
     ("off_m", "next_off_m", "doubted"),
-    [(0.05, 0.09, True), (0.05, 0.11, False), (0.0, 0.035, True), (0.0, 0.045, False)],
+    [(0.05, 0.099, True), (0.05, 0.101, False), (0.0, 0.039, True), (0.0, 0.041, False)],
 )
-def test_the_next_best_choice_must_be_twice_as_bad(off_m: float, next_off_m: float, doubted: bool) -> None:
+def test_the_next_best_choice_must_be_twice_as_bad(
+    off_m: float, next_off_m: float, doubted: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Than the best, or than two centimetres; by the waypoint that is missed furthest."""
-    found = frame_of_waypoints(
-        TIMES, reconstructed(), [_bent(next_off_m), _bent(off_m), _bent(next_off_m + 0.05)], None, ""
-    )
+    missed_m = {0: next_off_m, 1: off_m, 2: next_off_m + 0.05}
+    choices = [tuple(replace(one, time=float(k)) for one in waypoints(0, 25, 50)) for k in missed_m]
+
+    def align(times: FloatArray, positions: FloatArray, chosen: tuple[Waypoint, ...]) -> WaypointAlignment:
+        return WaypointAlignment(Similarity.identity(), np.array([0.0, missed_m[int(chosen[0].time)], np.nan]))
+
+    monkeypatch.setattr(map_frame, "align_to_waypoints", align)
+    found = frame_of_waypoints(TIMES, reconstructed(), choices, None, "")
     assert ("Other pauses" in " ".join(found.doubts)) is doubted
-    assert found.waypoints == _bent(off_m)
-
-
-def _bent(worst_m: float) -> tuple[Waypoint, ...]:
-    """Four waypoints of which the camera's path misses the worst by so much."""
-    shape = np.array([[0, 0, 1.0], [0, 0, -1.0], [0, 0, 1.0], [0, 0, -1.0]])
-    low, high = 0.0, 0.25
-    for _ in range(40):
-        size = (low + high) / 2
-        bent = waypoints(0, 25, 50, 80, off=size * shape)
-        missed = align_to_waypoints(TIMES, reconstructed()[:, :3, 3], bent).worst_m
-        low, high = (size, high) if missed < worst_m else (low, size)
-    return waypoints(0, 25, 50, 80, off=low * shape)
+    assert found.waypoints == choices[1]
 
 
 def test_a_camera_that_looks_straight_up_has_any_heading() -> None:
