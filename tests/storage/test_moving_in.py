@@ -15,9 +15,9 @@ from fake_pipeline import tiny_map
 from rholoc.geometry import Camera
 from rholoc.jobs import RecordingStore, SharedRecordingStore, move_in
 from rholoc.jobs.recording_notes import WAYPOINTS_FILE
-from rholoc.maps import CameraLibrary, CameraProfile, MapLibrary
+from rholoc.maps import CameraLibrary, CameraProfile, FramePose, MapLibrary, Site, SiteLibrary, SiteMap
 from rholoc.service.keys import KeyStore, Scope
-from rholoc.storage import CAMERAS, KEYS
+from rholoc.storage import CAMERAS, KEYS, SITES
 
 
 def test_maps_cameras_keys_and_recordings_are_brought_in(open_storage: Any, tmp_path: Path) -> None:
@@ -28,6 +28,7 @@ def test_maps_cameras_keys_and_recordings_are_brought_in(open_storage: Any, tmp_
     folder.put("room", tiny_map())
     profile = CameraProfile(Camera(640, 480, 500.0, 500.0, 320.0, 240.0))
     CameraLibrary(maps_dir).put("phone", profile)
+    site = SiteLibrary(maps_dir).put("campus", Site(maps=(SiteMap("hall", pose=FramePose()),)))
     secret = KeyStore(data_dir).create("robot", Scope.LOCALIZE)
     kept = RecordingStore(data_dir)
     entry = kept.create([("walk.mp4", [b"12345"]), ("a/b.csv", [b"6"])])
@@ -36,11 +37,12 @@ def test_maps_cameras_keys_and_recordings_are_brought_in(open_storage: Any, tmp_
     shared.library.put("room", tiny_map())
 
     moved = move_in(maps_dir, data_dir, shared)
-    assert (moved.maps, moved.cameras, moved.keys, moved.recordings) == (1, 1, 1, 1)
+    assert (moved.maps, moved.cameras, moved.sites, moved.keys, moved.recordings) == (1, 1, 1, 1, 1)
     assert moved.left == ("maps: room",)
     assert shared.library.get("hall").info == folder.get("hall").info
     assert {n: info.id for n, info in shared.library.versions("hall").items()} == {1: f"{1:032x}", 2: f"{0:032x}"}
     assert CameraLibrary(tmp_path, shared.documents(CAMERAS)).get("phone") == profile
+    assert SiteLibrary(tmp_path, shared.documents(SITES)).get("campus") == site
     found = KeyStore(tmp_path, shared.documents(KEYS)).find(secret)
     assert found is not None
     assert found.name == "robot"
@@ -51,7 +53,7 @@ def test_maps_cameras_keys_and_recordings_are_brought_in(open_storage: Any, tmp_
     assert folder.names() == ["hall", "room"], "the folders stay as they are"
     assert (kept.folder(entry.id) / "walk.mp4").is_file()
     again = move_in(maps_dir, data_dir, shared)
-    assert (again.maps, again.recordings, len(again.left)) == (0, 0, 5)
+    assert (again.maps, again.recordings, len(again.left)) == (0, 0, 6)
 
 
 def test_the_command_needs_a_storage_and_counts_what_it_brought(tmp_path: Path, storage_url: str) -> None:
@@ -68,4 +70,4 @@ def test_the_command_needs_a_storage_and_counts_what_it_brought(tmp_path: Path, 
     wrong = run("ftp://user:secret@host/x")
     assert (wrong.returncode, "secret" in wrong.stderr, "Traceback" in wrong.stderr) == (1, False, False)
     done = run(storage_url)
-    assert json.loads(done.stdout) == {"maps": 1, "cameras": 0, "keys": 0, "recordings": 0, "left": []}
+    assert json.loads(done.stdout) == {"maps": 1, "cameras": 0, "sites": 0, "keys": 0, "recordings": 0, "left": []}

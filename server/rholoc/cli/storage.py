@@ -21,7 +21,7 @@ def _group() -> None:
 
 @app.command("import")
 def import_folders(maps: Maps = None, data: Data = None, as_json: Json = False) -> None:
-    """Copy maps, cameras, keys and recordings from this server's folders into RHOLOC_STORAGE_URL."""
+    """Copy maps, cameras, sites, keys and recordings from this server's folders into RHOLOC_STORAGE_URL."""
     from rholoc.jobs import move_in
     from rholoc.service.app import open_shared
 
@@ -40,5 +40,5 @@ def import_folders(maps: Maps = None, data: Data = None, as_json: Json = False) 
         return
     for what in moved.left:
         print_notice(f"Left, for the storage has it already: {what}")
-    counts = f"{moved.maps} maps, {moved.cameras} cameras, {moved.keys} keys, {moved.recordings} recordings"
+    counts = ", ".join(f"{count} {kind}" for kind, count in asdict(moved).items() if kind != "left")
     output.print(f"Imported {counts}. The folders stay as they are.", markup=False, soft_wrap=True)

@@ -12,7 +12,8 @@ from rholoc.jobs.recording_store import RecordingStore
 from rholoc.jobs.shared_recordings import SharedRecordingStore
 from rholoc.maps import FolderDocuments, MapLibrary
 from rholoc.maps.cameras import FOLDER as CAMERA_FOLDER
-from rholoc.storage import CAMERAS, KEYS, SharedStorage
+from rholoc.maps.sites import SITES_FOLDER
+from rholoc.storage import CAMERAS, KEYS, SITES, SharedStorage
 
 
 @dataclass(frozen=True)
@@ -20,12 +21,13 @@ class MovedIn:
     """How much was brought in.
 
     Attributes:
-        maps, cameras, keys, recordings: how many.
+        maps, cameras, sites, keys, recordings: how many.
         left: what was left where it is, for the storage has something of that name.
     """
 
     maps: int
     cameras: int
+    sites: int
     keys: int
     recordings: int
     left: tuple[str, ...]
@@ -54,7 +56,7 @@ def move_in(
     shared: SharedStorage,
     advance: Callable[[float], None] = lambda fraction: None,
 ) -> MovedIn:
-    """Copy maps with the versions before them, cameras, keys and recordings; the folders stay as they are.
+    """Copy maps with the versions before them, cameras, sites, keys and recordings; the folders stay as they are.
 
     What the storage has already is left, so that a copy that broke off can be made again.
 
@@ -70,10 +72,11 @@ def move_in(
     things = [
         *_maps(MapLibrary(maps_dir), shared.library),
         *_documents("cameras", FolderDocuments(maps_dir / CAMERA_FOLDER), shared, CAMERAS),
+        *_documents("sites", FolderDocuments(maps_dir / SITES_FOLDER), shared, SITES),
         *_documents("keys", FolderDocuments(data_dir / KEYS), shared, KEYS),
         *_recordings(RecordingStore(data_dir), recordings),
     ]
-    counts = {"maps": 0, "cameras": 0, "keys": 0, "recordings": 0}
+    counts = {"maps": 0, "cameras": 0, "sites": 0, "keys": 0, "recordings": 0}
     for number, thing in enumerate(things, start=1):
         if not thing.present:
             thing.bring(thing.name)
