@@ -12,8 +12,9 @@ from scipy.spatial.transform import Rotation
 
 from rholoc.errors import InvalidDescriptors
 from rholoc.features import FeatureSet
-from rholoc.geometry import Pose, pose_matrix
+from rholoc.geometry import Pose, pose_distances, pose_matrix
 from rholoc.localization import Cause, Dof, Localizer, Prior, Query, Reason
+from rholoc.localization.matches import Matches
 from rholoc.localization.seeds import place_of_prior
 from rholoc.maps import Map
 
@@ -92,6 +93,16 @@ def test_the_same_query_gives_the_same_answer(localizer: Localizer, point_room: 
     np.testing.assert_array_equal(first.pose.T_map_camera, second.pose.T_map_camera)
 
 
+def test_no_more_matches_agree_than_there_are(localizer: Localizer, point_room: Any) -> None:
+    """Some of the features find the place; those that agree are counted among all of them."""
+    truth = point_room.walk(5)[2]
+    seen = point_room.see(truth, 3)
+    looked_at = len(seen) // 4
+    seen.__dict__["sample"] = np.arange(0, len(seen), 4)
+    answer = localizer.localize(Query(seen, point_room.camera, Dof.FREE, more_features=lambda: seen))
+    assert looked_at < answer.inliers <= answer.matches
+
+
 def test_errors_are_consistent_with_the_covariance(localizer: Localizer, point_room: Any) -> None:
     inside = []
     for seed, truth in enumerate(point_room.walk(20, sideways_m=0.1)):
@@ -109,7 +120,6 @@ def test_a_prior_is_used_and_kept_to(localizer: Localizer, point_room: Any) -> N
     near = Pose(pose_matrix(truth.R_map_camera, truth.position + np.array([0.05, -0.04, 0.02])))
     answer = localizer.localize(Query(features, point_room.camera, prior=Prior(near, 0.5, 0.3)))
     assert _off(answer, truth)[0] < 0.03
-    assert "seed" not in answer.timings_ms  # tracking needs no search
     assert answer.near_prior
 
 
@@ -147,17 +157,30 @@ def test_a_priors_place_is_seen_by_views_that_look_its_way(localizer: Localizer,
     assert place_of_prior(index, Prior(upwards, 4.0, 0.1), views_each=60) is None
 
 
-@pytest.mark.parametrize(("turned_deg", "tracked"), [(1.5, True), (10.0, False)])
-def test_tracking_looks_no_further_than_a_camera_turns_between_frames(
-    localizer: Localizer, point_room: Any, turned_deg: float, tracked: bool
+@pytest.mark.parametrize("turned_deg", [1.5, 10.0, 20.0])
+def test_near_a_prior_the_whole_map_is_not_searched(
+    localizer: Localizer, point_room: Any, turned_deg: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """15 and 90 px. Further off, look-alikes would be found by chance: the search starts from what is seen instead."""
     truth = point_room.walk(9)[4]
     turn = Rotation.from_euler("z", turned_deg, degrees=True).as_matrix()
-    prior = Prior(Pose(pose_matrix(turn @ truth.R_map_camera, truth.position)), 0.5, 0.3)
+    prior = Prior(Pose(pose_matrix(turn @ truth.R_map_camera, truth.position)), 0.5, 0.6)
+    monkeypatch.setattr(localizer.index, "nearest_everywhere", None)
     answer = localizer.localize(Query(point_room.see(truth, 8), point_room.camera, prior=prior))
     assert _off(answer, truth)[0] < 0.03
-    assert ("seed" not in answer.timings_ms) is tracked
+
+
+def test_where_few_features_are_left_a_close_prior_finds_the_pose(localizer: Localizer, point_room: Any) -> None:
+    """Matched without an idea of where, so few of them do not tell which place it is."""
+    truth = point_room.walk(9)[4]
+    features = point_room.see(truth, 8)
+    some = features.take(np.arange(0, len(features), len(features) // 12))
+    near = Prior(Pose(pose_matrix(truth.R_map_camera, truth.position + np.array([0.01, 0.0, 0.01]))), 0.5, 0.3)
+    index = localizer.index
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(index, "match_within", lambda *_, **__: Matches.none())
+        found = localizer.candidate(Query(some, point_room.camera, prior=near))
+    assert found is not None
+    assert pose_distances(found[0].optimum.T_map_camera, truth.T_map_camera)[0] < 0.05
 
 
 def test_a_roll_that_only_the_request_forbids_is_named(localizer: Localizer, point_room: Any) -> None:

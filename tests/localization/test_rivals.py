@@ -11,7 +11,7 @@ import pytest
 
 from rholoc.features import FeatureSet
 from rholoc.geometry import Pose
-from rholoc.localization import Dof, Localizer, Query
+from rholoc.localization import Dof, Localizer, Query, SeveralFrames, localize_together
 from rholoc.localization.ascent import Optimum
 from rholoc.localization.matches import Matches
 from rholoc.localization.rivals import _unexplained, are_rivals, rival_seeds, sureness
@@ -33,6 +33,14 @@ def test_a_room_that_is_its_own_twin_is_not_answered_with_confidence(twin_room: 
     for seed, truth in enumerate(twin_room.walk(9, sideways_m=0.1)[1:3]):
         answer = localizer.localize(Query(twin_room.see(truth, 70 + seed), twin_room.camera, Dof.FREE))
         assert answer.confidence < 0.75  # of two equal places neither is likelier than a half
+
+
+def test_several_frames_of_it_are_not_answered_as_if_there_were_no_other(twin_room: Any) -> None:
+    localizer = Localizer(twin_room.map_of(twin_room.walk(80), "twin"), min_confidence=0.0)
+    truths = twin_room.walk(40, sideways_m=0.1)[5:14:4]
+    frames = tuple(Query(twin_room.see(truth, 80 + i), twin_room.camera, Dof.FREE) for i, truth in enumerate(truths))
+    asked = SeveralFrames(frames, np.array([truth.T_map_camera for truth in truths]))
+    assert localize_together(localizer, asked).first.confidence < 0.9
 
 
 def _in_a_crowd(seen: FeatureSet, kept: np.ndarray, seed: int) -> FeatureSet:

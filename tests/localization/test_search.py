@@ -40,7 +40,6 @@ from rholoc.localization.matches import Matches
 from rholoc.localization.rivals import sureness
 from rholoc.localization.support import Support
 from rholoc.localization.verification import (
-    ENOUGH_MATCHES,
     FINAL_TOLERANCE_PX,
     SEARCH_RADII_PX,
     Verified,
@@ -193,29 +192,17 @@ def test_a_stopwatch_adds_up_stages_and_knows_its_deadline(monkeypatch: pytest.M
     assert not watch.late
 
 
-def test_tracking_needs_matches_over_chance_or_alike(
-    localizer: Localizer, point_room: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_close_about_a_prior_what_agrees_decides_and_not_the_prior(localizer: Localizer, point_room: Any) -> None:
     truth = point_room.walk(9)[4]
     seen = point_room.see(truth, 8)
-    query, prior = Query(seen, point_room.camera), Prior(truth)
-    rays = point_room.camera.rays(seen.pixels)
-    everything, _ = localizer.index.match_near(seen, point_room.camera, truth.T_map_camera, 14.0)
-
-    def tracks(count: int, by_chance: float, chance: float) -> bool:
-        some = replace(everything.take(np.arange(count)), chances=np.full(count, chance))
-        spread = np.full(len(seen), by_chance / len(seen))
-        asked: list[Matches | None] = []
-        with monkeypatch.context() as patch:
-            patch.setattr(localizer.index, "match_near", lambda *_: (some, spread))
-            patch.setattr(module, "verify", lambda *_, wide: asked.append(wide))
-            localizer._track(query, prior, rays)
-        assert asked in ([], [some if count >= ENOUGH_MATCHES else None])
-        return bool(asked)
-
-    assert [tracks(count, 20.0, 0.1) for count in (37, 38)] == [False, True]  # 1.5 · 20 + 8
-    assert [tracks(count, 1000.0, 0.51) for count in (15, 16)] == [False, True]
-    assert [tracks(60, 1000.0, chance) for chance in (0.49, 0.51)] == [False, True]
+    rays, near = point_room.camera.rays(seen.pixels), Pose.from_heading(truth.position + 0.03, truth.heading)
+    query = Query(seen, point_room.camera, prior=Prior(near))
+    tracked = localizer._track(Prior(near), query, rays, _Stopwatch(None))
+    assert tracked is not None
+    assert np.linalg.norm(tracked.verified.optimum.T_map_camera[:3, 3] - truth.position) < 0.01
+    away = Prior(Pose.from_heading(truth.position + 1.0, -truth.heading))
+    astray = localizer._track(away, query, rays, _Stopwatch(None))
+    assert astray is None or astray.confidence < 0.1
 
 
 def test_a_place_is_looked_at_closely_from_ransacs_pose_and_from_samples_where_they_are_better(
@@ -387,7 +374,6 @@ def test_a_pose_is_verified_by_six_matches(
         focal._FIRST_TOLERANCES_PX,
         density_localizer.TOLERANCES_PX,
         SEARCH_RADII_PX,
-        module._TRACKING_RADII_PX,
     ],
 )
 def test_each_tolerance_holds_what_the_one_before_it_finds(tolerances_px: tuple[float, ...]) -> None:
@@ -432,22 +418,29 @@ def test_how_hard_is_looked_is_what_the_options_say(
     assert samples == [(7, 20)] * 3
 
 
-def test_a_sure_pose_at_the_prior_ends_the_search_and_is_the_one_tracked(
+def test_a_sure_pose_in_the_priors_place_ends_the_search(
     localizer: Localizer, point_room: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     truth = point_room.walk(9)[4]
     query = Query(point_room.see(truth, 8), point_room.camera, prior=Prior(truth, 0.5, 0.3))
+    monkeypatch.setattr(localizer, "_track", lambda *_: pytest.fail("tracked where the place was enough"))
     search = localizer._search(query, _Stopwatch(None))
-    assert search.place is None  # no place was searched
+    assert search.everywhere is None  # the whole map was not searched
     assert search.best is not None
-    assert search.matches == len(search.best.verified.wide)
-    monkeypatch.setattr(localizer, "_track", lambda *_: None)
-    untracked = localizer._search(query, _Stopwatch(None))
-    assert untracked.place is not None
-    assert untracked.best is not None
-    unknown = replace(query, intrinsics=Intrinsics.UNKNOWN)
-    monkeypatch.setattr(localizer, "_track", lambda *_: pytest.fail("tracked without a camera"))
-    localizer._search(unknown, _Stopwatch(None))
+    assert search.best.near_prior
+    localizer._search(replace(query, intrinsics=Intrinsics.UNKNOWN), _Stopwatch(None))
+
+
+def test_where_a_priors_place_leaves_a_doubt_it_is_tracked_from_before_the_map_is_searched(
+    localizer: Localizer, point_room: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    truth = point_room.walk(9)[4]
+    query = Query(point_room.see(truth, 8), point_room.camera, prior=Prior(truth, 0.5, 0.3))
+    monkeypatch.setattr(localizer.index, "match_within", lambda *_, **__: Matches.none())
+    search = localizer._search(query, _Stopwatch(None))
+    assert search.everywhere is None
+    assert search.best is not None
+    assert np.linalg.norm(search.best.verified.optimum.T_map_camera[:3, 3] - truth.position) < 0.03
 
 
 def test_more_features_are_looked_up_where_a_quick_look_was_not_sure(localizer: Localizer, point_room: Any) -> None:

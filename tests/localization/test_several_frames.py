@@ -221,6 +221,7 @@ def test_places_are_tried_until_one_is_sure_or_time_is_up(
     given: list[Any] = []
     monkeypatch.setattr(joint, "_pools", every)
     monkeypatch.setattr(joint, "_candidate", lambda _: next(answers))
+    monkeypatch.setattr(joint, "_looked_for", lambda _: [])
     monkeypatch.setattr(joint, "_answer", lambda *answer: given.append(answer))
     joint.localize()
     ((candidate, reason, matched),) = given

@@ -24,16 +24,14 @@ from rholoc.localization.ransac import lo_ransac
 from rholoc.localization.rivals import are_rivals, rival_seeds, sureness
 from rholoc.localization.seeds import Place, minimal_samples, place_of_prior, places_by_votes, view_votes
 from rholoc.localization.types import Dof, Intrinsics, Localization, Prior, Query, Reason
-from rholoc.localization.verification import ENOUGH_MATCHES, Verified, evidence_of, verify
+from rholoc.localization.verification import Verified, evidence_of, verify
 from rholoc.maps import Map
 
 _MIN_FEATURES = 8
 _FEW_FEATURES = 40
 _MAX_GRAVITY_ERROR_RAD = np.deg2rad(10.0)
 _MAX_UPRIGHT_ROLL_RAD = np.deg2rad(15.0)
-_TRACKED_OVER_CHANCE = 1.5
-_TRACKED_CHANCE = 0.5  # of a match, on average: where a prior is wrong it is 0.3 to 0.4
-_TRACKING_RADII_PX = (14.0, 5.0)  # around a prior: as far as a tracker's are off. Pairs, and time, grow with the square
+_TRACKING_RADIUS_PX = 14.0  # around a prior: as far as a tracker's are off. Pairs, and time, grow with the square
 
 
 @dataclass(frozen=True)
@@ -271,15 +269,8 @@ class Localizer:
         return search
 
     def _look_around(self, search: _Search, rays: FloatArray) -> None:
-        """Look near the prior, then in one place after the other, until a candidate is sure."""
-        query, watch = search.query, search.watch
-        if query.prior is not None and query.intrinsics is Intrinsics.GIVEN:
-            tracked = self._track(query, query.prior, rays)
-            search.matches = 0 if tracked is None else len(tracked.wide)
-            search.add(self._checked(tracked, query, None if tracked is None else tracked.wide))
-            watch.lap("verify")
-        if search.is_over(self.options.conclusive):
-            return
+        """Look in one place after the other, the prior's first, until a candidate is sure."""
+        watch = search.watch
         for place in self._places(search):
             if watch.late:
                 search.reason = Reason.DEADLINE
@@ -319,12 +310,14 @@ class Localizer:
             near = self.index.match_within(query.features, place.landmarks, some=query.features.sample)
             watch.lap("match")
             yield self._glance(near, query, rays, watch)
+            if query.prior is not None:
+                yield self._track(query.prior, query, rays, watch)
         if search.is_sampled or query.more_features is not None:
             return
         yield from self._look_closely(place, query, rays, watch)
 
     def _glance(self, matches: Matches, query: Query, rays: FloatArray, watch: _Stopwatch) -> _Found | None:
-        """The pose that LO-RANSAC finds in matches with the whole map: enough for most frames."""
+        """The pose that LO-RANSAC finds in matches: enough for most frames."""
         seed = self._ransac_seed(matches, query, rays)
         watch.lap("seed")
         if seed is None or not _plausible(seed, query):
@@ -333,17 +326,15 @@ class Localizer:
         watch.lap("verify")
         return found
 
-    def _track(self, query: Query, prior: Prior, rays: FloatArray) -> Verified | None:
-        """The pose next to a prior; None, at little cost, where no more is found there than by chance."""
-        T_map_camera = prior.pose.T_map_camera
-        features, some = query.features, query.features.sample
-        near, by_chance = self.index.match_near(features, query.camera, T_map_camera, _TRACKING_RADII_PX[0], some)
-        over_chance = len(near) >= _TRACKED_OVER_CHANCE * by_chance.sum() + _MIN_FEATURES
-        alike = len(near) >= 2 * _MIN_FEATURES and near.chances.mean() >= _TRACKED_CHANCE
-        if not (over_chance or alike):
-            return None
-        wide = near if len(near) >= ENOUGH_MATCHES else None
-        return verify(self.index, query, rays, T_map_camera, _TRACKING_RADII_PX, wide=wide)
+    def _track(self, prior: Prior, query: Query, rays: FloatArray, watch: _Stopwatch) -> _Found | None:
+        """The pose that LO-RANSAC finds in matches close about a prior: enough where few features are left.
+
+        From the prior itself the ascent may end on a lower peak beside the right one.
+        """
+        some, T_map_camera = query.features.sample, prior.pose.T_map_camera
+        near, _ = self.index.match_near(query.features, query.camera, T_map_camera, _TRACKING_RADIUS_PX, some)
+        watch.lap("match")
+        return self._glance(near, query, rays, watch)
 
     def _places(self, search: _Search) -> Iterator[Place]:
         """Where to look: about the prior, then where matches with the whole map point to."""
@@ -469,7 +460,7 @@ class Localizer:
             pose=Pose(T_map_camera) if localized else None,
             covariance=verified.covariance if localized else None,
             confidence=found.confidence,
-            matches=max(search.matches, len(verified.wide)),
+            matches=max(search.matches, len(verified.wide), len(verified.matches)),
             inliers=verified.inliers,
             inlier_pixels=verified.pixels[agreeing],
             inlier_features=verified.matches.landmarks[agreeing],

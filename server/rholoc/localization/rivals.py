@@ -22,7 +22,9 @@ from rholoc.localization.support import Support
 from rholoc.localization.types import Query
 from rholoc.localization.verification import Verified
 
-_PLACES = 2
+RIVAL_PLACES = 2
+"""How many places are looked at for rivals."""
+
 _VIEWS_EACH = 10
 _EXPLAINED_PX = 24.0
 _TOLERANCE_PX = 12.0
@@ -37,12 +39,8 @@ def rival_seeds(
 ) -> Iterator[FloatArray]:
     """Poses (4, 4) that matches other than those of a pose agree with, the best place first."""
     looked_at = len(nearest) / max(len(query.features), 1)  # a share of the features
-    fewest = max(_FEWEST_AGREEING, _FEWEST_OF_FOUND * looked_at * found.inliers)
-    pairs = _unexplained(index, nearest.pairs(), query, found)
-    for place in islice(places_by_votes(index, pairs, _VIEWS_EACH), _PLACES):
-        there = np.zeros(len(index.map), dtype=bool)
-        there[place.landmarks] = True
-        some = pairs.take(np.flatnonzero(there[pairs.landmarks])).likeliest_first()
+    fewest = fewest_agreeing(looked_at * found.inliers)
+    for some in unexplained_by_place(index, nearest, query, found):
         if len(some) < fewest:
             continue
         seen = rays[some.detections]
@@ -50,6 +48,22 @@ def rival_seeds(
         seed = lo_ransac(seen[:, :2] / seen[:, 2:], landmarks, query.camera.focal, _TOLERANCE_PX, *_SAMPLES)
         if seed is not None and seed[1] >= fewest:
             yield seed[0]
+
+
+def fewest_agreeing(found: float) -> float:
+    """How many matches must agree with a rival of a pose that so many were found to agree with."""
+    return max(_FEWEST_AGREEING, _FEWEST_OF_FOUND * found)
+
+
+def unexplained_by_place(
+    index: MapIndex, nearest: NearestLandmarks, query: Query, found: Verified
+) -> Iterator[Matches]:
+    """What a picture is like and a pose does not bring together, place by place, the likeliest matches first."""
+    pairs = _unexplained(index, nearest.pairs(), query, found)
+    for place in islice(places_by_votes(index, pairs, _VIEWS_EACH), RIVAL_PLACES):
+        there = np.zeros(len(index.map), dtype=bool)
+        there[place.landmarks] = True
+        yield pairs.take(np.flatnonzero(there[pairs.landmarks])).likeliest_first()
 
 
 def _unexplained(index: MapIndex, pairs: Matches, query: Query, found: Verified) -> Matches:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import poselib
@@ -18,15 +19,16 @@ from rholoc.density import Evidence
 from rholoc.errors import InvalidInput
 from rholoc.geometry import FloatArray, Pose, is_rotation, pose_matrix
 from rholoc.localization.ascent import Optimum
-from rholoc.localization.confidence import joint_confidence
+from rholoc.localization.confidence import MIN_CONFIDENCE, joint_confidence
 from rholoc.localization.joint_ascent import Link, ascend_together, joint_covariances
 from rholoc.localization.large_map import AnyLocalizer
 from rholoc.localization.localizer import Localizer, check_kind
 from rholoc.localization.map_index import MapIndex
 from rholoc.localization.map_uncertainty import with_map_error
-from rholoc.localization.matches import Matches
+from rholoc.localization.matches import Matches, NearestLandmarks
+from rholoc.localization.rivals import RIVAL_PLACES, are_rivals, fewest_agreeing, sureness, unexplained_by_place
 from rholoc.localization.seeds import vote_for_places
-from rholoc.localization.support import support_of
+from rholoc.localization.support import Support, support_of
 from rholoc.localization.types import Dof, Intrinsics, Localization, Query, Reason
 from rholoc.localization.verification import FINAL_TOLERANCE_PX, SEARCH_RADII_PX, Verified, evidence_of
 
@@ -140,6 +142,15 @@ class _Candidate:
     covariances: FloatArray
     confidence: float
 
+    @property
+    def support(self) -> Support:
+        """What a frame says for the poses and against them, in the mean."""
+        return Support.mean([one.support for one in self.verified])
+
+    def is_rival_of(self, other: _Candidate) -> bool:
+        """Whether the two cannot both be right."""
+        return any(are_rivals(a, b) for a, b in zip(self.verified, other.verified, strict=True))
+
 
 class _Joint:
     """One joint localization."""
@@ -155,14 +166,16 @@ class _Joint:
     def localize(self) -> JointLocalization:
         """The answer."""
         best: _Candidate | None = None
+        found: list[_Candidate] = []
         reason, matched = Reason.NO_AGREEMENT, 0
         for matches in self._pools():
             matched = matched or sum(len(one) for one in matches)
             if best is not None and self._late():
                 break
             candidate = self._candidate(matches)
-            if candidate is not None and (best is None or candidate.confidence > best.confidence):
-                best = candidate
+            if candidate is not None:
+                found.append(candidate)
+                best = candidate if best is None or candidate.confidence > best.confidence else best
             if best is not None and best.confidence >= self.localizer.options.conclusive:
                 break
             if self._late():
@@ -170,15 +183,46 @@ class _Joint:
                 break
         if matched < _MIN_MATCHES:
             reason = Reason.NO_MATCHES
+        if best is not None:
+            best = self._contested(best, found)
         return self._answer(best, reason, matched)
+
+    def _contested(self, best: _Candidate, found: list[_Candidate]) -> _Candidate:
+        """The poses, as sure as they are better than the next best: one that was found, or that is looked for now."""
+        rivals = [*found]
+        if best.confidence >= MIN_CONFIDENCE:
+            rivals += self._looked_for(best)
+        supports = [one.support for one in rivals if one is not best and one.is_rival_of(best)]
+        rival = max(supports, key=lambda support: support.net, default=None)
+        return best if rival is None else replace(best, confidence=best.confidence * sureness(best.support, rival))
+
+    def _looked_for(self, best: _Candidate) -> Iterator[_Candidate]:
+        """Poses that matches other than those of the best agree with."""
+        fewest = fewest_agreeing(sum(one.inliers for one in best.verified))
+        by_frame = [
+            list(unexplained_by_place(self.index, one, frame, verified))
+            for one, frame, verified in zip(self._nearest, self.frames, best.verified, strict=True)
+        ]
+        for rank in range(RIVAL_PLACES):
+            if self._late():
+                return
+            matches = [places[rank] if len(places) > rank else Matches.none() for places in by_frame]
+            candidate = self._candidate(matches, fewest)
+            if candidate is not None:
+                yield candidate
 
     def _late(self) -> bool:
         deadline_s = self.frames[0].deadline_s
         return deadline_s is not None and time.perf_counter() - self.started > deadline_s
 
+    @cached_property
+    def _nearest(self) -> list[NearestLandmarks]:
+        """What in the whole map each frame's features are most like."""
+        return [self.index.nearest_everywhere(frame.features) for frame in self.frames]
+
     def _pools(self) -> Iterator[list[Matches]]:
         """Matches of every frame: with the whole map, then within its likeliest places, one after the other."""
-        everywhere = [self.index.match_everywhere(frame.features) for frame in self.frames]
+        everywhere = [one.matches() for one in self._nearest]
         yield everywhere
         places = [vote_for_places(self.index, one, _PLACES, _VIEWS_EACH, None) for one in everywhere]
         for rank in range(_PLACES):
@@ -189,16 +233,17 @@ class _Joint:
                 for frame, own in zip(self.frames, places, strict=True)
             ]
 
-    def _candidate(self, matches: list[Matches]) -> _Candidate | None:
-        T_map_rig = self._seed(matches)
+    def _candidate(self, matches: list[Matches], fewest: float = _MIN_MATCHES) -> _Candidate | None:
+        """The poses that at least ``fewest`` of all frames' matches agree with, verified."""
+        T_map_rig = self._seed(matches, fewest)
         if T_map_rig is None:
             return None
         return self._verified(T_map_rig @ self.asked.T_rig_cameras)
 
-    def _seed(self, matches: list[Matches]) -> FloatArray | None:
+    def _seed(self, matches: list[Matches], fewest: float = _MIN_MATCHES) -> FloatArray | None:
         """The rig's pose (4, 4) by LO-RANSAC over all frames' matches."""
         ordered = [one.likeliest_first() for one in matches]
-        if sum(len(one) for one in ordered) < _MIN_MATCHES:
+        if sum(len(one) for one in ordered) < fewest:
             return None
         focal_px = float(np.mean([frame.camera.focal for frame in self.frames]))
         pinhole = {"model": "SIMPLE_PINHOLE", "width": 1, "height": 1, "params": [focal_px, 0.0, 0.0]}
@@ -215,7 +260,7 @@ class _Joint:
         pose, report = poselib.estimate_generalized_absolute_pose(plane, points, mounted, cameras, settings, {})
         R_rig_map = np.asarray(pose.R)
         T_map_rig = pose_matrix(R_rig_map.T, -R_rig_map.T @ np.asarray(pose.t))
-        return T_map_rig if report["num_inliers"] >= _MIN_MATCHES and np.isfinite(T_map_rig).all() else None
+        return T_map_rig if report["num_inliers"] >= fewest and np.isfinite(T_map_rig).all() else None
 
     def _verified(self, T_map_cameras: FloatArray) -> _Candidate | None:
         """Match again around the poses and ascend, within each radius in turn."""
@@ -260,7 +305,7 @@ class _Joint:
             pose=poses[0] if localized else None,
             covariance=best.covariances[0] if localized else None,
             confidence=best.confidence,
-            matches=matched,
+            matches=max(matched, sum(len(one.matches) for one in best.verified)),
             inliers=sum(inliers),
             inlier_pixels=best.verified[0].pixels[agreeing[0]],
             inlier_features=np.concatenate(

@@ -8,6 +8,7 @@ screen agree as far as they reach, and no farther.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -42,6 +43,12 @@ class Support:
     def net(self) -> float:
         """Nats for the pose, by which hypotheses compare."""
         return self.seen - self.missing
+
+    @classmethod
+    def mean(cls, supports: Sequence[Support]) -> Support:
+        """Of several frames: they show much the same, so that together they say little more than each."""
+        count = len(supports)
+        return cls(sum(one.seen for one in supports) / count, sum(one.missing for one in supports) / count)
 
 
 def support_of(
