@@ -244,6 +244,30 @@ def test_a_seed_of_an_unknown_focal_length_is_within_a_guess(
     assert focal_seed(index, matches.take(np.arange(7)), query, 500) is None
 
 
+@pytest.mark.parametrize(("agreeing", "found"), [(None, False), (6, False), (7, True)])
+def test_a_seed_of_an_unknown_focal_length_has_eight_matches_that_agree(
+    localizer: Localizer, point_room: Any, monkeypatch: pytest.MonkeyPatch, agreeing: int | None, found: bool
+) -> None:
+    query = Query(point_room.see(corners(point_room)[0], 9), point_room.camera, intrinsics=Intrinsics.UNKNOWN)
+    matches = localizer.index.match_everywhere(query.features)
+    guesses: list[float] = []
+
+    def ransac(plane: FloatArray, points: FloatArray, focal_px: float, *how: Any) -> tuple[FloatArray, int] | None:
+        guesses.append(focal_px)
+        assert how == (0.02 * 640, 500, 50)
+        likeliest = matches.likeliest_first()
+        seen = point_room.camera.undistort(query.features.pixels[likeliest.detections])
+        np.testing.assert_allclose(plane * focal_px, seen * point_room.camera.focal)
+        return None if agreeing is None else (np.eye(4), agreeing + (len(guesses) == 3))
+
+    monkeypatch.setattr(focal, "lo_ransac", ransac)
+    seed = focal_seed(localizer.index, matches, query, 500)
+    np.testing.assert_allclose(guesses, 640 * 0.5 * 1.17 ** np.arange(10))
+    assert (seed is not None) is found  # the third guess has one more
+    if seed is not None:
+        assert seed[1].focal == pytest.approx(guesses[2])
+
+
 def test_an_estimated_focal_lengths_belief_is_that_the_place_is_within_ten_centimetres(
     localizer: Localizer, point_room: Any
 ) -> None:
@@ -276,6 +300,9 @@ def test_a_focal_length_is_sought_ever_more_closely_until_it_stays(
     climbs: list[tuple[float, ...]] = []
     changes: list[float] = []
     radii_px: list[float] = []
+    gained_px: list[float] = []
+    gains = focal.gains
+    monkeypatch.setattr(focal, "gains", lambda *how: (gained_px.append(how[2]), gains(*how))[1])
 
     def ascended(evidence: Any, T: Any, tolerances_px: tuple[float, ...], dof: Any) -> Any:
         climbs.append(tolerances_px)
@@ -289,6 +316,7 @@ def test_a_focal_length_is_sought_ever_more_closely_until_it_stays(
     rounds = len(climbs)
     assert rounds in (2, 3)
     assert climbs == [(40.0, 15.0, 5.0)] + [(14.0, 7.0, 4.0)] * (rounds - 1)
+    assert gained_px == [tolerances_px[-1] for tolerances_px in climbs]
     assert radii_px == [14.0] * (rounds if changes[-1] >= 0.02 else rounds - 1)
     assert min(changes[:-1]) >= 0.02
     for given in (climbs, changes, radii_px):

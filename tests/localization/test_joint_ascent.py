@@ -149,6 +149,12 @@ def test_a_joint_step_is_newtons_with_hardly_any_damping() -> None:
     np.testing.assert_allclose(_bounded(np.full(6, 1e-7), np.zeros((6, 6))), [[0.1] * 6], rtol=1e-12)
 
 
+def test_a_frame_that_nothing_is_known_of_may_be_a_kilometre_off() -> None:
+    blind = _evidence(np.eye(4), 1).take(np.zeros(0, np.int64))
+    covariances = joint_covariances([blind], [optimum_at(RayDensities(), blind, np.eye(4), 8.0)], [])
+    np.testing.assert_allclose(covariances, [1e6 * np.eye(6)])
+
+
 def test_joint_covariances_are_of_all_that_frames_and_links_know() -> None:
     truth = _random_poses(3, 11)
     evidences = [_evidence(T, seed, 40) for seed, T in enumerate(truth)]

@@ -295,7 +295,8 @@ def test_without_matches_the_reason_is_that_there_are_none(localizer: Localizer,
     assert answer.inlier_pixels.shape == (0, 2)
     assert answer.inlier_features.shape == (0,)
     assert (answer.confidence, answer.matches >= 0, answer.inliers) == (0.0, True, 0)
-    assert localizer.localize(Query(seen.take(np.arange(7)), point_room.camera)).reason is Reason.NO_FEATURES
+    blind = localizer.localize(Query(seen.take(np.arange(7)), point_room.camera))
+    assert (blind.reason, blind.matches) == (Reason.NO_FEATURES, 0)
     votes = localizer.view_votes(seen)
     assert abs(int(votes.argmax()) - 30) <= 4  # the fifth of nine poses on the way of sixty views
 
@@ -412,6 +413,9 @@ def test_how_hard_is_looked_is_what_the_options_say(
     assert samples == [(150, 8)] * 8
     assert len(ransac) == 2 * 8  # at a glance and closely
     assert np.isfinite(rays).all()
+    places.clear()
+    localizer._search(replace(query, more_features=lambda: seen), _Stopwatch(None))
+    assert places == [10]  # a quick look is at the likeliest place alone
     strict = Localizer(localizer.map, options=SearchOptions(places=3, seeds=5, samples=7), index=localizer.index)
     samples.clear()
     strict._search(query, _Stopwatch(None))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
@@ -307,14 +308,17 @@ def test_the_rigs_seed_is_asked_of_all_frames_matches(
 def test_what_is_not_sure_enough_is_not_given_out(localizer: Localizer, point_room: Any) -> None:
     asked = _asked(point_room, point_room.walk(40, sideways_m=0.1)[5:15:4], 30)
     strict = Localizer(localizer.map, min_confidence=1.1, index=localizer.index)
-    found, given = localize_together(strict, asked), localize_together(localizer, asked)
+    found = localize_together(strict, asked)
+    started = time.perf_counter()
+    given = localize_together(localizer, asked)
+    spent_ms = 1e3 * (time.perf_counter() - started)
     assert found.poses == ()
     assert found.first.reason is Reason.LOW_CONFIDENCE
     assert found.first.pose is found.first.covariance is None
     assert found.inliers == given.inliers
     assert given.first.reason is None
     assert given.first.matches > 0
-    assert 0 < given.first.timings_ms["match"] < 60_000
+    assert 0 < given.first.timings_ms["match"] <= spent_ms
     assert given.first.covariance is not None
     shown = point_room.camera.project(
         (localizer.index.landmarks[given.first.inlier_features[: given.inliers[0]]] - given.poses[0].position)

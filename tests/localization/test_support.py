@@ -66,7 +66,7 @@ def _cell(pixel: np.ndarray) -> int:
 
 @pytest.mark.parametrize(("share", "crowd"), [(1.0, 3), (0.5, 3), (0.5, 2), (1.0, 0)])
 def test_what_should_be_in_a_cell_and_is_not_counts_where_something_else_is(
-    localizer: Localizer, point_room: Any, share: float, crowd: int
+    localizer: Localizer, point_room: Any, monkeypatch: pytest.MonkeyPatch, share: float, crowd: int
 ) -> None:
     """Matches in the left part of a picture, ``crowd`` features of other things in each cell of the right."""
     index, camera, T = localizer.index, point_room.camera, localizer.map.T_map_camera[20]
@@ -82,8 +82,12 @@ def test_what_should_be_in_a_cell_and_is_not_counts_where_something_else_is(
     landmarks = index.landmarks[seen[chosen]]
     evidence = Evidence.of(seen[chosen], rays, landmarks, np.zeros((count, 3, 3)), found.chances, 500.0)
     by_chance = np.zeros(len(pixels))
+    seen_alike = index.seen_alike
+    asked: list[int] = []
+    monkeypatch.setattr(index, "seen_alike", lambda rows, views: (asked.append(views), seen_alike(rows, views))[1])
     support = support_of(index, pixels, camera, found, evidence, Optimum(T, 1.0, np.ones(count)), by_chance)
 
+    assert asked == [10]
     shared = np.array([np.isin(index.visibility[[view]].indices, seen[chosen]).sum() for view in range(60)])
     alike = np.argsort(-shared, kind="stable")[:10]
     expected, matched, detected = np.zeros(48), np.zeros(48), np.zeros(48)

@@ -51,7 +51,7 @@ def map_covariance_at(
     Returns:
         None where no view that the answer rests on has a known covariance.
     """
-    used = np.flatnonzero((weights > 0) & np.isfinite(covariances[:, 0, 0]))
+    used = np.flatnonzero((weights > 0) & np.isfinite(covariances).all(axis=(1, 2)))
     if len(used) == 0:
         return None
     carried = carried_covariances(covariances[used], positions[used], to)
