@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -137,3 +139,44 @@ def test_an_imu_that_cannot_place_the_camera_is_refused() -> None:
         part = replace(imu, times=imu.times[kept], acceleration=imu.acceleration[kept])
         with pytest.raises(MappingFailed, match="does not cover"):
             integrate_between_waypoints(part, waypoints((0, 1, 3)), at)
+
+
+def test_the_gyroscopes_bias_is_what_makes_legs_end_at_waypoints_and_keeps_gravity_level(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """In units of what each may be off: legs three tenths of a metre, forces 0.3 m/s², the bias a fiftieth rad/s."""
+    asked: list[Any] = []
+
+    def solve(residuals: Any, start: FloatArray, **options: Any) -> SimpleNamespace:
+        asked.extend([residuals, options])
+        return SimpleNamespace(x=start)
+
+    monkeypatch.setattr(dead_reckoning, "least_squares", solve)
+    imu, _, _ = walk()
+    exact = replace(
+        imu,
+        acceleration=imu.acceleration - [0.03, -0.02, 0.02],
+        angular_velocity=imu.angular_velocity - [0.002, -0.001, 0.001],
+    )
+    legs, forces = slice(0, 9), slice(9, 17)
+    integrate_between_waypoints(exact, waypoints((0, 1, 2, 3)), np.array([2.0]))
+    residuals, options = asked
+    assert options["loss"] == "soft_l1"
+    at_rest = residuals(np.zeros(3))
+    assert len(at_rest) == 9 + 8 + 3
+    np.testing.assert_allclose(at_rest, 0, atol=5e-3)
+    np.testing.assert_allclose(residuals(np.array([0.01, 0.0, -0.02]))[17:], [0.5, 0.0, -1.0])
+    higher = waypoints((0, 1, 2, 3))
+    x, y, z = higher[2].position
+    higher[2] = replace(higher[2], position=(x, y, z + 0.6))
+    asked.clear()
+    integrate_between_waypoints(exact, higher, np.array([2.0]))
+    missed = asked[0](np.zeros(3))[legs].reshape(3, 3)
+    np.testing.assert_allclose(missed[:, 2], [0, -2, 2], atol=5e-3)
+    asked.clear()
+    tilted = exact.acceleration.copy()
+    later = exact.times > 8  # from then on something pulls sideways, and up
+    tilted[later] += np.array([0.15, 0.0, 0.0]) @ R_CAMERA_IMU
+    integrate_between_waypoints(replace(exact, acceleration=tilted), waypoints((0, 1, 2, 3)), np.array([2.0]))
+    felt = np.linalg.norm(asked[0](np.zeros(3))[forces].reshape(4, 2), axis=1)
+    np.testing.assert_allclose(felt, [0, 0, 0.5, 0.5], atol=5e-3)

@@ -287,3 +287,13 @@ def test_a_way_is_to_turn_to_its_direction_and_keeps_its_length() -> None:
     toward, wanted = module._turned_to(between, unit)
     np.testing.assert_allclose(toward, [[0, 0, 1], unit[1], unit[2]])
     np.testing.assert_allclose(wanted, [[0.0, 1.2, 0.0], [0, 0, 0], [0, 0, 0]], atol=1e-12)
+
+
+def test_an_interval_that_ends_with_the_table_is_covered() -> None:
+    imu = _imu(0.0)
+    ends = np.array([imu.times[0], imu.times[100], imu.times[-1]])
+    assert _covered(ends, imu).tolist() == [True, True]
+    kept = (np.arange(400) < 101) | (np.arange(400) > 180)
+    torn = Imu(imu.times[kept], imu.acceleration[kept], imu.angular_velocity[kept], True, None)
+    at = imu.times[[0, 100, 181, 399]]
+    assert _covered(at, torn).tolist() == [True, False, True]

@@ -12,6 +12,7 @@ from gtsam.symbol_shorthand import B, C, D, E, G, L, S, V, X
 from scene import CAMERA, arc, cloud, in_pixels
 from scipy.spatial.transform import Rotation
 
+from rholoc.errors import MappingFailed
 from rholoc.geometry import Camera, FloatArray, pose_matrix
 from rholoc.recordings import GRAVITY, Imu
 from rholoc.trajectory.inertial.gyroscope import GyroCalibration
@@ -599,3 +600,51 @@ def test_the_cost_that_is_reported_is_that_of_all_measurements() -> None:
     missed_m = np.array([np.linalg.norm(found.state.positions[fix.keyframe] - fix.position) for fix in fixes])
     expected = _cauchy((off_px / 0.5) ** 2, 2.0) + _cauchy((missed_m / 0.02) ** 2, 3.0)
     assert found.cost == pytest.approx(expected, rel=1e-3)
+
+
+def test_what_nothing_measures_leaves_the_shape_open() -> None:
+    """Whether a step is asked for, or a covariance."""
+    values, ordering = gtsam.Values(), gtsam.Ordering()
+    graph = gtsam.NonlinearFactorGraph()
+    for k in range(2):
+        values.insert(V(k), np.ones(3))
+        ordering.push_back(V(k))
+    graph.add(gtsam.BetweenFactorVector(V(0), V(1), np.ones(3), gtsam.noiseModel.Unit.Create(3)))
+    state = State(arc(1), np.zeros((0, 3)), _PINHOLE)
+    open_shape = Adjusted(state, np.zeros(0, np.bool_), 0.0, graph, values, ordering, _no_points)
+    with pytest.raises(MappingFailed, match="leaves the shape of the walk open"):
+        open_shape._eliminated()
+
+
+@pytest.mark.parametrize(("coarsely", "tolerance"), [(True, 1e-3), (False, 2e-4)])
+def test_how_little_a_step_may_gain(coarsely: bool, tolerance: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[tuple[int, float]] = []
+
+    def solve(
+        self: object, values: gtsam.Values, iterations: int, least: float, progress: object
+    ) -> tuple[gtsam.Values, float]:
+        asked.append((iterations, least))
+        return values, 1.0
+
+    monkeypatch.setattr(adjustment._Descent, "solve", solve)
+    T, points = arc(5), cloud(30)
+    problem = Problem(np.arange(5.0), _sightings(T, points, 0.5))
+    adjust(problem, State(T, points, CAMERA), 7, coarsely=coarsely)
+    assert asked == [(7, tolerance)]
+    assert problem.pixel_sigma_px == 0.7
+    assert problem.imu_noise == 1.0
+    assert problem.level_sigma_rad == np.radians(0.5)
+
+
+def test_a_step_that_leads_up_is_tried_with_the_points_settled_before_a_firmer_one() -> None:
+    """A point far from where its sightings put it would throw the cameras; settled first, the cost falls at once."""
+    T, points = arc(5), cloud(30)
+    observations = _sightings(T, points, 0.3)
+    problem = Problem(np.arange(5.0), observations, pixel_sigma_px=0.5)
+    rng = np.random.default_rng(0)
+    turned = T[:, :3, :3] @ Rotation.from_rotvec(rng.normal(0, 0.03, (5, 3))).as_matrix()
+    start = State(pose_matrix(turned, T[:, :3, 3] + rng.normal(0, 0.1, (5, 3))), points, CAMERA)
+    heard: list[float] = []
+    found = adjust(problem, start, 30, heard.append)
+    assert len(heard) < 25
+    assert np.median(residuals_px(observations, found.state)) < 0.5

@@ -63,8 +63,7 @@ def _by_gyroscope(
     tried: list[float] = []
 
     def calibrate(flow: object, camera: Camera, imu: Imu, most: int | None = None) -> GyroCalibration | None:
-        assert most is not None
-        assert most < 300
+        assert most == 200
         tried.append(round(camera.focal / max(walk.flow.size), 4))
         left = residual_deg(camera.focal / max(walk.flow.size))
         return None if left is None else GyroCalibration(0.0, 0.0, np.zeros(3), 0.0, np.eye(3), False, 0.0, left)
