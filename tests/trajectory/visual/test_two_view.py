@@ -158,3 +158,10 @@ def test_a_camera_is_placed_by_points_that_are_known() -> None:
 def test_of_few_matches_nothing_is_claimed() -> None:
     view = relative_pose(np.zeros((3, 2)), np.zeros((3, 2)), _TOLERANCE)
     assert view.inliers.tolist() == [False] * 3
+
+
+def test_two_matches_fix_a_translation_that_both_agree_with() -> None:
+    points, way = np.array([[0.5, 0.2, 3.0], [-0.6, 0.4, 4.0]]), np.array([0.3, 0.1, 0.05])
+    seen = [points, points - way]
+    first, second = (one[:, :2] / one[:, 2:] for one in seen)
+    assert inliers_of_rotation(first, second, np.eye(3), _TOLERANCE).all()
