@@ -99,7 +99,7 @@ def test_waypoints_fix_place_scale_and_up(scale: float) -> None:
     assert (unknown.upright, unknown.tilt_deg) == (False, None)
 
 
-@pytest.mark.parametrize(("tilt_deg", "upright"), [(5, True), (40, False)])
+@pytest.mark.parametrize(("tilt_deg", "upright"), [(5, True), (14.5, True), (15.5, False), (40, False)])
 def test_up_and_the_waypoints_may_differ_by_a_little(tilt_deg: float, upright: bool) -> None:
     tilted = UpMeasurement(TURNED @ Rotation.from_euler("x", tilt_deg, degrees=True).apply([0.0, 0, 1]), 0.3)
     found = frame_of_waypoints(TIMES, reconstructed(), [waypoints(0, 25, 50, 80)], tilted, "Measured.")
@@ -117,6 +117,12 @@ def test_up_and_the_waypoints_may_differ_by_a_little(tilt_deg: float, upright: b
         (1.3, 0.09, False),
         (1.3, 0.2, False),
         (0.8, 0.01, True),
+        (1.14, 0.01, False),
+        (1.17, 0.01, True),
+        (1.22, 0.06, False),
+        (1.22, 0.05, True),
+        (1.5, 0.11, False),
+        (1.5, 0.099, True),
     ],
 )
 def test_an_accelerometer_that_is_sure_of_another_scale_is_heard(scale: float, sigma: float, doubted: bool) -> None:
@@ -147,26 +153,6 @@ def test_waypoints_that_no_choice_fits_fail() -> None:
 @pytest.mark.parametrize(("sigma", "metric"), [(0.09, True), (0.11, False)])
 def test_a_scale_known_to_a_tenth_is_a_scale(sigma: float, metric: bool) -> None:
     assert (first(UP, sigma).scale is Scale.METRIC) is metric
-
-
-@pytest.mark.parametrize(("tilt_deg", "upright"), [(14.5, True), (15.5, False)])
-def test_up_may_differ_from_the_waypoints_by_fifteen_degrees(tilt_deg: float, upright: bool) -> None:
-    test_up_and_the_waypoints_may_differ_by_a_little(tilt_deg, upright)
-
-
-@pytest.mark.parametrize(
-    ("scale", "sigma", "doubted"),
-    [
-        (1.14, 0.01, False),
-        (1.17, 0.01, True),
-        (1.22, 0.06, False),
-        (1.22, 0.05, True),
-        (1.5, 0.11, False),
-        (1.5, 0.099, True),
-    ],
-)
-def test_scales_may_differ_by_a_seventh_or_four_sigmas(scale: float, sigma: float, doubted: bool) -> None:
-    test_an_accelerometer_that_is_sure_of_another_scale_is_heard(scale, sigma, doubted)
 
 
 @pytest.mark.parametrize(

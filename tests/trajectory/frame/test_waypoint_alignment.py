@@ -160,7 +160,7 @@ _ROWS = [0, 20, 45, 70, 99]
     ("off_m", "noise_m", "found"),
     [(0.14, 0.0, False), (0.17, 0.0, True), (0.5, 0.02, True), (1.0, 0.09, False), (0.3, 0.05, False)],
 )
-def test_a_mistake_is_a_hand_off_and_the_others_agree(off_m: float, noise_m: float, found: bool) -> None:
+def test_a_mistake_is_far_off_while_the_others_agree(off_m: float, noise_m: float, found: bool) -> None:
     """By six centimetres at most, and by half of what any other choice leaves."""
     path = _walk()
     shifts = {0: (0.0, 0.0, noise_m), 1: (0.0, 0.0, -noise_m), 3: (noise_m, 0, 0), 4: (-noise_m, -noise_m, 0)}
@@ -178,7 +178,7 @@ def test_of_four_waypoints_none_is_a_mistake() -> None:
 
 @pytest.mark.parametrize(("miss_m", "refused"), [(0.23, False), (0.27, True)])
 def test_a_quarter_of_a_metre_may_be_missed(miss_m: float, refused: bool) -> None:
-    """In the root mean square of few waypoints: of a triangle whose sides disagree with the walk's."""
+    """In the root mean square of four waypoints, two of which are too high, and two too low."""
     path = 4 * _walk()
     waypoints = _waypoints(path, [0, 33, 66, 99])
     own = path.copy()
@@ -200,7 +200,7 @@ def test_a_quarter_of_a_metre_may_be_missed(miss_m: float, refused: bool) -> Non
 
 
 def test_long_ways_may_miss_more() -> None:
-    """By half a hundredth of the way between the waypoints: here of 500 m and more."""
+    """By half a hundredth of the way between the waypoints, here of half a kilometre and more."""
     path = 250 * _walk()
     rng = np.random.default_rng(3)
     shifts = {i: tuple(rng.normal(0, 0.8, 3)) for i in range(3)}
@@ -262,7 +262,7 @@ def test_five_waypoints_outvote_one_and_four_do_not(count: int, robust: bool) ->
 
 def test_a_camera_that_did_not_move_has_no_scale() -> None:
     measured = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]])
-    with pytest.raises(MappingFailed, match="did not move"):
+    with pytest.raises(MappingFailed, match="did not move"), np.errstate(invalid="ignore"):
         waypoint_alignment._fit(np.zeros((3, 3)), measured, None)
 
 

@@ -119,7 +119,7 @@ def test_pictures_and_gyroscope_meet_by_what_they_are_worth(apart_deg: float, se
 def test_the_start_follows_neighbours_with_most_support(apart: int, support: int, way: str) -> None:
     """A chain of pairs, and one that says something else of its ends: it is believed as a neighbour, if better."""
     step = Rotation.from_euler("y", 3, degrees=True)
-    chain = [PairRotation(k, k + 1, step.inv().as_matrix(), 60 - (k == 4)) for k in range(apart)]
+    chain = [PairRotation(k, k + 1, step.inv().as_matrix(), 60) for k in range(apart)]
     other = Rotation.from_euler("x", 70, degrees=True)
     R, component = rotation_averaging._spread(
         apart + 1, [*chain, PairRotation(0, apart, other.inv().as_matrix(), support)]
@@ -127,8 +127,6 @@ def test_the_start_follows_neighbours_with_most_support(apart: int, support: int
     end = Rotation.from_euler("y", 3 * apart, degrees=True) if way == "chain" else other
     np.testing.assert_allclose(R[-1], end.as_matrix(), atol=1e-12)
     assert set(component.tolist()) == {0}
-    last = Rotation.from_matrix(R[4].T @ R[5])
-    assert np.degrees(last.magnitude()) == pytest.approx(3, abs=1e-6) or way == "loop"
 
 
 def test_the_first_of_every_piece_is_the_identity() -> None:
