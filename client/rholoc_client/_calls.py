@@ -260,6 +260,11 @@ def update_map(name: str, fields: Mapping[str, Any]) -> Call[Job]:
     return _post(f"{_map_path(name)}/update", _without_none(fields), _job)
 
 
+def learn_from_users(name: str) -> Call[Job]:
+    """Let a map learn from the queries that are kept for it; the answer is the job that does."""
+    return _post(f"{_map_path(name)}/learn", {}, _job)
+
+
 def merge_maps(name: str, other: str, into: str) -> Call[MapSummary]:
     """Merge another map into a map's frame."""
     return _post(f"{_map_path(name)}/merge", {"other": other, "into": into}, _map)

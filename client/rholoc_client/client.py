@@ -215,6 +215,10 @@ class Client:
         fields = {"recording": recording, "poses": poses, "camera": _camera_text(camera)}
         return self._send(_calls.update_map(name, fields))
 
+    def learn_from_users(self, name: str) -> Job:
+        """Let a map learn from the queries that the service has kept for it; the job that does so."""
+        return self._send(_calls.learn_from_users(name))
+
     def merge_maps(self, name: str, other: str, into: str) -> MapSummary:
         """Merge ``other`` into the frame of the map ``name``; the merged map is published as ``into``."""
         return self._send(_calls.merge_maps(name, other, into), _UPLOAD_TIMEOUT_S)
@@ -505,6 +509,10 @@ class AsyncClient:
         """
         fields = {"recording": recording, "poses": poses, "camera": _camera_text(camera)}
         return await self._send(_calls.update_map(name, fields))
+
+    async def learn_from_users(self, name: str) -> Job:
+        """As :meth:`Client.learn_from_users`."""
+        return await self._send(_calls.learn_from_users(name))
 
     async def merge_maps(self, name: str, other: str, into: str) -> MapSummary:
         """Merge ``other`` into the frame of the map ``name``; the merged map is published as ``into``."""

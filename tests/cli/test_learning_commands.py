@@ -1,4 +1,4 @@
-"""``rholoc map update``, ``merge`` and ``forget``."""
+"""``rholoc map update``, ``merge``, ``forget``, ``learn`` and ``queries``."""
 
 from __future__ import annotations
 
@@ -11,7 +11,8 @@ import cv2
 import numpy as np
 import pytest
 
-from rholoc.maps import load_map, save_map
+from kept_queries import keep_queries
+from rholoc.maps import MapLibrary, load_map, save_map
 
 Run = Callable[..., tuple[int, str, str]]
 
@@ -56,3 +57,25 @@ def test_refusals_are_one_line_and_leave_the_map(rholoc: Run, maps: Path) -> Non
         assert err.count("\n") == 1
     assert (maps / "west.rho").read_bytes() == content
     assert not (maps / "new.rho").exists()
+
+
+def test_a_map_learns_from_its_users_and_the_one_before_is_kept(rholoc: Run, maps: Path, point_room: Any) -> None:
+    west, data = maps / "west.rho", maps / "data"
+    kept = keep_queries(data, load_map(west), point_room, 1.8e9)
+    assert kept >= 30
+    status, out, err = rholoc("queries", west, "--data", data, "--json")
+    assert (status, err, json.loads(out)["queries"]) == (0, "", kept)
+    status, out, err = rholoc("learn", west, "--data", data, "--json")
+    assert (status, err) == (0, "")
+    figures = json.loads(out)
+    assert figures["version"] == 2
+    assert figures["report"]["learned"][0]["queries"]["kept"] == kept
+    before = MapLibrary(maps).previous("west")
+    assert before is not None
+    assert before.version == 1
+    status, out, _ = rholoc("queries", west, "--data", data, "--delete")
+    assert (status, "deleted" in out) == (0, True)
+    status, out, err = rholoc("learn", west, "--data", data)
+    assert (status, out) == (1, "")
+    assert "0 queries are kept for the map; it learns from 30 at least." in err
+    assert load_map(west).info.version == 2

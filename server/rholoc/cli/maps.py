@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Iterator, Mapping
+from dataclasses import asdict
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -183,6 +185,52 @@ def update(
             map_, read_recording(recording, options.named_camera(camera), frames), update_options, progress
         )
     _save(updated, out or map_file, as_json)
+
+
+@app.command()
+def learn(
+    map_file: options.MapFile,
+    data: options.DataFolder = None,
+    as_json: options.Json = False,
+) -> None:
+    """Let a map learn from the queries that a server has kept for it.
+
+    The map before is kept, as a server keeps it, and can be restored.
+    """
+    from rholoc.jobs import QueryStore
+    from rholoc.mapping import learn_from_queries
+    from rholoc.maps import MapLibrary, load_map
+
+    map_ = load_map(map_file)
+    with stage_progress() as progress:
+        learned = learn_from_queries(map_, QueryStore(options.data_folder(data)).load(map_.info.id), progress)
+    MapLibrary(map_file.resolve().parent).replace(map_file.stem, learned)
+    _print_map(learned, map_file, as_json)
+
+
+@app.command()
+def queries(
+    map_file: options.MapFile,
+    data: options.DataFolder = None,
+    delete: Annotated[bool, typer.Option("--delete", help="Delete them.")] = False,
+    as_json: options.Json = False,
+) -> None:
+    """Show how many queries a server has kept for a map to learn from; or delete them."""
+    from rholoc.jobs import QueryStore
+    from rholoc.maps import load_map
+
+    store, map_id = QueryStore(options.data_folder(data)), load_map(map_file).info.id
+    kept = asdict(store.kept(map_id))
+    if delete:
+        store.delete(map_id)
+    if as_json:
+        print_json({**kept, "deleted": delete})
+        return
+    for name in ("oldest", "newest"):
+        if kept[name] is not None:
+            kept[name] = datetime.fromtimestamp(kept[name], UTC).isoformat(timespec="seconds")
+    title = f"{map_file}: deleted" if delete else str(map_file)
+    print_figures(title, {name: _shown(value) for name, value in kept.items()})
 
 
 @app.command()

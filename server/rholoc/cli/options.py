@@ -17,6 +17,13 @@ _Choice = TypeVar("_Choice", bound=StrEnum)
 
 MAPS_VARIABLE = "RHOLOC_MAPS_DIR"
 DEFAULT_MAPS = "maps"
+DATA_VARIABLE = "RHOLOC_DATA_DIR"
+DEFAULT_DATA = ".rholoc"
+
+DataFolder = Annotated[
+    Path | None,
+    typer.Option("--data", metavar="DIR", help="The server's data folder; default: RHOLOC_DATA_DIR or .rholoc."),
+]
 
 Camera = Annotated[
     str | None,
@@ -75,3 +82,8 @@ def choice(kind: type[_Choice], text: str, option: str) -> _Choice:
         return kind(text)
     except ValueError as error:
         raise typer.BadParameter(f"'{text}' is not one of {', '.join(kind)}.", param_hint=option) from error
+
+
+def data_folder(given: Path | None) -> Path:
+    """The data folder that is named, by the command or the environment, or the default one."""
+    return given or Path(os.environ.get(DATA_VARIABLE, DEFAULT_DATA))

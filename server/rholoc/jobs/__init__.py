@@ -5,6 +5,7 @@ from rholoc.jobs.embedded import EmbeddedWorker
 from rholoc.jobs.job import Job, JobKind, JobOptions, JobState
 from rholoc.jobs.moving_in import MovedIn, move_in
 from rholoc.jobs.pipeline import MappingPipeline, MappingTask, Pipeline
+from rholoc.jobs.query_store import KeptLimits, KeptQueries, QueryStore
 from rholoc.jobs.queue import JobQueue
 from rholoc.jobs.recording_notes import (
     WAYPOINTS_FILE,
@@ -31,11 +32,14 @@ __all__ = [
     "JobOptions",
     "JobQueue",
     "JobState",
+    "KeptLimits",
+    "KeptQueries",
     "MappingPipeline",
     "MappingTask",
     "MovedIn",
     "PendingRecording",
     "Pipeline",
+    "QueryStore",
     "RecordedWaypoint",
     "RecordingEntry",
     "RecordingNotes",

@@ -14,10 +14,11 @@ from rholoc.trajectory import PoseMethod
 
 
 class JobKind(StrEnum):
-    """What a job does with its recording."""
+    """What a job does."""
 
     BUILD = "build"  # makes a new map, replacing any of that name
     UPDATE = "update"  # learns it into the map of that name
+    LEARN = "learn"  # lets the map of that name learn from the queries kept for it; there is no recording
 
 
 @dataclass(frozen=True)
@@ -78,7 +79,7 @@ class Job:
 
     Attributes:
         id: unique, 32 hex digits.
-        recording: the recording's id.
+        recording: the recording's id; empty where the job needs none.
         map_name: the map that it will publish.
         state: where it stands.
         stage: the stage it is in or ended in.

@@ -9,8 +9,9 @@ from typing import Protocol
 
 from rholoc.errors import InvalidMap, UnknownMap
 from rholoc.jobs.job import JobKind, JobOptions
+from rholoc.jobs.query_store import QueryStore
 from rholoc.jobs.recording_notes import WAYPOINTS_FILE, note_recording
-from rholoc.mapping import BuildOptions, UpdateOptions, build_map, update_map
+from rholoc.mapping import BuildOptions, UpdateOptions, build_map, learn_from_queries, update_map
 from rholoc.maps import CameraLibrary, Map, MapLibrary, load_map, save_map, trust_of
 from rholoc.progress import ProgressListener, Stage
 from rholoc.recordings import MAX_FRAME_PIXELS, Recording, frame_pixels_limited, read_recording
@@ -21,22 +22,24 @@ class MappingTask:
     """One job's work.
 
     Attributes:
-        recording: the file or folder that was uploaded.
+        recording: the file or folder that was uploaded; None where the job needs none.
         map_file: where the built map is kept until it is published. It exists only once it is complete.
         maps_dir: the folder in which the build finds maps and cameras.
         map_name: the name under which the map is published.
         options: how the map is built.
         max_frame_pixels: the most pixels a frame of the recording's video may have.
         folder: where notes on the recording are kept, and waypoints that replace its own.
+        data_dir: where the queries are kept that a map learns from.
     """
 
-    recording: Path
+    recording: Path | None
     map_file: Path
     maps_dir: Path
     map_name: str
     options: JobOptions
     max_frame_pixels: int = MAX_FRAME_PIXELS
     folder: Path | None = None
+    data_dir: Path | None = None
 
 
 class Pipeline(Protocol):
@@ -59,24 +62,17 @@ class Pipeline(Protocol):
 
 
 class MappingPipeline:
-    """The pipeline of the service: recording → map → library."""
+    """The pipeline of the service: recording → map → library, or kept queries → the map's next version → library."""
 
     def build(self, task: MappingTask, progress: ProgressListener) -> None:
         """Read the recording, build its map or learn it into the existing one, and save the result.
 
-        Raises: as :func:`rholoc.recordings.read_recording`, and :func:`rholoc.mapping.build_map` or ``update_map`` do.
+        Raises: as :func:`rholoc.recordings.read_recording`, and :func:`rholoc.mapping.build_map`, ``update_map`` or
+            ``learn_from_queries`` do.
         """
         if task.map_file.exists():
             return
-        progress(Stage.READ, 0.0, "reading the recording")
-        camera = CameraLibrary(task.maps_dir).named_in(task.options.camera)
-        with frame_pixels_limited(task.max_frame_pixels):
-            recording = read_recording(
-                task.recording, camera, task.options.frames, _corrected(task), workdir=task.map_file.parent
-            )
-            if task.folder is not None and task.options.frames is None and _corrected(task) is None:
-                note_recording(task.folder, recording)
-        built = _updated(task, recording, progress) if _updates(task) else _built(task, recording, progress)
+        built = _learned(task, progress) if task.options.kind is JobKind.LEARN else _mapped(task, progress)
         partial = task.map_file.with_name(f"{os.getpid()}-{task.map_file.name}")
         save_map(built, partial)
         partial.replace(task.map_file)
@@ -96,6 +92,26 @@ class MappingPipeline:
         return doubts(map_)
 
 
+def _mapped(task: MappingTask, progress: ProgressListener) -> Map:
+    assert task.recording is not None
+    progress(Stage.READ, 0.0, "reading the recording")
+    camera = CameraLibrary(task.maps_dir).named_in(task.options.camera)
+    with frame_pixels_limited(task.max_frame_pixels):
+        recording = read_recording(
+            task.recording, camera, task.options.frames, _corrected(task), workdir=task.map_file.parent
+        )
+        if task.folder is not None and task.options.frames is None and _corrected(task) is None:
+            note_recording(task.folder, recording)
+    return _updated(task, recording, progress) if _updates(task) else _built(task, recording, progress)
+
+
+def _learned(task: MappingTask, progress: ProgressListener) -> Map:
+    assert task.data_dir is not None
+    progress(Stage.READ, 0.0, "reading the queries")
+    map_ = MapLibrary(task.maps_dir).get(task.map_name)
+    return learn_from_queries(map_, QueryStore(task.data_dir).load(map_.info.id), progress)
+
+
 def _corrected(task: MappingTask) -> Path | None:
     """The file of the waypoints that replace the recording's own; None where they were not corrected."""
     path = None if task.folder is None else task.folder / WAYPOINTS_FILE
@@ -103,7 +119,7 @@ def _corrected(task: MappingTask) -> Path | None:
 
 
 def _updates(task: MappingTask) -> bool:
-    return task.options.kind is JobKind.UPDATE
+    return task.options.kind is not JobKind.BUILD
 
 
 def _built(task: MappingTask, recording: Recording, progress: ProgressListener) -> Map:

@@ -12,7 +12,7 @@ from dbos import DBOSClient, EnqueueOptions
 from sqlalchemy.exc import IntegrityError
 
 from rholoc.errors import Conflict, UnknownRecording
-from rholoc.jobs.job import Job, JobOptions, JobState
+from rholoc.jobs.job import Job, JobKind, JobOptions, JobState
 from rholoc.jobs.recording_store import RecordingStore
 from rholoc.jobs.table import JobTable, JobWork, WorkerTable
 from rholoc.maps import check_map_name
@@ -54,7 +54,7 @@ class JobQueue:
         """Queue the building of a map.
 
         Args:
-            recording_id: what to build it from.
+            recording_id: what to build it from; empty where the job needs no recording.
             map_name: under which name to publish it.
             options: how to build it.
             job_id: 32 hex digits, or None for a new id. Submitting again under the same id changes nothing, so it is
@@ -66,10 +66,12 @@ class JobQueue:
             StorageFull: the disk is full.
         """
         check_map_name(map_name)
-        self._recordings.get(recording_id)
+        options = options or JobOptions()
+        if options.kind is not JobKind.LEARN:
+            self._recordings.get(recording_id)
         job_id = job_id or uuid.uuid4().hex
         workflow = _workflow_id(job_id)
-        work = JobWork(recording_id, map_name, options or JobOptions())
+        work = JobWork(recording_id, map_name, options)
         with reporting_full_database(), suppress(IntegrityError), self._engine.begin() as connection:
             self._jobs.insert(connection, job_id, work, workflow)
             self._enqueue(connection, job_id, workflow)
@@ -94,6 +96,10 @@ class JobQueue:
             UnknownJob: there is no job ``before``.
         """
         return self._jobs.list(most, before)
+
+    def learning(self, map_name: str) -> Job | None:
+        """The job by which the map of a name learns from its queries, if one is queued or running."""
+        return self._jobs.learning(map_name)
 
     def counts(self) -> dict[JobState, int]:
         """How many jobs are in each state."""
@@ -132,7 +138,9 @@ class JobQueue:
             Conflict: it neither failed nor was cancelled.
             UnknownRecording: its recording was deleted.
         """
-        self._recordings.get(self._jobs.get(job_id).recording)
+        job = self._jobs.get(job_id)
+        if job.recording:
+            self._recordings.get(job.recording)
         workflow = _workflow_id(job_id)
         with reporting_full_database(), self._engine.begin() as connection:
             self._jobs.requeue(connection, job_id, workflow)

@@ -102,12 +102,24 @@ class JobTable:
             )
             return connection.execute(found).first() is not None
 
+    def learning(self, map_name: str) -> Job | None:
+        """The queued or running job by which a map learns from its queries."""
+        found = sa.select(jobs_table).where(
+            jobs_table.c.map_name == map_name,
+            jobs_table.c.recording == "",
+            jobs_table.c.state.in_([JobState.QUEUED, JobState.RUNNING]),
+        )
+        with self._engine.connect() as connection:
+            row = connection.execute(found).mappings().first()
+        return None if row is None else _job(row)
+
     def mapped_before(self, time_s: float) -> Sequence[str]:
         """The recordings all of whose jobs published their maps before ``time_s``, seconds since the epoch."""
         published_before = sa.and_(jobs_table.c.state == JobState.PUBLISHED, jobs_table.c.ended < time_s)
         others = sa.func.sum(sa.case((published_before, 0), else_=1))
         with self._engine.connect() as connection:
-            found = sa.select(jobs_table.c.recording).group_by(jobs_table.c.recording).having(others == 0)
+            recordings = sa.select(jobs_table.c.recording).where(jobs_table.c.recording != "")
+            found = recordings.group_by(jobs_table.c.recording).having(others == 0)
             return connection.execute(found).scalars().all()
 
     # What users do

@@ -201,7 +201,8 @@ class Worker:
                 cancel_grace_s=self._timing.cancel_grace_s,
                 limits=self._limits,
             )
-            self._recordings.share_notes(work.recording, READ_FILES)
+            if work.recording:
+                self._recordings.share_notes(work.recording, READ_FILES)
             return failure
         except Cancelled:
             raise
@@ -219,7 +220,8 @@ class Worker:
                 if failure is not None:
                     return failure
             reasons = self._patiently(lease, lambda: self._pipeline.publish(task, self._library(lease)))
-            self._recordings.release(work.recording)
+            if work.recording:
+                self._recordings.release(work.recording)
             return reasons
         except Cancelled:
             raise
@@ -264,14 +266,16 @@ class Worker:
         folder = self._work_dir(lease)
         with reporting_full_disk():
             folder.mkdir(parents=True, exist_ok=True)
+        needs_recording = work.options.kind is not JobKind.LEARN
         return MappingTask(
-            recording=self._recordings.path(work.recording),
+            recording=self._recordings.path(work.recording) if needs_recording else None,
             map_file=folder / "map.rho",
             maps_dir=self._maps_dir if self._shared is None else self._inputs(folder, work),
             map_name=work.map_name,
             options=work.options,
             max_frame_pixels=self._limits.frame_pixels,
-            folder=self._recordings.folder(work.recording),
+            folder=self._recordings.folder(work.recording) if needs_recording else None,
+            data_dir=self._data_dir,
         )
 
     def _inputs(self, folder: Path, work: JobWork) -> Path:
@@ -280,7 +284,7 @@ class Worker:
         self._shared.refresh()
         inputs = folder / "inputs"
         inputs.mkdir(exist_ok=True)
-        if work.options.kind is JobKind.UPDATE:
+        if work.options.kind is not JobKind.BUILD:
             source = MapLibrary(inputs).path(work.map_name)
             if not source.exists():
                 shutil.copyfile(self._shared.library.path(work.map_name), source)

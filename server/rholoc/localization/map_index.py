@@ -55,7 +55,7 @@ class MapIndex:
         """
         if self.map.view_covariances is None:
             return None
-        votes = self._votes(landmarks)
+        votes = self.seen_by_views(landmarks)
         nearest = np.argsort(-votes, kind="stable")[:views]
         covariances = self.map.view_covariances[nearest].astype(np.float64)
         return map_covariance_at(covariances, self.view_positions[nearest], votes[nearest], position)
@@ -68,7 +68,7 @@ class MapIndex:
     def shared_with(self, view: int) -> FloatArray:
         """(K,) how many features each view shares with one of them."""
         first, last = self.map.view_offsets[view : view + 2]
-        return self._votes(self.visibility.indices[first:last])
+        return self.seen_by_views(self.visibility.indices[first:last])
 
     @cached_property
     def seen_upright(self) -> bool:
@@ -97,12 +97,12 @@ class MapIndex:
 
     def seen_alike(self, landmarks: IntArray, views: int) -> BoolArray:
         """Which features (F,) were seen by those ``views`` that saw most of some landmarks (M,): as from there."""
-        votes = self._votes(landmarks)
+        votes = self.seen_by_views(landmarks)
         seen = np.zeros(len(self.map), dtype=bool)
         seen[self.seen_from(np.argsort(-votes, kind="stable")[:views])] = True
         return seen
 
-    def _votes(self, landmarks: IntArray) -> FloatArray:
+    def seen_by_views(self, landmarks: IntArray) -> FloatArray:
         """(K,) how many of some landmarks (M,) each view saw."""
         return np.asarray(self.visibility @ np.bincount(landmarks, minlength=len(self.map)).astype(np.float32))
 

@@ -1,5 +1,6 @@
 """Recording → map: the pipeline, the report, and learning that goes on."""
 
+from rholoc.mapping.answered import AnsweredQuery
 from rholoc.mapping.build import DEFAULT_FEATURES, BuildOptions, build_map
 from rholoc.mapping.correcting import (
     lay_over_plan,
@@ -21,15 +22,19 @@ from rholoc.mapping.learning import UpdateOptions, update_map
 from rholoc.mapping.merging import merge_maps
 from rholoc.mapping.observation_table import observation_table
 from rholoc.mapping.site_poses import find_link, pose_in_site, solve_site, with_link
+from rholoc.mapping.user_learning import FEWEST_QUERIES, learn_from_queries, too_few_queries
 
 __all__ = [
     "DEFAULT_FEATURES",
+    "FEWEST_QUERIES",
+    "AnsweredQuery",
     "BuildOptions",
     "UpdateOptions",
     "build_map",
     "find_link",
     "forget_recording",
     "lay_over_plan",
+    "learn_from_queries",
     "levelled",
     "merge_maps",
     "observation_table",
@@ -46,6 +51,7 @@ __all__ = [
     "set_wall",
     "small_picture",
     "solve_site",
+    "too_few_queries",
     "update_map",
     "with_link",
 ]

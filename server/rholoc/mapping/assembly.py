@@ -10,7 +10,7 @@ from rholoc.mapping.landmarks import Landmarks, representative_rows
 from rholoc.mapping.observations import Views
 from rholoc.maps import Map, MapInfo, Observations, packed_pixels, unpacked_pixels
 
-_DESCRIPTORS_PER_FEATURE = 2
+DESCRIPTORS_PER_FEATURE = 2
 
 
 def assemble(info: MapInfo, views: Views, landmarks: Landmarks, view_sources: IntArray, metric: Metric) -> Map:
@@ -75,7 +75,7 @@ def _descriptor_rows(
     owners, rows = [], []
     for source in np.unique(view_sources):
         mine = np.where(sources == source, labels, -1)
-        chosen = representative_rows(views, mine, len(landmarks), metric, _DESCRIPTORS_PER_FEATURE)
+        chosen = representative_rows(views, mine, len(landmarks), metric, DESCRIPTORS_PER_FEATURE)
         owners.append(np.repeat(np.arange(len(landmarks)), [len(one) for one in chosen]))
         rows.append(np.concatenate(chosen))
     owner, row = np.concatenate(owners), np.concatenate(rows)

@@ -59,6 +59,16 @@ def without_views(map_: Map, first: int, last: int) -> Map:
     stays[first : last + 1] = False
     if not stays.any():
         raise Conflict("No view would be left.", "Delete the map instead.")
+    left = keep_views(map_, stays)
+    _check_left(len(left))
+    return left
+
+
+def keep_views(map_: Map, stays: BoolArray) -> Map:
+    """The map, in ``ray`` form, with only the views where ``stays`` (K,) holds, and without what only the others saw.
+
+    Where the map remembers its observations, landmarks that the others saw too are those of a map that never had them.
+    """
     seen = stays[map_.observation_views]
     touched = np.zeros(len(map_), dtype=bool)
     touched[map_.observation_features[~seen]] = True
@@ -82,7 +92,6 @@ def without_views(map_: Map, first: int, last: int) -> Map:
         left = keep_features(left, still_seen | ~touched)
     else:
         left = with_landmarks(left, touched)
-    _check_left(len(left))
     return left
 
 

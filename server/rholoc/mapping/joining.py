@@ -11,6 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from rholoc.geometry import BoolArray, ByteArray, FloatArray, IntArray
+from rholoc.mapping.assembly import DESCRIPTORS_PER_FEATURE
 from rholoc.mapping.memory import (
     keep_features,
     observed_rays,
@@ -45,7 +46,7 @@ def join(a: Map, b: Map, same: IntArray) -> Map:
 def without_source(map_: Map, source: int) -> Map:
     """The map, of ``ray`` form, without the recording in row ``source`` of its sources.
 
-    Features that only it saw vanish.
+    Features that only it saw, or described, vanish.
     """
     observations = check_observations(map_, "The map")
     stays = observations.view_sources != source
@@ -75,7 +76,43 @@ def without_source(map_: Map, source: int) -> Map:
             renumbered(observations.descriptor_sources[described]),
         ),
     )
-    return with_landmarks(left, touched)
+    described_still = np.bincount(left.descriptor_features, minlength=len(left)) > 0
+    return with_landmarks(keep_features(left, described_still), touched[described_still])
+
+
+def with_sources_once(map_: Map) -> Map:
+    """The map, its sources of one id taken together, as the first of them.
+
+    Of the descriptors that they brought for a feature the last stay, as many as one source brings.
+    """
+    kept, sources = check_observations(map_, "The map"), map_.info.sources
+    ids = [source.id for source in sources]
+    first = np.array([ids.index(one) for one in ids])
+    stays = np.unique(first)
+    number = np.searchsorted(stays, first).astype(np.int32)
+    view_sources, descriptor_sources = number[kept.view_sources], number[kept.descriptor_sources]
+    latest = _latest(map_.descriptor_features, descriptor_sources)
+    views = np.bincount(view_sources, minlength=len(stays)).tolist()
+    return replace(
+        map_,
+        info=replace(
+            map_.info, sources=tuple(replace(sources[row], views=n) for row, n in zip(stays, views, strict=True))
+        ),
+        descriptors=map_.descriptors[latest],
+        descriptor_features=map_.descriptor_features[latest],
+        cloud=replace(map_.cloud, sources=number[map_.cloud.sources]),
+        observations=Observations(kept.pixels, view_sources, descriptor_sources[latest]),
+    )
+
+
+def _latest(features: IntArray, sources: IntArray) -> BoolArray:
+    """Which descriptors (D,) are among the last that a source brought for a feature."""
+    order = np.lexsort((np.arange(len(features)), sources, features))[::-1]
+    starts = np.append(True, (np.diff(features[order]) != 0) | (np.diff(sources[order]) != 0))
+    rank = np.arange(len(order)) - np.maximum.accumulate(np.where(starts, np.arange(len(order)), 0))
+    latest = np.zeros(len(features), dtype=bool)
+    latest[order[rank < DESCRIPTORS_PER_FEATURE]] = True
+    return latest
 
 
 def _numbers(a: Map, same: IntArray) -> IntArray:

@@ -116,7 +116,7 @@ def update_map(
         walk = _aligned_walk(localizer, recording, method, options.pictures, progress)
     features = [one.features for one in walk.shown]
     views = Views.from_features([walk.camera] * len(walk.times), walk.T_map_camera, walk.times, features)
-    labels, new, cloud = _recognize(localizer, views, progress)
+    labels, new, cloud = recognize(localizer, views, progress)
     source = Source(
         id=id_,
         name=recording.name,
@@ -125,7 +125,7 @@ def update_map(
         views=len(views),
         poses=walk.poses,
     )
-    seen, landmarks = _seen_landmarks(known, labels, new)
+    seen, landmarks = seen_landmarks(known, labels, new)
     info = replace(known.info, sources=(source,), waypoints=())
     learned = assemble(info, views, landmarks, np.zeros(len(views), dtype=np.int64), localizer.extractor.metric)
     pictures = tuple(one.picture for one in walk.shown) if options.pictures else None
@@ -239,7 +239,7 @@ def _camera_of(recording: Recording, info: MapInfo) -> Camera:
     )
 
 
-def _recognize(localizer: Localizer, views: Views, progress: ProgressListener) -> tuple[IntArray, Landmarks, Cloud]:
+def recognize(localizer: Localizer, views: Views, progress: ProgressListener) -> tuple[IntArray, Landmarks, Cloud]:
     """Each detection's feature (N,) of the map, or -1; the landmarks and the further points that the others make up."""
     index, metric = localizer.index, localizer.extractor.metric
     labels = np.full(len(views.features), -1, dtype=np.int64)
@@ -268,7 +268,7 @@ def _recognize(localizer: Localizer, views: Views, progress: ProgressListener) -
     return labels, Landmarks(fresh.information, fresh.eta, in_all, fresh.positions, fresh.covariances), cloud
 
 
-def _seen_landmarks(known: Map, labels: IntArray, new: Landmarks) -> tuple[IntArray, Landmarks]:
+def seen_landmarks(known: Map, labels: IntArray, new: Landmarks) -> tuple[IntArray, Landmarks]:
     """All landmarks that the recording shows, those of the map first; and which of the map's each is, or -1."""
     again, number = np.unique(labels[labels >= 0], return_inverse=True)
     together = np.where(new.labels >= 0, new.labels + len(again), -1)

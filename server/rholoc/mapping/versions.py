@@ -12,6 +12,7 @@ from rholoc.progress import ProgressListener, silent
 from rholoc.reports import LearningReport, MapReport
 
 _MAX_CORRECTIONS = 1000  # that a map keeps
+_MAX_LESSONS = 10
 
 
 def as_learned(
@@ -27,11 +28,18 @@ def as_learned(
     they stand, one observation at a time; else all densities are fitted anew.
     """
     report = _brought_up(after, before.info.report)
-    report = replace(report, learned=(*report.learned, learned))
+    report = replace(report, learned=_without_old_lessons((*report.learned, learned)))
     after = replace(after, info=replace(after.info, version=learned.version, report=report))
     if forgetting is not None:
         return with_learned_densities(before, after, forgetting)
     return fit_densities(after, before.info.density, before.densities.degree, progress)
+
+
+def _without_old_lessons(learned: tuple[LearningReport, ...]) -> tuple[LearningReport, ...]:
+    """Without all but the last reports of what was learned from queries: there is one each night."""
+    from_queries = [report for report in learned if report.queries is not None]
+    old = from_queries[:-_MAX_LESSONS]
+    return tuple(report for report in learned if report not in old)
 
 
 def as_corrected(before: Map, after: Map, correction: Correction) -> Map:

@@ -4,7 +4,7 @@ Dataclasses without behaviour, one module a subject. Every package may use them;
 """
 
 from rholoc.reports.json import report_from_json, report_to_json
-from rholoc.reports.map import CoverageReport, ExpectedError, HeldOutReport, LearningReport, MapReport
+from rholoc.reports.map import CoverageReport, ExpectedError, HeldOutReport, LearningReport, MapReport, QueriesReport
 from rholoc.reports.trajectory import (
     CalibrationReport,
     ImuReport,
@@ -27,6 +27,7 @@ __all__ = [
     "LearningReport",
     "MapReport",
     "MissingSpan",
+    "QueriesReport",
     "RecordingWarning",
     "TrajectoryReport",
     "WalkFigures",

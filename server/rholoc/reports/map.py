@@ -84,6 +84,33 @@ class ExpectedError:
 
 
 @dataclass(frozen=True)
+class QueriesReport:
+    """What a map learned from the queries that it had answered.
+
+    Attributes:
+        kept: how many were kept for it.
+        sure: how many of them it was sure of when it was asked anew.
+        askers: how many asked them.
+        occasions: on how many occasions.
+        features_forgotten: how many features many of them should have seen and did not.
+        held_back: how many it did not learn from, but was asked before and after.
+        recall_before, recall_after: the share of those, whole and by halves, that were found within 5 cm and 5°.
+        median_before_m, median_after_m: of the errors of those found.
+    """
+
+    kept: int
+    sure: int
+    askers: int
+    occasions: int
+    features_forgotten: int
+    held_back: int
+    recall_before: float
+    recall_after: float
+    median_before_m: float
+    median_after_m: float
+
+
+@dataclass(frozen=True)
 class LearningReport:
     """One version of a map: what it learned or forgot. Members that do not apply are None.
 
@@ -103,6 +130,7 @@ class LearningReport:
         features_in_both: features that both maps had.
         features_new: features that it added.
         coaching: about the recording.
+        queries: what it learned from, where that was queries.
     """
 
     version: int
@@ -121,6 +149,7 @@ class LearningReport:
     features_in_both: int | None = None
     features_new: int | None = None
     coaching: CoachingReport | None = None
+    queries: QueriesReport | None = None
 
 
 @dataclass(frozen=True)

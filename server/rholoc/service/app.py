@@ -18,6 +18,8 @@ from rholoc.errors import RholocError
 from rholoc.jobs import (
     EmbeddedWorker,
     JobQueue,
+    KeptLimits,
+    QueryStore,
     RecordingStore,
     SharedRecordingStore,
     SharedUploadStore,
@@ -46,6 +48,7 @@ from rholoc.service.housekeeping import clean_up_regularly
 from rholoc.service.job_events import JobEvents
 from rholoc.service.json_bodies import JsonBodies
 from rholoc.service.keys import KeyStore
+from rholoc.service.learning import Learner
 from rholoc.service.live import Live
 from rholoc.service.localizers import Localizers
 from rholoc.service.map_watch import MapWatch
@@ -81,6 +84,7 @@ def create_app(settings: Settings | None = None) -> FastAPI:
         configure_logs()
         app.state.rholoc = state = _start(settings, metrics, keys, shared)
         state.watch.start()
+        state.learner.start()
         if state.worker is not None:
             state.worker.start()
         cleanup = asyncio.create_task(clean_up_regularly(state))
@@ -92,6 +96,7 @@ def create_app(settings: Settings | None = None) -> FastAPI:
                 state.worker.stop()
             state.watch.stop()
             state.compute.close()
+            state.learner.close()
             await state.renderings.close()
             state.jobs.close()
             if shared is not None:
@@ -166,6 +171,7 @@ def _start(settings: Settings, metrics: Metrics, keys: KeyStore, shared: SharedS
     metrics.gauge("rholoc_maps", "Maps in the folder, and how many of them are indexed", "state", finder.counts)
     streams = OpenStreams(settings.max_streams)
     metrics.gauge("rholoc_streams", "Streams of frames that are open", "at", lambda: {"now": streams.count})
+    queries = QueryStore(settings.data_dir, KeptLimits(size_bytes=settings.learn_max_bytes))
     return State(
         settings=settings,
         library=library,
@@ -186,6 +192,8 @@ def _start(settings: Settings, metrics: Metrics, keys: KeyStore, shared: SharedS
         uploads=_uploads(settings, recordings, jobs, shared),
         jobs=jobs,
         job_events=JobEvents(jobs),
+        queries=queries,
+        learner=Learner(queries, settings),
         worker=_worker(settings) if settings.worker else None,
         streams=streams,
     )

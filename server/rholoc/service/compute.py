@@ -45,7 +45,7 @@ class ComputePool:
     def __init__(self, concurrency: int, queue_length: int) -> None:
         self._lanes = {
             Effort.ORDINARY: _Lane(_THREADS, concurrency, queue_length, _keep_to_one_core),
-            Effort.LARGE: _Lane(f"{_THREADS}-large", max(1, concurrency - 1), queue_length, _lower_priority),
+            Effort.LARGE: _Lane(f"{_THREADS}-large", max(1, concurrency - 1), queue_length, lower_priority),
         }
 
     @property
@@ -147,7 +147,7 @@ def _keep_to_one_core() -> None:
     cv2.setNumThreads(1)
 
 
-def _lower_priority() -> None:
+def lower_priority() -> None:
     """As :func:`_keep_to_one_core`; and where cores are few, ordinary work gets them first."""
     _keep_to_one_core()
     if sys.platform == "linux":  # which has priorities per thread

@@ -1,12 +1,19 @@
-"""Regular cleanup: removes what has expired."""
+"""Regular work beside answering: removes what has expired, and lets maps learn at night."""
 
 from __future__ import annotations
 
 import asyncio
+import hashlib
+import time
+from datetime import UTC, datetime
 
 import structlog
 from starlette.concurrency import run_in_threadpool
 
+from rholoc.errors import InvalidMap, RholocError, UnknownMap
+from rholoc.jobs import JobKind, JobOptions
+from rholoc.mapping import FEWEST_QUERIES
+from rholoc.maps import load_info
 from rholoc.service.state import State
 
 _EVERY_S = 600.0
@@ -15,12 +22,14 @@ _log = structlog.get_logger("rholoc.service")
 
 
 async def clean_up_regularly(state: State) -> None:
-    """Remove expired uploads, pictures of maps that changed, recordings past their retention, until cancelled."""
+    """Remove expired uploads and queries, pictures of maps that changed, recordings past their retention, until
+    cancelled; at night let maps learn from their users."""
     while True:
-        try:
-            await run_in_threadpool(_clean, state)
-        except Exception:
-            _log.exception("housekeeping_failed")
+        for work in (_clean, _learn):
+            try:
+                await run_in_threadpool(work, state)
+            except Exception:
+                _log.exception("housekeeping_failed")
         await asyncio.sleep(_EVERY_S)
 
 
@@ -30,3 +39,33 @@ def _clean(state: State) -> None:
     state.recordings.sweep()
     state.renderings.sweep()
     state.jobs.delete_mapped_recordings(state.settings.recording_retention_days * _DAY_S)
+    state.queries.sweep(_map_ids(state))
+
+
+def _map_ids(state: State) -> set[str] | None:
+    """The ids of all maps; None where one cannot be read."""
+    try:
+        return {load_info(state.library.path(name)).id for name in state.library.names()}
+    except (InvalidMap, UnknownMap):
+        return None
+
+
+def _learn(state: State) -> None:
+    now = datetime.now(UTC)
+    if state.settings.learn and now.hour == state.settings.learn_hour:
+        learn_tonight(state, now)
+
+
+def learn_tonight(state: State, now: datetime) -> None:
+    """Queue a job for each map that was asked often enough since the night before; once a night, on one server of all
+    that share a database."""
+    for name in state.library.names():
+        try:
+            map_id = load_info(state.library.path(name)).id
+            if state.queries.newer_than(map_id, time.time() - _DAY_S) < FEWEST_QUERIES:
+                continue
+            night = hashlib.blake2b(f"{map_id} {now:%Y-%m-%d}".encode(), digest_size=16).hexdigest()
+            if state.jobs.learning(name) is None:
+                state.jobs.submit("", name, JobOptions(kind=JobKind.LEARN), night)
+        except RholocError as error:
+            _log.warning("map_does_not_learn", map=name, error=error.message)

@@ -16,6 +16,7 @@ from pathlib import Path
 from rholoc.errors import Conflict, InvalidName, NotFound
 from rholoc.maps import Documents, FolderDocuments
 
+HANDED_PREFIX = "handed-"  # of the names of keys that were handed on
 FOLDER = "keys"
 _PREFIX = "rho_"
 _BYTES = 32

@@ -16,9 +16,10 @@ import structlog
 from rholoc.errors import DeadlineExceeded, InvalidCamera, InvalidDescriptors, RholocError
 from rholoc.features import Extractor, FeatureSet
 from rholoc.geometry import ByteArray, FloatArray, Pose
-from rholoc.localization import TOO_LITTLE_TIME, AnyLocalizer, Localization, Query, Reason, likeliest_views
+from rholoc.localization import TOO_LITTLE_TIME, AnyLocalizer, Intrinsics, Localization, Query, Reason, likeliest_views
 from rholoc.maps import areas_at, points_near, trust_of
 from rholoc.recordings.frames.image import SENT_FORMATS, decode_image
+from rholoc.service.learning import Lesson, Listener
 from rholoc.service.localizers import Localizers
 from rholoc.service.map_choice import CONCLUSIVE, Candidates, MapChoice
 from rholoc.service.queries import Frame, camera_for, feature_set, gravity_of, prior_of
@@ -86,12 +87,18 @@ def late_answer(name: str, localizer: AnyLocalizer, clock: Stopwatch) -> Localiz
 
 
 def localize_frame(
-    frame: Frame, maps: MapChoice, localizers: Localizers, settings: Settings, clock: Stopwatch
+    frame: Frame,
+    maps: MapChoice,
+    localizers: Localizers,
+    settings: Settings,
+    clock: Stopwatch,
+    listener: Listener | None = None,
 ) -> LocalizationOut:
     """The best answer of some maps: the most confident pose, or the most confident answer if none has a pose.
 
     Of several maps, those whose features or camera do not fit the frame are passed over; where nobody named them, so
-    are those that cannot be used for any other reason.
+    are those that cannot be used for any other reason. ``listener`` hears of a pose found by a camera whose
+    intrinsics are known.
 
     Raises:
         UnknownMap, InvalidMap, InvalidImage, InvalidCamera, InvalidDescriptors, InvalidInput: what was sent is not
@@ -112,6 +119,10 @@ def localize_frame(
         name, localizer, found = _looking_twice(likely.at_first(), maps, features, surest, clock)
     else:
         name, localizer, found = surest(likely)
+    if listener is not None and found.localized and frame.options.intrinsics is Intrinsics.GIVEN:
+        info = localizer.map.info
+        camera = camera_for(frame, features.size, info.camera)
+        listener(Lesson(info.id, localizer.extractor, camera, found, features.by))
     return answer_of(name, localizer, found, clock, frame.options.with_matches)
 
 

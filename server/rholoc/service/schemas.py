@@ -26,7 +26,7 @@ from rholoc.maps import (
     Source,
 )
 from rholoc.progress import Stage
-from rholoc.reports import MapReport
+from rholoc.reports import LearningReport, MapReport
 from rholoc.service.examples import CORRECTION, NAMES, REPORT, SOURCE, WAYPOINT, sent
 from rholoc.service.keys import Scope
 from rholoc.trajectory import PoseMethod, Scale
@@ -626,6 +626,47 @@ class MapVersions(_Out):
     versions: list[PreviousMap]
 
 
+class LearningOut(_Out):
+    """What is kept for a map to learn from, and what it last learned."""
+
+    model_config = ConfigDict(
+        frozen=True,
+        json_schema_extra={
+            "example": {
+                "map": "hall",
+                "learns": True,
+                "queries": 214,
+                "size_bytes": 9_630_000,
+                "askers": 3,
+                "oldest": 1767607200.0,
+                "newest": 1767693600.0,
+                "fewest": 30,
+                "last": None,
+                "job": None,
+            }
+        },
+    )
+
+    map: str
+    learns: bool = Field(description="whether this server keeps queries for its maps to learn from")
+    queries: int = Field(description="how many are kept for this map")
+    size_bytes: int
+    askers: int = Field(description="how many asked them")
+    oldest: float | None = Field(description="s since the epoch")
+    newest: float | None = Field(description="s since the epoch")
+    fewest: int = Field(description="how many a map learns from at least")
+    last: LearningReport | None = Field(description="what the map last learned from its users")
+    job: str | None = Field(description="the id of the job by which it is learning now, or will be")
+
+
+class DeletedQueries(_Out):
+    """How many queries were deleted."""
+
+    model_config = ConfigDict(frozen=True, json_schema_extra={"example": {"deleted": 214}})
+
+    deleted: int
+
+
 class MapDetail(MapSummary):
     """A map with its sources and its extent."""
 
@@ -1040,7 +1081,7 @@ class JobOut(_Out):
     model_config = ConfigDict(frozen=True, json_schema_extra={"example": _JOB})
 
     id: str
-    recording: str = Field(description="the recording's id")
+    recording: str = Field(description="the recording's id; empty where a map learns from its users")
     map: str = Field(description="the name of the map that it publishes")
     state: JobState
     stage: Stage

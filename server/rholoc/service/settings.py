@@ -111,6 +111,23 @@ class Settings(BaseSettings):
         description="Whether the places where requests failed or were unsure are kept in memory for a day, without "
         "pictures and without who asked.",
     )
+    learn: bool = Field(
+        default=False,
+        description="Whether maps learn from their users: the features of frames that were localized surely are kept, "
+        "never the picture, and each night maps learn from them.",
+    )
+    learn_hour: int = Field(
+        default=3, ge=-1, le=23, description="The hour, UTC, at which maps learn; -1: only when they are asked to."
+    )
+    learn_max_bytes: int = Field(
+        default=128 * 2**20, ge=2**20, description="The most bytes of queries that are kept for a map."
+    )
+    learn_not_from: str = Field(
+        default="", description="The names of keys whose queries teach nothing, separated by commas."
+    )
+    learn_from_handed: bool = Field(
+        default=False, description="Whether queries by keys that were handed on, as links do, teach as well."
+    )
     keep_pictures: bool = Field(
         default=False,
         description="Whether maps that are made here keep a small picture of each view, which those who may read see; "

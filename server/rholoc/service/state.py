@@ -8,7 +8,7 @@ from typing import Annotated
 
 from fastapi import Depends, Request
 
-from rholoc.jobs import EmbeddedWorker, JobQueue, RecordingStore, UploadStore
+from rholoc.jobs import EmbeddedWorker, JobQueue, QueryStore, RecordingStore, UploadStore
 from rholoc.localization import MapFinder
 from rholoc.maps import CameraLibrary, MapLibrary, SiteLibrary
 from rholoc.service.bodies import HeldBodies
@@ -16,6 +16,7 @@ from rholoc.service.compute import ComputePool
 from rholoc.service.exports import Exports
 from rholoc.service.job_events import JobEvents
 from rholoc.service.keys import KeyStore
+from rholoc.service.learning import Learner
 from rholoc.service.live import Live
 from rholoc.service.localizers import Localizers
 from rholoc.service.map_watch import MapWatch
@@ -49,6 +50,8 @@ class State:
     uploads: UploadStore
     jobs: JobQueue
     job_events: JobEvents
+    queries: QueryStore
+    learner: Learner
     worker: EmbeddedWorker | None
     streams: OpenStreams
     publishing: asyncio.Lock = field(default_factory=asyncio.Lock)  # a large map takes memory while it is checked

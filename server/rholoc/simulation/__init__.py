@@ -1,6 +1,7 @@
 """Rooms, lights, walks: recordings with known truth, for the demo and the tests."""
 
 from rholoc.simulation.light import Light
+from rholoc.simulation.rearrangement import rearranged
 from rholoc.simulation.recording import PHONE_CAMERA, SimulatedRecording, render_view, simulate_recording
 from rholoc.simulation.render import Renderer, Surface
 from rholoc.simulation.rooms import make_blank_wall, make_test_site
@@ -27,6 +28,7 @@ __all__ = [
     "make_walk",
     "measure_imu",
     "measure_waypoints",
+    "rearranged",
     "render_view",
     "simulate_recording",
 ]

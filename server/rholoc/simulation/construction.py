@@ -33,11 +33,15 @@ class Decor:
 
 @dataclass
 class Builder:
-    """Collects boxes; every face gets its own random numbers from the room's seed and its own name."""
+    """Collects boxes; every face gets its own random numbers from the room's seed and its own name.
+
+    ``piece`` names the piece of furniture that the boxes added next are parts of.
+    """
 
     seed: int
     boxes: list[Box] = field(default_factory=list)
     furniture_px_per_m: float = FURNITURE_PX_PER_M
+    piece: str = ""
 
     def rng(self, name: str) -> np.random.Generator:
         return np.random.default_rng([self.seed, zlib.crc32(name.encode())])
@@ -92,7 +96,7 @@ class Builder:
                     f"{name}/{face}", chosen, *extent[face[0]], px_per_m or self.furniture_px_per_m
                 )
         centre = np.array(low) + 0.5 * np.array(size)
-        self.boxes.append(Box(centre, np.array(size), yaw, paints))
+        self.boxes.append(Box(centre, np.array(size), yaw, paints, self.piece))
 
 
 def add_bookshelf(

@@ -136,8 +136,10 @@ def _furnish(
     def jitter(scale: float) -> float:
         return float(rng.uniform(-scale, scale))
 
+    build.piece = "left shelf"
     add_bookshelf(build, "left shelf", (0.0, 1.05), (0.28, 1.05), walnut, levels=4)
 
+    build.piece = "sofa"
     upholstery = textures.cushions(textures.random_color(rng, (0.35, 0.7), (0.35, 0.7)))
     y = 2.55 + jitter(0.1)
     build.add("sofa back", (0.02, y, 0.0), (0.22, 1.7, 0.85), upholstery, hidden="z-,x-")
@@ -145,6 +147,7 @@ def _furnish(
     build.add("cushion", (0.26, y + 0.2, 0.42), (0.14, 0.42, 0.36), textures.fabric_pattern, hidden="z-,x-")
     build.add("cushion 2", (0.26, y + 1.0, 0.42), (0.14, 0.45, 0.38), textures.fabric_pattern, hidden="z-,x-")
 
+    build.piece = "cupboard"
     tall = 1.75 + jitter(0.2)
     build.add(
         "cupboard",
@@ -155,9 +158,11 @@ def _furnish(
         front={"y+": textures.panel(oak, 2, 1)},
     )
     build.add("box on cupboard", (2.35, 0.06, tall), (0.5, 0.36, 0.3), textures.cardboard)
+    build.piece = "boxes"
     build.add("box by door", (0.18, 0.08, 0.0), (0.38, 0.36, 0.34), textures.cardboard, yaw=0.2)
     build.add("box on box", (0.22, 0.1, 0.34), (0.3, 0.28, 0.26), textures.cardboard, yaw=-0.3)
 
+    build.piece = "drawers"
     build.add(
         "drawers",
         (2.76, 0.75, 0.0),
@@ -169,6 +174,7 @@ def _furnish(
     build.add("crate", (2.83, 0.85, 0.8), (0.3, 0.34, 0.24), textures.cardboard, yaw=0.15)
     build.add("books on drawers", (2.86, 1.4, 0.8), (0.24, 0.36, 0.26), textures.books)
 
+    build.piece = ""
     build.add(
         "radiator",
         (1.6, 4.9, 0.12),
@@ -177,9 +183,11 @@ def _furnish(
         hidden="y+",
         front={"y-": radiator_ribs},
     )
+    build.piece = "side table"
     add_table(build, "side table", (0.95, 4.42), (0.5, 0.5), 0.55, pale)
     build.add("globe box", (1.05, 4.52, 0.55), (0.3, 0.3, 0.34), textures.poster, yaw=0.4)
 
+    build.piece = "desk"
     add_table(build, "desk", (3.95, 2.24), (1.4, 0.62), 0.74, oak)
     build.add(
         "monitor",
@@ -191,6 +199,7 @@ def _furnish(
     )
     build.add("monitor foot", (4.46, 2.32, 0.74), (0.16, 0.14, 0.12), textures.plaster((50, 50, 52)))
     build.add("paper tray", (5.0, 2.34, 0.74), (0.28, 0.34, 0.14), textures.books, yaw=0.1)
+    build.piece = "chair"
     build.add(
         "chair seat",
         (4.45, 2.7, 0.42),
@@ -201,9 +210,12 @@ def _furnish(
     )
     build.add("chair post", (4.63, 2.87, 0.0), (0.07, 0.07, 0.42), textures.plaster((60, 60, 64)))
 
+    build.piece = "back shelf"
     add_bookshelf(build, "back shelf", (3.45, 4.72), (1.5, 0.28), oak, levels=2)
     build.add("plant pot", (3.6, 4.76, 1.01), (0.2, 0.2, 0.2), textures.fabric_pattern, yaw=0.3)
     build.add("box on shelf", (4.2, 4.75, 1.01), (0.45, 0.22, 0.2), textures.cardboard)
 
+    build.piece = "locker"
     build.add("locker", (5.55, 4.45, 0.0), (0.45, 0.5, 1.5 + jitter(0.2)), textures.panel(pale, 1, 2), hidden="z-,x+")
+    build.piece = "bin"
     build.add("bin", (5.62, 2.3, 0.0), (0.28, 0.28, 0.4), textures.poster, yaw=0.2)

@@ -80,12 +80,14 @@ class Box:
         size: (3,) metres along the box's own axes.
         yaw: radians.
         paints: the paint of each face by its name in ``FACE_NAMES``; faces that are missing are not drawn.
+        piece: of furniture, that it is a part of; empty where it is fixed.
     """
 
     centre: FloatArray
     size: FloatArray
     yaw: float
     paints: dict[str, Paint]
+    piece: str = ""
 
     @property
     def axes(self) -> FloatArray:

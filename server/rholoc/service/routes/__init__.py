@@ -1,8 +1,21 @@
 """The routes: one module per resource."""
 
-from rholoc.service.routes import cameras, health, jobs, keys, live, localize, maps, recordings, sites, track, uploads
+from rholoc.service.routes import (
+    cameras,
+    health,
+    jobs,
+    keys,
+    learning,
+    live,
+    localize,
+    maps,
+    recordings,
+    sites,
+    track,
+    uploads,
+)
 
-_RESOURCES = (localize, track, maps, sites, live, cameras, recordings, uploads, jobs, keys, health)
+_RESOURCES = (localize, track, maps, learning, sites, live, cameras, recordings, uploads, jobs, keys, health)
 ROUTERS = tuple(resource.router for resource in _RESOURCES)
 
 __all__ = ["ROUTERS"]

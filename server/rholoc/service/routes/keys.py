@@ -13,14 +13,13 @@ from starlette.concurrency import run_in_threadpool
 from rholoc.errors import Busy, InvalidInput, NotFound, StorageFull
 from rholoc.service.access import NEEDS_ADMIN, NEEDS_MAP, NEEDS_READ, forbidden, granted_key
 from rholoc.service.errors import InvalidRequest
-from rholoc.service.keys import ApiKey, KeyStore
+from rholoc.service.keys import HANDED_PREFIX, ApiKey, KeyStore
 from rholoc.service.openapi import failures
 from rholoc.service.schemas import HandedKeyOut, KeyIn, KeyList, KeyOut, QrIn
 from rholoc.service.state import Service
 
 router = APIRouter(prefix="/v1", tags=["keys"])
 
-HANDED_PREFIX = "handed-"
 _MAX_HANDED = 200  # valid at the same time
 _NAME_BYTES = 4
 _SVG = "image/svg+xml"

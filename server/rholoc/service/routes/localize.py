@@ -35,6 +35,7 @@ from rholoc.service.compute import Effort
 from rholoc.service.errors import InvalidRequest, UnsupportedMediaType
 from rholoc.service.json_bodies import JsonLimits
 from rholoc.service.landscape import landscape_of
+from rholoc.service.live import ASKER
 from rholoc.service.localize import Stopwatch, frame_deadline_s, late_answer, likeliest_places, localize_frame
 from rholoc.service.localizers import Localizers
 from rholoc.service.map_choice import MOST_ASKED, MapChoice
@@ -359,8 +360,9 @@ async def answer_frame(frame: Frame, maps: MapChoice, service: State, clock: Sto
     """
     frame = await _with_stored_camera(frame, service)
     settings = service.settings
+    listener = service.learner.listener(ASKER.get())
     return await _answer_by_deadline(
-        lambda: localize_frame(frame, maps, service.localizers, settings, clock),
+        lambda: localize_frame(frame, maps, service.localizers, settings, clock, listener),
         maps,
         service,
         clock,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import uuid
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Annotated
 
@@ -155,8 +156,8 @@ async def patch_map(map_name: str, change: MapPatch, service: Service) -> MapDet
     responses=failures(UnknownMap, InvalidName),
 )
 async def delete_map(map_name: str, service: Service) -> None:
-    """For good. Requests in progress still finish on it."""
-    await run_in_threadpool(service.library.delete, map_name)
+    """For good, with what is kept for it to learn from. Requests in progress still finish on it."""
+    await run_in_threadpool(_delete, service, map_name)
     service.localizers.forget_missing()
 
 
@@ -576,6 +577,12 @@ def _unchanged(etag: str) -> Response:
 def _planned(service: State, name: str, content: bytes, plan: FloorPlan | None) -> MapDetail:
     service.library.replace(name, set_floor_plan(service.library.get(name), content, plan))
     return _detail(service, name)
+
+
+def _delete(service: State, name: str) -> None:
+    with suppress(InvalidMap):  # one that cannot be read has no id; the sweep forgets its queries
+        service.queries.delete(service.library.get(name).info.id)
+    service.library.delete(name)
 
 
 def _check_learns(library: MapLibrary, name: str) -> None:

@@ -1,0 +1,106 @@
+"""Maps that learn from their users: what is kept of their queries, and the jobs that learn from it."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from fastapi import APIRouter, Query, Response
+from starlette.concurrency import run_in_threadpool
+
+from rholoc.errors import Conflict, InvalidInput, InvalidMap, InvalidName, StorageFull, UnknownMap
+from rholoc.jobs import JobKind, JobOptions
+from rholoc.mapping import FEWEST_QUERIES, too_few_queries
+from rholoc.maps import check_observations
+from rholoc.service.access import NEEDS_MAP, NEEDS_READ
+from rholoc.service.errors import InvalidRequest
+from rholoc.service.job_events import job_out
+from rholoc.service.learning import pseudonym
+from rholoc.service.openapi import failures
+from rholoc.service.schemas import DeletedQueries, JobOut, LearningOut
+from rholoc.service.state import Service, State
+
+router = APIRouter(prefix="/v1/maps", tags=["maps"])
+_FAILURES = (UnknownMap, InvalidName, InvalidMap)
+
+
+@router.post(
+    "/{map_name}/learn",
+    dependencies=[NEEDS_MAP],
+    status_code=202,
+    summary="Let a map learn from its users",
+    responses=failures(*_FAILURES, InvalidInput, Conflict, StorageFull),
+)
+async def learn_from_users(map_name: str, service: Service, response: Response) -> JobOut:
+    """A job learns from the queries that are kept for the map: views and landmarks of what was seen often, without what
+    many should have seen and did not. `Location` names the job. The map's next version takes the place of the present
+    one unless it would localize queries that were held back worse; then the job fails and says by how much. Where the
+    setting `learn` says so, maps learn by themselves each night."""
+    job = await run_in_threadpool(_submit, service, map_name)
+    response.headers["Location"] = f"/v1/jobs/{job.id}"
+    return job
+
+
+@router.get(
+    "/{map_name}/learning",
+    dependencies=[NEEDS_READ],
+    summary="What is kept for a map to learn from",
+    responses=failures(*_FAILURES),
+)
+async def get_learning(map_name: str, service: Service) -> LearningOut:
+    """How many queries are kept, of how many askers, and what the map last learned from its users."""
+    return await run_in_threadpool(_learning, service, map_name)
+
+
+@router.delete(
+    "/{map_name}/learning",
+    dependencies=[NEEDS_MAP],
+    summary="Delete what is kept for a map to learn from",
+    responses=failures(*_FAILURES, InvalidRequest),
+)
+async def delete_learning(
+    map_name: str,
+    service: Service,
+    asker: Annotated[
+        str | None,
+        Query(description="only what one asked: the name of a key, or an address where none is asked for"),
+    ] = None,
+) -> DeletedQueries:
+    """For good. What the map has learned already stays: restore a version before, or forget the source `queries`."""
+    return await run_in_threadpool(_delete, service, map_name, asker)
+
+
+def _submit(service: State, map_name: str) -> JobOut:
+    map_ = service.library.get(map_name)
+    if service.shared is not None:
+        raise Conflict("Maps in shared storage do not learn from their users.", "Let it learn a recording instead.")
+    check_observations(map_, f"The map {map_name}")
+    kept = service.queries.kept(map_.info.id).queries
+    if kept < FEWEST_QUERIES:
+        raise too_few_queries(kept)
+    if (running := service.jobs.learning(map_name)) is not None:
+        raise Conflict(f"The map {map_name} is learning already.", f"Wait for the job {running.id}.")
+    return job_out(service.jobs.submit("", map_name, JobOptions(kind=JobKind.LEARN)))
+
+
+def _learning(service: State, map_name: str) -> LearningOut:
+    info = service.library.get(map_name).info
+    kept, job = service.queries.kept(info.id), service.jobs.learning(map_name)
+    from_users = [report for report in info.report.learned if report.queries is not None]
+    return LearningOut(
+        map=map_name,
+        learns=service.learner.listens,
+        queries=kept.queries,
+        size_bytes=kept.size_bytes,
+        askers=kept.askers,
+        oldest=kept.oldest,
+        newest=kept.newest,
+        fewest=FEWEST_QUERIES,
+        last=from_users[-1] if from_users else None,
+        job=None if job is None else job.id,
+    )
+
+
+def _delete(service: State, map_name: str, asker: str | None) -> DeletedQueries:
+    map_id = service.library.get(map_name).info.id
+    who = None if asker is None else pseudonym(service.settings.data_dir, asker)
+    return DeletedQueries(deleted=service.queries.delete(map_id, who))

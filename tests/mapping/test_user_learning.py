@@ -1,0 +1,196 @@
+"""Maps that learn from the queries they answered: what is new, what is gone, and what is not believed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+
+from rholoc.errors import Conflict, InvalidInput, MappingFailed
+from rholoc.geometry import BoolArray, Camera, Pose
+from rholoc.localization import Dof, Localizer, Query
+from rholoc.mapping import AnsweredQuery, forget_recording, learn_from_queries, user_learning
+from rholoc.mapping.memory import keep_features
+from rholoc.maps import Map, map_to_bytes
+
+HOUR_S = 3600.0
+
+
+@pytest.fixture(scope="module")
+def room_map(point_room: Any) -> Map:
+    result: Map = point_room.map_of(point_room.walk(60), "walk")
+    return result
+
+
+@pytest.fixture(scope="module")
+def is_moved(point_room: Any) -> BoolArray:
+    """A third of the points, in pieces like furniture: those of some stretches of the walls."""
+    along = np.arctan2(point_room.points[:, 1], point_room.points[:, 0])
+    moved: BoolArray = np.floor(along / (2 * np.pi) * 15).astype(int) % 3 == 0
+    return moved
+
+
+@pytest.fixture(scope="module")
+def changed_room(point_room: Any, is_moved: BoolArray) -> Any:
+    """The room with the points of those stretches replaced by others."""
+    rng = np.random.default_rng(5)
+    points, descriptors = point_room.points.copy(), point_room.descriptors.copy()
+    points[is_moved, 2] = 3.0 - points[is_moved, 2]
+    descriptors[is_moved] = rng.integers(0, 256, descriptors[is_moved].shape, dtype=np.uint8)
+    return replace(point_room, points=points, descriptors=descriptors)
+
+
+def asked(
+    map_: Map, room: Any, count: int = 60, asker: str = "a", apart_s: float = HOUR_S, camera: Camera | None = None
+) -> list[AnsweredQuery]:
+    """Queries by cameras beside the walk, as a map answered them."""
+    poses = room.walk(count, sideways_m=0.1)
+    localizer, found = Localizer(map_), []
+    for number, pose in enumerate(poses):
+        features = room.see(pose, 5000 + number)
+        answer = localizer.localize(Query(features, room.camera, Dof.FREE))
+        if answer.pose is not None and answer.covariance is not None:
+            T, time_s = answer.pose.T_map_camera, 1e9 + apart_s * number
+            found.append(
+                AnsweredQuery(
+                    features,
+                    camera or room.camera,
+                    T,
+                    answer.covariance,
+                    answer.confidence,
+                    time_s,
+                    f"{asker}{number % 3}",
+                )
+            )
+    return found
+
+
+def recall(map_: Map, room: Any, poses: Sequence[Pose]) -> float:
+    localizer, right = Localizer(map_), 0
+    for seed, pose in enumerate(poses):
+        answer = localizer.localize(Query(room.see(pose, 9000 + seed, share=0.25), room.camera, Dof.FREE))
+        right += answer.pose is not None and float(np.linalg.norm(answer.pose.position - pose.position)) < 0.05
+    return right / len(poses)
+
+
+@pytest.fixture(scope="module")
+def queries(room_map: Map, changed_room: Any) -> list[AnsweredQuery]:
+    return asked(room_map, changed_room, count=150)
+
+
+@pytest.fixture(scope="module")
+def learned(room_map: Map, queries: list[AnsweredQuery]) -> Map:
+    return learn_from_queries(room_map, queries)
+
+
+def test_what_moved_is_forgotten_and_what_came_is_learned(
+    room_map: Map, learned: Map, point_room: Any, changed_room: Any, is_moved: BoolArray
+) -> None:
+    before, after = cKDTree(room_map.landmarks), cKDTree(learned.landmarks)
+    gone, came = point_room.points[is_moved], changed_room.points[is_moved]
+    known_before = np.isfinite(before.query(gone, distance_upper_bound=0.1)[0])
+    still_known = np.isfinite(after.query(gone[known_before], distance_upper_bound=0.05)[0])
+    assert still_known.mean() < 0.5
+    assert np.isfinite(after.query(came, distance_upper_bound=0.05)[0]).mean() > 0.4
+    stays = point_room.points[~is_moved]
+    stays = stays[np.isfinite(before.query(stays, distance_upper_bound=0.05)[0])]
+    assert np.isfinite(after.query(stays, distance_upper_bound=0.05)[0]).mean() > 0.98
+    assert (learned.info.id, learned.info.version) == (room_map.info.id, room_map.info.version + 1)
+
+
+def test_the_report_says_what_was_learned(learned: Map, queries: list[AnsweredQuery]) -> None:
+    report = learned.info.report.learned[-1]
+    assert report.queries is not None
+    assert report.queries.kept == len(queries)
+    assert report.queries.askers == 3
+    assert report.queries.recall_after >= report.queries.recall_before
+    assert report.features_new is not None
+    assert report.features_new > 0
+
+
+def test_the_changed_room_is_found_again(room_map: Map, learned: Map, changed_room: Any) -> None:
+    poses = changed_room.walk(30, sideways_m=-0.1)
+    assert recall(learned, changed_room, poses) >= recall(room_map, changed_room, poses)
+    assert recall(learned, changed_room, poses) > 0.8
+
+
+def test_a_query_becomes_a_view_once(learned: Map, queries: list[AnsweredQuery]) -> None:
+    try:
+        again = learn_from_queries(learned, queries[::2])
+    except MappingFailed:
+        return
+    assert len(np.unique(again.view_times)) == len(again.view_times)
+    assert [source.name for source in again.info.sources] == ["walk", "queries"]
+
+
+def test_what_was_learned_can_be_forgotten_like_a_recording(learned: Map) -> None:
+    left = forget_recording(learned, "queries")
+    assert [source.name for source in left.info.sources] == ["walk"]
+
+
+def test_of_a_recording_that_is_forgotten_what_users_saw_stays(learned: Map) -> None:
+    left = forget_recording(learned, "walk")
+    assert [source.name for source in left.info.sources] == ["queries"]
+    assert 0 < len(left) < len(learned)
+    assert (np.bincount(left.descriptor_features, minlength=len(left)) > 0).all()
+
+
+def test_a_map_does_not_grow_without_end(room_map: Map, changed_room: Any) -> None:
+    map_ = room_map
+    for night in range(2):
+        queries = asked(map_, changed_room, count=60, apart_s=HOUR_S + night)
+        try:
+            map_ = learn_from_queries(map_, queries)
+        except MappingFailed:
+            continue
+    assert map_.info.version > room_map.info.version
+    assert len(map_to_bytes(map_)) < 1.5 * len(map_to_bytes(room_map))
+
+
+def test_an_hour_of_one_asker_teaches_nothing_new(room_map: Map, changed_room: Any) -> None:
+    queries = [replace(one, asker="one") for one in asked(room_map, changed_room, apart_s=5.0)]
+    with pytest.raises(MappingFailed, match="nothing new"):
+        learn_from_queries(room_map, queries)
+
+
+def test_queries_that_are_not_sure_without_their_prior_teach_nothing(
+    room_map: Map, queries: list[AnsweredQuery]
+) -> None:
+    rng = np.random.default_rng(3)
+    nonsense = [
+        replace(
+            one,
+            features=replace(
+                one.features, descriptors=rng.integers(0, 256, one.features.descriptors.shape, dtype=np.uint8)
+            ),
+        )
+        for one in queries
+    ]
+    with pytest.raises(MappingFailed, match=f"Only 0 of {len(queries)}"):
+        learn_from_queries(room_map, nonsense)
+
+
+def test_too_few_queries_are_refused(room_map: Map, queries: list[AnsweredQuery]) -> None:
+    with pytest.raises(Conflict, match="12 queries are kept"):
+        learn_from_queries(room_map, queries[:12])
+
+
+def test_a_map_without_memory_does_not_learn(room_map: Map, queries: list[AnsweredQuery]) -> None:
+    with pytest.raises(InvalidInput, match="does not keep what it was built from"):
+        learn_from_queries(replace(room_map, observations=None), queries)
+
+
+def test_a_map_that_would_be_worse_is_not_made(
+    room_map: Map, queries: list[AnsweredQuery], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def teach_badly(localizer: Localizer, *_: object) -> user_learning._Lesson:
+        left = np.arange(len(localizer.map)) % 8 == 0
+        return user_learning._Lesson(keep_features(localizer.map, left), ~left, views=0, seen_again=0, new=0)
+
+    monkeypatch.setattr(user_learning, "_lesson", teach_badly)
+    with pytest.raises(MappingFailed, match="would be worse"):
+        learn_from_queries(room_map, queries)
