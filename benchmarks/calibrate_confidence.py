@@ -1,112 +1,156 @@
-"""Fit and check the confidence of answers (rholoc.localization.confidence) on recordings.
+"""Fit and check the confidence of answers (rholoc.localization.confidence), by recordings that are held back.
 
-    python benchmarks/calibrate_confidence.py MAP.rho... FRAMES --camera fx,fy,cx,cy --frames 100:400 --every 3 \
-        --features sift48 --halves WALK --building 30 --cache FOLDER \
-        --other VIDEO_OR_FOLDER --other VIDEO_OR_FOLDER --plot reliability.png
+    python benchmarks/calibrate_confidence.py --cache FOLDER [--features gray,lab,lab3,rgb,sift,sift48] [--minutes 10]
+        [--room "kitchen, hard" ...] [--plot reliability.png]
 
-Queries are the frames, whole and with an eighth of their features (frames that are easy say nothing about doubt);
-frames of other rooms, which are all wrong; and windows of a frame, over a tenth and a fifth of its area, in a
-picture of another room: a thing that looks alike, of less weight. ``--halves`` and ``--building`` add the walks of
-benchmarks/features_table.py. Each map in turn is held back: weights are fitted to the others' queries and checked on
-its own. Prints the weights that fit all best, and of the held-back queries a reliability table, the share of other
-rooms' frames that are refused, of good answers that are kept, and of windows that are answered.
+Every kind of features in every room of benchmarks/rooms.py. What is asked of a room's map: frames of the room, whole
+and with an eighth of their features (frames that are easy say nothing about doubt), and as if by a camera whose focal
+length is a tenth off; pictures of all other rooms, which are all wrong; and windows of a frame, over a seventh of
+its area, in a picture of another room: a thing that looks alike, of less weight.
+
+Answers are kept in the cache, room by room, until the code that gives them changes; after ``--minutes`` of processor
+time the command ends and says what is missing, and asking again goes on there. With all at hand it prints, of
+descriptors compared alike: the weights that fit best; then, by weights fitted to all recordings but the one that is
+asked about, how reliable confidence is, and for each kind of features and each recording how many pictures of other
+rooms are refused, how many good answers are kept, and how many of the answers given are wrong.
 """
 
 from __future__ import annotations
 
 import argparse
-import tempfile
-from collections.abc import Iterator
-from dataclasses import dataclass
-from enum import Enum, auto
+import json
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass
+from enum import StrEnum
 from pathlib import Path
 
+import cv2
 import numpy as np
 from matplotlib.figure import Figure
 from scipy.optimize import minimize
 
-from features_table import building, halves, map_of
-from rholoc.features import Extractor, FeatureSet
-from rholoc.geometry import Camera, FloatArray, pose_distances
+from measuring import print_table
+from rholoc.features import FeatureSet, Metric, extractor_names, get_extractor
+from rholoc.geometry import BoolArray, FloatArray, pose_distances
 from rholoc.localization import Localizer, Query
-from rholoc.localization.confidence import confidence_inputs, confidence_of
-from rholoc.maps import Map, load_map
-from rholoc.recordings import Recording, read_recording
+from rholoc.localization.confidence import MIN_CONFIDENCE, confidence_inputs, confidence_of
+from rooms import ROOMS, NamedRoom, code_digest, map_of, strangers
 
-SHARES = (1.0, 1 / 8)  # of a frame's features that are kept
-WINDOWS = (0.1, 0.2)  # of a frame's area
+FEWER = 1 / 8  # of a frame's features
+WINDOW = 0.15  # of a frame's area
+FOCAL_OFF = 1.1
 RIGHT_M, RIGHT_RAD = 0.10, np.deg2rad(5.0)
 NEARLY_M = 0.3  # answers between the two count little: where they lie is chance
-WINDOW_WEIGHT, NEARLY_WEIGHT = 0.3, 0.3
-OTHER_ROOM_FRAMES = 30
+WINDOW_WEIGHT, NEARLY_WEIGHT = 0.2, 0.3
+STRANGERS = 4  # pictures of each other recording
+SELDOM = 3  # of so many frames one is asked by a wrong camera and as a window: those take long
 RIDGE = 0.01
-THRESHOLDS = (0.3, 0.5, 0.6, 0.7, 0.8, 0.9)
+THRESHOLDS = (0.4, 0.5, 0.6, 0.7, 0.8)
+SIGNS = ((0, None), (None, 0), (None, 0), (None, 0))  # of the inputs' weights
+OUT_OF_TIME = 3
 
 
-class Kind(Enum):
+class Kind(StrEnum):
     """What was asked."""
 
-    WHOLE = auto()
-    THINNED = auto()  # with some of its features only
-    OTHER_ROOM = auto()
-    WINDOW = auto()  # in a picture of another room
+    WHOLE = "whole"
+    FEWER = "fewer"  # with some of its features only
+    OTHER_ROOM = "other room"
+    WINDOW = "window"  # in a picture of another room
+    FOCAL_OFF = "focal off"  # by a camera whose focal length is wrong
 
 
 @dataclass(frozen=True)
 class Case:
-    """One answer: of which map, what the logistic weighs, how sure the pose is against rivals, and how far off."""
+    """One answer.
 
-    fold: str
+    Attributes:
+        kind: what was asked.
+        inputs: what the logistic weighs; None where no pose was found.
+        factor: 0..1, by how much rivals and the focal length lower what the logistic says.
+        off_m: how far off the pose is; None in another room.
+        right: whether it is within 10 cm and 5°.
+    """
+
     kind: Kind
-    inputs: FloatArray | None
+    inputs: tuple[float, ...] | None
     factor: float
-    off_m: float
+    off_m: float | None
     right: bool
 
     @property
     def weight(self) -> float:
         """How much it counts in the fit."""
+        if self.kind is Kind.FOCAL_OFF:
+            return 0.0
         if self.kind is Kind.WINDOW:
             return WINDOW_WEIGHT
-        return NEARLY_WEIGHT if not self.right and self.off_m < NEARLY_M else 1.0
+        nearly = not self.right and self.off_m is not None and self.off_m < NEARLY_M
+        return NEARLY_WEIGHT if nearly else 1.0
+
+    @classmethod
+    def read(cls, stored: dict) -> Case:  # type: ignore[type-arg]
+        """One that was kept."""
+        inputs = None if stored["inputs"] is None else tuple(stored["inputs"])
+        return cls(**(stored | {"kind": Kind(stored["kind"]), "inputs": inputs}))
 
 
-def case(fold: str, kind: Kind, localizer: Localizer, query: Query, truth: FloatArray | None) -> Case:
+@dataclass(frozen=True)
+class Answered:
+    """All that was asked of one room with one kind of features."""
+
+    features: str
+    recording: str
+    room: str
+    cases: list[Case]
+
+
+# -- asking ----------------------------------------------------------------------------------------------------------
+
+
+def case(kind: Kind, localizer: Localizer, query: Query, truth: FloatArray | None) -> Case:
     """Ask one query, however doubtful the answer."""
     found = localizer.candidate(query)
     if found is None:
-        return Case(fold, kind, None, 0.0, np.inf, False)
-    verified, contested = found
-    inputs = confidence_inputs((verified,), verified.covariance)
+        return Case(kind, None, 0.0, None, False)
+    verified, confidence = found
+    inputs = tuple(confidence_inputs((verified,), verified.covariance).tolist())
     alone = confidence_of(verified, localizer.index.metric)
-    factor = contested / alone if alone > 0 else 0.0
+    factor = confidence / alone if alone > 0 else 0.0
     if truth is None:
-        return Case(fold, kind, inputs, factor, np.inf, False)
-    apart, turned = pose_distances(verified.optimum.T_map_camera, truth)
-    right = apart < RIGHT_M and turned < RIGHT_RAD and kind is not Kind.WINDOW
-    return Case(fold, kind, inputs, factor, apart, right)
+        return Case(kind, inputs, factor, None, False)
+    apart_m, turned_rad = pose_distances(verified.optimum.T_map_camera, truth)
+    right = bool(apart_m < RIGHT_M and turned_rad < RIGHT_RAD and kind is not Kind.WINDOW)
+    return Case(kind, inputs, factor, float(apart_m), right)
 
 
-def own_cases(
-    fold: str, localizer: Localizer, asked: Recording, every: int, strangers: list[FeatureSet]
-) -> Iterator[Case]:
-    """Frames of the map's room, with known poses."""
-    assert asked.poses is not None
-    assert asked.camera is not None
-    rng, camera = np.random.default_rng(0), asked.camera
-    rows = np.flatnonzero(asked.poses.known)[::every]
-    for row, image in zip(rows, asked.frames.images(rows.tolist()), strict=True):
-        features, truth = localizer.extractor.extract(image), asked.poses.T_map_camera[row]
-        for share in SHARES:
-            some = features.take(np.sort(rng.choice(len(features), int(len(features) * share), replace=False)))
-            kind = Kind.WHOLE if share == 1 else Kind.THINNED
-            yield case(fold, kind, localizer, Query(some, camera), truth)
-        for share in WINDOWS if strangers else ():
-            size = np.sqrt(share) * np.array([camera.width, camera.height])
-            low = rng.uniform(0, 1, 2) * ((camera.width, camera.height) - size)
-            strange = strangers[rng.integers(len(strangers))]
-            mixed = FeatureSet.concatenate([_within(features, low, size, True), _within(strange, low, size, False)])
-            yield case(fold, Kind.WINDOW, localizer, Query(mixed, camera), truth)
+def asked(named: NamedRoom, features: str, kept: Path) -> Iterator[Case]:
+    """All that is asked of one room."""
+    room = named.make(kept)
+    camera = room.asked.camera
+    assert camera is not None
+    localizer = Localizer(map_of(named, room.mapped, features, kept), min_confidence=0.0)
+    others = [
+        (localizer.extractor.extract(image), camera) for image, camera in strangers(named.recording, STRANGERS, kept)
+    ]
+    rng = np.random.default_rng(0)
+    for number, (truth, image) in enumerate(room.pictures()):
+        found = localizer.extractor.extract(image)
+        yield case(Kind.WHOLE, localizer, Query(found, camera), truth)
+        some = found.take(np.sort(rng.choice(len(found), int(len(found) * FEWER), replace=False)))
+        yield case(Kind.FEWER, localizer, Query(some, camera), truth)
+        if number % SELDOM:
+            continue
+        yield case(Kind.FOCAL_OFF, localizer, Query(found, camera.zoomed(FOCAL_OFF)), truth)
+        size = np.sqrt(WINDOW) * np.array([camera.width, camera.height])
+        low = rng.uniform(0, 1, 2) * ((camera.width, camera.height) - size)
+        strange, _ = others[rng.integers(len(others))]
+        mixed = FeatureSet.concatenate([_within(found, low, size, True), _within(strange, low, size, False)])
+        yield case(Kind.WINDOW, localizer, Query(mixed, camera), truth)
+    first = next(one for one in ROOMS if one.mapped == named.mapped)
+    for found, strange_camera in others if named is first else ():
+        yield case(Kind.OTHER_ROOM, localizer, Query(found, strange_camera), None)
 
 
 def _within(features: FeatureSet, low: FloatArray, size: FloatArray, inside: bool) -> FeatureSet:
@@ -115,38 +159,27 @@ def _within(features: FeatureSet, low: FloatArray, size: FloatArray, inside: boo
     return features.take(np.flatnonzero(is_inside == inside))
 
 
-def other_rooms(paths: list[Path], extractor: Extractor) -> list[tuple[FeatureSet, Camera]]:
-    """Frames of other rooms: whatever is found of them is wrong."""
-    frames = []
-    for path in paths:
-        recording = read_recording(path)
-        width, height = recording.frames.size
-        camera = Camera(width, height, 0.8 * width, 0.8 * width, (width - 1) / 2, (height - 1) / 2)
-        step = max(1, len(recording.frames.times) // OTHER_ROOM_FRAMES)
-        rows = list(range(0, len(recording.frames.times), step))
-        frames += [(extractor.extract(image), camera) for image in recording.frames.images(rows)]
-    return frames
+def all_answered(
+    features: list[str], rooms: list[NamedRoom], kept: Path, is_late: Callable[[], bool]
+) -> tuple[list[Answered], int]:
+    """What is kept or can be asked in time, and how much is missing then."""
+    found, missing, digest = [], 0, code_digest()
+    for name in features:
+        for named in rooms:
+            path = kept / "answers" / f"{name}-{named.name.replace(' ', '-')}-{digest}.json"
+            if not path.is_file():
+                if is_late():
+                    missing += 1
+                    continue
+                path.parent.mkdir(parents=True, exist_ok=True)
+                path.write_text(json.dumps([asdict(one) for one in asked(named, name, kept)]))
+                print(f"asked: {name}, {named.name}", flush=True)
+            cases = [Case.read(one) for one in json.loads(path.read_text())]
+            found.append(Answered(name, named.recording, named.name, cases))
+    return found, missing
 
 
-def all_cases(args: argparse.Namespace) -> Iterator[Case]:
-    """All maps' queries. Frames of the walk of ``--halves`` are asked of its own maps only."""
-    asked = read_recording(args.recording, camera=args.camera, frames=args.frames)
-    sets: list[tuple[str, Map, Recording]] = [(path.stem, load_map(path), asked) for path in args.map]
-    if args.halves:
-        first, second = halves(args.halves)
-        sets += [("first half", map_of(first, args.features), second)]
-        sets += [("second half", map_of(second, args.features), first)]
-    if args.building:
-        walk, again = building(args.cache, args.building)
-        sets.append(("building", map_of(walk, args.features), again))
-    for fold, map_, asked in sets:
-        localizer = Localizer(map_, min_confidence=0.0)
-        others = other_rooms(
-            [path for path in args.other if path != args.halves or "half" not in fold], localizer.extractor
-        )
-        yield from own_cases(fold, localizer, asked, args.every, [features for features, _ in others])
-        for features, camera in others:
-            yield case(fold, Kind.OTHER_ROOM, localizer, Query(features, camera), None)
+# -- fitting and checking --------------------------------------------------------------------------------------------
 
 
 def fit(cases: list[Case]) -> FloatArray:
@@ -155,7 +188,7 @@ def fit(cases: list[Case]) -> FloatArray:
     X = np.array([[1.0, *case.inputs] for case in usable])  # type: ignore[misc]
     sign = np.where([case.right for case in usable], 1.0, -1.0)
     weight = np.array([case.weight for case in usable])
-    bounds = [(None, None), (0, None), *[(None, 0)] * (X.shape[1] - 2)]
+    bounds = [(None, None), *SIGNS]
     found = minimize(
         lambda w: (weight * np.logaddexp(0, -sign * (X @ w))).sum() + RIDGE * (w @ w),
         np.zeros(X.shape[1]),
@@ -164,42 +197,132 @@ def fit(cases: list[Case]) -> FloatArray:
     return np.asarray(found.x)
 
 
-def held_back(cases: list[Case]) -> FloatArray:
-    """Each case's confidence (N,) by weights that were fitted without its map."""
-    confidence = np.zeros(len(cases))
-    folds = sorted({one.fold for one in cases})
-    for fold in folds:
-        weights = fit([one for one in cases if one.fold != fold or len(folds) == 1])
-        for i, one in enumerate(cases):
-            if one.fold == fold and one.inputs is not None:
-                score = float(weights @ np.concatenate([[1.0], one.inputs]))
-                confidence[i] = one.factor / (1 + np.exp(-np.clip(score, -50, 50)))
-    return confidence
+def confidence_by(weights: FloatArray, cases: list[Case]) -> FloatArray:
+    """Each case's confidence (N,)."""
+    said = np.zeros(len(cases))
+    for i, one in enumerate(cases):
+        if one.inputs is not None:
+            score = float(weights @ np.concatenate([[1.0], one.inputs]))
+            said[i] = one.factor / (1 + np.exp(-np.clip(score, -50, 50)))
+    return said
 
 
-def reliability(cases: list[Case], confidence: FloatArray) -> list[tuple[str, int, float, float]]:
-    """For each tenth of confidence: its name, how many answers, the mean confidence and the share that is right."""
-    right = np.array([case.right for case in cases])
-    rows = []
+@dataclass(frozen=True)
+class Judged:
+    """Answers and their confidence (N,) by weights that were fitted without their recording."""
+
+    features: str
+    recording: str
+    room: str
+    cases: list[Case]
+    confidence: FloatArray
+
+
+def held_back(answered: list[Answered]) -> list[Judged]:
+    """All answers, the recordings in turn held back."""
+    judged = []
+    for recording in sorted({one.recording for one in answered}):
+        weights = fit([case for one in answered if one.recording != recording for case in one.cases])
+        judged += [
+            Judged(one.features, recording, one.room, one.cases, confidence_by(weights, one.cases))
+            for one in answered
+            if one.recording == recording
+        ]
+    return judged
+
+
+def of(judged: list[Judged], chosen: Callable[[Case], bool]) -> tuple[FloatArray, BoolArray]:
+    """Confidence (N,) and whether right (N,) of chosen cases."""
+    pairs = [
+        (said, case.right)
+        for one in judged
+        for case, said in zip(one.cases, one.confidence, strict=True)
+        if chosen(case)
+    ]
+    said, right = zip(*pairs, strict=True) if pairs else ((), ())
+    return np.array(said), np.array(right, dtype=bool)
+
+
+@dataclass(frozen=True)
+class Bin:
+    """Answers of about the same confidence: how many, the mean confidence, the share that is right."""
+
+    name: str
+    answers: int
+    says: float
+    right: float
+
+
+def reliability(judged: list[Judged]) -> list[Bin]:
+    """The answers in each tenth of confidence that has some."""
+    confidence, right = of(judged, lambda case: case.kind not in (Kind.WINDOW, Kind.FOCAL_OFF))
+    bins = []
     for low in np.arange(10) / 10:
         inside = (confidence >= low) & ((confidence < low + 0.1) | (low > 0.85))
         if inside.any():
             name = f"{low:.1f}–{low + 0.1:.1f}"
-            rows.append((name, int(inside.sum()), float(confidence[inside].mean()), float(right[inside].mean())))
-    return rows
+            bins.append(Bin(name, int(inside.sum()), float(confidence[inside].mean()), float(right[inside].mean())))
+    return bins
 
 
-def plot(rows: list[tuple[str, int, float, float]], path: Path) -> None:
+def reliability_table(judged: list[Judged]) -> list[dict[str, str]]:
+    """A row a tenth of confidence, a column a kind of features: the share that is right, and of how many."""
+    rows = {one.name: {"confidence": one.name, "says": f"{one.says:.2f}"} for one in reliability(judged)}
+    for name in dict.fromkeys(one.features for one in judged):
+        for one in reliability([some for some in judged if some.features == name]):
+            rows[one.name][name] = f"{one.right:.2f} of {one.answers}"
+    return list(rows.values())
+
+
+def figures(judged: list[Judged], threshold: float) -> dict[str, str]:
+    """What refusing below a threshold comes to."""
+
+    def share(chosen: Callable[[Case], bool], given: bool = True) -> str:
+        said, _ = of(judged, chosen)
+        passed = (said >= threshold) == given
+        return f"{100 * passed.mean():.1f} % of {len(said)}" if len(said) else "–"
+
+    def wrong(kind: Kind) -> str:
+        said, right = of(judged, lambda case: case.kind is kind)
+        given = said >= threshold
+        return f"{int((given & ~right).sum())} of {int(given.sum())}"
+
+    return {
+        "other rooms refused": share(lambda case: case.kind is Kind.OTHER_ROOM, given=False),
+        "good answers kept": share(lambda case: case.kind is Kind.WHOLE and case.right),
+        "wrong of given": wrong(Kind.WHOLE),
+        "an eighth: wrong": wrong(Kind.FEWER),
+        "focal 1.1: wrong": wrong(Kind.FOCAL_OFF),
+        "windows given": share(lambda case: case.kind is Kind.WINDOW),
+    }
+
+
+def show(answered: list[Answered]) -> list[Judged]:
+    """Print all that is known of kinds of features whose descriptors are compared alike."""
+    print("  intercept and weights that fit all best:", np.round(fit([c for one in answered for c in one.cases]), 2))
+    judged = held_back(answered)
+    print_table(reliability_table(judged), ["confidence", "says", *dict.fromkeys(one.features for one in judged)])
+    rows = [{"": f"threshold {threshold}"} | figures(judged, threshold) for threshold in THRESHOLDS]
+    for name in dict.fromkeys(one.features for one in judged):
+        rows.append({"": name} | figures([one for one in judged if one.features == name], MIN_CONFIDENCE))
+    for recording in dict.fromkeys(one.recording for one in judged):
+        chosen = [one for one in judged if one.recording == recording]
+        rows.append({"": recording} | figures(chosen, MIN_CONFIDENCE))
+    print_table(rows, list(rows[0]))
+    return judged
+
+
+def plot(by_metric: dict[Metric, list[Judged]], path: Path) -> None:
     """The reliability diagram."""
     figure = Figure(figsize=(5, 5), layout="constrained")
     axes = figure.add_subplot()
     axes.plot([0, 1], [0, 1], color="0.7", label="perfect")
-    said, was, count = [r[2] for r in rows], [r[3] for r in rows], [r[1] for r in rows]
-    axes.scatter(said, was, s=[20 + 2 * c**0.5 * 5 for c in count], color="tab:blue", label="measured")
-    for x, y, n in zip(said, was, count, strict=True):
-        axes.annotate(f"{n}", (x, y), xytext=(6, -10), textcoords="offset points", fontsize=8)
+    for metric, judged in by_metric.items():
+        bins = reliability(judged)
+        sizes = [20 + 10 * one.answers**0.5 for one in bins]
+        axes.scatter([one.says for one in bins], [one.right for one in bins], s=sizes, label=metric)
     axes.set(xlabel="confidence", ylabel="share within 10 cm and 5°", xlim=(0, 1), ylim=(0, 1.02), aspect="equal")
-    axes.set_title("Reliability on frames not fitted to")
+    axes.set_title("Reliability on recordings not fitted to")
     axes.legend(loc="upper left")
     figure.savefig(path, dpi=120)
 
@@ -207,41 +330,28 @@ def plot(rows: list[tuple[str, int, float, float]], path: Path) -> None:
 def main() -> None:
     """Run the benchmark."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("map", type=Path, nargs="+")
-    parser.add_argument("recording", type=Path)
-    parser.add_argument("--camera")
-    parser.add_argument("--frames")
-    parser.add_argument("--features", default="sift48", help="of the maps that are made here")
-    parser.add_argument("--halves", type=Path, help="a walk without truth")
-    parser.add_argument("--building", type=float, metavar="SECONDS", help="of each walk through it")
-    parser.add_argument("--cache", type=Path, help="where the simulated walks are kept")
-    parser.add_argument("--every", type=int, default=2)
-    parser.add_argument("--other", type=Path, action="append", default=[])
+    parser.add_argument("--cache", type=Path, required=True)
+    parser.add_argument("--features", default=",".join(extractor_names()))
+    parser.add_argument("--room", action="append", help="only this one; again for another")
+    parser.add_argument("--minutes", type=float, default=np.inf, help="of processor time, after which it ends")
     parser.add_argument("--plot", type=Path)
     args = parser.parse_args()
-    with tempfile.TemporaryDirectory() as folder:
-        args.cache = args.cache or Path(folder)
-        cases = list(all_cases(args))
-    confidence = held_back(cases)
-    print("intercept and weights that fit best:", np.round(fit(cases), 2))
-    print("confidence  answers  said  right   (held back, windows left out)")
-    open_ = np.array([case.kind is not Kind.WINDOW for case in cases])
-    rows = reliability([case for case, kept in zip(cases, open_, strict=True) if kept], confidence[open_])
-    for name, count, said, was in rows:
-        print(f"{name:10}  {count:7}  {said:.2f}  {was:.2f}")
-    print("threshold  other rooms refused  good answers kept  windows answered")
-
-    def share(chosen: list[bool], threshold: float) -> str:
-        return f"{(confidence[np.array(chosen)] >= threshold).mean():.3f}" if any(chosen) else "–"
-
-    for threshold in THRESHOLDS:
-        others = [case.kind is Kind.OTHER_ROOM for case in cases]
-        refused = f"{(confidence[np.array(others)] < threshold).mean():.4f}" if any(others) else "–"
-        good = share([case.kind is Kind.WHOLE and case.right for case in cases], threshold)
-        windows = share([case.kind is Kind.WINDOW for case in cases], threshold)
-        print(f"{threshold:9}  {refused:>19}  {good:>17}  {windows:>16}")
-    if args.plot:
-        plot(rows, args.plot)
+    cv2.setNumThreads(1)
+    rooms = [one for one in ROOMS if not args.room or one.name in args.room]
+    answered, missing = all_answered(
+        args.features.split(","), rooms, args.cache, lambda: time.process_time() > 60 * args.minutes
+    )
+    by_metric = {}
+    for metric in Metric:
+        chosen = [one for one in answered if get_extractor(one.features).metric is metric]
+        if chosen:
+            print(metric)
+            by_metric[metric] = show(chosen)
+    if args.plot and by_metric:
+        plot(by_metric, args.plot)
+    if missing:
+        print(f"{missing} rooms are still to be asked: run it again.")
+        raise SystemExit(OUT_OF_TIME)
 
 
 if __name__ == "__main__":

@@ -1,0 +1,232 @@
+"""What answers are measured on: rooms with a recording that makes their map and one that asks it, poses known.
+
+Real recordings, simulated rooms, and a simulated building; each belongs to the recording that it is made of, so that
+what is fitted to some recordings can be checked on another. Trajectories, simulated walks and maps are kept in a cache.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import shutil
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from functools import cache, partial
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+import rholoc
+from measuring import SHARED_DATA
+from rholoc.geometry import BoolArray, Camera, FloatArray
+from rholoc.mapping import BuildOptions, build_map
+from rholoc.maps import Map, load_map, read_trajectory_csv, save_map
+from rholoc.recordings import GivenPoses, Recording, read_image, read_recording
+from rholoc.recordings.selection import SelectedFrames
+from rholoc.simulation import Light, Site, simulate_recording
+from rholoc.trajectory import PoseMethod, estimate_trajectory
+
+KITCHEN_CAMERA = "525.505,525.505,320,240"
+HALVES_ASKED = 40  # frames of each half, about
+WALK_SECONDS, WALK_ASKED = 30.0, 30  # frames
+ROOM_FPS, BUILDING_FPS, BUILDING_ASKED_FPS, LIGHT_FPS = 30.0, 15.0, 1.0, 5.0
+ROOM_SEEDS = range(3)
+_PACKAGES = ("density", "features", "localization")
+
+
+@dataclass(frozen=True)
+class Room:
+    """A map's recording and the one that asks it, both with poses.
+
+    Attributes:
+        mapped: what the map is made of.
+        asked: frames elsewhere or of another time, in the same map frame.
+        blur_px: over how many pixels of a row what is asked is blurred.
+    """
+
+    mapped: Recording
+    asked: Recording
+    blur_px: int = 1
+
+    def pictures(self) -> Iterator[tuple[FloatArray, np.ndarray]]:
+        """The frames that ask: pose (4, 4) and image (H, W, 3)."""
+        assert self.asked.poses is not None
+        rows = np.flatnonzero(self.asked.poses.known)
+        for row, image in zip(rows, self.asked.frames.images(rows.tolist()), strict=True):
+            blurred = cv2.blur(image, (self.blur_px, 1)) if self.blur_px > 1 else image
+            yield self.asked.poses.T_map_camera[row], np.asarray(blurred)
+
+
+@dataclass(frozen=True)
+class NamedRoom:
+    """Where a room comes from.
+
+    Attributes:
+        name: of what is asked.
+        mapped: of what makes the map; rooms that share it share the map.
+        recording: all rooms of one recording are held back together.
+        make: reads it, keeping what takes long in the folder that it is given.
+    """
+
+    name: str
+    mapped: str
+    recording: str
+    make: Callable[[Path], Room]
+
+
+# -- real recordings -------------------------------------------------------------------------------------------------
+
+
+def kitchen(mapped: str, asked: str, blur_px: int, _: Path) -> Room:
+    """Frames of the kitchen asked in a map of others, both as slices of frame numbers."""
+    path = SHARED_DATA / "redkitchen"
+    return Room(*(read_recording(path, camera=KITCHEN_CAMERA, frames=frames) for frames in (mapped, asked)), blur_px)
+
+
+def half(name: str, which: int, kept: Path) -> Room:
+    """One half of a walk asked in the other's map: keyframes, with the poses that the whole walk gives them.
+
+    What one half alone has seen cannot be found in the other's map.
+    """
+    recording = replace(read_recording(SHARED_DATA / name), poses=None)
+    rows, T_map_camera, camera = _trajectory(recording, kept / f"{name}-trajectory.npz")
+    first = np.arange(len(rows)) < len(rows) // 2
+    parts = [_posed(recording, rows[some], T_map_camera[some], camera) for some in (first, ~first)]
+    mapped, asked = parts[which], parts[1 - which]
+    return Room(mapped, thinned(asked, HALVES_ASKED))
+
+
+def _trajectory(recording: Recording, path: Path) -> tuple[np.ndarray, FloatArray, Camera]:
+    """The keyframes' rows (K,), their poses (K, 4, 4) and the camera, estimated once."""
+    if not path.is_file():
+        found = estimate_trajectory(recording, PoseMethod.VISUAL_INERTIAL)
+        camera = found.camera
+        lens = [camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy]
+        kept = {"rows": found.rows, "T": found.T_map_camera, "lens": lens, "distortion": camera.distortion}
+        np.savez(path, **kept)
+    with np.load(path) as kept:
+        width, height, *pinhole = kept["lens"]
+        camera = Camera(int(width), int(height), *pinhole, tuple(kept["distortion"]))
+        return kept["rows"], kept["T"], camera
+
+
+def _posed(recording: Recording, rows: np.ndarray, T_map_camera: FloatArray, camera: Camera) -> Recording:
+    poses = GivenPoses(np.ones(len(rows), dtype=bool), T_map_camera)
+    frames = SelectedFrames(recording.frames, rows)
+    return replace(recording, camera=camera, frames=frames, poses=poses, frame_intrinsics=None)
+
+
+def thinned(recording: Recording, count: int) -> Recording:
+    """About ``count`` frames of a posed recording."""
+    assert recording.poses is not None
+    rows = np.arange(len(recording.frames.times))[:: max(1, len(recording.frames.times) // count)]
+    poses = GivenPoses(recording.poses.known[rows], recording.poses.T_map_camera[rows])
+    return replace(recording, frames=SelectedFrames(recording.frames, rows), poses=poses)
+
+
+# -- simulated ones --------------------------------------------------------------------------------------------------
+
+
+def building(kept: Path) -> Room:
+    """Half a minute of each of two walks through a building with doors and furniture that look alike."""
+    walks = ((1, BUILDING_FPS), (2, BUILDING_ASKED_FPS))
+    return Room(*(simulated(kept, walk, fps, site=Site.BUILDING) for walk, fps in walks))
+
+
+def room(seed: int, kept: Path) -> Room:
+    """Two walks through a room of its own."""
+    mapped, asked = (simulated(kept, walk, ROOM_FPS, seed) for walk in (1, 2))
+    return Room(mapped, thinned(asked, WALK_ASKED))
+
+
+def room_by_another_light(kept: Path) -> Room:
+    """A room mapped by daylight, asked by lamps."""
+    mapped = simulated(kept, 1, LIGHT_FPS, light=Light.DAYLIGHT)
+    return Room(mapped, thinned(simulated(kept, 2, ROOM_FPS), WALK_ASKED))
+
+
+def simulated(
+    kept: Path, walk: int, fps: float, seed: int = 0, site: Site = Site.ROOM, light: Light = Light.ARTIFICIAL
+) -> Recording:
+    """A walk with its true poses."""
+    folder = kept / f"{site.value}-{seed}-walk{walk}-{light.value}-{fps:g}fps"
+    if not (folder / "made").exists():
+        shutil.rmtree(folder, ignore_errors=True)
+        simulate_recording(folder, walk=walk, seconds=WALK_SECONDS, seed=seed, fps=fps, site=site, light=light)
+        (folder / "made").touch()
+    recording, truth = read_recording(folder), read_trajectory_csv(folder / "truth.csv")
+    nearest = np.abs(truth.times[:, None] - recording.frames.times).argmin(axis=0)
+    known: BoolArray = np.ones(len(nearest), dtype=bool)
+    return replace(recording, poses=GivenPoses(known, truth.T_map_camera[nearest]))
+
+
+ROOMS = (
+    NamedRoom("kitchen, easy", "kitchen 400", "redkitchen", partial(kitchen, "400:1000", "200:400:8", 1)),
+    NamedRoom("kitchen, hard", "kitchen 400", "redkitchen", partial(kitchen, "400:1000", "100:200:4", 1)),
+    NamedRoom("kitchen, blurred over 9 px", "kitchen 400", "redkitchen", partial(kitchen, "400:1000", "200:400:8", 9)),
+    NamedRoom("kitchen, map 600–999", "kitchen 600", "redkitchen", partial(kitchen, "600:1000", "100:400:6", 1)),
+    NamedRoom("kitchen, map 700–999", "kitchen 700", "redkitchen", partial(kitchen, "700:1000", "100:400:6", 1)),
+    *(
+        NamedRoom(f"{room_name}, {part} half mapped", f"{room_name} {which}", name, partial(half, name, which))
+        for name, room_name in (("bedroom_night", "bedroom"), ("android_livingroom", "living room"))
+        for which, part in enumerate(("first", "second"))
+    ),
+    NamedRoom("building", "building", "building", building),
+    NamedRoom("another light", "another light", "another light", room_by_another_light),
+    *(NamedRoom(f"room {seed}", f"room {seed}", f"room {seed}", partial(room, seed)) for seed in ROOM_SEEDS),
+)
+
+
+# -- their maps, and pictures of other rooms -------------------------------------------------------------------------
+
+
+def map_of(named: NamedRoom, mapped: Recording, features: str, kept: Path) -> Map:
+    """The map of a room, made once for each kind of features."""
+    path = kept / "maps" / f"{named.mapped}-{features}.rho".replace(" ", "-")
+    if not path.is_file():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        save_map(build_map([mapped], BuildOptions(features=features, poses=PoseMethod.GIVEN, report=False)), path)
+    return load_map(path)
+
+
+def strangers(recording: str, each: int, kept: Path) -> Iterator[tuple[np.ndarray, Camera]]:
+    """Pictures of all recordings but one, about ``each`` of every one, as by a camera of a usual focal length."""
+    for path in _stranger_paths(kept):
+        if path[0] != recording:
+            yield from _pictures(path[1], each)
+
+
+def _stranger_paths(kept: Path) -> Iterator[tuple[str, Path]]:
+    for name in ("redkitchen", "bedroom_night", "android_livingroom", "coloured_lights", "euroc_v101"):
+        yield name, SHARED_DATA / name
+    for scene in sorted((SHARED_DATA / "lighting_pairs").iterdir()):
+        if scene.is_dir():
+            yield "lighting_pairs", scene
+    yield "building", simulated(kept, 2, BUILDING_ASKED_FPS, site=Site.BUILDING).path
+    for seed in ROOM_SEEDS:
+        yield f"room {seed}", simulated(kept, 2, ROOM_FPS, seed).path
+
+
+@cache
+def _pictures(path: Path, each: int) -> list[tuple[np.ndarray, Camera]]:
+    files = sorted([*path.glob("*.jpg"), *path.glob("*.png")])
+    if files:
+        images = [read_image(file) for file in files[:: max(1, len(files) // each)]]
+    else:
+        frames = read_recording(path).frames
+        rows = np.linspace(0, len(frames.times) - 1, each).astype(int).tolist()
+        images = [np.asarray(image) for image in frames.images(rows)]
+    found = []
+    for image in images:
+        height, width = image.shape[:2]
+        found.append((image, Camera(width, height, 0.8 * width, 0.8 * width, (width - 1) / 2, (height - 1) / 2)))
+    return found
+
+
+def code_digest() -> str:
+    """A name for the code that answers: what was answered by other code is asked again."""
+    digest = hashlib.sha256()
+    for package in _PACKAGES:
+        for file in sorted((Path(rholoc.__file__).parent / package).rglob("*.py")):
+            digest.update(file.read_bytes())
+    return digest.hexdigest()[:12]
