@@ -151,6 +151,22 @@ def test_what_was_learned_from_few_maps_is_learned_again_from_more(library, look
     assert best(finder_of(library), looking(30)) == "room30"
 
 
+def test_many_maps_of_one_kind_of_features_are_not_read_for_another(library, looking, monkeypatch) -> None:
+    def colourful(number: int) -> Map:
+        return replace(looking(number), info=replace(looking(number).info, features="rgb"))
+
+    for number in range(20):
+        publish(library, f"colour{number}", colourful(number))
+    finder = finder_of(library)
+    assert finder.counts() == {"present": 26, "indexed": 26}
+    publish(library, "new", colourful(30))
+    read: list[str] = []
+    load = module.load_map
+    monkeypatch.setattr(module, "load_map", lambda path: (read.append(path.stem), load(path))[1])
+    finder.refresh()
+    assert read == ["new"]
+
+
 def test_features_of_another_kind_speak_for_none_of_these_maps(library) -> None:
     def none(extractor: Extractor) -> FeatureSet:
         raise InvalidDescriptors("Other features.")

@@ -108,15 +108,15 @@ class MapFinder:
         self._forget(gone)
         changed = [name for name, file in present.items() if self._files.get(name) != file]
         random.Random(_SEED).shuffle(changed)
-        self._relearn(is_stopped)
-        for name in changed:
-            if is_stopped():
-                return
-            try:
+        try:
+            self._relearn(changed, is_stopped)
+            for name in changed:
+                if is_stopped():
+                    return
                 self._take(name, present[name], changed)
-            except (StorageUnavailable, StorageFull) as error:  # the next time, then
-                self.trouble = error.message
-                return
+        except (StorageUnavailable, StorageFull) as error:  # the next time, then
+            self.trouble = error.message
+            return
         # A folder that changed within its clock's last tick may change again and look the same.
         settled = stamp is not None and time.time_ns() - stamp > _TICK_NS
         self._scanned_stamp, self._scanned_s = stamp if settled else None, now_s
@@ -239,11 +239,14 @@ class MapFinder:
             return None
         return Model.new(features, maps, PictureVectors.learned(pictures, get_extractor(features).metric))
 
-    def _relearn(self, is_stopped: Callable[[], bool]) -> None:
-        """Learn anew what was learned from too few maps, and make the vectors of those that are known again."""
-        names = list(self._present)
-        random.Random(_SEED).shuffle(names)
+    def _relearn(self, changed: Sequence[str], is_stopped: Callable[[], bool]) -> None:
+        """Learn anew what was learned from too few maps, and make the vectors of those that are known again.
+
+        ``changed`` are the names of maps that are not known, as they are now: any of them may be of these features.
+        """
         for features, before in list(self._models.items()):
+            names = [*sorted(self._indexes[features].names - set(changed)), *changed]
+            random.Random(_SEED).shuffle(names)
             if before.maps >= _LEARNED_FROM or len(names) < _RELEARNED_AT * before.maps:
                 continue
             model = self._learned(features, names)
