@@ -10,6 +10,7 @@ import typer
 
 from rholoc import __version__
 from rholoc.cli import (
+    audit,
     backup,
     cameras,
     compare,
@@ -50,6 +51,7 @@ app.command()(serve.worker)
 app.command()(backup.backup)
 app.command()(backup.restore)
 app.command()(doctor.doctor)
+app.command()(audit.audit)
 app.command()(simulate.simulate)
 app.add_typer(maps.app, name="map")
 app.add_typer(cameras.app, name="camera")

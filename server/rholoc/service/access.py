@@ -43,6 +43,12 @@ def granted_key(request: Request) -> tuple[Scope, float | None, bool]:
     return getattr(request.state, _GRANTED), None if key is None else key.expires, key is not None
 
 
+def request_key(request_scope: RequestScope) -> ApiKey | None:
+    """The key that a request was let in with; None where none is needed."""
+    key: ApiKey | None = request_scope.get("state", {}).get(_KEY)
+    return key
+
+
 def found_route(request_scope: RequestScope) -> RouteAccess | None:
     """The route that :func:`find_route` found for a request."""
     found: RouteAccess | None = request_scope.get("state", {}).get(_FOUND)

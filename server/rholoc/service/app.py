@@ -29,6 +29,7 @@ from rholoc.localization import VECTORS_FILE, MapFinder
 from rholoc.logs import configure_logs
 from rholoc.maps import CameraLibrary, MapLibrary, SiteLibrary
 from rholoc.service import web
+from rholoc.service.audit import Audited, AuditLog
 from rholoc.service.bodies import HeldBodies
 from rholoc.service.compute import ComputePool
 from rholoc.service.connections import SlowBodies
@@ -122,6 +123,7 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     app.add_middleware(SlowBodies, silence_s=settings.slow_client_timeout_s)
     app.add_middleware(Guard, routes=app.routes, keys=keys, policy=settings.keys, host=settings.host)
     app.add_middleware(Tus)
+    app.add_middleware(Audited, log=AuditLog(settings.data_dir))
     app.add_middleware(RequestBoundary)
     app.add_middleware(SecurityHeaders)
     app.add_middleware(Metered, metrics=metrics)

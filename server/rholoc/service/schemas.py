@@ -1015,6 +1015,43 @@ class MapReportOut(_Out):
     report: MapReport
 
 
+class ChangeOut(_Out):
+    """A request that changed something."""
+
+    time: float = Field(description="s since the epoch")
+    who: str = Field(description="the name of the API key, or the address where no key is needed")
+    method: str
+    path: str
+    status: int = Field(description="of the answer")
+    job: str = Field(description="the job that it began, empty where it began none")
+    request_id: str
+
+
+class ChangesOut(_Out):
+    """The last changes, the newest first."""
+
+    model_config = ConfigDict(
+        frozen=True,
+        json_schema_extra={
+            "example": {
+                "changes": [
+                    {
+                        "time": 1767607200.0,
+                        "who": "alice",
+                        "method": "PUT",
+                        "path": "/v1/maps/hall",
+                        "status": 200,
+                        "job": "",
+                        "request_id": "7d7f0a1c2b3d4e5f8091a2b3c4d5e6f7",
+                    }
+                ]
+            }
+        },
+    )
+
+    changes: list[ChangeOut]
+
+
 class FailureOut(_Out):
     """Where a request found no pose, or an unsure one."""
 

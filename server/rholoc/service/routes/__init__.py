@@ -1,6 +1,7 @@
 """The routes: one module per resource."""
 
 from rholoc.service.routes import (
+    audit,
     cameras,
     health,
     jobs,
@@ -15,7 +16,7 @@ from rholoc.service.routes import (
     uploads,
 )
 
-_RESOURCES = (localize, track, maps, learning, sites, live, cameras, recordings, uploads, jobs, keys, health)
+_RESOURCES = (localize, track, maps, learning, sites, live, cameras, recordings, uploads, jobs, keys, audit, health)
 ROUTERS = tuple(resource.router for resource in _RESOURCES)
 
 __all__ = ["ROUTERS"]
