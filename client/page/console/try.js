@@ -291,7 +291,7 @@ class Trial {
           found.camera &&
             t`${found.camera.fx.toFixed(0)} px, estimated to ${found.camera.focal_sigma_px.toFixed(0)} px`,
         ],
-        [t`Matches`, t`${found.inliers} of ${Math.max(found.matches, found.inliers)} agree`],
+        [t`Matches`, t`${found.inliers} of ${found.matches} agree`],
         [t`Took`, [`${found.timings_ms.total.toFixed(0)} ms`, extra].filter(Boolean).join(", ")],
       ]),
     );
