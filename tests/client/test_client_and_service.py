@@ -17,6 +17,7 @@ from rholoc.jobs import RecordingStore
 from rholoc.reports import MapReport, report_from_json
 from rholoc_client import AsyncClient, Camera, Client, ConnectionFailed, Features, Frame, JobFailed, Prior, WaitTimedOut
 
+_PATIENCE_S = 120.0  # the clients' own ten seconds are for machines at rest
 ONE_SHORT_DESCRIPTOR = Features(640, 480, [(1, 2)], [b"x"])
 
 
@@ -25,7 +26,7 @@ class Blocking:
 
     def __init__(self, url):
         self._loop = asyncio.new_event_loop()
-        self._client = AsyncClient(url)
+        self._client = AsyncClient(url, timeout_s=_PATIENCE_S)
 
     def __getattr__(self, name):
         method = getattr(self._client, name)
@@ -40,7 +41,7 @@ class Blocking:
 @contextmanager
 def connected(kind, url):
     if kind == "sync":
-        with Client(url) as client:
+        with Client(url, timeout_s=_PATIENCE_S) as client:
             yield client
     else:
         client = Blocking(url)
