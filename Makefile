@@ -17,13 +17,13 @@ demo: $(INSTALLED)
 serve: $(INSTALLED)
 	$(BIN)/rholoc serve
 
-# Three at a time on two cores, for browsers and servers are mostly waited for; a module's tests stay together where
+# Four at a time on two cores, for browsers and servers are mostly waited for; a module's tests stay together where
 # they can, for they share them.
 test: $(INSTALLED)
-	$(BIN)/python -m pytest -n 3 --dist worksteal -m "not slow"
+	$(BIN)/python -m pytest -n 4 --dist worksteal -m "not slow"
 
 test-all: test
-	$(BIN)/python -m pytest -n 2 -m slow
+	$(BIN)/python -m pytest -n 3 --dist worksteal -m slow
 
 lint: $(INSTALLED) $(PAGE_TOOLS)
 	$(BIN)/ruff check .

@@ -20,20 +20,22 @@ def _program(name: str) -> str:
 
 
 class PostgresServer:
-    """A server on a socket in a folder of its own. PostgreSQL refuses to run as root, so it runs as its own user."""
+    """A server on a socket in a folder of its own. PostgreSQL refuses to run as root, so it runs as its own user.
+
+    ``setpriv`` changes the user, for Python's own way forks, which a process with threads of OpenBLAS may not survive.
+    """
 
     def __init__(self) -> None:
         user = "postgres" if os.geteuid() == 0 else None
+        self._as_user = ["setpriv", f"--reuid={user}", f"--regid={user}", "--clear-groups"] if user else []
         self._folder = Path(tempfile.mkdtemp(prefix="rholoc-postgres-"))  # pytest's own are closed to other users
         if user is not None:
             account = pwd.getpwnam(user)
             os.chown(self._folder, account.pw_uid, account.pw_gid)
         self._cluster = self._folder / "cluster"
-        self._options = {
-            "user": user, "cwd": self._folder, "stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL
-        }  # fmt: skip
+        self._options = {"cwd": self._folder, "stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
         arguments = ["-U", "postgres", "-A", "trust", "-E", "UTF8", "--no-locale", "-N", "-D", str(self._cluster)]
-        subprocess.run([_program("initdb"), *arguments], check=True, **self._options)
+        subprocess.run([*self._as_user, _program("initdb"), *arguments], check=True, **self._options)
         self.start()
 
     @property
@@ -44,7 +46,8 @@ class PostgresServer:
     def start(self) -> None:
         """Start it, and wait until it answers."""
         quick = ["-c", "listen_addresses=", "-c", "fsync=off", "-k", str(self._folder)]
-        self._server = subprocess.Popen([_program("postgres"), "-D", str(self._cluster), *quick], **self._options)
+        command = [*self._as_user, _program("postgres"), "-D", str(self._cluster), *quick]
+        self._server = subprocess.Popen(command, **self._options)
         ready = [_program("pg_isready"), "-q", "-h", str(self._folder)]
         while not (self._folder / ".s.PGSQL.5432").exists() or subprocess.run(ready, check=False).returncode:
             assert self._server.poll() is None, "PostgreSQL did not start"

@@ -66,6 +66,7 @@ def test_a_frame_is_dragged_a_distance_measured_and_all_of_it_undone(desk_browse
         assert hall()["corrections"] == []
 
 
+@pytest.mark.slow
 def test_a_region_a_piece_of_the_walk_and_names(desk_browser, service, hall, opened, settled):
     with opened(desk_browser, service.url, "maps/hall/correct") as page:
         settled(page)

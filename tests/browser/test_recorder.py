@@ -182,6 +182,7 @@ def test_an_upload_cut_five_times_goes_on_from_what_the_server_has(running, phon
     assert max(acknowledged) == size
 
 
+@pytest.mark.slow
 def test_a_server_that_restarts_in_mid_upload_gets_the_rest(serve, phone, wire):
     before = serve()
     line = wire(before.address)
@@ -284,6 +285,7 @@ def test_a_phone_turned_in_mid_recording_ends_it_and_keeps_it(running, phone):
     expect(page.get_by_text("ended when the phone was turned")).to_be_visible()
 
 
+@pytest.mark.slow
 def test_a_full_phone_ends_the_recording_and_keeps_what_came_before(running, phone):
     page = phone(running.url)
     devtools = page.context.new_cdp_session(page)

@@ -146,6 +146,7 @@ def test_a_child_beyond_its_limits_is_ended(limits: Limits, error: type[Exceptio
         run_in_child(_sleep, progress=silent, limits=limits, own_group=True)
 
 
+@pytest.mark.slow
 def test_a_child_ends_with_its_parent() -> None:
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(Path(__file__).parent), *sys.path])}
     parent = subprocess.Popen([sys.executable, "-c", _PARENT], stdout=subprocess.PIPE, text=True, env=environment)

@@ -11,6 +11,7 @@ from rholoc.evaluation.lighting_pairs import compare_lighting_pairs
 pytestmark = pytest.mark.real
 
 
+@pytest.mark.slow
 def test_colour_wins_where_the_light_changes_colour_and_grey_where_it_dims(real_data: Path) -> None:
     found = compare_lighting_pairs(real_data / "lighting_pairs")
     precision = {

@@ -15,6 +15,7 @@ from rholoc.trajectory.inertial.gyroscope import calibrate_gyro
 pytestmark = pytest.mark.real
 
 
+@pytest.mark.slow
 def test_an_android_phones_folder(real_data: Path) -> None:
     recording = read_recording(real_data / "android_livingroom")
     assert recording.format is RecordingFormat.ANDROID_CSV
@@ -28,6 +29,7 @@ def test_an_android_phones_folder(real_data: Path) -> None:
     assert describe_recording(recording)["advice"] == []
 
 
+@pytest.mark.slow
 def test_the_rig_of_euroc(real_data: Path) -> None:
     recording = read_recording(real_data / "euroc_v101")
     assert recording.format is RecordingFormat.EUROC

@@ -56,6 +56,7 @@ def test_maps_cameras_keys_and_recordings_are_brought_in(open_storage: Any, tmp_
     assert (again.maps, again.recordings, len(again.left)) == (0, 0, 6)
 
 
+@pytest.mark.slow
 def test_the_command_needs_a_storage_and_counts_what_it_brought(tmp_path: Path, storage_url: str) -> None:
     MapLibrary(tmp_path / "maps").put("hall", tiny_map())
     command = [sys.executable, "-m", "rholoc", "storage", "import", "--json"]
