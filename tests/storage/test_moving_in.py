@@ -10,6 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import pytest
 from fake_pipeline import tiny_map
 
 from rholoc.geometry import Camera
