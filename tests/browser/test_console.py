@@ -207,6 +207,7 @@ def test_a_server_that_is_gone_is_reported_and_tried_again(desk_browser, named, 
         expect(page.get_by_role("link", name="room")).to_be_visible()
 
 
+@pytest.mark.slow
 def test_the_description_of_the_api_needs_no_other_server(desk_browser, named, opened):
     with opened(desk_browser, named.url) as page:
         asked: list[str] = []

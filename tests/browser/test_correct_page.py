@@ -41,6 +41,7 @@ def apply(page):
     page.evaluate("document.querySelector('.toast').remove()")
 
 
+@pytest.mark.slow
 def test_a_frame_is_dragged_a_distance_measured_and_all_of_it_undone(desk_browser, service, hall, opened, settled):
     with opened(desk_browser, service.url, "maps/hall/correct") as page:
         settled(page)
@@ -101,6 +102,7 @@ def test_a_region_a_piece_of_the_walk_and_names(desk_browser, service, hall, ope
         expect(settled(page).locator(".scene-labels")).to_contain_text("door")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["picture", "geojson"])
 def test_a_map_is_laid_over_a_floor_plan(kind, desk_browser, service, hall, opened, settled, tmp_path):
     if kind == "picture":

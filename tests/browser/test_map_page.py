@@ -105,6 +105,7 @@ def test_deleting_does_not_offer_itself(desk_browser, running, opened, settled):
         assert (running.settings.maps_dir / "sound.rho").exists()
 
 
+@pytest.mark.slow
 def test_an_upload_onto_a_map_asks_and_what_it_replaced_is_restored(
     desk_browser, running, picture_world, opened, settled, tmp_path
 ):
@@ -181,6 +182,7 @@ def test_maps_are_searched_and_sorted(desk_browser, running, opened, settled):
         expect(page.locator("li.map-card .badge").first).to_have_text("not trusted")
 
 
+@pytest.mark.slow
 def test_a_server_that_stops_is_said_and_waited_for(desk_browser, running, opened, settled):
     walk = {"file": ("walk.mp4", b"\0\0\0\x18ftypmp42" + b"\0" * 5000)}
     job = httpx.post(f"{running.url}/v1/recordings", files=walk, data={"map": "attic"}).json()["job"]["id"]

@@ -201,6 +201,7 @@ def test_a_server_that_restarts_in_mid_upload_gets_the_rest(serve, phone, wire):
     assert read_recording(recording_that_came(before)).imu is not None
 
 
+@pytest.mark.slow
 def test_a_refused_key_keeps_the_recording_and_another_sends_it(serve, phone):
     running = serve(keys=KeyPolicy.ALWAYS)
     keys = KeyStore(running.settings.data_dir)
@@ -306,6 +307,7 @@ def test_little_storage_is_reported_beforehand(running, phone):
     expect(page.get_by_text("This phone's storage is almost full: 100 MB left")).to_be_visible()
 
 
+@pytest.mark.slow
 def test_a_reload_in_mid_recording_keeps_what_came_before(running, phone):
     page = phone(running.url)
     open_camera(page)
@@ -435,6 +437,7 @@ def test_a_double_tap_marks_one_point_and_an_added_one_stands_before_the_end(run
     assert [one.input_value() for one in names] == ["W1", "W2", "W3", "W4", "E"]
 
 
+@pytest.mark.slow
 def test_a_name_that_a_map_has_is_asked_about_before_it_is_sent(serve, phone, picture_world):
     running = serve()
     (running.settings.maps_dir / "hall.rho").write_bytes(picture_world.rho())
@@ -453,6 +456,7 @@ def test_a_name_that_a_map_has_is_asked_about_before_it_is_sent(serve, phone, pi
     expect(page.get_by_role("heading", name="The server makes the map")).to_be_visible()
 
 
+@pytest.mark.slow
 def test_a_map_that_is_not_trusted_is_not_said_to_be_ready(running, phone):
     why = "Two reconstructions disagree: 3.1% of the median depth and 1.2° apart, nine in ten keyframes within 5.4%."
     job = {
@@ -482,6 +486,7 @@ def test_a_map_that_is_not_trusted_is_not_said_to_be_ready(running, phone):
     expect(page.get_by_role("link", name="Correct the points")).to_have_attribute("href", f"./#/recordings/{'1' * 32}")
 
 
+@pytest.mark.slow
 def test_a_key_that_allows_too_little_is_asked_for_again(serve, phone):
     running = serve(keys=KeyPolicy.ALWAYS)
     keys = KeyStore(running.settings.data_dir)

@@ -30,6 +30,7 @@ def has_ended(url: str) -> bool:
     return False
 
 
+@pytest.mark.slow
 def test_a_server_answers_until_its_user_fails(tmp_path: Path) -> None:
     def ask_in_vain(url: str) -> None:
         assert httpx.get(f"{url}/v1/maps").json()["maps"] == []
@@ -89,6 +90,7 @@ def test_folders_that_cannot_be_used_are_one_line(tmp_path: Path) -> None:
         assert named in fails_in_one_line(tmp_path / maps, tmp_path / data)
 
 
+@pytest.mark.slow
 def test_after_its_first_line_a_server_writes_json(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "rholoc", "serve", "--port", "0"]
     process = subprocess.Popen(

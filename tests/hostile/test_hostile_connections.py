@@ -175,6 +175,7 @@ def test_a_body_is_refused_by_how_it_begins(serve, picture_world, kind):
         assert connection.recv(12).endswith(status)
 
 
+@pytest.mark.slow
 def test_what_comes_of_a_body_that_was_refused_is_read_slowly_and_the_connection_goes_on(tmp_path):
     with answering(tmp_path, PatientProtocol) as address, socket.create_connection(address, timeout=60) as connection:
         body = b"x" * 10**6

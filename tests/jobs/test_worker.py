@@ -114,6 +114,7 @@ def test_doubts_about_a_map_are_reported(busy_site: Site) -> None:
     assert [line.split(" ", 1)[1] for line in job.log[-2:]] == [f"warning: {job.warnings[0]}", "published"]
 
 
+@pytest.mark.slow
 def test_a_database_that_fails_at_the_end_costs_nothing(busy_site: Site) -> None:
     engine = open_database(busy_site.data_dir)
     with engine.begin() as connection:
@@ -163,6 +164,7 @@ def test_a_disk_that_is_full_as_a_build_ends_keeps_no_job_running(busy_site: Sit
     engine.dispose()
 
 
+@pytest.mark.slow
 def test_a_database_that_is_locked_for_a_while_is_waited_for(busy_site: Site) -> None:
     engine = open_database(busy_site.data_dir)
     seen = busy_site.control.count("poses")

@@ -101,6 +101,7 @@ def test_an_error_that_is_none_of_ours_arrives_as_its_first_line() -> None:
         run_in_child(_fail, progress=silent)
 
 
+@pytest.mark.slow
 def test_a_child_that_crashes_has_died() -> None:
     with pytest.raises(ChildDied, match=f"signal {int(signal.SIGABRT)}"):
         run_in_child(_crash, progress=silent)
@@ -126,6 +127,7 @@ def test_a_child_is_killed_with_all_that_it_started(own_group: bool) -> None:
         until(lambda pid=pid: not alive(pid))
 
 
+@pytest.mark.slow
 def test_a_cancelled_child_may_stop_by_itself(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("RHOLOC_TEST_FOLDER", str(tmp_path))
 
@@ -166,6 +168,7 @@ def test_a_reconstruction_reports_until_it_is_done() -> None:
     assert (heard[0], heard[-1]) == (0.0, 0.5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("function", "message"), [(_crash, "process died"), (_fail, "The reconstruction failed: seven is not a camera")]
 )
