@@ -13,7 +13,7 @@ import sqlalchemy as sa
 from sqlalchemy.exc import IntegrityError
 
 from rholoc.disk import reporting_full_disk
-from rholoc.errors import InvalidInput, RholocError, StorageUnavailable, TooLarge, UnknownJob, UnknownRecording
+from rholoc.errors import InvalidInput, RholocError, StorageUnavailable, TooLarge, UnknownRecording
 from rholoc.jobs.job import JobOptions
 from rholoc.jobs.queue import JobQueue
 from rholoc.jobs.recording_store import is_recording_id, unknown_recording
@@ -103,19 +103,17 @@ class SharedUploadStore(UploadStore):
         """As :meth:`UploadStore.append`."""
         standing = self.get(upload_id)
         check_room_for_bytes(standing, offset, len(data))
-        plan = self._plan(upload_id)
-        check_offset(standing.offset if plan is None else plan.offset, offset)
-        if plan is None or not data:
+        check_offset(standing.offset, offset)
+        if not data:
             return standing
         if offset == 0 and len(data) >= START_BYTES:
-            self._check_start_of(plan, data)
+            self._check_start_of(upload_id, data)
         blob = uuid.uuid4().hex
         self._objects.put(_key(upload_id, blob), data)
         if not self._take(upload_id, _Piece(offset, len(data), blob)):
             with suppress(StorageUnavailable):
                 self._objects.delete(_key(upload_id, blob))
-            plan = self._plan(upload_id)
-            check_offset(standing.length if plan is None else plan.offset, offset)
+            check_offset(self.get(upload_id).offset, offset)
         return self.get(upload_id)
 
     def delete(self, upload_id: str) -> None:
@@ -146,15 +144,6 @@ class SharedUploadStore(UploadStore):
         with self._engine.connect() as connection:
             row = connection.execute(sa.select(uploads_table).where(uploads_table.c.id == upload_id)).mappings().first()
         return None if row is None else _Plan(**{**row, "options": JobOptions.from_json(row["options"])})
-
-    def _recorded(self, upload_id: str) -> Upload:
-        """The upload that has become a recording."""
-        entry = self._recordings.get(upload_id)
-        try:
-            job = self._jobs.get(upload_id)
-        except UnknownJob:  # it was uploaded in another way
-            job = None
-        return Upload(upload_id, entry.size_bytes, entry.size_bytes, job=job)
 
     def _take(self, upload_id: str, piece: _Piece) -> bool:
         """Count a piece in, if the upload still stands where it begins."""
@@ -202,11 +191,14 @@ class SharedUploadStore(UploadStore):
         if path.stat().st_size != plan.length:
             raise StorageUnavailable("The storage does not give all of the upload.", "Try again later.")
 
-    def _check_start_of(self, plan: _Plan, data: bytes) -> None:
+    def _check_start_of(self, upload_id: str, data: bytes) -> None:
+        plan = self._plan(upload_id)
+        if plan is None:  # another request gave it up
+            raise unknown_recording(upload_id)
         try:
             check_file_start(plan.file_name, data[:START_BYTES])
         except RholocError:
-            self._forget(plan.id)
+            self._forget(upload_id)
             raise
 
     def _forget(self, upload_id: str) -> None:

@@ -187,12 +187,16 @@ class UploadStore:
 
     def _whole(self, upload_id: str) -> Upload:
         """An upload that has become a recording; queues its job if that was not done yet."""
-        entry = self._recordings.get(upload_id)
         plan_file = self._recordings.root / upload_id / _PLAN_FILE
         with suppress(FileNotFoundError):
             plan = _read_plan(plan_file)
             self._jobs.submit(upload_id, plan.map_name, plan.options, job_id=upload_id)
             plan_file.unlink()
+        return self._recorded(upload_id)
+
+    def _recorded(self, upload_id: str) -> Upload:
+        """An upload that has become a recording. Raises UnknownRecording."""
+        entry = self._recordings.get(upload_id)
         try:
             job = self._jobs.get(upload_id)
         except UnknownJob:  # it was uploaded in another way

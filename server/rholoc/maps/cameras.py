@@ -11,11 +11,10 @@ from rholoc.errors import InvalidCamera, InvalidInput, UnknownCamera
 from rholoc.geometry import Camera
 from rholoc.maps.documents import Documents, FolderDocuments
 from rholoc.maps.json_values import check_json_value
-from rholoc.maps.library import check_name, is_name
+from rholoc.maps.library import check_name, some_of, stored_names
 
 FOLDER = "cameras"
 _SUFFIX = ".json"
-_NAMES_SHOWN = 5
 
 
 @dataclass(frozen=True)
@@ -44,8 +43,7 @@ class CameraLibrary:
 
     def names(self) -> list[str]:
         """The names of all cameras, sorted."""
-        names = [name.removesuffix(_SUFFIX) for name in self._files.names() if name.endswith(_SUFFIX)]
-        return sorted(name for name in names if is_name(name))
+        return stored_names(self._files, _SUFFIX)
 
     def get(self, name: str) -> CameraProfile:
         """The camera of that name.
@@ -100,8 +98,11 @@ class CameraLibrary:
 
     def _unknown(self, name: str) -> UnknownCamera:
         names = self.names()
-        known = ", ".join(names[:_NAMES_SHOWN]) + (", …" if len(names) > _NAMES_SHOWN else "")
-        hint = f"There are: {known}." if names else "There are none yet: rholoc camera add, or rholoc camera calibrate."
+        hint = (
+            f"There are: {some_of(names)}."
+            if names
+            else "There are none yet: rholoc camera add, or rholoc camera calibrate."
+        )
         return UnknownCamera(f"There is no camera {name}.", hint)
 
 

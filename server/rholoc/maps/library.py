@@ -7,12 +7,13 @@ import math
 import os
 import re
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from uuid import uuid4
 
 from rholoc.errors import Conflict, InvalidInput, InvalidMap, InvalidName, UnknownMap
+from rholoc.maps.documents import Documents
 from rholoc.maps.files import replace_file
 from rholoc.maps.info import MapInfo
 from rholoc.maps.map import Map
@@ -45,6 +46,17 @@ def check_name(name: str, what: str) -> str:
             "Use 1 to 64 letters, digits, '.', '_' and '-', the first a letter, a digit or '_'.",
         )
     return name
+
+
+def some_of(names: Sequence[str]) -> str:
+    """The first few names, for people."""
+    return ", ".join(names[:_NAMES_SHOWN]) + (", …" if len(names) > _NAMES_SHOWN else "")
+
+
+def stored_names(files: Documents, suffix: str) -> list[str]:
+    """The names of what is kept in files called a name and ``suffix``, sorted."""
+    names = [file.removesuffix(suffix) for file in files.names() if file.endswith(suffix)]
+    return sorted(name for name in names if is_name(name))
 
 
 def check_map_name(name: str) -> str:
@@ -353,8 +365,9 @@ class MapLibrary:
 
     def _unknown(self, name: str) -> UnknownMap:
         names = self.names()
-        known = ", ".join(names[:_NAMES_SHOWN]) + (", …" if len(names) > _NAMES_SHOWN else "")
-        return UnknownMap(f"There is no map {name}.", f"There are: {known}." if names else "There are none yet.")
+        return UnknownMap(
+            f"There is no map {name}.", f"There are: {some_of(names)}." if names else "There are none yet."
+        )
 
 
 def changed(name: str) -> Conflict:

@@ -16,7 +16,7 @@ from rholoc.errors import Conflict, InvalidInput, UnknownSite
 from rholoc.geometry import FloatArray, Pose
 from rholoc.geometry.earth import EarthPlace, enu_of, place_at
 from rholoc.maps.documents import Documents, FolderDocuments
-from rholoc.maps.library import check_map_name, check_name, is_name
+from rholoc.maps.library import check_map_name, check_name, some_of, stored_names
 from rholoc.reports import report_from_json, report_to_json
 
 SITES_FOLDER = "sites"
@@ -25,7 +25,6 @@ MOST_MAPS = 2000
 
 _FORMAT, _FORMAT_VERSION = "rholoc-site", 1
 _SUFFIX = ".json"
-_NAMES_SHOWN = 5
 _MOST_LINKS = 10_000
 _MAX_FLOOR = 100
 _UNIT_TOLERANCE = 1e-2
@@ -259,8 +258,7 @@ class SiteLibrary:
 
     def names(self) -> list[str]:
         """The names of all sites, sorted."""
-        names = [name.removesuffix(_SUFFIX) for name in self._files.names() if name.endswith(_SUFFIX)]
-        return sorted(name for name in names if is_name(name))
+        return stored_names(self._files, _SUFFIX)
 
     def get(self, name: str) -> Site:
         """The site of that name.
@@ -338,8 +336,9 @@ class SiteLibrary:
 
     def _unknown(self, name: str) -> UnknownSite:
         names = self.names()
-        known = ", ".join(names[:_NAMES_SHOWN]) + (", …" if len(names) > _NAMES_SHOWN else "")
-        return UnknownSite(f"There is no site {name}.", f"There are: {known}." if names else "There are none yet.")
+        return UnknownSite(
+            f"There is no site {name}.", f"There are: {some_of(names)}." if names else "There are none yet."
+        )
 
 
 def _file_name(name: str) -> str:
