@@ -17,8 +17,11 @@ demo: $(INSTALLED)
 serve: $(INSTALLED)
 	$(BIN)/rholoc serve
 
-# Four at a time on two cores, for browsers and servers are mostly waited for; a module's tests stay together where
-# they can, for they share them.
+# Four at a time on two cores, for browsers and servers are mostly waited for, and so one thread each for arithmetic; a
+# module's tests stay together where they can, for they share them.
+test test-all: export OPENBLAS_NUM_THREADS = 1
+test test-all: export OMP_NUM_THREADS = 1
+
 test: $(INSTALLED)
 	$(BIN)/python -m pytest -n 4 --dist worksteal -m "not slow"
 

@@ -136,6 +136,28 @@ def picture_world() -> PictureWorld:
     return PictureWorld(image, camera, pose, map_)
 
 
+@pytest.fixture(scope="session")
+def looking(picture_world: PictureWorld) -> Callable[[int], Map]:
+    """Small maps of rooms that look different, by number."""
+    whole, some = picture_world.map_, 200
+    views = np.arange(len(whole.view_times), dtype=np.int32)
+    small = replace(
+        whole,
+        channels=whole.channels[:some],
+        landmarks=whole.landmarks[:some],
+        covariances=whole.covariances[:some],
+        descriptor_features=whole.descriptor_features[:some],
+        observation_views=np.repeat(views, some),
+        observation_features=np.tile(np.arange(some, dtype=np.int32), len(views)),
+    )
+
+    def room(number: int) -> Map:
+        shape = (some, whole.descriptors.shape[1])
+        return replace(small, descriptors=np.random.default_rng(number).integers(0, 256, shape, np.uint8))
+
+    return room
+
+
 @dataclass(frozen=True, eq=False)
 class PointRoom:
     """Points on the walls of a room, each with a descriptor, and a camera that sees them with noise."""

@@ -75,7 +75,9 @@ def fits(page: Page) -> bool:
     return bool(page.evaluate("document.documentElement.scrollWidth <= innerWidth"))
 
 
-@pytest.mark.parametrize("where", PAGES)
+@pytest.mark.parametrize(
+    "where", [pytest.param(where, marks=() if where in ("#/maps", "record") else pytest.mark.slow) for where in PAGES]
+)
 def test_a_page_is_for_everybody(desk_browser, addresses, where, settled):
     context = desk_browser.new_context(viewport=DESK, color_scheme="dark")
     page = context.new_page()

@@ -219,8 +219,19 @@ def test_a_stored_key_is_changed_and_removed(desk_browser, running, opened, sett
         expect(button).to_have_count(0)
 
 
-@pytest.mark.parametrize("where", ["maps", "maps/doubtful", "try/doubtful", "recordings"])
-@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize(
+    ("where", "scheme"),
+    [
+        ("maps/doubtful", "light"),
+        ("try/doubtful", "dark"),
+        *(
+            pytest.param(where, scheme, marks=pytest.mark.slow)
+            for where in ("maps", "maps/doubtful", "try/doubtful", "recordings")
+            for scheme in ("light", "dark")
+            if (where, scheme) not in (("maps/doubtful", "light"), ("try/doubtful", "dark"))
+        ),
+    ],
+)
 def test_pages_with_doubts_are_accessible_at_twice_the_size(desk_browser, running, opened, settled, where, scheme):
     half = {"width": 640, "height": 425}  # 1280 × 850 at 200 %
     with opened(desk_browser, running.url, where, viewport=half, color_scheme=scheme) as page:

@@ -345,10 +345,8 @@ def test_two_seconds_are_too_short_to_be_sent_and_are_deleted_only_after_asking(
     assert page.get_by_role("link", name="Look at it").count() == 0
 
 
-@pytest.mark.parametrize(
-    ("viewport", "scheme"),
-    [(PHONE, "light"), pytest.param({"width": 1280, "height": 800}, "dark", marks=pytest.mark.slow)],
-)
+@pytest.mark.slow
+@pytest.mark.parametrize(("viewport", "scheme"), [(PHONE, "light"), ({"width": 1280, "height": 800}, "dark")])
 def test_every_view_is_accessible_and_fits_and_nothing_complains(running, phone, viewport, scheme):
     page = phone(running.url)
     page.set_viewport_size(viewport)

@@ -113,7 +113,14 @@ RECORD = """async ([type, milliseconds]) => {
 }"""
 
 
-@pytest.mark.parametrize("kind", ["webm;codecs=vp8", "webm;codecs=h264", "mp4;codecs=avc1.42E01E", "mp4;codecs=vp9"])
+@pytest.mark.parametrize(
+    "kind",
+    [
+        "webm;codecs=vp8",
+        "mp4;codecs=avc1.42E01E",
+        *(pytest.param(kind, marks=pytest.mark.slow) for kind in ("webm;codecs=h264", "mp4;codecs=vp9")),
+    ],
+)
 def test_frame_times_are_those_that_the_reader_finds(run, page, tmp_path, kind):
     data = base64.b64decode(page.evaluate(RECORD, [f"video/{kind}", 2500]))
     times = run("container", f"m.frameTimes(new Blob([{BYTES}]))", base64.b64encode(data).decode())

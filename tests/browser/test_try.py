@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import re
 import shutil
@@ -175,9 +176,15 @@ def test_a_map_that_is_not_trusted_says_so_beside_its_answers(desk_browser, runn
         expect(page.locator("main .badge").first).to_have_text("not trusted")
 
 
-@pytest.mark.parametrize("size", [(640, 480), (480, 640), (640, 360)], ids=["4:3", "portrait", "16:9"])
-@pytest.mark.parametrize("name", ["room", "wide"])
-@pytest.mark.parametrize("choice", ["", "the camera that made the map"], ids=["automatic", "map's"])
+AUTOMATIC, OF_THE_MAP = "", "the camera that made the map"
+CAMERAS = list(itertools.product([(640, 480), (480, 640), (640, 360)], ["room", "wide"], [AUTOMATIC, OF_THE_MAP]))
+SOME_CAMERAS = [((640, 480), "room", AUTOMATIC), ((480, 640), "wide", OF_THE_MAP), ((640, 360), "room", AUTOMATIC)]
+
+
+@pytest.mark.parametrize(
+    ("size", "name", "choice"),
+    [pytest.param(*one, marks=() if one in SOME_CAMERAS else pytest.mark.slow) for one in CAMERAS],
+)
 def test_a_camera_of_any_shape_is_taken(desk_browser, running, opened, settled, name, size, choice):
     """A camera of another shape than the map's is estimated, or taken for the map's, turned or cropped."""
     asked: list[str] = []

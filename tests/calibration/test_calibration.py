@@ -75,6 +75,7 @@ def test_the_picture_shows_what_was_covered(calibration: Calibration) -> None:
     assert 0.5 < calibration.coverage <= 1
 
 
+@pytest.mark.slow
 def test_a_charuco_board_partly_in_view_gives_the_camera_back(phone: Camera, studio, as_frames) -> None:
     rng = np.random.default_rng(1)
     room = studio(phone, _CHARUCO)
@@ -87,6 +88,7 @@ def test_a_charuco_board_partly_in_view_gives_the_camera_back(phone: Camera, stu
     assert found.camera.fx == pytest.approx(phone.fx, abs=2)
 
 
+@pytest.mark.slow
 def test_a_large_picture_is_searched_small_and_measured_large(studio) -> None:
     camera = Camera(1600, 1200, 1325.0, 1320.0, 780.0, 615.0)
     rng = np.random.default_rng(2)
@@ -109,7 +111,7 @@ def test_too_few_different_views_are_refused(pictures: list[ByteArray], as_frame
         calibrate(as_frames([pictures[0]] * 3 + [pictures[1]] * 3), _CHECKERBOARD)
 
 
-@pytest.mark.parametrize("tilt_deg", [0.0, 3.0])
+@pytest.mark.parametrize("tilt_deg", [0.0, pytest.param(3.0, marks=pytest.mark.slow)])
 def test_views_that_leave_the_focal_length_open_are_refused(tilt_deg: float, phone: Camera, studio, as_frames) -> None:
     rng = np.random.default_rng(3)
     room = studio(phone, _CHECKERBOARD)

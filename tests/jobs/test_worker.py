@@ -81,7 +81,7 @@ def test_a_failed_job_can_be_retried(busy_site: Site) -> None:
         busy_site.queue.cancel(job.id)
 
 
-@pytest.mark.parametrize("point", ["poses", "deaf-poses"])
+@pytest.mark.parametrize("point", ["poses", pytest.param("deaf-poses", marks=pytest.mark.slow)])
 def test_a_running_job_is_cancelled_within_two_seconds(busy_site: Site, point: str) -> None:
     control, name = busy_site.control, f"cancelled-{point}"
     seen = control.count(point)

@@ -19,17 +19,6 @@ from rholoc.maps import Map, MapLibrary, map_to_bytes
 OLD_NS = 10**18  # the folder's time: files that were published long ago
 
 
-@pytest.fixture
-def looking(picture_world) -> Callable[[int], Map]:
-    """Maps of rooms that look different, by number."""
-
-    def room(number: int) -> Map:
-        descriptors = np.random.default_rng(number).integers(0, 256, picture_world.map_.descriptors.shape, np.uint8)
-        return replace(picture_world.map_, descriptors=descriptors)
-
-    return room
-
-
 def publish(library: MapLibrary, name: str, map_: Map) -> None:
     library.put_file(name, map_to_bytes(map_))
 

@@ -103,6 +103,7 @@ def off_the_faces(scene: Scene, points: FloatArray) -> FloatArray:
     return nearest
 
 
+@pytest.mark.slow
 def test_a_recording_with_depth_becomes_a_map_with_the_rooms_surfaces(tmp_path):
     """7-Scenes' files of the simulated room."""
     scene = make_test_site(0)

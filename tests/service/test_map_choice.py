@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import time
-from dataclasses import replace
 
 import httpx
-import numpy as np
 import pytest
 
 from rholoc.maps import map_to_bytes
@@ -17,12 +15,11 @@ PATIENCE_S = 60.0
 
 
 @pytest.fixture(scope="module")
-def campus(serve, picture_world):
+def campus(serve, picture_world, looking):
     """A service with twenty maps of rooms, one of which the picture was taken in."""
     running = serve()
     for number in range(20):
-        descriptors = np.random.default_rng(number).integers(0, 256, picture_world.map_.descriptors.shape, np.uint8)
-        map_ = picture_world.map_ if number == 13 else replace(picture_world.map_, descriptors=descriptors)
+        map_ = picture_world.map_ if number == 13 else looking(number)
         (running.settings.maps_dir / f"room{number:02}.rho").write_bytes(map_to_bytes(map_))
     finder, until = running.app.state.rholoc.finder, time.monotonic() + PATIENCE_S
     while finder.counts() != {"present": 20, "indexed": 20}:

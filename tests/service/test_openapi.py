@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pytest
 from hypothesis import HealthCheck, given, settings
 
 from rholoc.service import Settings, create_app
@@ -59,6 +60,7 @@ def test_every_reference_leads_somewhere():
         assert resolve(document, {"$ref": reference})
 
 
+@pytest.mark.slow
 def test_every_route_does_what_its_schema_says(service):
     import schemathesis  # which takes a second of every start, and is used here alone
     from schemathesis.checks import CHECKS
