@@ -189,7 +189,7 @@ def localize_options(
     """The options of a localization as the service takes them, without those that are None."""
     given = {
         "camera": _chosen(camera),
-        "prior": None if prior is None else prior_fields(prior),
+        "prior": None if prior is None else prior.as_sent(),
         "dof": dof,
         "gravity": gravity,
         "deadline_ms": deadline_ms,
@@ -197,13 +197,6 @@ def localize_options(
         "with_matches": with_matches or None,
     }
     return _without_none(given)
-
-
-def prior_fields(prior: Prior) -> dict[str, Any]:
-    """A prior as the service takes it: with its rotation, or else its heading."""
-    known, fields = prior.quaternion_xyzw is not None, asdict(prior)
-    del fields["heading" if known else "quaternion_xyzw"]
-    return fields
 
 
 def list_maps() -> Call[list[MapSummary]]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from rholoc_client._images import ImageLike
@@ -146,6 +146,12 @@ class Prior:
     radius_m: float = 1.0
     radius_deg: float = 35.0
     quaternion_xyzw: tuple[float, float, float, float] | None = None
+
+    def as_sent(self) -> dict[str, Any]:
+        """The prior as the service takes it in JSON: with its rotation where that is known, or else its heading."""
+        fields = asdict(self)
+        del fields["quaternion_xyzw" if self.quaternion_xyzw is None else "heading"]
+        return fields
 
 
 @dataclass(frozen=True)

@@ -30,7 +30,6 @@ from rholoc.service.track_messages import Begin, Begun, FrameMessage, TrackedOut
 from rholoc.trajectory import Scale
 from rholoc_client import Camera as ClientCamera
 from rholoc_client import OdometryNoise, Tracked, TrackOptions
-from rholoc_client._calls import prior_fields
 from rholoc_client.errors import InvalidTrack
 from rholoc_client.models import parse_localization
 from rholoc_client.tracking import Answer, AnsweredMatches, FollowedTrack, Question
@@ -209,7 +208,7 @@ class _ServedTrack:
         """The frame to localize for the track's current question."""
         assert self._track is not None
         question: Question = self._track.ask()
-        prior = None if question.prior is None else PriorIn(**_lists(prior_fields(question.prior)))
+        prior = None if question.prior is None else PriorIn(**_lists(question.prior.as_sent()))
         options = LocalizeOptions(
             camera=self._begin.camera, dof=self._begin.dof, prior=prior, with_matches=self._track.follows_pictures
         )

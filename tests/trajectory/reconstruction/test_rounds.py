@@ -55,8 +55,10 @@ def test_each_round_starts_where_the_last_ended_and_all_but_the_last_are_coarse(
     rounds: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Sightings are judged among all there are, not among those of the round before."""
-    T, points = _outward(4, 1.0, np.random.default_rng(0))
-    pixels = np.array([in_pixels(points[:30], one) for one in T])
+    rng = np.random.default_rng(0)
+    T, _ = _outward(4, 1.0, rng)
+    points = np.array([1.5, 2.6, 0.0]) + rng.uniform(-0.5, 0.5, (30, 3))  # before all four cameras
+    pixels = np.array([in_pixels(points, one) for one in T])
     keyframes, tracks = (grid.ravel() for grid in np.meshgrid(np.arange(4), np.arange(30), indexing="ij"))
     problem = Problem(np.arange(4.0), Observations(keyframes, tracks, pixels.reshape(-1, 2)))
     asked: list[tuple[int, int, bool]] = []
