@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import time
 from dataclasses import replace
 
 import cv2
@@ -12,6 +13,8 @@ import pytest
 from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import expect
 
+from kept_queries import a_query
+from rholoc.jobs import QueryStore
 from rholoc.maps import map_to_bytes
 
 LONG = "a-long-name-without-any-blank-in-it-that-goes-on-to-sixty-four-l"
@@ -296,6 +299,24 @@ def test_a_landmark_that_is_clicked_shows_where_it_may_be_seen_from(
         expect(said).to_contain_text(re.compile(r"Seen in \d+ pictures"))
         drawn = np.abs(pixels(page) - before).max(axis=2) > 10
         assert drawn.sum() > 500  # the cone, and lines to the views
+
+
+def test_a_map_says_what_it_learns_from_those_who_use_it(desk_browser, serve, picture_world, opened, settled):
+    learning = serve(learn=True)
+    (learning.settings.maps_dir / "room.rho").write_bytes(picture_world.rho())
+    for place in range(3):
+        QueryStore(learning.settings.data_dir).add(picture_world.map_.info.id, a_query(x=place, time_s=time.time()))
+    with opened(desk_browser, learning.url, "maps/room") as page:
+        said = settled(page).locator("section", has=page.get_by_role("heading", name="Learned from"))
+        expect(said).to_contain_text("It learns from those who use it: 3 queries are kept. From 30 on it can learn.")
+    with opened(desk_browser, learning.url, "maps/room", locale="de-DE") as page:
+        expect(settled(page).get_by_text("Sie lernt von denen, die sie benutzen: 3 Anfragen")).to_be_visible()
+
+
+def test_a_map_that_nobody_lets_learn_says_nothing_of_it(desk_browser, running, opened, settled):
+    with opened(desk_browser, running.url, "maps/room") as page:
+        expect(settled(page).get_by_role("heading", name="Learned from")).to_be_visible()
+        expect(page.get_by_text("those who use it")).to_have_count(0)
 
 
 def test_a_german_browser_is_spoken_to_in_german(desk_browser, running, opened, settled):

@@ -9,29 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rholoc.features import FeatureSet
-from rholoc.geometry import Camera, Pose
+from kept_queries import a_query as query
 from rholoc.jobs import KeptLimits, QueryStore
-from rholoc.mapping import AnsweredQuery
 
 MAP = "0123456789abcdef"
 ALICE, BOB = "a" * 12, "b" * 12
-
-
-def query(x: float = 0.0, heading_deg: float = 0.0, time_s: float = 1e9, asker: str = ALICE) -> AnsweredQuery:
-    rng = np.random.default_rng(0)
-    turn = np.radians(heading_deg)
-    pose = Pose.from_heading(np.array([x, 0.1, 1.4]), np.array([np.cos(turn), np.sin(turn), 0.0]))
-    features = FeatureSet(
-        rng.uniform(0, 400, (20, 2)).astype(np.float32),
-        np.zeros(20, np.uint8),
-        rng.integers(0, 256, (20, 48), dtype=np.uint8),
-        np.full(20, 7, np.float32),
-        np.full(20, np.nan, np.float32),
-        rng.integers(0, 256, (20, 3), dtype=np.uint8),
-    )
-    camera = Camera(640, 480, 520.0, 521.0, 319.5, 239.5, (0.1, -0.2, 0.0, 0.0))
-    return AnsweredQuery(features, camera, pose.T_map_camera, 1e-4 * np.eye(6), 0.97, time_s, asker)
 
 
 def test_a_query_is_read_back_as_it_was_kept(tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ import { test } from "node:test";
 import { cameraAt, moved, nextWalk, sayFailures, sayPlace, summary } from "../../client/page/console/coverage_view.js";
 import { halfExtents, intrinsicsFor, intrinsicsOfFieldOfView, Known } from "../../client/page/console/intrinsics.js";
 import { summary as landscapeInWords, heights } from "../../client/page/console/landscape_view.js";
+import { learningText } from "../../client/page/console/learning.js";
 import { grouped, matches } from "../../client/page/console/list_tools.js";
 import { Motions } from "../../client/page/console/motions.js";
 import { clipped } from "../../client/page/console/plain_painter.js";
@@ -254,4 +255,27 @@ test("a track is in pieces where it is lost and where it jumps", () => {
   assert.deepEqual(track.pieces.map(({ status }) => status), ["tracking", "lost", "tracking"]);
   assert.deepEqual(track.pieces.map(({ positions }) => positions.map(([x]) => x)), [[0, 0.1], [0.1, 0.2, 0.3], [1.3, 1.4]]);
   assert.deepEqual(track.jumps, [1]);
+});
+
+test("a map says from how many queries it learns, when it last did, and what came of it", () => {
+  const none = { learns: false, queries: 0, fewest: 30, last: null, latest: null, job: null };
+  assert.equal(learningText(none), null);
+  const asked = { ...none, learns: true, queries: 12 };
+  assert.equal(
+    learningText(asked),
+    "It learns from those who use it: 12 queries are kept. From 30 on it can learn.",
+  );
+  assert.match(learningText({ ...asked, learns: false }), /^It no longer learns .* 12 queries are kept\.$/);
+  assert.match(learningText({ ...asked, queries: 40, job: "1f" }), /40 queries are kept\. It is learning now\.$/);
+  const queries = { features_forgotten: 401, recall_before: 0.884, recall_after: 1 };
+  const last = { version: 2, features_new: 1044, queries };
+  const ended = Date.UTC(2026, 2, 1, 3, 10) / 1000;
+  const learned = learningText({ ...asked, queries: 199, last, latest: { state: "published", ended } });
+  assert.match(learned, /It last learned on 1 Mar 2026, .*: 1,044 landmarks are new, 401 are gone\./);
+  assert.match(learned, /it placed 88 % before and 100 % after\.$/);
+  const restored = learningText({ ...none, last });
+  assert.match(restored, /^With version 2 it learned: 1,044 landmarks are new/);
+  const error = { message: "The map would be worse." };
+  const failed = learningText({ ...asked, last, latest: { state: "failed", ended, error } });
+  assert.match(failed, /On 1 Mar 2026, .* it learned nothing: The map would be worse\. With version 2 it learned/);
 });

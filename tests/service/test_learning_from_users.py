@@ -153,6 +153,7 @@ def test_a_map_learns_by_a_job_one_at_a_time(asked_often):
     assert (job["recording"], job["map"], job["state"]) == ("", "west", "queued")
     assert answer.headers["Location"] == f"/v1/jobs/{job['id']}"
     assert httpx.get(f"{asked_often.url}/v1/maps/west/learning").json()["job"] == job["id"]
+    assert httpx.get(f"{asked_often.url}/v1/maps/west/learning").json()["latest"] is None
     again = httpx.post(f"{asked_often.url}/v1/maps/west/learn")
     assert (again.status_code, again.json()["code"]) == (409, "conflict")
     assert httpx.delete(f"{asked_often.url}/v1/jobs/{job['id']}").json()["state"] == "cancelled"

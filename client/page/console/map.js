@@ -8,6 +8,7 @@ import { inPlainWords, mistakesIn, restsOnGivenPoses, Trust, trustOf, whatToDo }
 import { coverageView } from "./coverage_view.js";
 import { keptPlan } from "./floor_plan.js";
 import { bytes, count, fileNames, length, when } from "./format.js";
+import { learningText } from "./learning.js";
 import { liveView } from "./live.js";
 import { expectedError, placeOf } from "./maps.js";
 import { action, facts, loading, page, skeletons, tell } from "./parts.js";
@@ -63,9 +64,10 @@ export async function showMap(main, name, signal) {
     fill(live, watcher.element);
   }
   const report = get(`${address}/report`, { signal }).then(({ report }) => report);
+  const learning = get(`${address}/learning`, { signal });
   await Promise.all([
     loading(trust, async () => fill(trust, trustNotice(map, await report)), signal),
-    loading(about, async () => fillAbout(about, map, await report), signal),
+    loading(about, async () => fillAbout(about, map, await report, learningText(await learning)), signal),
     loading(works, async () => fill(works, await showCoverage(map, await report, scene, signal)), signal),
     showScene(scene, map, signal),
   ]);
@@ -120,7 +122,7 @@ function trustNotice(map, report) {
   );
 }
 
-function fillAbout(place, map, report) {
+function fillAbout(place, map, report, learned) {
   const metric = map.scale === "metric";
   const advice = [report.coaching ?? []]
     .flat()
@@ -164,7 +166,13 @@ function fillAbout(place, map, report) {
       ),
       map.previous && previous(map),
     ),
-    h("section", { class: "card stack" }, h("h2", {}, t`Learned from`), sources(map)),
+    h(
+      "section",
+      { class: "card stack" },
+      h("h2", {}, t`Learned from`),
+      sources(map),
+      learned && h("p", { class: "small muted" }, learned),
+    ),
     map.waypoints.length > 0 &&
       h("section", { class: "card stack" }, h("h2", {}, t`Waypoints`), waypoints(map, metric)),
     h("section", { class: "card stack" }, h("h2", {}, t`Export`), downloads(map.name)),

@@ -120,6 +120,19 @@ export const GERMAN = {
   "{0}, of map {1}": "{0}, der Karte {1}",
   Camera: "Kamera",
   "Learned from": "Gelernt aus",
+  "It learns from those who use it: {0} queries are kept.":
+    "Sie lernt von denen, die sie benutzen: {0} Anfragen sind aufbewahrt.",
+  "It no longer learns from those who use it; {0} queries are kept.":
+    "Sie lernt nicht mehr von denen, die sie benutzen; {0} Anfragen sind aufbewahrt.",
+  "From {0} on it can learn.": "Ab {0} kann sie daraus lernen.",
+  "It is learning now.": "Sie lernt gerade.",
+  "On {0} it learned nothing: {1}": "Am {0} hat sie nichts gelernt: {1}",
+  "It last learned on {0}: {1} landmarks are new, {2} are gone.":
+    "Zuletzt gelernt hat sie am {0}: {1} Landmarken sind neu, {2} sind weg.",
+  "With version {0} it learned: {1} landmarks are new, {2} are gone.":
+    "Mit Version {0} hat sie gelernt: {1} Landmarken sind neu, {2} sind weg.",
+  "Of queries held back for a test it placed {0} before and {1} after.":
+    "Von Anfragen, die für eine Probe zurückgehalten waren, fand sie vorher {0} und danach {1}.",
   Waypoints: "Wegpunkte",
   Export: "Exportieren",
   "How good it is": "Wie gut sie ist",

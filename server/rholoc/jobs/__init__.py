@@ -18,6 +18,7 @@ from rholoc.jobs.recording_notes import (
     read_thumbnail,
 )
 from rholoc.jobs.recording_store import PendingRecording, RecordingEntry, RecordingStore
+from rholoc.jobs.shared_queries import SharedQueryStore
 from rholoc.jobs.shared_recordings import SharedRecordingStore
 from rholoc.jobs.shared_uploads import SharedUploadStore
 from rholoc.jobs.upload_store import Upload, UploadStore
@@ -44,6 +45,7 @@ __all__ = [
     "RecordingEntry",
     "RecordingNotes",
     "RecordingStore",
+    "SharedQueryStore",
     "SharedRecordingStore",
     "SharedUploadStore",
     "Timing",

@@ -101,6 +101,10 @@ class JobQueue:
         """The job by which the map of a name learns from its queries, if one is queued or running."""
         return self._jobs.learning(map_name)
 
+    def last_learning(self, map_name: str) -> Job | None:
+        """The job by which the map of a name last learned from its queries, or could not; None where there is none."""
+        return self._jobs.last_learning(map_name)
+
     def counts(self) -> dict[JobState, int]:
         """How many jobs are in each state."""
         return self._jobs.counts()

@@ -113,6 +113,22 @@ class JobTable:
             row = connection.execute(found).mappings().first()
         return None if row is None else _job(row)
 
+    def last_learning(self, map_name: str) -> Job | None:
+        """The published or failed job, of those by which a map learns from its queries, that ended last."""
+        found = (
+            sa.select(jobs_table)
+            .where(
+                jobs_table.c.map_name == map_name,
+                jobs_table.c.recording == "",
+                jobs_table.c.state.in_([JobState.PUBLISHED, JobState.FAILED]),
+            )
+            .order_by(jobs_table.c.ended.desc())
+            .limit(1)
+        )
+        with self._engine.connect() as connection:
+            row = connection.execute(found).mappings().first()
+        return None if row is None else _job(row)
+
     def mapped_before(self, time_s: float) -> Sequence[str]:
         """The recordings all of whose jobs published their maps before ``time_s``, seconds since the epoch."""
         published_before = sa.and_(jobs_table.c.state == JobState.PUBLISHED, jobs_table.c.ended < time_s)

@@ -29,6 +29,7 @@ from rholoc.jobs.pipeline import MappingPipeline, MappingTask, Pipeline, doubts
 from rholoc.jobs.queue import APPLICATION, APPLICATION_VERSION, QUEUE_NAME, WORKFLOW_NAME, open_client
 from rholoc.jobs.recording_notes import READ_FILES
 from rholoc.jobs.recording_store import RecordingStore
+from rholoc.jobs.shared_queries import SharedQueryStore
 from rholoc.jobs.shared_recordings import SharedRecordingStore
 from rholoc.jobs.table import DEAD_AFTER_S, Failure, JobTable, JobWork, Lease, WorkerTable
 from rholoc.maps import CameraLibrary, Map, MapLibrary
@@ -39,6 +40,7 @@ from rholoc.storage.database import open_database
 _log = logging.getLogger("rholoc.jobs")
 
 _MAX_ATTEMPTS = 5
+_INPUTS, _MAP_FILE = "inputs", "map.rho"  # in a job's work folder
 _STORAGE_PATIENCE_S, _STORAGE_AGAIN_S = 600.0, 2.0
 _T = TypeVar("_T")
 _ACTIVE = ("PENDING", "ENQUEUED", "DELAYED")  # states of workflows
@@ -269,25 +271,28 @@ class Worker:
         needs_recording = work.options.kind is not JobKind.LEARN
         return MappingTask(
             recording=self._recordings.path(work.recording) if needs_recording else None,
-            map_file=folder / "map.rho",
+            map_file=folder / _MAP_FILE,
             maps_dir=self._maps_dir if self._shared is None else self._inputs(folder, work),
             map_name=work.map_name,
             options=work.options,
             max_frame_pixels=self._limits.frame_pixels,
             folder=self._recordings.folder(work.recording) if needs_recording else None,
-            data_dir=self._data_dir,
+            data_dir=self._data_dir if self._shared is None else folder / _INPUTS,
         )
 
     def _inputs(self, folder: Path, work: JobWork) -> Path:
-        """A folder with copies of the map and the camera that a job needs of the shared ones."""
+        """A folder with copies of the map, the camera and the queries that a job needs of the shared ones."""
         assert self._shared is not None
         self._shared.refresh()
-        inputs = folder / "inputs"
+        inputs = folder / _INPUTS
         inputs.mkdir(exist_ok=True)
         if work.options.kind is not JobKind.BUILD:
             source = MapLibrary(inputs).path(work.map_name)
             if not source.exists():
                 shutil.copyfile(self._shared.library.path(work.map_name), source)
+        if work.options.kind is JobKind.LEARN and not (folder / _MAP_FILE).exists():
+            queries = SharedQueryStore(self._shared.objects)
+            queries.fetch(self._shared.library.map_id(work.map_name), inputs)
         cameras = CameraLibrary(inputs, self._shared.documents(CAMERAS))
         if work.options.camera is not None and "," not in work.options.camera:
             CameraLibrary(inputs).put(work.options.camera, cameras.get(work.options.camera))

@@ -122,10 +122,16 @@ class MapIndex:
 
         By all descriptors of each; or, which is quicker, of ``some`` features (N,) alone by the first of each.
         """
+        return self.nearest_within(features, landmarks, some).matches(mutual=True)
+
+    def nearest_within(
+        self, features: FeatureSet, landmarks: IntArray, some: IntArray | None = None
+    ) -> NearestLandmarks:
+        """What among some of the map's features a query's features are most like, as for :meth:`match_within`."""
         rows = self.descriptor_rows(landmarks) if some is None else self._medoids[landmarks]
         channels = self.map.channels[self.map.descriptor_features[rows]]
         index = DescriptorIndex(self.map.descriptors[rows], channels, self.metric)
-        return self._nearest(index, rows, features, some).matches(mutual=True)
+        return self._nearest(index, rows, features, some)
 
     def match_near(
         self,

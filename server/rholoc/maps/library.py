@@ -145,6 +145,17 @@ class MapLibrary:
             raise self._unknown(name) from error
         return MapStat(name, status.st_size, status.st_mtime, (status.st_ino, status.st_mtime_ns, status.st_size))
 
+    def map_id(self, name: str) -> str:
+        """The id of the map of that name, which all its versions have; the map itself is not read.
+
+        Raises:
+            InvalidName: it is not a name.
+            UnknownMap: there is no such map.
+            InvalidMap: its file is not a map.
+        """
+        self.stat(name)
+        return load_info(self.path(name)).id
+
     def stamp(self) -> int | None:
         """Changes whenever a map is published, renamed or deleted, by any process; None where that is not known."""
         try:

@@ -21,13 +21,14 @@ from rholoc.jobs import (
     KeptLimits,
     QueryStore,
     RecordingStore,
+    SharedQueryStore,
     SharedRecordingStore,
     SharedUploadStore,
     UploadStore,
 )
 from rholoc.localization import VECTORS_FILE, MapFinder
 from rholoc.logs import configure_logs
-from rholoc.maps import CameraLibrary, MapLibrary, SiteLibrary
+from rholoc.maps import CameraLibrary, Documents, FolderDocuments, MapLibrary, SiteLibrary
 from rholoc.service import web
 from rholoc.service.audit import Audited, AuditLog
 from rholoc.service.bodies import HeldBodies
@@ -63,7 +64,7 @@ from rholoc.service.settings import Settings
 from rholoc.service.state import State
 from rholoc.service.stream_count import OpenStreams
 from rholoc.service.tus import Tus
-from rholoc.storage import CAMERAS, KEYS, SITES, SharedStorage
+from rholoc.storage import ASKERS, CAMERAS, KEYS, SITES, SharedStorage
 
 _BODIES_AT_ONCE = 8  # of the largest size allowed
 
@@ -155,16 +156,19 @@ def open_keys(settings: Settings, shared: SharedStorage | None) -> KeyStore:
 
 def _start(settings: Settings, metrics: Metrics, keys: KeyStore, shared: SharedStorage | None) -> State:
     settings.data_dir.mkdir(parents=True, exist_ok=True)
+    limits = KeptLimits(size_bytes=settings.learn_max_bytes)
     if shared is None:
         settings.maps_dir.mkdir(parents=True, exist_ok=True)
         library = MapLibrary(settings.maps_dir, settings.map_cache_bytes)
         cameras, recordings = CameraLibrary(settings.maps_dir), RecordingStore(settings.data_dir)
-        sites = SiteLibrary(settings.maps_dir)
+        sites, queries = SiteLibrary(settings.maps_dir), QueryStore(settings.data_dir, limits)
+        salts: Documents = FolderDocuments(settings.data_dir)
     else:
         shared.open(follow=True)
         library, cameras = shared.library, CameraLibrary(settings.maps_dir, shared.documents(CAMERAS))
         recordings = SharedRecordingStore(settings.data_dir, shared)
         sites = SiteLibrary(settings.maps_dir, shared.documents(SITES))
+        queries, salts = SharedQueryStore(shared.objects, limits), shared.documents(ASKERS)
     jobs = JobQueue(settings.data_dir, settings.jobs_database, recordings)
     finder = MapFinder(library, settings.data_dir / VECTORS_FILE)
     compute = ComputePool(settings.concurrency, settings.queue_length)
@@ -173,7 +177,6 @@ def _start(settings: Settings, metrics: Metrics, keys: KeyStore, shared: SharedS
     metrics.gauge("rholoc_maps", "Maps in the folder, and how many of them are indexed", "state", finder.counts)
     streams = OpenStreams(settings.max_streams)
     metrics.gauge("rholoc_streams", "Streams of frames that are open", "at", lambda: {"now": streams.count})
-    queries = QueryStore(settings.data_dir, KeptLimits(size_bytes=settings.learn_max_bytes))
     return State(
         settings=settings,
         library=library,
@@ -195,7 +198,7 @@ def _start(settings: Settings, metrics: Metrics, keys: KeyStore, shared: SharedS
         jobs=jobs,
         job_events=JobEvents(jobs),
         queries=queries,
-        learner=Learner(queries, settings),
+        learner=Learner(queries, settings, salts),
         worker=_worker(settings) if settings.worker else None,
         streams=streams,
     )

@@ -13,7 +13,6 @@ from starlette.concurrency import run_in_threadpool
 from rholoc.errors import InvalidMap, RholocError, UnknownMap
 from rholoc.jobs import JobKind, JobOptions
 from rholoc.mapping import FEWEST_QUERIES
-from rholoc.maps import load_info
 from rholoc.service.state import State
 
 _EVERY_S = 600.0
@@ -45,7 +44,7 @@ def _clean(state: State) -> None:
 def _map_ids(state: State) -> set[str] | None:
     """The ids of all maps; None where one cannot be read."""
     try:
-        return {load_info(state.library.path(name)).id for name in state.library.names()}
+        return {state.library.map_id(name) for name in state.library.names()}
     except (InvalidMap, UnknownMap):
         return None
 
@@ -61,7 +60,7 @@ def learn_tonight(state: State, now: datetime) -> None:
     that share a database."""
     for name in state.library.names():
         try:
-            map_id = load_info(state.library.path(name)).id
+            map_id = state.library.map_id(name)
             if state.queries.newer_than(map_id, time.time() - _DAY_S) < FEWEST_QUERIES:
                 continue
             night = hashlib.blake2b(f"{map_id} {now:%Y-%m-%d}".encode(), digest_size=16).hexdigest()

@@ -10,15 +10,16 @@ import time
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
-from pathlib import Path
 
 import structlog
 
+from rholoc.errors import RholocError
 from rholoc.features import Extractor, FeatureSet
 from rholoc.geometry import Camera
 from rholoc.jobs import QueryStore
 from rholoc.localization import Localization
 from rholoc.mapping import AnsweredQuery
+from rholoc.maps import Documents
 from rholoc.service.compute import lower_priority
 from rholoc.service.keys import HANDED_PREFIX
 from rholoc.service.settings import Settings
@@ -59,17 +60,18 @@ class Learner:
     Args:
         store: where they are kept.
         settings: whether, and whose.
+        salts: where the salt of their pseudonyms is kept: in common with whom the queries are.
     """
 
-    def __init__(self, store: QueryStore, settings: Settings) -> None:
-        self._store, self._settings = store, settings
+    def __init__(self, store: QueryStore, settings: Settings, salts: Documents) -> None:
+        self._store, self._settings, self._salts = store, settings, salts
         self._barred = {name.strip() for name in settings.learn_not_from.split(",")} - {""}
         self._waiting: queue.Queue[tuple[Lesson, str] | None] = queue.Queue(_MOST_WAITING)
         self._thread: threading.Thread | None = None
 
     def start(self) -> None:
         """Begin to listen, where the settings say so."""
-        if self._settings.learn and self._settings.shared_storage is None:
+        if self._settings.learn:
             self._thread = threading.Thread(target=self._keep_all, name="rholoc-learner", daemon=True)
             self._thread.start()
 
@@ -105,6 +107,19 @@ class Learner:
         """Whether queries are kept."""
         return self._thread is not None
 
+    def pseudonym(self, asker: str) -> str:
+        """12 hex digits that stand for an asker, and tell nobody who does not have the salt who it is.
+
+        Raises:
+            StorageFull, InvalidInput: there is no salt yet, and it cannot be stored.
+        """
+        try:
+            salt = self._salts.read(_SALT_FILE)
+        except FileNotFoundError:
+            self._salts.write(_SALT_FILE, secrets.token_bytes(_SALT_BYTES), called="the salt of pseudonyms")
+            salt = self._salts.read(_SALT_FILE)
+        return hashlib.blake2b(asker.encode(), key=salt, digest_size=6).hexdigest()
+
     @property
     def idle(self) -> bool:
         """Whether nothing waits to be kept."""
@@ -115,6 +130,8 @@ class Learner:
         while (item := self._waiting.get()) is not None:
             try:
                 self._keep(*item)
+            except RholocError as error:
+                _log.warning("query_not_kept", error=error.message)
             except Exception:
                 _log.exception("query_not_kept")
             finally:
@@ -124,7 +141,7 @@ class Learner:
         pose, covariance = lesson.answer.pose, lesson.answer.covariance
         assert pose is not None
         assert covariance is not None
-        now, who = time.time(), pseudonym(self._settings.data_dir, asker)
+        now, who = time.time(), self.pseudonym(asker)
         if not self._store.wants(lesson.map_id, pose.T_map_camera, who, now):
             return
         query = AnsweredQuery(
@@ -137,17 +154,3 @@ class Learner:
             asker=who,
         )
         self._store.add(lesson.map_id, query)
-
-
-def pseudonym(data_dir: Path, asker: str) -> str:
-    """12 hex digits that stand for an asker in a data folder, and tell nobody who does not have the folder who it is.
-
-    Raises:
-        OSError: the folder cannot be written.
-    """
-    path = data_dir / _SALT_FILE
-    if not path.is_file():
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with suppress(FileExistsError), path.open("xb") as file:
-            file.write(secrets.token_bytes(_SALT_BYTES))
-    return hashlib.blake2b(asker.encode(), key=path.read_bytes(), digest_size=6).hexdigest()

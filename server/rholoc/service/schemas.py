@@ -643,6 +643,7 @@ class LearningOut(_Out):
                 "fewest": 30,
                 "last": None,
                 "job": None,
+                "latest": None,
             }
         },
     )
@@ -657,6 +658,10 @@ class LearningOut(_Out):
     fewest: int = Field(description="how many a map learns from at least")
     last: LearningReport | None = Field(description="what the map last learned from its users")
     job: str | None = Field(description="the id of the job by which it is learning now, or will be")
+    latest: JobOut | None = Field(
+        description="the job by which it last learned from its users, or could not: its `error` says why; null where "
+        "there was none, or it was deleted"
+    )
 
 
 class DeletedQueries(_Out):

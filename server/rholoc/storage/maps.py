@@ -90,6 +90,10 @@ class SharedMapLibrary(MapLibrary):
         row = self._row(name)
         return MapStat(name, row.size_bytes, row.modified, (row.revision, int(row.modified * 1e9), row.size_bytes))
 
+    def map_id(self, name: str) -> str:
+        """As :meth:`MapLibrary.map_id`, without fetching the map."""
+        return self._row(name).map_id
+
     def stamp(self) -> int:
         """As :meth:`MapLibrary.stamp`: the catalogue's revision."""
         return self._replica.revision

@@ -15,7 +15,7 @@ from rholoc.storage.maps import SharedMapLibrary
 from rholoc.storage.objects import ObjectStorage
 from rholoc.storage.replica import MapRow, Replica
 
-CAMERAS, KEYS, SITES = "cameras", "keys", "sites"  # kinds of small files
+ASKERS, CAMERAS, KEYS, SITES = "askers", "cameras", "keys", "sites"  # kinds of small files
 _MAPS = "maps"
 _COPIES = "copies"
 

@@ -7,14 +7,21 @@ from typing import Annotated
 from fastapi import APIRouter, Query, Response
 from starlette.concurrency import run_in_threadpool
 
-from rholoc.errors import Conflict, InvalidInput, InvalidMap, InvalidName, StorageFull, UnknownMap
+from rholoc.errors import (
+    Conflict,
+    InvalidInput,
+    InvalidMap,
+    InvalidName,
+    StorageFull,
+    StorageUnavailable,
+    UnknownMap,
+)
 from rholoc.jobs import JobKind, JobOptions
 from rholoc.mapping import FEWEST_QUERIES, too_few_queries
 from rholoc.maps import check_observations
 from rholoc.service.access import NEEDS_MAP, NEEDS_READ
 from rholoc.service.errors import InvalidRequest
 from rholoc.service.job_events import job_out
-from rholoc.service.learning import pseudonym
 from rholoc.service.openapi import failures
 from rholoc.service.schemas import DeletedQueries, JobOut, LearningOut
 from rholoc.service.state import Service, State
@@ -44,10 +51,10 @@ async def learn_from_users(map_name: str, service: Service, response: Response) 
     "/{map_name}/learning",
     dependencies=[NEEDS_READ],
     summary="What is kept for a map to learn from",
-    responses=failures(*_FAILURES),
+    responses=failures(*_FAILURES, StorageUnavailable),
 )
 async def get_learning(map_name: str, service: Service) -> LearningOut:
-    """How many queries are kept, of how many askers, and what the map last learned from its users."""
+    """How many queries are kept, of how many askers, what the map last learned from its users, and when."""
     return await run_in_threadpool(_learning, service, map_name)
 
 
@@ -71,8 +78,6 @@ async def delete_learning(
 
 def _submit(service: State, map_name: str) -> JobOut:
     map_ = service.library.get(map_name)
-    if service.shared is not None:
-        raise Conflict("Maps in shared storage do not learn from their users.", "Let it learn a recording instead.")
     check_observations(map_, f"The map {map_name}")
     kept = service.queries.kept(map_.info.id).queries
     if kept < FEWEST_QUERIES:
@@ -85,6 +90,7 @@ def _submit(service: State, map_name: str) -> JobOut:
 def _learning(service: State, map_name: str) -> LearningOut:
     info = service.library.get(map_name).info
     kept, job = service.queries.kept(info.id), service.jobs.learning(map_name)
+    latest = service.jobs.last_learning(map_name)
     from_users = [report for report in info.report.learned if report.queries is not None]
     return LearningOut(
         map=map_name,
@@ -97,10 +103,11 @@ def _learning(service: State, map_name: str) -> LearningOut:
         fewest=FEWEST_QUERIES,
         last=from_users[-1] if from_users else None,
         job=None if job is None else job.id,
+        latest=None if latest is None else job_out(latest),
     )
 
 
 def _delete(service: State, map_name: str, asker: str | None) -> DeletedQueries:
     map_id = service.library.get(map_name).info.id
-    who = None if asker is None else pseudonym(service.settings.data_dir, asker)
+    who = None if asker is None else service.learner.pseudonym(asker)
     return DeletedQueries(deleted=service.queries.delete(map_id, who))
