@@ -381,6 +381,12 @@ def retry_job(job_id: str) -> Call[Job]:
     return Call("POST", f"{_job_path(job_id)}/retry", _job, idempotent=False)
 
 
+def prioritize_job(job_id: str, priority: str) -> Call[Job]:
+    """Change how soon a job's turn comes."""
+    body = json.dumps({"priority": priority}).encode()
+    return Call("PATCH", _job_path(job_id), _job, headers={"Content-Type": "application/json"}, content=body)
+
+
 def readiness() -> Call[dict[str, str]]:
     """What is ready."""
     return Call("GET", "/readyz", lambda response: dict(response.json()["checks"]), answers=frozenset({503}))

@@ -292,6 +292,7 @@ class Client:
         poses: str | None = None,
         camera: Camera | str | None = None,
         waypoints: Path | None = None,
+        priority: str | None = None,
         progress: UploadProgress | None = None,
     ) -> Job:
         """Upload a recording and have it mapped. If the connection breaks, the upload resumes where it stopped.
@@ -303,9 +304,10 @@ class Client:
             features, density, poses: how to build it; the service's defaults where None.
             camera: the intrinsics, or the name of a stored camera, instead of the recording's own.
             waypoints: a CSV file of measured waypoints; in a ZIP file it is ``waypoints.csv``.
+            priority: "high", "normal" or "low": how soon its turn comes; None: normal.
             progress: called with how many bytes the service has, and how many there are.
         """
-        fields = _recording_fields(map_name, kind, features, density, poses, camera)
+        fields = _recording_fields(map_name, kind, features, density, poses, camera, priority)
         with opened_recording(path, waypoints) as (name, file):
             return self._run(upload_steps(name, file, fields, self._backoff.retries, progress))
 
@@ -324,6 +326,10 @@ class Client:
     def retry_job(self, job_id: str) -> Job:
         """Queue a failed or cancelled job again."""
         return self._send(_calls.retry_job(job_id))
+
+    def prioritize_job(self, job_id: str, priority: str) -> Job:
+        """Change how soon a queued job's turn comes: "high", "normal" or "low"."""
+        return self._send(_calls.prioritize_job(job_id, priority))
 
     def wait_for_job(
         self,
@@ -583,10 +589,11 @@ class AsyncClient:
         poses: str | None = None,
         camera: Camera | str | None = None,
         waypoints: Path | None = None,
+        priority: str | None = None,
         progress: UploadProgress | None = None,
     ) -> Job:
         """As :meth:`Client.upload_recording`."""
-        fields = _recording_fields(map_name, kind, features, density, poses, camera)
+        fields = _recording_fields(map_name, kind, features, density, poses, camera, priority)
         with opened_recording(path, waypoints) as (name, file):
             return await self._run(upload_steps(name, file, fields, self._backoff.retries, progress))
 
@@ -605,6 +612,10 @@ class AsyncClient:
     async def retry_job(self, job_id: str) -> Job:
         """As :meth:`Client.retry_job`."""
         return await self._send(_calls.retry_job(job_id))
+
+    async def prioritize_job(self, job_id: str, priority: str) -> Job:
+        """As :meth:`Client.prioritize_job`."""
+        return await self._send(_calls.prioritize_job(job_id, priority))
 
     async def wait_for_job(
         self,
@@ -685,6 +696,7 @@ def _recording_fields(
     density: str | None,
     poses: str | None,
     camera: Camera | str | None,
+    priority: str | None,
 ) -> dict[str, str | None]:
     return {
         "map": map_name,
@@ -693,6 +705,7 @@ def _recording_fields(
         "density": density,
         "poses": poses,
         "camera": _camera_text(camera),
+        "priority": priority,
     }
 
 

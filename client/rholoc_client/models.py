@@ -364,6 +364,9 @@ class Job:
         error_code, error_message, error_hint: why it failed, or None.
         created, started, ended: seconds since the epoch, or None.
         attempts: how many workers have taken it up.
+        priority: how soon its turn comes: high, normal or low.
+        memory_bytes: about how much memory it needs; None until its recording was read.
+        obstacle: why no worker can take it: "no_worker", "memory" or "release"; None where one can.
     """
 
     id: str
@@ -382,6 +385,9 @@ class Job:
     started: float | None
     ended: float | None
     attempts: int
+    priority: str = "normal"
+    memory_bytes: int | None = None
+    obstacle: str | None = None
 
     @property
     def trusted(self) -> bool | None:
@@ -512,7 +518,7 @@ def parse_job(answer: Mapping[str, Any]) -> Job:
     error = answer["error"] or {}
     apart = ("log", "warnings", "error_code", "error_message", "error_hint")
     return Job(
-        **{name: answer[name] for name in Job.__dataclass_fields__ if name not in apart},
+        **{name: answer[name] for name in Job.__dataclass_fields__ if name in answer and name not in apart},
         log=tuple(answer["log"]),
         warnings=tuple(answer.get("warnings", ())),
         error_code=error.get("code"),

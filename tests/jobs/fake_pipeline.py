@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
 import sys
 import threading
@@ -15,7 +16,7 @@ import numpy as np
 
 from rholoc.errors import InvalidRecording, UnknownMap
 from rholoc.geometry import Camera
-from rholoc.jobs import MappingPipeline, MappingTask, Timing, run_worker
+from rholoc.jobs import Capacity, MappingPipeline, MappingTask, MoreMemoryNeeded, Timing, run_worker
 from rholoc.maps import DensityKind, Map, MapInfo, MapLibrary, save_map
 from rholoc.progress import ProgressListener, Stage
 from rholoc.reports import MapReport, TrajectoryReport
@@ -65,9 +66,12 @@ class FakePipeline(MappingPipeline):
     def __init__(self, control: Control) -> None:
         self.control = control
 
-    def build(self, task: MappingTask, progress: ProgressListener) -> None:
+    def build(self, task: MappingTask, progress: ProgressListener) -> MoreMemoryNeeded | None:
         if task.map_file.exists():
-            return
+            return None
+        needed_gib = re.match(r"(\d+) GiB", task.recording.read_text())
+        if needed_gib and int(needed_gib[1]) * 2**30 > task.memory_bytes:
+            return MoreMemoryNeeded(int(needed_gib[1]) * 2**30)
         self.control.reach(f"process {os.getpid()}")
         for stage in BUILD_STAGES:
             progress(stage, 0.5, f"at {stage}")
@@ -82,6 +86,7 @@ class FakePipeline(MappingPipeline):
         self.control.reach("built")
         self._wait("built")
         self._kill_once(task, "built", os.getppid())
+        return None
 
     def publish(self, task: MappingTask, library: MapLibrary) -> tuple[str, ...]:
         self._wait("publishing")
@@ -171,7 +176,8 @@ def _signature(library: MapLibrary, name: str) -> tuple[int, int, int] | None:
 
 if __name__ == "__main__":
     data_dir, maps_dir, control_dir = map(Path, sys.argv[1:4])
-    database_url, storage_url = sys.argv[4:] or (None, None)
+    release, jobs, memory_gib = int(sys.argv[4]), int(sys.argv[5]), float(sys.argv[6])
+    database_url, storage_url = sys.argv[7:] or (None, None)
     from fake_pipeline import FakePipeline as ImportablePipeline  # not of __main__, so that it can be pickled
 
     run_worker(
@@ -182,4 +188,6 @@ if __name__ == "__main__":
         timing=TIMING,
         stop=orphaned(),
         storage_url=storage_url,
+        capacity=Capacity(jobs, memory_gib * 2**30),
+        release=release,
     )

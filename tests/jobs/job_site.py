@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import signal
 import subprocess
 import sys
@@ -10,7 +11,8 @@ from pathlib import Path
 
 from fake_pipeline import Control
 
-from rholoc.jobs import Job, JobQueue, JobState, RecordingStore, SharedRecordingStore
+from rholoc.jobs import Job, JobOptions, JobPriority, JobQueue, JobState, RecordingStore, SharedRecordingStore
+from rholoc.jobs.table import RELEASE
 from rholoc.maps import MapLibrary
 from rholoc.storage import SharedStorage
 from waiting import TIMEOUT_S, until
@@ -43,19 +45,24 @@ class Site:
         self.queue = JobQueue(self.data_dir, database_url, self.recordings)
         self._workers: list[subprocess.Popen[bytes]] = []
 
-    def start_worker(self) -> subprocess.Popen[bytes]:
+    def start_worker(
+        self, memory_gib: float = math.inf, jobs: int = 1, release: int = RELEASE
+    ) -> subprocess.Popen[bytes]:
         """A worker that makes tiny maps."""
         folder = self._folder / f"worker-{len(self._workers)}" if self._urls else self._folder
         folders = [folder / "data", folder / "maps", self.control.folder]
-        arguments = [str(_HERE / "fake_pipeline.py"), *map(str, folders), *self._urls]
+        capacity = (release, jobs, memory_gib)
+        arguments = [str(_HERE / "fake_pipeline.py"), *map(str, (*folders, *capacity)), *self._urls]
         worker = subprocess.Popen([sys.executable, *arguments])
         self._workers.append(worker)
         return worker
 
-    def submit(self, content: bytes = b"a walk", map_name: str = "room") -> Job:
+    def submit(
+        self, content: bytes = b"a walk", map_name: str = "room", priority: JobPriority = JobPriority.NORMAL
+    ) -> Job:
         """Upload a recording and queue its job."""
         entry = self.recordings.create([("walk.mp4", [content])])
-        return self.queue.submit(entry.id, map_name)
+        return self.queue.submit(entry.id, map_name, JobOptions(priority=priority))
 
     def wait_for(self, job: Job, *states: JobState) -> Job:
         """The job, once it is in one of the states."""

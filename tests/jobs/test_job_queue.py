@@ -4,15 +4,20 @@ from __future__ import annotations
 
 import math
 import threading
+from collections.abc import Iterator
+from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pytest
 import sqlalchemy as sa
+from hypothesis import given
+from hypothesis import strategies as st
 
 from rholoc.errors import Conflict, InvalidName, StorageFull, UnknownJob, UnknownRecording
-from rholoc.jobs import JobOptions, JobQueue, JobState
-from rholoc.jobs.table import JobTable, overall
+from rholoc.jobs import JobOptions, JobPriority, JobQueue, JobState, Obstacle
+from rholoc.jobs.capacity import memory_for_walk
+from rholoc.jobs.table import RELEASE, JobTable, WorkerTable, overall, turn_of
 from rholoc.maps import DensityKind
 from rholoc.progress import Stage
 from rholoc.storage.database import open_database, reporting_full_database
@@ -70,28 +75,129 @@ def test_a_job_cannot_be_retried_without_its_recording(site: Site) -> None:
         site.queue.retry(job.id)
 
 
-def test_only_the_latest_worker_holds_a_job(tmp_path: Path, site: Site) -> None:
+def test_only_the_latest_worker_holds_a_job(site: Site) -> None:
     options = JobOptions(DensityKind.TENSOR, "sift", PoseMethod.GIVEN, "500,500,320,240")
     entry = site.recordings.create([("walk.mp4", [b"x"])])
     job = site.queue.submit(entry.id, "room", options)
     engine = open_database(site.data_dir)
     table = JobTable(engine)
-    with engine.connect() as connection:
-        workflow = connection.execute(sa.select(jobs_table.c.workflow_id)).scalar_one()
-    first, work = table.take_up(job.id, workflow)
-    assert work.options == options
-    second, _ = table.take_up(job.id, workflow)
+    claim = table.take("one")
+    assert (claim.work.options, table.get(job.id).worker) == (options, "one")
+    assert table.take("other") is None
+    assert table.take_back(["one", "other"], with_nameless=True) == 0
+    assert table.take_back(["other"], with_nameless=False) == 1
+    first, second = claim.lease, table.take("other").lease
     assert (table.holds(first), table.holds(second)) == (False, True)
+    assert second.workflow == first.workflow, "the second goes on where the first stopped"
     assert not table.begin_publishing(first)
     assert not table.publish(first, [])
     table.note(first, Stage.POSES, 0.5, "of the first")
-    assert (table.get(job.id).state, table.get(job.id).message) == (JobState.RUNNING, "waiting for a worker")
+    assert (table.get(job.id).state, table.get(job.id).message) == (JobState.RUNNING, "waiting for another worker")
     site.queue.cancel(job.id)
     assert not table.holds(second)
-    assert table.take_up(job.id, workflow) is None
+    assert table.take("one") is None
     site.queue.retry(job.id)
-    assert table.take_up(job.id, workflow) is None, "the workflow before the retry is not wanted any more"
+    assert table.take("one").lease.workflow != second.workflow, "what was done before the retry is done again"
     engine.dispose()
+
+
+def taken(table: JobTable, **offered: Any) -> list[str]:
+    """The maps of the jobs that a worker takes, in order, until there are no more for it."""
+    names = []
+    while claim := table.take("worker", **offered):
+        names.append(claim.work.map_name)
+    return names
+
+
+@pytest.fixture
+def table(site: Site) -> Iterator[JobTable]:
+    engine = open_database(site.data_dir)
+    yield JobTable(engine)
+    engine.dispose()
+
+
+def test_short_walks_and_high_priorities_come_first(site: Site, table: JobTable) -> None:
+    site.submit(bytes(3_000_000), "long")
+    site.submit(map_name="low", priority=JobPriority.LOW)
+    site.submit(map_name="short")
+    site.submit(map_name="high", priority=JobPriority.HIGH)
+    raised = site.submit(bytes(3_000_000), "raised")
+    assert site.queue.prioritize(raised.id, JobPriority.HIGH).priority is JobPriority.HIGH
+    assert taken(table) == ["high", "raised", "short", "long", "low"]
+    with pytest.raises(Conflict, match="no longer waits"):
+        site.queue.prioritize(raised.id, JobPriority.LOW)
+    with pytest.raises(UnknownJob):
+        site.queue.prioritize("0" * 32, JobPriority.LOW)
+
+
+@given(
+    first=st.sampled_from(JobPriority),
+    later=st.sampled_from(JobPriority),
+    lengths_s=st.tuples(st.floats(0, 3600), st.floats(0, 3600)),
+)
+def test_every_jobs_turn_comes(first: JobPriority, later: JobPriority, lengths_s: tuple[float, float]) -> None:
+    """Nothing that is submitted four days later overtakes, whatever the two are."""
+    assert turn_of(0.0, first, lengths_s[0]) < turn_of(4 * 86400.0, later, lengths_s[1])
+
+
+def test_a_worker_leaves_what_it_has_no_memory_for(site: Site, table: JobTable) -> None:
+    big, small = site.submit(map_name="big"), site.submit(map_name="small")
+    assert table.hand_on(table.take("one").lease, 4 * 2**30)
+    assert table.get(big.id).memory_bytes == 4 * 2**30
+    assert table.take("one", memory_bytes=8 * 2**30, free_bytes=2**30) is None, "the long one is not overtaken for ever"
+    assert taken(table, memory_bytes=2 * 2**30) == ["small"]
+    assert taken(table, memory_bytes=8 * 2**30) == ["big"]
+    assert {site.queue.get(job.id).worker for job in (big, small)} == {"worker"}
+
+
+def test_a_job_that_no_worker_can_take_says_why(site: Site, table: JobTable) -> None:
+    workers = WorkerTable(table._engine)
+    job = site.submit()
+    assert (job.obstacle, job.message) == (Obstacle.NO_WORKER, "waiting for a worker: none is running")
+    workers.beat("small", memory_bytes=2 * 2**30)
+    assert [(one.obstacle, one.message) for one in site.queue.list()] == [(None, "waiting for a worker")]
+    table.hand_on(table.take("small").lease, 4 * 2**30)
+    waiting = site.queue.get(job.id)
+    assert waiting.obstacle is Obstacle.MEMORY
+    assert waiting.message == "waiting for a worker with 4.0 GiB of memory for it: none has more than 2.0 GiB"
+    workers.beat("large", memory_bytes=8 * 2**30)
+    assert site.queue.get(job.id).obstacle is None
+    workers.beat("large", memory_bytes=8 * 2**30, release=1)
+    assert site.queue.get(job.id).obstacle is Obstacle.MEMORY, "an earlier release's cannot take it"
+    workers.beat("small", release=1)
+    assert site.queue.get(job.id).obstacle is Obstacle.RELEASE
+
+
+def test_releases_share_the_jobs(site: Site, table: JobTable) -> None:
+    site.submit(map_name="present")
+    later = JobQueue(site.data_dir, release=RELEASE + 1)
+    entry = site.recordings.create([("walk.mp4", [b"x"])])
+    later.submit(entry.id, "later")
+    later.close()
+    with table._engine.begin() as connection:  # as a release without the columns left it
+        earlier = {"id": "1" * 32, "recording": entry.id, "map_name": "earlier", "options": asdict(JobOptions())}
+        rest = {"stage": "received", "progress": 0, "message": "", "log": [], "attempts": 0, "workflow_id": "w"}
+        connection.execute(jobs_table.insert().values(**earlier, **rest, state=JobState.QUEUED, created=0.0))
+    first = table.take("worker")
+    assert (first.work.map_name, first.lease.workflow == "w") == ("earlier", False), "its own workers may not begin it"
+    assert taken(table) == ["present"]
+    assert taken(table, release=RELEASE + 1) == ["later"]
+
+
+def test_jobs_of_workers_without_names_are_left_to_them(site: Site, table: JobTable) -> None:
+    job = site.submit()
+    with table._engine.begin() as connection:
+        connection.execute(jobs_table.update().values(state=JobState.RUNNING))
+    assert table.take_back(["worker"], with_nameless=False) == 0
+    assert table.take_back(["worker"], with_nameless=True) == 1
+    assert site.queue.get(job.id).state is JobState.QUEUED
+
+
+def test_memory_is_estimated_from_length_and_pixels() -> None:
+    walk = {length_s: memory_for_walk(length_s, 640 * 480) / 1e9 for length_s in (30, 120, 300, 600)}
+    measured_gb = {30: 1.07, 120: 1.51, 300: 2.25, 600: 3.68}
+    assert all(measured_gb[length_s] * 0.95 < walk[length_s] < measured_gb[length_s] * 1.15 for length_s in walk)
+    assert memory_for_walk(30, 3840 * 2160) > memory_for_walk(30, 640 * 480)
 
 
 def test_many_threads_may_submit(site: Site) -> None:

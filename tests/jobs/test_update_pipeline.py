@@ -6,12 +6,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from rholoc.errors import Conflict, MappingFailed, UnknownMap
 from rholoc.jobs import JobKind, JobOptions, MappingPipeline, MappingTask, pipeline
 from rholoc.maps import Map, MapLibrary
 from rholoc.progress import silent
+from rholoc.recordings import MemoryFrames, Recording
 
 
 @pytest.fixture
@@ -19,7 +21,8 @@ def task(tmp_path: Path, point_room: Any, monkeypatch: pytest.MonkeyPatch) -> Ma
     """An update of the map ``room``, whose recording needs no reading and is learned by counting the version up."""
     (tmp_path / "work").mkdir()
     MapLibrary(tmp_path / "maps").put("room", point_room.map_of(point_room.walk(60)[:30], "first"))
-    monkeypatch.setattr(pipeline, "read_recording", lambda *_args, **_options: None)
+    recording = Recording("walk", tmp_path, MemoryFrames([np.zeros((48, 64), np.uint8)] * 2))
+    monkeypatch.setattr(pipeline, "read_recording", lambda *_args, **_options: recording)
     monkeypatch.setattr(pipeline, "update_map", lambda map_, *_: next_version(map_))
     options = JobOptions(kind=JobKind.UPDATE)
     return MappingTask(tmp_path / "walk.mp4", tmp_path / "work" / "map.rho", tmp_path / "maps", "room", options)

@@ -1,21 +1,21 @@
-"""``rholoc job``: the mapping jobs of a server."""
+"""``rholoc job``: the mapping jobs of a server, and how soon their turn comes."""
 
 from __future__ import annotations
 
 from dataclasses import asdict
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from rholoc.cli.console import output, print_json, print_notice
 from rholoc.cli.maps import trust_line
-from rholoc.cli.options import Json
+from rholoc.cli.options import Json, choice
 from rholoc.cli.serve import Data, service_settings
 
 if TYPE_CHECKING:
     from rholoc.jobs import Job
 
-app = typer.Typer(help="Show the mapping jobs of a server.", no_args_is_help=True)
+app = typer.Typer(help="Show the mapping jobs of a server, and say how soon their turn comes.", no_args_is_help=True)
 
 
 @app.callback()
@@ -43,9 +43,28 @@ def list_jobs(data: Data = None, as_json: Json = False) -> None:
         output.print(f"{job.id}: {job.map_name}, {_outcome(job)}", markup=False, soft_wrap=True)
 
 
+@app.command()
+def prioritize(
+    job: Annotated[str, typer.Argument(metavar="JOB", help="The job's id, as rholoc job list shows it.")],
+    priority: Annotated[str, typer.Argument(metavar="high|normal|low", help="How soon its turn comes.")],
+    data: Data = None,
+) -> None:
+    """Change the priority of a job that waits for a worker."""
+    from rholoc.jobs import JobPriority, JobQueue
+
+    wanted = choice(JobPriority, priority, "The priority")
+    settings = service_settings(data_dir=data)
+    queue = JobQueue(settings.data_dir, settings.jobs_database)
+    try:
+        changed = queue.prioritize(job, wanted)
+    finally:
+        queue.close()
+    print_notice(f"The job for the map {changed.map_name} has priority {changed.priority}.")
+
+
 def _outcome(job: Job) -> str:
     if job.error_message is not None:
         return f"{job.state}: {job.error_message}"
     if job.trusted is not None:
         return f"{job.state}, trusted: {trust_line(job.trusted, ' '.join(job.warnings))}"
-    return f"{job.state}, {job.stage}"
+    return f"{job.state}, {job.stage if job.obstacle is None else job.message}"

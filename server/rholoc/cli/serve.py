@@ -124,6 +124,7 @@ def worker(maps: Maps = None, data: Data = None) -> None:
         settings.jobs_database,
         limits=settings.job_limits,
         storage_url=settings.shared_storage,
+        capacity=settings.worker_capacity,
     )
 
 

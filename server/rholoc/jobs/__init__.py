@@ -1,8 +1,9 @@
 """Durable mapping jobs: recordings on disk, the queue, and the workers that turn recordings into maps."""
 
 from rholoc.jobs.build_process import BuildLimits
+from rholoc.jobs.capacity import Capacity, MoreMemoryNeeded
 from rholoc.jobs.embedded import EmbeddedWorker
-from rholoc.jobs.job import Job, JobKind, JobOptions, JobState
+from rholoc.jobs.job import Job, JobKind, JobOptions, JobPriority, JobState, Obstacle
 from rholoc.jobs.moving_in import MovedIn, move_in
 from rholoc.jobs.pipeline import MappingPipeline, MappingTask, Pipeline
 from rholoc.jobs.query_store import KeptLimits, KeptQueries, QueryStore
@@ -27,17 +28,21 @@ from rholoc.jobs.worker import Timing, Worker, run_worker
 __all__ = [
     "WAYPOINTS_FILE",
     "BuildLimits",
+    "Capacity",
     "EmbeddedWorker",
     "Job",
     "JobKind",
     "JobOptions",
+    "JobPriority",
     "JobQueue",
     "JobState",
     "KeptLimits",
     "KeptQueries",
     "MappingPipeline",
     "MappingTask",
+    "MoreMemoryNeeded",
     "MovedIn",
+    "Obstacle",
     "PendingRecording",
     "Pipeline",
     "QueryStore",

@@ -8,6 +8,7 @@ import threading
 from pathlib import Path
 
 from rholoc.jobs.build_process import BuildLimits
+from rholoc.jobs.capacity import Capacity
 from rholoc.jobs.worker import run_worker
 from rholoc.logs import configure_process_logs
 from rholoc.processes import call_when_input_ends
@@ -16,11 +17,18 @@ from rholoc.processes import call_when_input_ends
 def main() -> None:
     """Work until the server closes the pipe, on purpose or by dying."""
     configure_process_logs()
-    data_dir, maps_dir, database_url, storage_url, *limits = json.loads(sys.stdin.buffer.readline())
+    data_dir, maps_dir, database_url, storage_url, capacity, limits = json.loads(sys.stdin.buffer.readline())
     stop = threading.Event()
     call_when_input_ends(stop.set)
-    limited = BuildLimits(*limits)
-    run_worker(Path(data_dir), Path(maps_dir), database_url, limits=limited, stop=stop, storage_url=storage_url)
+    run_worker(
+        Path(data_dir),
+        Path(maps_dir),
+        database_url,
+        limits=BuildLimits(*limits),
+        stop=stop,
+        storage_url=storage_url,
+        capacity=Capacity(*capacity),
+    )
 
 
 if __name__ == "__main__":

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 from rholoc.disk import is_full, storage_full
 from rholoc.errors import RholocError
+from rholoc.jobs.capacity import MoreMemoryNeeded
 from rholoc.jobs.pipeline import MappingTask, Pipeline
 from rholoc.jobs.table import Failure
 from rholoc.processes import (
@@ -43,8 +44,8 @@ def build_in_process(
     poll_s: float,
     cancel_grace_s: float,
     limits: Limits,
-) -> Failure | None:
-    """Run ``pipeline.build`` in a new process; returns why it failed, or None when the map file is there.
+) -> Failure | MoreMemoryNeeded | None:
+    """Run ``pipeline.build`` in a new process; returns why there is no map file, or None when it is there.
 
     Args:
         pipeline: what to run.
@@ -104,10 +105,12 @@ def _died(died: ChildDied) -> Failure:
     )
 
 
-def run_build(pipeline: Pipeline, task: MappingTask, limits: Limits, listener: ProgressListener) -> Failure | None:
-    """Run ``pipeline.build`` in this process; returns why it failed, or None."""
+def run_build(
+    pipeline: Pipeline, task: MappingTask, limits: Limits, listener: ProgressListener
+) -> Failure | MoreMemoryNeeded | None:
+    """Run ``pipeline.build`` in this process; returns why it failed or could not be done here, or None."""
     try:
-        pipeline.build(task, listener)
+        return pipeline.build(task, listener)
     except RholocError as error:
         return describe(error)
     except MemoryError:
@@ -116,7 +119,6 @@ def run_build(pipeline: Pipeline, task: MappingTask, limits: Limits, listener: P
         return describe(storage_full()) if is_full(error) else unexpected(error)
     except Exception as error:
         return unexpected(error)
-    return None
 
 
 def describe(error: RholocError) -> Failure:

@@ -9,6 +9,7 @@ from dataclasses import astuple
 from pathlib import Path
 
 from rholoc.jobs.build_process import BuildLimits
+from rholoc.jobs.capacity import Capacity
 from rholoc.processes import Program
 
 _log = logging.getLogger("rholoc.jobs")
@@ -27,8 +28,10 @@ class EmbeddedWorker:
         database_url: str | None = None,
         limits: BuildLimits | None = None,
         storage_url: str | None = None,
+        capacity: Capacity | None = None,
     ) -> None:
-        configuration = [str(data_dir), str(maps_dir), database_url, storage_url, *astuple(limits or BuildLimits())]
+        taken_on = [astuple(capacity or Capacity()), astuple(limits or BuildLimits())]
+        configuration = [str(data_dir), str(maps_dir), database_url, storage_url, *taken_on]
         # Through the standard input, not the command line: the URL may hold a password.
         self._configuration = json.dumps(configuration).encode() + b"\n"
         self._stopping = threading.Event()

@@ -21,6 +21,14 @@ class JobKind(StrEnum):
     LEARN = "learn"  # lets the map of that name learn from the queries kept for it; there is no recording
 
 
+class JobPriority(StrEnum):
+    """How soon a job's turn comes."""
+
+    HIGH = "high"  # before all others that were submitted within a day
+    NORMAL = "normal"
+    LOW = "low"  # after all others that are submitted within a day
+
+
 @dataclass(frozen=True)
 class JobOptions:
     """How a job builds or updates its map.
@@ -34,6 +42,7 @@ class JobOptions:
             recording's own.
         pictures: whether the map keeps a small picture of each view.
         frames: a choice of the recording's frames by number, ``start:stop[:step]``; None takes all.
+        priority: how soon its turn comes.
     """
 
     density: DensityKind = DensityKind.RAY
@@ -43,6 +52,7 @@ class JobOptions:
     kind: JobKind = JobKind.BUILD
     pictures: bool = False
     frames: str | None = None
+    priority: JobPriority = JobPriority.NORMAL
 
     @classmethod
     def from_json(cls, stored: Mapping[str, Any]) -> JobOptions:
@@ -55,6 +65,7 @@ class JobOptions:
             kind=JobKind(stored.get("kind", JobKind.BUILD)),  # missing in jobs from before there were updates
             pictures=stored.get("pictures", False),
             frames=stored.get("frames"),
+            priority=JobPriority(stored.get("priority", JobPriority.NORMAL)),
         )
 
 
@@ -71,6 +82,14 @@ class JobState(StrEnum):
     def ended(self) -> bool:
         """Whether the job will no longer change by itself."""
         return self in (JobState.PUBLISHED, JobState.FAILED, JobState.CANCELLED)
+
+
+class Obstacle(StrEnum):
+    """Why no worker can take a queued job."""
+
+    NO_WORKER = "no_worker"  # none is alive
+    MEMORY = "memory"  # none that is alive has as much memory as it needs
+    RELEASE = "release"  # it is of a later release than all that are alive
 
 
 @dataclass(frozen=True)
@@ -90,6 +109,11 @@ class Job:
         error_code, error_message, error_hint: set when it failed.
         created, started, ended: seconds since the epoch, or None.
         attempts: how many workers have taken it up.
+        priority: how soon its turn comes.
+        memory_bytes: about how much memory it needs; None until its recording was read.
+        worker: the id of the worker that has it; None where none has.
+        release: of the job's work, see :data:`rholoc.jobs.table.RELEASE`.
+        obstacle: why no worker can take it; None where one can, or has, or need not.
     """
 
     id: str
@@ -108,6 +132,11 @@ class Job:
     started: float | None
     ended: float | None
     attempts: int
+    priority: JobPriority = JobPriority.NORMAL
+    memory_bytes: int | None = None
+    worker: str | None = None
+    release: int = 1
+    obstacle: Obstacle | None = None
 
     @property
     def trusted(self) -> bool | None:

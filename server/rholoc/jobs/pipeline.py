@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
 from rholoc.errors import InvalidMap, UnknownMap
+from rholoc.jobs.capacity import MoreMemoryNeeded, memory_for
 from rholoc.jobs.job import JobKind, JobOptions
 from rholoc.jobs.query_store import QueryStore
 from rholoc.jobs.recording_notes import WAYPOINTS_FILE, note_recording
@@ -30,6 +32,7 @@ class MappingTask:
         max_frame_pixels: the most pixels a frame of the recording's video may have.
         folder: where notes on the recording are kept, and waypoints that replace its own.
         data_dir: where the queries are kept that a map learns from.
+        memory_bytes: how much memory it may take here.
     """
 
     recording: Path | None
@@ -40,6 +43,7 @@ class MappingTask:
     max_frame_pixels: int = MAX_FRAME_PIXELS
     folder: Path | None = None
     data_dir: Path | None = None
+    memory_bytes: float = math.inf
 
 
 class Pipeline(Protocol):
@@ -48,8 +52,12 @@ class Pipeline(Protocol):
     ``build`` runs in a process of its own that may be killed at any time; a pipeline must therefore be picklable.
     """
 
-    def build(self, task: MappingTask, progress: ProgressListener) -> None:
-        """Write ``task.map_file``, atomically; do nothing if it exists."""
+    def build(self, task: MappingTask, progress: ProgressListener) -> MoreMemoryNeeded | None:
+        """Write ``task.map_file``, atomically; do nothing if it exists.
+
+        Returns:
+            None; or what it needs where it would need more memory than it may take, and nothing was written.
+        """
         ...
 
     def publish(self, task: MappingTask, library: MapLibrary) -> tuple[str, ...]:
@@ -64,18 +72,23 @@ class Pipeline(Protocol):
 class MappingPipeline:
     """The pipeline of the service: recording → map → library, or kept queries → the map's next version → library."""
 
-    def build(self, task: MappingTask, progress: ProgressListener) -> None:
+    def build(self, task: MappingTask, progress: ProgressListener) -> MoreMemoryNeeded | None:
         """Read the recording, build its map or learn it into the existing one, and save the result.
+
+        As soon as the recording was read it is known how much memory that takes; where that is too much, it ends.
 
         Raises: as :func:`rholoc.recordings.read_recording`, and :func:`rholoc.mapping.build_map`, ``update_map`` or
             ``learn_from_queries`` do.
         """
         if task.map_file.exists():
-            return
+            return None
         built = _learned(task, progress) if task.options.kind is JobKind.LEARN else _mapped(task, progress)
+        if isinstance(built, MoreMemoryNeeded):
+            return built
         partial = task.map_file.with_name(f"{os.getpid()}-{task.map_file.name}")
         save_map(built, partial)
         partial.replace(task.map_file)
+        return None
 
     def publish(self, task: MappingTask, library: MapLibrary) -> tuple[str, ...]:
         """Put the map into the library, unless it is already there.
@@ -92,7 +105,7 @@ class MappingPipeline:
         return doubts(map_)
 
 
-def _mapped(task: MappingTask, progress: ProgressListener) -> Map:
+def _mapped(task: MappingTask, progress: ProgressListener) -> Map | MoreMemoryNeeded:
     assert task.recording is not None
     progress(Stage.READ, 0.0, "reading the recording")
     camera = CameraLibrary(task.maps_dir).named_in(task.options.camera)
@@ -102,6 +115,9 @@ def _mapped(task: MappingTask, progress: ProgressListener) -> Map:
         )
         if task.folder is not None and task.options.frames is None and _corrected(task) is None:
             note_recording(task.folder, recording)
+    needed_bytes = memory_for(recording)
+    if needed_bytes > task.memory_bytes:
+        return MoreMemoryNeeded(needed_bytes)
     return _updated(task, recording, progress) if _updates(task) else _built(task, recording, progress)
 
 

@@ -4,34 +4,34 @@ from __future__ import annotations
 
 import time
 import uuid
+from collections.abc import Sequence
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 
-import sqlalchemy as sa
-from dbos import DBOSClient, EnqueueOptions
 from sqlalchemy.exc import IntegrityError
 
 from rholoc.errors import Conflict, UnknownRecording
-from rholoc.jobs.job import Job, JobKind, JobOptions, JobState
+from rholoc.jobs.capacity import memory_for_walk
+from rholoc.jobs.job import Job, JobKind, JobOptions, JobPriority, JobState, Obstacle
+from rholoc.jobs.recording_notes import read_notes
 from rholoc.jobs.recording_store import RecordingStore
-from rholoc.jobs.table import JobTable, JobWork, WorkerTable
+from rholoc.jobs.table import RELEASE, JobTable, JobWork, WorkerOffer, WorkerTable
 from rholoc.maps import check_map_name
 from rholoc.storage.database import open_database, reporting_full_database
 
-APPLICATION = "rholoc"
-QUEUE_NAME = "rholoc-mapping"
-WORKFLOW_NAME = "rholoc-map-recording"
-
-# Pinned, so that a new release continues the jobs of the one before. Change it only if the workflow's steps change so
-# much that a half-done job cannot be continued.
-APPLICATION_VERSION = "1"
+_BYTES_PER_SECOND = 1e6  # of an upload whose walk nobody has looked at yet
 
 
 class JobQueue:
     """The queue of mapping jobs."""
 
     def __init__(
-        self, data_dir: Path, database_url: str | None = None, recordings: RecordingStore | None = None
+        self,
+        data_dir: Path,
+        database_url: str | None = None,
+        recordings: RecordingStore | None = None,
+        release: int = RELEASE,
     ) -> None:
         """Open the queue, and create its tables where they are missing.
 
@@ -39,14 +39,15 @@ class JobQueue:
             data_dir: where the SQLite file is kept, and the recordings.
             database_url: ``postgresql://…``, or None for the SQLite file.
             recordings: those that jobs are about, where they are kept elsewhere.
+            release: of the work that is submitted here.
 
         Raises:
             StorageFull: the disk is full.
         """
         self._recordings = recordings or RecordingStore(data_dir)
         self._engine = open_database(data_dir, database_url)
-        self._client = open_client(self._engine)
-        self._jobs = JobTable(self._engine)
+        self._jobs, self._workers = JobTable(self._engine), WorkerTable(self._engine)
+        self._release = release
 
     def submit(
         self, recording_id: str, map_name: str, options: JobOptions | None = None, job_id: str | None = None
@@ -67,15 +68,12 @@ class JobQueue:
         """
         check_map_name(map_name)
         options = options or JobOptions()
-        if options.kind is not JobKind.LEARN:
-            self._recordings.get(recording_id)
+        work = JobWork("" if options.kind is JobKind.LEARN else recording_id, map_name, options)
+        length_s, memory_bytes = self._size_of(work.recording, options)
         job_id = job_id or uuid.uuid4().hex
-        workflow = _workflow_id(job_id)
-        work = JobWork(recording_id, map_name, options)
-        with reporting_full_database(), suppress(IntegrityError), self._engine.begin() as connection:
-            self._jobs.insert(connection, job_id, work, workflow)
-            self._enqueue(connection, job_id, workflow)
-        return self._jobs.get(job_id)
+        with reporting_full_database(), suppress(IntegrityError):
+            self._jobs.insert(job_id, work, length_s, memory_bytes, self._release)
+        return self.get(job_id)
 
     def get(self, job_id: str) -> Job:
         """The job.
@@ -83,7 +81,7 @@ class JobQueue:
         Raises:
             UnknownJob: no job has this id.
         """
-        return self._jobs.get(job_id)
+        return self._explained([self._jobs.get(job_id)])[0]
 
     def list(self, most: int | None = None, before: str | None = None) -> list[Job]:
         """Jobs, the newest first.
@@ -95,7 +93,7 @@ class JobQueue:
         Raises:
             UnknownJob: there is no job ``before``.
         """
-        return self._jobs.list(most, before)
+        return [*self._explained(self._jobs.list(most, before))]
 
     def learning(self, map_name: str) -> Job | None:
         """The job by which the map of a name learns from its queries, if one is queued or running."""
@@ -118,8 +116,7 @@ class JobQueue:
         """
         self._jobs.get(job_id)
         with reporting_full_database():
-            # DBOS need not know: a worker that has or takes the job sees that it was cancelled, and ends its workflow.
-            self._jobs.cancel(job_id)
+            self._jobs.cancel(job_id)  # a worker that has it sees that, and ends its workflow
         return self._jobs.get(job_id)
 
     def delete(self, job_id: str) -> Job:
@@ -143,13 +140,21 @@ class JobQueue:
             UnknownRecording: its recording was deleted.
         """
         job = self._jobs.get(job_id)
-        if job.recording:
-            self._recordings.get(job.recording)
-        workflow = _workflow_id(job_id)
-        with reporting_full_database(), self._engine.begin() as connection:
-            self._jobs.requeue(connection, job_id, workflow)
-            self._enqueue(connection, job_id, workflow)
-        return self._jobs.get(job_id)
+        length_s = self._recordings.get(job.recording).size_bytes / _BYTES_PER_SECOND if job.recording else 0.0
+        with reporting_full_database():
+            self._jobs.requeue(job_id, length_s, self._release)
+        return self.get(job_id)
+
+    def prioritize(self, job_id: str, priority: JobPriority) -> Job:
+        """Change the priority of a queued job.
+
+        Raises:
+            UnknownJob: no job has this id.
+            Conflict: it does not wait any more.
+        """
+        with reporting_full_database():
+            self._jobs.prioritize(job_id, priority)
+        return self.get(job_id)
 
     def delete_recording(self, recording_id: str) -> None:
         """Delete a stored recording that no job needs.
@@ -174,28 +179,45 @@ class JobQueue:
 
     def has_worker(self) -> bool:
         """Whether a worker is alive, here or elsewhere, by its last heartbeat."""
-        return WorkerTable(self._engine).any_alive()
+        return bool(self._workers.living())
 
     def close(self) -> None:
         """Close the connections."""
-        self._client.destroy()
         self._engine.dispose()
 
-    def _enqueue(self, connection: sa.Connection, job_id: str, workflow: str) -> None:
-        options: EnqueueOptions = {
-            "workflow_name": WORKFLOW_NAME,
-            "queue_name": QUEUE_NAME,
-            "workflow_id": workflow,
-            "app_version": APPLICATION_VERSION,
-        }
-        self._client.enqueue_in_transaction(connection, options, job_id)
+    def _size_of(self, recording_id: str, options: JobOptions) -> tuple[float, int | None]:
+        """How long a job's walk is, roughly, in seconds, and how much memory it takes; None where nobody has read it.
+
+        Raises:
+            UnknownRecording: there is no such recording.
+        """
+        if not recording_id:
+            return 0.0, memory_for_walk(0.0, 0)
+        length_s = self._recordings.get(recording_id).size_bytes / _BYTES_PER_SECOND
+        notes = read_notes(self._recordings.folder(recording_id))
+        if notes is None or options.frames is not None:
+            return length_s, None
+        length_s = notes.last_s - notes.first_s
+        return length_s, memory_for_walk(length_s, notes.width * notes.height)
+
+    def _explained(self, jobs: Sequence[Job]) -> Sequence[Job]:
+        """Jobs, the queued ones with what stands in their way."""
+        if not any(job.state is JobState.QUEUED for job in jobs):
+            return jobs
+        workers = self._workers.living()
+        return [_explained(job, workers) if job.state is JobState.QUEUED else job for job in jobs]
 
 
-def open_client(engine: sa.Engine) -> DBOSClient:
-    """A client of DBOS, for use outside its workflows, on our own connections."""
-    return DBOSClient(system_database_engine=engine, application_name=APPLICATION)
-
-
-def _workflow_id(job_id: str) -> str:
-    """A new workflow for the job: a retry must not find the steps of the run before."""
-    return f"{job_id}-{uuid.uuid4().hex[:8]}"
+def _explained(job: Job, workers: Sequence[WorkerOffer]) -> Job:
+    """A queued job with what stands in its way."""
+    if not workers:
+        return replace(job, obstacle=Obstacle.NO_WORKER, message="waiting for a worker: none is running")
+    able = [worker for worker in workers if worker.release >= job.release]
+    if not able:
+        return replace(job, obstacle=Obstacle.RELEASE, message="waiting for a worker of a later release")
+    most_bytes = max(worker.memory_bytes for worker in able)
+    if job.memory_bytes is None or job.memory_bytes <= most_bytes:
+        return job
+    needed, most = (f"{memory / 2**30:.1f} GiB" for memory in (job.memory_bytes, most_bytes))
+    message = f"waiting for a worker with {needed} of memory for it: none has more than {most}"
+    return replace(job, obstacle=Obstacle.MEMORY, message=message)

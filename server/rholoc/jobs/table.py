@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 import time
-from collections.abc import Sequence
+import uuid
+from collections.abc import Collection, Sequence
 from contextlib import nullcontext
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -11,7 +13,7 @@ from typing import Any
 import sqlalchemy as sa
 
 from rholoc.errors import Conflict, UnknownJob
-from rholoc.jobs.job import Job, JobOptions, JobState
+from rholoc.jobs.job import Job, JobOptions, JobPriority, JobState
 from rholoc.progress import Stage
 from rholoc.storage.tables import jobs_table, workers_table
 
@@ -19,7 +21,15 @@ LOG_LINES = 50
 MAX_LINE_LENGTH = 500  # characters of a job's messages
 MAX_WARNINGS = 20
 DEAD_AFTER_S = 15.0  # since the last heartbeat
+RELEASE = 2
+"""Of the work that jobs are. It goes up where an earlier release's workers could not do a new kind of job, or go on
+with one that is half done: they leave it to later ones, which do all that is of an earlier release from its start."""
+
+_FIRST_RELEASE = 1  # of rows that do not say
 _ID_LENGTH = 32
+_DAY_S = 24 * 3600.0
+_AHEAD_S = {JobPriority.HIGH: _DAY_S, JobPriority.NORMAL: 0.0, JobPriority.LOW: -_DAY_S}
+_PATIENCE = 10.0  # seconds that a second of a walk lets shorter ones overtake it
 
 # Roughly what share of a job's time each stage takes.
 _SHARES = {
@@ -62,6 +72,35 @@ class JobWork:
     options: JobOptions
 
 
+@dataclass(frozen=True)
+class Claim:
+    """A job that a worker has taken.
+
+    Attributes:
+        lease: its hold on the job.
+        work: what is to be done.
+        memory_bytes: about how much memory that takes; 0 where it is not known yet.
+    """
+
+    lease: Lease
+    work: JobWork
+    memory_bytes: int
+
+
+def turn_of(submitted_s: float, priority: JobPriority, length_s: float) -> float:
+    """When a job's turn is: jobs are taken in this order.
+
+    Shorter walks and higher priorities overtake, but only what was submitted at about the same time: the turn does not
+    change, so that every job's comes.
+
+    Args:
+        submitted_s: seconds since the epoch.
+        priority: of the job.
+        length_s: of the walk, roughly.
+    """
+    return submitted_s - _AHEAD_S[priority] + _PATIENCE * length_s
+
+
 class JobTable:
     """The table of jobs."""
 
@@ -73,7 +112,7 @@ class JobTable:
         with self._engine.connect() as connection:
             row = connection.execute(sa.select(jobs_table).where(jobs_table.c.id == job_id)).mappings().first()
         if row is None:
-            raise UnknownJob(f"There is no job {job_id[:_ID_LENGTH]!r}.", "List the jobs to see their ids.")
+            raise _unknown(job_id)
         return _job(row)
 
     def list(self, most: int | None = None, before: str | None = None) -> list[Job]:
@@ -140,29 +179,58 @@ class JobTable:
 
     # What users do
 
-    def insert(self, connection: sa.Connection, job_id: str, work: JobWork, workflow: str) -> None:
-        """Add a queued job, within the caller's transaction."""
-        connection.execute(
-            jobs_table.insert().values(
-                id=job_id,
-                recording=work.recording,
-                map_name=work.map_name,
-                options=asdict(work.options),
-                created=time.time(),
-                workflow_id=workflow,
-                **_QUEUED,
-            )
-        )
+    def insert(self, job_id: str, work: JobWork, length_s: float, memory_bytes: int | None, release: int) -> None:
+        """Add a queued job. Raises IntegrityError: there is one of this id.
 
-    def requeue(self, connection: sa.Connection, job_id: str, workflow: str) -> None:
-        """Queue a failed or cancelled job again, within the caller's transaction. Raises Conflict."""
-        changed = connection.execute(
-            jobs_table.update()
-            .where(jobs_table.c.id == job_id, jobs_table.c.state.in_([JobState.FAILED, JobState.CANCELLED]))
-            .values(workflow_id=workflow, **_QUEUED)
-        )
+        Args:
+            job_id: 32 hex digits.
+            work: what is to be done.
+            length_s: of the walk, roughly.
+            memory_bytes: about how much memory it takes; None: not known yet.
+            release: of the work.
+        """
+        now = time.time()
+        values = {
+            "id": job_id,
+            "recording": work.recording,
+            "map_name": work.map_name,
+            "options": asdict(work.options),
+            "created": now,
+            "workflow_id": _new_workflow(job_id),
+            "release": release,
+            "turn": turn_of(now, work.options.priority, length_s),
+            "memory_bytes": memory_bytes,
+        }
+        with self._engine.begin() as connection:
+            connection.execute(jobs_table.insert().values(**values, **_QUEUED))
+
+    def requeue(self, job_id: str, length_s: float, release: int) -> None:
+        """Queue a failed or cancelled job again, as if it were submitted now. Raises UnknownJob, Conflict."""
+        turn = turn_of(time.time(), self.get(job_id).priority, length_s)
+        values = {"workflow_id": _new_workflow(job_id), "release": release, "turn": turn, **_QUEUED}
+        with self._engine.begin() as connection:
+            changed = connection.execute(
+                jobs_table.update()
+                .where(jobs_table.c.id == job_id, jobs_table.c.state.in_([JobState.FAILED, JobState.CANCELLED]))
+                .values(**values)
+            )
         if not changed.rowcount:
             raise Conflict("Only a job that failed or was cancelled can be retried.", "Submit a new one.")
+
+    def prioritize(self, job_id: str, priority: JobPriority) -> None:
+        """Change the priority of a queued job. Raises UnknownJob, Conflict."""
+        with self._engine.begin() as connection:
+            row = connection.execute(sa.select(jobs_table).where(jobs_table.c.id == job_id)).mappings().first()
+            if row is None:
+                raise _unknown(job_id)
+            turn = _turn(row) + _AHEAD_S[_priority(row)] - _AHEAD_S[priority]
+            changed = connection.execute(
+                jobs_table.update()
+                .where(jobs_table.c.id == job_id, jobs_table.c.state == JobState.QUEUED)
+                .values(options={**row["options"], "priority": priority}, turn=turn)
+            )
+        if not changed.rowcount:
+            raise Conflict("The job no longer waits for a worker.", "Only a queued job's priority can be changed.")
 
     def cancel(self, job_id: str) -> None:
         """End a queued or running job, unless its map is being published. Raises Conflict."""
@@ -174,7 +242,7 @@ class JobTable:
                     jobs_table.c.state.in_([JobState.QUEUED, JobState.RUNNING]),
                     jobs_table.c.stage != Stage.PUBLISHED,
                 )
-                .values(state=JobState.CANCELLED, message="cancelled", ended=time.time())
+                .values(state=JobState.CANCELLED, message="cancelled", ended=time.time(), worker=None)
             )
         if not changed.rowcount:
             raise Conflict("The job has ended, or its map is being published.", "Retry it, or submit a new one.")
@@ -191,27 +259,68 @@ class JobTable:
 
     # What workers do
 
-    def take_up(self, job_id: str, workflow: str) -> tuple[Lease, JobWork] | None:
-        """Take a lease on the job, unless it was cancelled or retried in the meantime. Any earlier lease is lost."""
+    def take(
+        self, worker: str, memory_bytes: float = math.inf, free_bytes: float = math.inf, release: int = RELEASE
+    ) -> Claim | None:
+        """Take the job whose turn it is, of those that a worker can do; any earlier lease on it is lost.
+
+        Where that one has to wait for memory, so do those after it: a long walk is not overtaken for ever.
+
+        Args:
+            worker: its id.
+            memory_bytes: how much it has for its jobs.
+            free_bytes: how much of that is free.
+            release: whose work it can do, and that of all before.
+
+        Returns:
+            The job; None where there is none, or another worker was quicker.
+        """
+        can_do = [_release_of_row <= release, jobs_table.c.state == JobState.QUEUED]
+        if math.isfinite(memory_bytes):
+            can_do.append(_memory_of_row <= int(memory_bytes))
+        wanted = sa.select(jobs_table).where(*can_do).order_by(_turn_of_row, jobs_table.c.id).limit(1)
+        with self._engine.connect() as connection:
+            row = connection.execute(wanted).mappings().first()
+        if row is None or (row["memory_bytes"] or 0) > free_bytes:
+            return None
+        # Where an earlier release's worker may begin the workflow yet, or has done some of it, there is a new one.
+        workflow = row["workflow_id"] if row["release"] == release else _new_workflow(row["id"])
+        lease = Lease(row["id"], workflow, row["attempts"] + 1)
+        taken = {
+            "state": JobState.RUNNING,
+            "worker": worker,
+            "attempts": lease.attempt,
+            "workflow_id": workflow,
+            "release": release,
+            "started": row["started"] or time.time(),
+        }
+        as_seen = [jobs_table.c[name] == row[name] for name in ("id", "state", "workflow_id", "attempts")]
         with self._engine.begin() as connection:
-            taken = connection.execute(
-                jobs_table.update()
-                .where(
-                    jobs_table.c.id == job_id,
-                    jobs_table.c.workflow_id == workflow,
-                    jobs_table.c.state.in_([JobState.QUEUED, JobState.RUNNING]),
-                )
-                .values(
-                    state=JobState.RUNNING,
-                    attempts=jobs_table.c.attempts + 1,
-                    started=sa.func.coalesce(jobs_table.c.started, time.time()),
-                )
-            )
-            if not taken.rowcount:
-                return None
-            row = connection.execute(sa.select(jobs_table).where(jobs_table.c.id == job_id)).mappings().one()
+            changed = connection.execute(jobs_table.update().where(*as_seen).values(**taken))
+        if not changed.rowcount:
+            return None
         work = JobWork(row["recording"], row["map_name"], JobOptions.from_json(row["options"]))
-        return Lease(job_id, workflow, row["attempts"]), work
+        return Claim(lease, work, row["memory_bytes"] or 0)
+
+    def held_by(self, worker: str) -> set[Lease]:
+        """The jobs that a worker has."""
+        found = sa.select(jobs_table).where(jobs_table.c.state == JobState.RUNNING, jobs_table.c.worker == worker)
+        with self._engine.connect() as connection:
+            rows = connection.execute(found).mappings().all()
+        return {Lease(row["id"], row["workflow_id"], row["attempts"]) for row in rows}
+
+    def take_back(self, living: Collection[str], with_nameless: bool) -> int:
+        """Queue the jobs again whose workers are not among the ``living``; returns how many they were.
+
+        Args:
+            living: ids of workers.
+            with_nameless: whether that is true of those, too, whose row names no worker: an earlier release's had them.
+        """
+        dead = jobs_table.c.worker.not_in(list(living))
+        gone = sa.or_(dead, jobs_table.c.worker.is_(None)) if with_nameless else dead
+        with self._engine.begin() as connection:
+            lost = jobs_table.update().where(jobs_table.c.state == JobState.RUNNING, gone)
+            return connection.execute(lost.values(**_GIVEN_BACK)).rowcount
 
     def holds(self, lease: Lease) -> bool:
         """Whether the lease is still valid."""
@@ -250,7 +359,11 @@ class JobTable:
 
     def release(self, lease: Lease) -> None:
         """Give the job back to the queue."""
-        self._update(lease, state=JobState.QUEUED, message="waiting for another worker")
+        self._update(lease, **_GIVEN_BACK)
+
+    def hand_on(self, lease: Lease, memory_bytes: int) -> bool:
+        """Give the job back to the queue, for a worker with so much memory. False if the lease was lost before."""
+        return self._update(lease, **_GIVEN_BACK, memory_bytes=memory_bytes)
 
     def begin_publishing(self, lease: Lease) -> bool:
         """From here on the job cannot be cancelled. False if the lease was lost before."""
@@ -305,6 +418,7 @@ class JobTable:
             if log is None:
                 return False
             values |= {"state": state, "message": message, "log": _appended(log, *lines), "ended": time.time()}
+            values["worker"] = None
             within.execute(jobs_table.update().where(*_held(lease)).values(**values))
             return True
 
@@ -313,38 +427,64 @@ class JobTable:
             return connection.execute(jobs_table.update().where(*_held(lease)).values(**values)).rowcount > 0
 
 
+@dataclass(frozen=True)
+class WorkerOffer:
+    """A worker that is alive, and what it can do.
+
+    Attributes:
+        id: the worker's.
+        release: whose work it can do, and that of all before.
+        memory_bytes: how much it has for its jobs.
+    """
+
+    id: str
+    release: int
+    memory_bytes: float
+
+
 class WorkerTable:
     """The table of workers and their heartbeats."""
 
     def __init__(self, engine: sa.Engine) -> None:
         self._engine = engine
 
-    def beat(self, worker: str) -> None:
-        """Record that the worker is alive."""
+    def beat(self, worker: str, memory_bytes: float = math.inf, release: int = RELEASE) -> None:
+        """Record that the worker is alive, and what it can do."""
+        memory = int(memory_bytes) if math.isfinite(memory_bytes) else None
+        values = {"heartbeat": time.time(), "memory_bytes": memory, "release": release}
         with self._engine.begin() as connection:
-            changed = connection.execute(
-                workers_table.update().where(workers_table.c.id == worker).values(heartbeat=time.time())
-            )
+            changed = connection.execute(workers_table.update().where(workers_table.c.id == worker).values(**values))
             if not changed.rowcount:
-                connection.execute(workers_table.insert().values(id=worker, heartbeat=time.time()))
+                connection.execute(workers_table.insert().values(id=worker, **values))
 
     def remove(self, worker: str) -> None:
         """Forget the worker."""
         with self._engine.begin() as connection:
             connection.execute(workers_table.delete().where(workers_table.c.id == worker))
 
-    def any_alive(self) -> bool:
-        """Whether some worker's heartbeat is younger than :data:`DEAD_AFTER_S`."""
-        lately = sa.select(workers_table.c.id).where(workers_table.c.heartbeat > time.time() - DEAD_AFTER_S)
+    def living(self, dead_after_s: float = DEAD_AFTER_S) -> list[WorkerOffer]:
+        """The workers whose heartbeat is younger than ``dead_after_s``."""
+        lately = sa.select(workers_table).where(workers_table.c.heartbeat > time.time() - dead_after_s)
         with self._engine.connect() as connection:
-            return connection.execute(lately).first() is not None
+            rows = connection.execute(lately).mappings().all()
+        return [
+            WorkerOffer(
+                row["id"],
+                row["release"] or _FIRST_RELEASE,
+                math.inf if row["memory_bytes"] is None else row["memory_bytes"],
+            )
+            for row in rows
+        ]
 
-    def living(self, dead_after_s: float) -> set[str]:
-        """The workers whose heartbeat is younger than ``dead_after_s``; the others are forgotten."""
-        oldest = time.time() - dead_after_s
-        with self._engine.begin() as connection:
-            connection.execute(workers_table.delete().where(workers_table.c.heartbeat < oldest))
-            return set(connection.execute(sa.select(workers_table.c.id)).scalars())
+    def forget(self, dead_after_s: float) -> list[str]:
+        """Forget the workers whose heartbeat is older; returns their ids."""
+        old = workers_table.c.heartbeat < time.time() - dead_after_s
+        with self._engine.connect() as connection:
+            dead = list(connection.execute(sa.select(workers_table.c.id).where(old)).scalars())
+        if dead:
+            with self._engine.begin() as connection:
+                connection.execute(workers_table.delete().where(old))
+        return dead
 
 
 def shortened(text: str) -> str:
@@ -373,7 +513,31 @@ _QUEUED: dict[str, Any] = {
     "started": None,
     "ended": None,
     "attempts": 0,
+    "worker": None,
 }
+_GIVEN_BACK: dict[str, Any] = {"state": JobState.QUEUED, "worker": None, "message": "waiting for another worker"}
+
+_turn_of_row = sa.func.coalesce(jobs_table.c.turn, jobs_table.c.created)
+_release_of_row = sa.func.coalesce(jobs_table.c.release, _FIRST_RELEASE)
+_memory_of_row = sa.func.coalesce(jobs_table.c.memory_bytes, 0)
+
+
+def _turn(row: sa.RowMapping) -> float:
+    turn: float | None = row["turn"]
+    return row["created"] if turn is None else turn
+
+
+def _priority(row: sa.RowMapping) -> JobPriority:
+    return JobPriority(row["options"].get("priority", JobPriority.NORMAL))
+
+
+def _new_workflow(job_id: str) -> str:
+    """The id of a new workflow for a job: a retry must not find the steps of the run before."""
+    return f"{job_id}-{uuid.uuid4().hex[:8]}"
+
+
+def _unknown(job_id: str) -> UnknownJob:
+    return UnknownJob(f"There is no job {job_id[:_ID_LENGTH]!r}.", "List the jobs to see their ids.")
 
 
 def _held(lease: Lease, state: JobState = JobState.RUNNING) -> tuple[sa.ColumnElement[bool], ...]:
@@ -408,4 +572,8 @@ def _job(row: sa.RowMapping) -> Job:
         started=row["started"],
         ended=row["ended"],
         attempts=row["attempts"],
+        priority=_priority(row),
+        memory_bytes=row["memory_bytes"],
+        worker=row["worker"],
+        release=row["release"] or _FIRST_RELEASE,
     )

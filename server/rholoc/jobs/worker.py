@@ -1,4 +1,10 @@
-"""A worker: takes jobs from the queue one at a time, and takes over those of workers that died."""
+"""A worker: takes jobs from the queue, and takes over those of workers that died.
+
+A job's row alone says who has it (:mod:`rholoc.jobs.table`): a worker takes the job whose turn it is, of those that it
+has memory for, by changing that row. DBOS runs the job's steps and remembers which were done; each worker has a queue
+there for what it has taken. (DBOS's queues could not choose the jobs: their limits are stored with the queue, alike for
+all workers, and priorities do not reach from one queue to another.)
+"""
 
 from __future__ import annotations
 
@@ -11,27 +17,27 @@ import threading
 import time
 import uuid
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from types import FrameType
 from typing import TypeVar
 
 import sqlalchemy as sa
-from dbos import DBOS, DBOSConfig
+from dbos import DBOS, DBOSClient, DBOSConfig
 from sqlalchemy.exc import SQLAlchemyError
 
 from rholoc.disk import is_full, reporting_full_disk, storage_full
 from rholoc.errors import Cancelled, RholocError, StorageUnavailable
 from rholoc.jobs.build_process import BuildLimits, build_in_process, describe, unexpected
+from rholoc.jobs.capacity import Capacity, MoreMemoryNeeded
 from rholoc.jobs.job import JobKind
 from rholoc.jobs.pipeline import MappingPipeline, MappingTask, Pipeline, doubts
-from rholoc.jobs.queue import APPLICATION, APPLICATION_VERSION, QUEUE_NAME, WORKFLOW_NAME, open_client
 from rholoc.jobs.recording_notes import READ_FILES
 from rholoc.jobs.recording_store import RecordingStore
 from rholoc.jobs.shared_queries import SharedQueryStore
 from rholoc.jobs.shared_recordings import SharedRecordingStore
-from rholoc.jobs.table import DEAD_AFTER_S, Failure, JobTable, JobWork, Lease, WorkerTable
+from rholoc.jobs.table import DEAD_AFTER_S, RELEASE, Claim, Failure, JobTable, JobWork, Lease, WorkerTable
 from rholoc.maps import CameraLibrary, Map, MapLibrary
 from rholoc.progress import Stage
 from rholoc.storage import CAMERAS, SharedStorage
@@ -43,6 +49,9 @@ _MAX_ATTEMPTS = 5
 _INPUTS, _MAP_FILE = "inputs", "map.rho"  # in a job's work folder
 _STORAGE_PATIENCE_S, _STORAGE_AGAIN_S = 600.0, 2.0
 _T = TypeVar("_T")
+_APPLICATION = "rholoc"
+_QUEUE = "rholoc-worker-"  # and the worker's id
+_WORKFLOW = "rholoc-map-recording"
 _ACTIVE = ("PENDING", "ENQUEUED", "DELAYED")  # states of workflows
 
 
@@ -66,8 +75,15 @@ class Timing:
 class Worker:
     """A worker; at most one per process.
 
-    DBOS provides the durable queue and remembers which steps were done; this class adds what it leaves to its users: an
-    identity, a heartbeat, and taking over a dead worker's jobs.
+    Args:
+        data_dir, maps_dir: the folders of jobs and of maps.
+        database_url: ``postgresql://…``, or None for the SQLite file.
+        pipeline: what is done for a job.
+        timing: how quickly it notices things.
+        limits: what one job may take.
+        storage_url: of the storage that it shares with others, None for its folders.
+        capacity: how much it takes on.
+        release: whose work it can do, and that of all before.
     """
 
     def __init__(
@@ -80,6 +96,8 @@ class Worker:
         timing: Timing | None = None,
         limits: BuildLimits | None = None,
         storage_url: str | None = None,
+        capacity: Capacity | None = None,
+        release: int = RELEASE,
     ) -> None:
         self.id = f"{socket.gethostname()[:40]}-{os.getpid()}-{uuid.uuid4().hex[:8]}"
         self._data_dir = Path(data_dir).resolve()
@@ -87,12 +105,15 @@ class Worker:
         self._pipeline = pipeline or MappingPipeline()
         self._timing = timing or Timing()
         self._limits = limits or BuildLimits()
+        self._capacity = capacity or Capacity()
+        self._release = release
+        self._queue = f"{_QUEUE}{self.id}"
         self._database_url = database_url
         self._shared = None if storage_url is None else SharedStorage(storage_url, self._data_dir, database_url)
         self._stopping = threading.Event()
         self._idle = threading.Condition()
-        self._leases: set[Lease] = set()
-        self._left_before: set[str] = set()
+        self._claims: dict[str, Claim] = {}  # by workflow
+        self._left_before: set[Lease] = set()
 
     def start(self) -> None:
         """Begin to take jobs, in its own threads and processes.
@@ -107,42 +128,106 @@ class Worker:
             self._shared.open()
             self._recordings = SharedRecordingStore(self._data_dir, self._shared)
             self._engine = self._shared.engine
-        self._client = open_client(self._engine)
+        self._client = DBOSClient(system_database_engine=self._engine, application_name=_APPLICATION)
         self._jobs, self._workers = JobTable(self._engine), WorkerTable(self._engine)
-        self._workers.beat(self.id)
-        self._client.register_queue(QUEUE_NAME, worker_concurrency=1, polling_interval_sec=self._timing.poll_s)
+        self._beat()
+        self._client.register_queue(self._queue, polling_interval_sec=self._timing.poll_s)
         config: DBOSConfig = {
-            "name": APPLICATION,
+            "name": _APPLICATION,
             "system_database_engine": self._engine,
             "executor_id": self.id,
-            "application_version": APPLICATION_VERSION,
+            "application_version": str(self._release),
             "log_level": "ERROR",
         }
         DBOS(config=config)
-        DBOS.workflow(name=WORKFLOW_NAME, max_recovery_attempts=None)(self._workflow())
+        DBOS.workflow(name=_WORKFLOW, max_recovery_attempts=None)(self._workflow())
+        DBOS.listen_queues([self._queue])
         self._clear_unwanted_work()
         DBOS.launch()
-        self._heart = threading.Thread(target=self._keep_beating, name="rholoc-heartbeat", daemon=True)
-        self._heart.start()
+        self._threads = [
+            threading.Thread(target=self._keep_beating, name="rholoc-heartbeat", daemon=True),
+            threading.Thread(target=self._keep_taking, name="rholoc-jobs", daemon=True),
+        ]
+        for thread in self._threads:
+            thread.start()
         _log.info("worker %s started", self.id)
 
     def stop(self) -> None:
-        """Stop within a few seconds; a job that was running goes back to the queue."""
+        """Stop within a few seconds; jobs that were running go back to the queue."""
         self._stopping.set()
+        for thread in self._threads:
+            thread.join()
         DBOS.destroy(destroy_registry=True)
-        self._heart.join()
         with self._idle:
-            leases = set(self._leases)
-        for lease in leases:
-            # First the row, then DBOS: another worker may take the job as soon as DBOS has it.
-            self._jobs.release(lease)
-            self._client.resume_workflows([lease.workflow], queue_name=QUEUE_NAME)
+            claims = list(self._claims.values())
+        for claim in claims:
+            self._jobs.release(claim.lease)
         with self._idle:
-            self._idle.wait_for(lambda: not self._leases, timeout=self._timing.cancel_grace_s + 5.0)
+            self._idle.wait_for(lambda: not self._claims, timeout=self._timing.cancel_grace_s + 5.0)
         self._workers.remove(self.id)
+        self._client.delete_queue(self._queue)
         self._client.destroy()
         self._engine.dispose()
         _log.info("worker %s stopped", self.id)
+
+    # -- taking jobs ---------------------------------------------------------------------------------------------------
+
+    def _keep_taking(self) -> None:
+        while not self._stopping.wait(self._timing.poll_s):
+            try:
+                while self._take():
+                    pass
+            except Exception:
+                _log.exception("no job could be taken; it is tried again")
+
+    def _take(self) -> bool:
+        """Take a job, if there is one for which there is room."""
+        with self._idle:
+            taken = list(self._claims.values())
+        if len(taken) >= self._capacity.jobs:
+            return False
+        free_bytes = self._capacity.memory_bytes - sum(claim.memory_bytes for claim in taken)
+        claim = self._jobs.take(self.id, self._offered_bytes, free_bytes, self._release)
+        if claim is None:
+            return False
+        with self._idle:
+            self._claims[claim.lease.workflow] = claim
+        try:
+            self._begin(claim.lease)
+        except Exception:  # the sweep gives the job back
+            self._drop(claim)
+            raise
+        return True
+
+    def _begin(self, lease: Lease) -> None:
+        """Begin the workflow of a job, or go on with it."""
+        known = self._client.list_workflows(workflow_ids=[lease.workflow], load_input=False, load_output=False)
+        if not known:
+            self._client.enqueue(
+                {
+                    "workflow_name": _WORKFLOW,
+                    "queue_name": self._queue,
+                    "workflow_id": lease.workflow,
+                    "app_version": str(self._release),
+                },
+                lease.job,
+            )
+        elif known[0].status in _ACTIVE:  # the worker died that had it
+            self._client.resume_workflows([lease.workflow], queue_name=self._queue)
+        else:  # it ended and the job did not: it was handed on, or the database failed
+            self._client.rewind_workflow(lease.workflow, queue_name=self._queue)
+
+    def _drop(self, claim: Claim) -> None:
+        with self._idle:
+            self._claims.pop(claim.lease.workflow, None)
+            self._idle.notify_all()
+
+    @property
+    def _offered_bytes(self) -> float:
+        """The most that one job may take here."""
+        return min(self._capacity.memory_bytes, self._limits.memory_bytes)
+
+    # -- doing them ----------------------------------------------------------------------------------------------------
 
     def _workflow(self) -> Callable[[str], None]:
         def map_recording(job_id: str) -> None:
@@ -154,31 +239,29 @@ class Worker:
 
     def _work(self, job_id: str, workflow: str) -> None:
         """The workflow. A worker that continues it finds the results of completed steps."""
-        taken = self._jobs.take_up(job_id, workflow)
-        if taken is None:
-            return
-        lease, work = taken
         with self._idle:
-            self._leases.add(lease)
+            claim = self._claims.get(workflow)
+        if claim is None:
+            return
         try:
-            self._build_and_publish(lease, work)
+            self._build_and_publish(claim.lease, claim.work)
         except Cancelled:
             _log.info("job %s left: cancelled, or given to another worker", job_id)
             self._clear_unwanted_work()
         finally:
-            with self._idle:
-                self._leases.discard(lease)
-                self._idle.notify_all()
+            self._drop(claim)
 
     def _build_and_publish(self, lease: Lease, work: JobWork) -> None:
-        failure = self._too_often(lease)
-        failure = failure or DBOS.run_step({"name": "build"}, self._build, lease, work)
-        published = failure or DBOS.run_step({"name": "publish"}, self._publish, lease, work)
-        if isinstance(published, Failure):
-            _log.warning("job %s failed: %s", lease.job, published.message)
-            ended = self._jobs.fail(lease, published)
+        stopped = self._too_often(lease) or DBOS.run_step({"name": "build"}, self._build, lease, work)
+        done = stopped or DBOS.run_step({"name": "publish"}, self._publish, lease, work)
+        if isinstance(done, MoreMemoryNeeded):
+            _log.info("job %s is handed on: it needs %.1f GiB of memory", lease.job, done.memory_bytes / 2**30)
+            ended = self._jobs.hand_on(lease, done.memory_bytes)
+        elif isinstance(done, Failure):
+            _log.warning("job %s failed: %s", lease.job, done.message)
+            ended = self._jobs.fail(lease, done)
         else:
-            ended = self._jobs.publish(lease, published)
+            ended = self._jobs.publish(lease, done)
         if ended:  # otherwise another worker has the job, and needs the map that was built
             shutil.rmtree(self._work_dir(lease), ignore_errors=True)
 
@@ -191,7 +274,7 @@ class Worker:
             "It may need more memory than they have. Give them more and retry, or record a shorter walk.",
         )
 
-    def _build(self, lease: Lease, work: JobWork) -> Failure | None:
+    def _build(self, lease: Lease, work: JobWork) -> Failure | MoreMemoryNeeded | None:
         try:
             task = self._patiently(lease, lambda: self._task(lease, work))
             failure = build_in_process(
@@ -201,7 +284,7 @@ class Worker:
                 check=lambda: self._check_held(lease),
                 poll_s=self._timing.poll_s,
                 cancel_grace_s=self._timing.cancel_grace_s,
-                limits=self._limits,
+                limits=replace(self._limits, memory_bytes=self._free_bytes(lease)),
             )
             if work.recording:
                 self._recordings.share_notes(work.recording, READ_FILES)
@@ -211,8 +294,8 @@ class Worker:
         except RholocError as error:
             return describe(error)
 
-    def _publish(self, lease: Lease, work: JobWork) -> tuple[str, ...] | Failure:
-        """Publish the map; returns why it is not to be trusted, or why it could not be published."""
+    def _publish(self, lease: Lease, work: JobWork) -> tuple[str, ...] | Failure | MoreMemoryNeeded:
+        """Publish the map; returns why it is not to be trusted, or why it could not be published here."""
         if not self._jobs.begin_publishing(lease):
             raise Cancelled("This worker no longer has the job.")
         try:
@@ -278,7 +361,22 @@ class Worker:
             max_frame_pixels=self._limits.frame_pixels,
             folder=self._recordings.folder(work.recording) if needs_recording else None,
             data_dir=self._data_dir if self._shared is None else folder / _INPUTS,
+            memory_bytes=self._granted_bytes(lease),
         )
+
+    def _granted_bytes(self, lease: Lease) -> float:
+        """How much memory a job may turn out to need. Beside others none, until that is known: with what is found it is
+        handed on, and taken where there is room for it."""
+        with self._idle:
+            claim = self._claims.get(lease.workflow)
+        is_unknown = claim is not None and claim.memory_bytes == 0
+        return 0.0 if is_unknown and self._capacity.jobs > 1 else self._free_bytes(lease)
+
+    def _free_bytes(self, lease: Lease) -> float:
+        """How much memory the other jobs leave to one."""
+        with self._idle:
+            others = [claim.memory_bytes for claim in self._claims.values() if claim.lease != lease]
+        return min(self._limits.memory_bytes, self._capacity.memory_bytes - sum(others))
 
     def _inputs(self, folder: Path, work: JobWork) -> Path:
         """A folder with copies of the map, the camera and the queries that a job needs of the shared ones."""
@@ -325,48 +423,43 @@ class Worker:
         if not held:
             raise Cancelled("The job was cancelled, or another worker has it.")
 
+    # -- looking after each other --------------------------------------------------------------------------------------
+
     def _keep_beating(self) -> None:
         while not self._stopping.wait(self._timing.heartbeat_s):
             try:
-                self._workers.beat(self.id)
+                self._beat()
                 self._sweep()
             except Exception:
                 _log.exception("the heartbeat failed; it is tried again")
 
+    def _beat(self) -> None:
+        self._workers.beat(self.id, self._offered_bytes, self._release)
+
     def _sweep(self) -> None:
-        """Hand the jobs of dead workers to living ones, and restart those that a database failure stopped.
-
-        Two workers may do this for the same job at the same time. The job then starts twice; the second start takes the
-        lease, and the first one stops.
-        """
+        """Queue the jobs of dead workers again, and those that a failure of the database stopped here."""
+        for dead in self._workers.forget(self._timing.dead_after_s):
+            self._client.delete_queue(f"{_QUEUE}{dead}")
         living = self._workers.living(self._timing.dead_after_s)
-        pending = self._client.list_workflows(status="PENDING", name=WORKFLOW_NAME, load_input=False, load_output=False)
-        orphans = [workflow.workflow_id for workflow in pending if workflow.executor_id not in living]
-        orphans += self._left_behind({one.workflow_id for one in pending if one.executor_id == self.id})
-        if orphans:
-            _log.warning("taking over %d jobs that nobody works on", len(orphans))
-            self._client.resume_workflows(orphans, queue_name=QUEUE_NAME)
-        for workflow in self._stopped_workflows():
-            _log.warning("beginning the workflow %s again", workflow)
-            self._client.rewind_workflow(workflow, queue_name=QUEUE_NAME)
+        # Workers of before rows named them look after each other, as long as one is left.
+        are_all_named = all(worker.release > 1 for worker in living)
+        taken_back = self._jobs.take_back([self.id, *(worker.id for worker in living)], with_nameless=are_all_named)
+        for lease in self._left_behind():
+            self._jobs.release(lease)
+            taken_back += 1
+        if taken_back:
+            _log.warning("%d jobs that nobody works on are queued again", taken_back)
 
-    def _left_behind(self, own: set[str]) -> set[str]:
-        """This worker's pending workflows that none of its threads works on, neither now nor at the last sweep.
+    def _left_behind(self) -> set[Lease]:
+        """This worker's jobs that none of its threads works on, neither now nor at the last sweep.
 
-        This happens when a full disk prevents a workflow's end from being recorded.
+        This happens when a full disk, or a database that fails, prevents a job's end from being recorded.
         """
+        held = self._jobs.held_by(self.id)
         with self._idle:
-            left = own - {lease.workflow for lease in self._leases}
+            left = {lease for lease in held if lease.workflow not in self._claims}
         found, self._left_before = left & self._left_before, left
         return found
-
-    def _stopped_workflows(self) -> set[str]:
-        """Workflows that ended while their job did not: the database failed when its end was to be recorded."""
-        wanted = self._jobs.wanted_workflows()
-        known = self._client.list_workflows(workflow_ids=list(wanted), load_input=False, load_output=False)
-        ended = {workflow.workflow_id for workflow in known if workflow.status not in _ACTIVE}
-        # Queried again: a workflow that ended between the two queries had recorded its job's end before.
-        return ended & self._jobs.wanted_workflows() if ended else ended
 
 
 def run_worker(
@@ -379,6 +472,8 @@ def run_worker(
     limits: BuildLimits | None = None,
     stop: threading.Event | None = None,
     storage_url: str | None = None,
+    capacity: Capacity | None = None,
+    release: int = RELEASE,
 ) -> None:
     """Work until SIGINT, SIGTERM or ``stop``. Call it in the main thread of a process that does nothing else.
 
@@ -394,7 +489,15 @@ def run_worker(
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, ask_to_stop)
     worker = Worker(
-        data_dir, maps_dir, database_url, pipeline=pipeline, timing=timing, limits=limits, storage_url=storage_url
+        data_dir,
+        maps_dir,
+        database_url,
+        pipeline=pipeline,
+        timing=timing,
+        limits=limits,
+        storage_url=storage_url,
+        capacity=capacity,
+        release=release,
     )
     worker.start()
     stop.wait()

@@ -215,7 +215,12 @@ def _uploads(
 
 def _worker(settings: Settings) -> EmbeddedWorker:
     return EmbeddedWorker(
-        settings.data_dir, settings.maps_dir, settings.jobs_database, settings.job_limits, settings.shared_storage
+        settings.data_dir,
+        settings.maps_dir,
+        settings.jobs_database,
+        settings.job_limits,
+        settings.shared_storage,
+        settings.worker_capacity,
     )
 
 

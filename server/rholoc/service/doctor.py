@@ -280,6 +280,11 @@ def _settings(settings: Settings) -> _Found:
             "Lower RHOLOC_JOB_MEMORY_GIB.",
         ),
         (
+            settings.worker and settings.worker_memory_gib * _GIB > memory_bytes,
+            "The worker takes on jobs that need more memory than there is.",
+            "Lower RHOLOC_WORKER_MEMORY_GIB.",
+        ),
+        (
             settings.concurrency > 2 * (os.cpu_count() or 1),
             f"{settings.concurrency} frames at a time are more than {os.cpu_count()} cores do well.",
             "Lower RHOLOC_CONCURRENCY to the number of cores.",

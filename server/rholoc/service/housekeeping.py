@@ -11,7 +11,7 @@ import structlog
 from starlette.concurrency import run_in_threadpool
 
 from rholoc.errors import InvalidMap, RholocError, UnknownMap
-from rholoc.jobs import JobKind, JobOptions
+from rholoc.jobs import JobKind, JobOptions, JobPriority
 from rholoc.mapping import FEWEST_QUERIES
 from rholoc.service.state import State
 
@@ -58,6 +58,7 @@ def _learn(state: State) -> None:
 def learn_tonight(state: State, now: datetime) -> None:
     """Queue a job for each map that was asked often enough since the night before; once a night, on one server of all
     that share a database."""
+    options = JobOptions(kind=JobKind.LEARN, priority=JobPriority.LOW)
     for name in state.library.names():
         try:
             map_id = state.library.map_id(name)
@@ -65,6 +66,6 @@ def learn_tonight(state: State, now: datetime) -> None:
                 continue
             night = hashlib.blake2b(f"{map_id} {now:%Y-%m-%d}".encode(), digest_size=16).hexdigest()
             if state.jobs.learning(name) is None:
-                state.jobs.submit("", name, JobOptions(kind=JobKind.LEARN), night)
+                state.jobs.submit("", name, options, night)
         except RholocError as error:
             _log.warning("map_does_not_learn", map=name, error=error.message)

@@ -20,7 +20,7 @@ from rholoc.errors import (
     UnknownMap,
 )
 from rholoc.features import extractor_names, get_extractor
-from rholoc.jobs import JobKind, JobOptions
+from rholoc.jobs import JobKind, JobOptions, JobPriority
 from rholoc.maps import DensityKind, check_map_name, check_observations
 from rholoc.recordings import parse_frame_slice
 from rholoc.service.errors import InvalidRequest
@@ -64,6 +64,9 @@ class RecordingFields(BaseModel):
     frames: str | None = Field(
         default=None, description="only these frames, by number: start:stop[:step], like 30:900", examples=["30:900"]
     )
+    priority: JobPriority = Field(
+        default=JobOptions.priority, description="how soon its turn comes, among jobs submitted within a day"
+    )
 
 
 async def checked_options(fields: RecordingFields, service: State) -> JobOptions:
@@ -89,4 +92,5 @@ async def checked_options(fields: RecordingFields, service: State) -> JobOptions
         fields.kind,
         service.settings.keep_pictures,
         fields.frames,
+        fields.priority,
     )

@@ -81,4 +81,7 @@ def job_out(job: Job) -> JobOut:
         started=job.started,
         ended=job.ended,
         attempts=job.attempts,
+        priority=job.priority,
+        memory_bytes=job.memory_bytes,
+        obstacle=job.obstacle,
     )

@@ -9,7 +9,7 @@ from pydantic import BaseModel, ConfigDict, FailFast, Field, Strict
 from pydantic.config import JsonDict
 
 from rholoc.features import Channel
-from rholoc.jobs import JobState, RecordedWaypoint
+from rholoc.jobs import JobPriority, JobState, Obstacle, RecordedWaypoint
 from rholoc.localization import Cause, Dof, Intrinsics, Reason
 from rholoc.maps import (
     MOST_MAPS,
@@ -880,6 +880,9 @@ class UpdateIn(_In):
         default=None,
         description="fx,fy,cx,cy[,k1,k2,p1,p2[,k3]] in pixels, or a stored camera's name; default: the recording's own",
     )
+    priority: JobPriority = Field(
+        default=JobPriority.NORMAL, description="how soon its turn comes, among jobs submitted within a day"
+    )
 
 
 class MergeIn(_In):
@@ -1114,6 +1117,9 @@ _JOB: JsonDict = {
     "started": 1767607201.5,
     "ended": None,
     "attempts": 1,
+    "priority": "normal",
+    "memory_bytes": 1_100_000_000,
+    "obstacle": None,
 }
 
 
@@ -1139,6 +1145,20 @@ class JobOut(_Out):
     started: float | None
     ended: float | None
     attempts: int
+    priority: JobPriority
+    memory_bytes: int | None = Field(description="about how much memory it needs; null until its recording was read")
+    obstacle: Obstacle | None = Field(
+        description="why no worker can take it, as `message` says: none is running, none has as much memory, or all "
+        "are of an earlier release; null where one can"
+    )
+
+
+class JobChange(_In):
+    """What of a job can be changed."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, json_schema_extra={"example": {"priority": "high"}})
+
+    priority: JobPriority
 
 
 class JobList(_Out):

@@ -9,7 +9,7 @@ from pathlib import Path
 from pydantic import Field, SecretStr
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
-from rholoc.jobs import BuildLimits
+from rholoc.jobs import BuildLimits, Capacity
 from rholoc.localization import MIN_CONFIDENCE
 from rholoc.processes import machine_memory_bytes
 from rholoc.recordings import MAX_FRAME_PIXELS
@@ -153,6 +153,13 @@ class Settings(BaseSettings):
         description="How much memory the processes of one mapping job may hold, on Linux; default: three quarters of "
         "the machine's or the container's.",
     )
+    worker_jobs: int = Field(default=1, ge=1, description="How many mapping jobs a worker does at a time.")
+    worker_memory_gib: float = Field(
+        default_factory=lambda: _JOB_MEMORY_SHARE * machine_memory_bytes() / 2**30,
+        gt=0,
+        description="How much memory a worker has for its jobs together: it leaves jobs that need more to others. "
+        "Default: three quarters of the machine's or the container's.",
+    )
     max_upload_files: int = Field(
         default=20_000, ge=1, description="The most files one upload of a recording may hold."
     )
@@ -161,6 +168,11 @@ class Settings(BaseSettings):
     def job_limits(self) -> BuildLimits:
         """What one mapping job may take."""
         return BuildLimits(self.job_time_limit_s, self.job_memory_gib * 2**30, self.max_video_pixels)
+
+    @property
+    def worker_capacity(self) -> Capacity:
+        """How much a worker takes on."""
+        return Capacity(self.worker_jobs, self.worker_memory_gib * 2**30)
 
     @property
     def jobs_database(self) -> str | None:

@@ -15,7 +15,7 @@ from rholoc.disk import reporting_full_disk, storage_full
 from rholoc.errors import Conflict, InvalidInput
 from rholoc.storage.tables import VERSION_TABLE
 
-HEAD = "0002"  # the last of the migrations; their numbers are in order as text
+HEAD = "0003"  # the last of the migrations; their numbers are in order as text
 _BUSY_TIMEOUT_MS = 10_000
 _MIGRATIONS = Path(__file__).with_name("migrations")
 _LOCK_NUMBER = 0x72686F6C6F63  # of PostgreSQL's advisory locks: "rholoc"

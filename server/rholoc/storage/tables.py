@@ -31,8 +31,13 @@ jobs_table = sa.Table(
     sa.Column("started", sa.Float),
     sa.Column("ended", sa.Float),
     sa.Column("attempts", sa.Integer, nullable=False),
-    # The DBOS workflow of the latest submission or retry; with ``attempts`` it says who holds the job.
+    # The DBOS workflow of the latest submission or retry; with ``attempts`` it tells a hold from earlier ones.
     sa.Column("workflow_id", sa.Text, nullable=False),
+    # Who has the job: this row alone says so. What follows is null in jobs of releases without it.
+    sa.Column("worker", sa.String(100)),
+    sa.Column("release", sa.Integer),  # of the work: an earlier release's workers leave it alone
+    sa.Column("turn", sa.Float),  # jobs are taken in its order
+    sa.Column("memory_bytes", sa.BigInteger),  # null: not known yet
 )
 
 workers_table = sa.Table(
@@ -40,6 +45,8 @@ workers_table = sa.Table(
     metadata,
     sa.Column("id", sa.String(100), primary_key=True),
     sa.Column("heartbeat", sa.Float, nullable=False),
+    sa.Column("release", sa.Integer),  # null, as what follows: a worker of a release without it
+    sa.Column("memory_bytes", sa.BigInteger),  # for its jobs; null: without limit
 )
 
 # One row. Whoever changes the catalogue counts it up first and so holds the row until the transaction ends: revisions

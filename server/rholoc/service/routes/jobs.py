@@ -15,7 +15,7 @@ from rholoc.service.access import NEEDS_MAP, NEEDS_READ
 from rholoc.service.errors import InvalidRequest
 from rholoc.service.job_events import LOOK_EVERY_S, job_out
 from rholoc.service.openapi import failures
-from rholoc.service.schemas import JobList, JobOut
+from rholoc.service.schemas import JobChange, JobList, JobOut
 from rholoc.service.state import Service, State
 
 router = APIRouter(prefix="/v1/jobs", tags=["jobs"])
@@ -50,6 +50,17 @@ def _listed(service: State, limit: int, before: str | None) -> str:
 async def get_job(job: str, service: Service) -> JobOut:
     """Its state, stage and progress; why it failed, if it did."""
     return job_out(await run_in_threadpool(service.jobs.get, job))
+
+
+@router.patch(
+    "/{job}",
+    dependencies=[NEEDS_MAP],
+    summary="Change a job's priority",
+    responses=failures(InvalidRequest, UnknownJob, Conflict),
+)
+async def change_job(job: str, wanted: JobChange, service: Service) -> JobOut:
+    """While it waits for a worker."""
+    return job_out(await run_in_threadpool(service.jobs.prioritize, job, wanted.priority))
 
 
 @router.get(

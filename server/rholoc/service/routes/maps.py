@@ -378,7 +378,11 @@ async def update_map(map_name: str, wanted: UpdateIn, service: Service, response
     await run_in_threadpool(_check_learns, service.library, map_name)
     await run_in_threadpool(service.cameras.named_in, wanted.camera)
     options = JobOptions(
-        kind=JobKind.UPDATE, poses=wanted.poses, camera=wanted.camera, pictures=service.settings.keep_pictures
+        kind=JobKind.UPDATE,
+        poses=wanted.poses,
+        camera=wanted.camera,
+        pictures=service.settings.keep_pictures,
+        priority=wanted.priority,
     )
     job = await run_in_threadpool(service.jobs.submit, wanted.recording, map_name, options)
     response.headers["Location"] = f"/v1/jobs/{job.id}"

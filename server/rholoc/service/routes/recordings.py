@@ -23,6 +23,7 @@ from rholoc.jobs import (
     WAYPOINTS_FILE,
     JobKind,
     JobOptions,
+    JobPriority,
     PendingRecording,
     RecordedWaypoint,
     RecordingEntry,
@@ -76,6 +77,12 @@ def _form_schema() -> dict[str, Any]:
             "type": "string",
             "enum": [kind.value for kind in DensityKind],
             "default": JobOptions.density.value,
+        },
+        "priority": {
+            "type": "string",
+            "enum": [priority.value for priority in JobPriority],
+            "default": JobOptions.priority.value,
+            "description": fields["properties"]["priority"]["description"],
         },
         "kind": {"type": "string", "enum": [kind.value for kind in JobKind], "default": JobOptions.kind.value},
         "poses": {

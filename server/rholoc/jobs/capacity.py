@@ -1,0 +1,49 @@
+"""How much a worker takes on, and how much memory a job needs."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from rholoc.recordings import Recording
+
+# The most that all processes of a mapping job held, by benchmarks/building.py and benchmarks/real_walks.py: 0.9 to
+# 1.1 GB for walks up to a minute, 1.5 GB for 2 minutes, 2.3 GB for 5, 3.7 GB for 10.
+_BASE_BYTES = 0.9e9
+_BYTES_PER_SECOND = 5e6
+_BYTES_PER_PIXEL = 60.0  # some twenty images at a time, of three bytes a pixel
+
+
+@dataclass(frozen=True)
+class Capacity:
+    """How much a worker takes on.
+
+    Attributes:
+        jobs: at a time.
+        memory_bytes: what all their processes may hold together.
+    """
+
+    jobs: int = 1
+    memory_bytes: float = math.inf
+
+
+@dataclass(frozen=True)
+class MoreMemoryNeeded:
+    """A job was found to need more memory than it may take where it is.
+
+    Attributes:
+        memory_bytes: how much it needs.
+    """
+
+    memory_bytes: int
+
+
+def memory_for(recording: Recording) -> int:
+    """About how many bytes mapping a recording takes."""
+    times, (width, height) = recording.frames.times, recording.frames.size
+    return memory_for_walk(float(times[-1] - times[0]), width * height)
+
+
+def memory_for_walk(length_s: float, frame_pixels: int) -> int:
+    """About how many bytes mapping a walk of that length takes, by frames of so many pixels."""
+    return int(_BASE_BYTES + _BYTES_PER_SECOND * length_s + _BYTES_PER_PIXEL * frame_pixels)
