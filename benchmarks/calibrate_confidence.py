@@ -18,11 +18,9 @@ rooms are refused, how many good answers are kept, and how many of the answers g
 from __future__ import annotations
 
 import argparse
-import json
 import time
-from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass
-from enum import StrEnum
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
@@ -30,167 +28,51 @@ import numpy as np
 from matplotlib.figure import Figure
 from scipy.optimize import minimize
 
+from asking import Answered, Case, Kind, answers_of
 from measuring import print_table
-from rholoc.features import FeatureSet, Metric, extractor_names, get_extractor
-from rholoc.geometry import BoolArray, FloatArray, pose_distances
-from rholoc.localization import Localizer, Query
-from rholoc.localization.confidence import MIN_CONFIDENCE, confidence_inputs, confidence_of
-from rooms import ROOMS, NamedRoom, code_digest, map_of, strangers
+from rholoc.features import Metric, extractor_names, get_extractor
+from rholoc.geometry import BoolArray, FloatArray
+from rholoc.localization.confidence import MIN_CONFIDENCE
+from rooms import ROOMS, NamedRoom
 
-FEWER = 1 / 8  # of a frame's features
-WINDOW = 0.15  # of a frame's area
-FOCAL_OFF = 1.1
-RIGHT_M, RIGHT_RAD = 0.10, np.deg2rad(5.0)
 NEARLY_M = 0.3  # answers between the two count little: where they lie is chance
 WINDOW_WEIGHT, NEARLY_WEIGHT = 0.2, 0.3
-STRANGERS = 4  # pictures of each other recording
-SELDOM = 3  # of so many frames one is asked by a wrong camera and as a window: those take long
-RIDGE = 0.01
-THRESHOLDS = (0.4, 0.5, 0.6, 0.7, 0.8)
-SIGNS = ((0, None), (None, 0), (None, 0), (None, 0))  # of the inputs' weights
+RIDGE = 1.0
+THRESHOLDS = (0.3, 0.4, 0.5, 0.6, 0.7)
+SIGNS = ((0, None), (0, None), (0, None), (0, None), (None, 0), (None, 0))  # of the inputs' weights
 OUT_OF_TIME = 3
-
-
-class Kind(StrEnum):
-    """What was asked."""
-
-    WHOLE = "whole"
-    FEWER = "fewer"  # with some of its features only
-    OTHER_ROOM = "other room"
-    WINDOW = "window"  # in a picture of another room
-    FOCAL_OFF = "focal off"  # by a camera whose focal length is wrong
-
-
-@dataclass(frozen=True)
-class Case:
-    """One answer.
-
-    Attributes:
-        kind: what was asked.
-        inputs: what the logistic weighs; None where no pose was found.
-        factor: 0..1, by how much rivals and the focal length lower what the logistic says.
-        off_m: how far off the pose is; None in another room.
-        right: whether it is within 10 cm and 5°.
-    """
-
-    kind: Kind
-    inputs: tuple[float, ...] | None
-    factor: float
-    off_m: float | None
-    right: bool
-
-    @property
-    def weight(self) -> float:
-        """How much it counts in the fit."""
-        if self.kind is Kind.FOCAL_OFF:
-            return 0.0
-        if self.kind is Kind.WINDOW:
-            return WINDOW_WEIGHT
-        nearly = not self.right and self.off_m is not None and self.off_m < NEARLY_M
-        return NEARLY_WEIGHT if nearly else 1.0
-
-    @classmethod
-    def read(cls, stored: dict) -> Case:  # type: ignore[type-arg]
-        """One that was kept."""
-        inputs = None if stored["inputs"] is None else tuple(stored["inputs"])
-        return cls(**(stored | {"kind": Kind(stored["kind"]), "inputs": inputs}))
-
-
-@dataclass(frozen=True)
-class Answered:
-    """All that was asked of one room with one kind of features."""
-
-    features: str
-    recording: str
-    room: str
-    cases: list[Case]
-
-
-# -- asking ----------------------------------------------------------------------------------------------------------
-
-
-def case(kind: Kind, localizer: Localizer, query: Query, truth: FloatArray | None) -> Case:
-    """Ask one query, however doubtful the answer."""
-    found = localizer.candidate(query)
-    if found is None:
-        return Case(kind, None, 0.0, None, False)
-    verified, confidence = found
-    inputs = tuple(confidence_inputs((verified,), verified.covariance).tolist())
-    alone = confidence_of(verified, localizer.index.metric)
-    factor = confidence / alone if alone > 0 else 0.0
-    if truth is None:
-        return Case(kind, inputs, factor, None, False)
-    apart_m, turned_rad = pose_distances(verified.optimum.T_map_camera, truth)
-    right = bool(apart_m < RIGHT_M and turned_rad < RIGHT_RAD and kind is not Kind.WINDOW)
-    return Case(kind, inputs, factor, float(apart_m), right)
-
-
-def asked(named: NamedRoom, features: str, kept: Path) -> Iterator[Case]:
-    """All that is asked of one room."""
-    room = named.make(kept)
-    camera = room.asked.camera
-    assert camera is not None
-    localizer = Localizer(map_of(named, room.mapped, features, kept), min_confidence=0.0)
-    others = [
-        (localizer.extractor.extract(image), camera) for image, camera in strangers(named.recording, STRANGERS, kept)
-    ]
-    rng = np.random.default_rng(0)
-    for number, (truth, image) in enumerate(room.pictures()):
-        found = localizer.extractor.extract(image)
-        yield case(Kind.WHOLE, localizer, Query(found, camera), truth)
-        some = found.take(np.sort(rng.choice(len(found), int(len(found) * FEWER), replace=False)))
-        yield case(Kind.FEWER, localizer, Query(some, camera), truth)
-        if number % SELDOM:
-            continue
-        yield case(Kind.FOCAL_OFF, localizer, Query(found, camera.zoomed(FOCAL_OFF)), truth)
-        size = np.sqrt(WINDOW) * np.array([camera.width, camera.height])
-        low = rng.uniform(0, 1, 2) * ((camera.width, camera.height) - size)
-        strange, _ = others[rng.integers(len(others))]
-        mixed = FeatureSet.concatenate([_within(found, low, size, True), _within(strange, low, size, False)])
-        yield case(Kind.WINDOW, localizer, Query(mixed, camera), truth)
-    first = next(one for one in ROOMS if one.mapped == named.mapped)
-    for found, strange_camera in others if named is first else ():
-        yield case(Kind.OTHER_ROOM, localizer, Query(found, strange_camera), None)
-
-
-def _within(features: FeatureSet, low: FloatArray, size: FloatArray, inside: bool) -> FeatureSet:
-    """The features inside or outside a window."""
-    is_inside = ((features.pixels >= low) & (features.pixels < low + size)).all(axis=1)
-    return features.take(np.flatnonzero(is_inside == inside))
 
 
 def all_answered(
     features: list[str], rooms: list[NamedRoom], kept: Path, is_late: Callable[[], bool]
 ) -> tuple[list[Answered], int]:
     """What is kept or can be asked in time, and how much is missing then."""
-    found, missing, digest = [], 0, code_digest()
-    for name in features:
-        for named in rooms:
-            path = kept / "answers" / f"{name}-{named.name.replace(' ', '-')}-{digest}.json"
-            if not path.is_file():
-                if is_late():
-                    missing += 1
-                    continue
-                path.parent.mkdir(parents=True, exist_ok=True)
-                path.write_text(json.dumps([asdict(one) for one in asked(named, name, kept)]))
-                print(f"asked: {name}, {named.name}", flush=True)
-            cases = [Case.read(one) for one in json.loads(path.read_text())]
-            found.append(Answered(name, named.recording, named.name, cases))
-    return found, missing
+    found = [answers_of(named, name, kept, is_late) for name in features for named in rooms]
+    return [one for one in found if one is not None], found.count(None)
 
 
 # -- fitting and checking --------------------------------------------------------------------------------------------
 
 
+def weight_of(case: Case) -> float:
+    """How much a case counts in the fit."""
+    if case.kind is Kind.FOCAL_OFF:
+        return 0.0
+    if case.kind is Kind.WINDOW:
+        return WINDOW_WEIGHT
+    nearly = not case.right and case.off_m is not None and case.off_m < NEARLY_M
+    return NEARLY_WEIGHT if nearly else 1.0
+
+
 def fit(cases: list[Case]) -> FloatArray:
-    """The logistic's intercept and weights (5,), by likelihood with a little ridge; what speaks against cannot help."""
+    """The logistic's intercept and weights (7,), by likelihood with a little ridge; what speaks against cannot help."""
     usable = [case for case in cases if case.inputs is not None]
     X = np.array([[1.0, *case.inputs] for case in usable])  # type: ignore[misc]
     sign = np.where([case.right for case in usable], 1.0, -1.0)
-    weight = np.array([case.weight for case in usable])
+    weight = np.array([weight_of(case) for case in usable])
     bounds = [(None, None), *SIGNS]
     found = minimize(
-        lambda w: (weight * np.logaddexp(0, -sign * (X @ w))).sum() + RIDGE * (w @ w),
+        lambda w: (weight * np.logaddexp(0, -sign * (X @ w))).sum() + RIDGE * (w[1:] @ w[1:]),
         np.zeros(X.shape[1]),
         bounds=bounds,
     )

@@ -2,10 +2,11 @@
 
     python benchmarks/features_table.py --cache FOLDER [--features "sift48;lab3;..."] [--minutes 10] [--json FILE]
 
-Of every room of benchmarks/rooms.py: the share of its queries within 5 cm and 5° (10 cm where poses are no better known
+Of every room of benchmarks/rooms.py: the share of its frames within 5 cm and 5° (10 cm where poses are no better known
 than that: halves of a walk, the building), and how many of the answers given are more than 10 cm
-off. Of each kind of features also the bytes of the kitchen's map, and for the kitchen's easy frames the processor time
-from JPEG to pose (median, one core) and of that to extract: compare it where the machine was as busy all along.
+off; and in the mean over what is asked from far and across a walk's halves. Of each kind of features also the bytes of
+the kitchen's map, and for the kitchen's easy frames the processor time from JPEG to pose (median, one core) and of that
+to extract: compare it where the machine was as busy all along.
 
 Then right stereo matches across changed lights (../shared/data/lighting_pairs), and across coloured lights the median
 number of matches that agree with the pair's epipolar geometry, each coloured picture held against the white ones from
@@ -30,23 +31,62 @@ import numpy as np
 import poselib
 
 import trial_features
+from asking import Answered, Kind, answers_of, code_digest
 from measuring import SHARED_DATA, print_table
 from rholoc.evaluation.lighting_pairs import compare_lighting_pairs
 from rholoc.features import extractor_names, get_extractor
 from rholoc.features.matching import LIMITS, mutual_matches
-from rholoc.geometry import Pose, pose_distances
-from rholoc.localization import Localizer, Query
+from rholoc.localization import MIN_CONFIDENCE, Localizer, Query
 from rholoc.maps import map_to_bytes
 from rholoc.recordings import decode_image, read_image
-from rooms import ROOMS, NamedRoom, code_digest, map_of
+from rooms import ROOMS, map_of
 
 NEAR_M, NEAR_RAD = 0.05, np.deg2rad(5.0)
 RIGHT_M = 0.10
 TRUE_TO_CENTIMETRES = ("redkitchen", "another light", *(f"room {seed}" for seed in range(10)))
 TIMED = "kitchen, easy"
+LIGHTS, COLOURS, COST = "lighting pairs", "coloured pairs", "cost"
+MEANS = {
+    "from far": ("kitchen, map 600–999", "kitchen, map 700–999"),
+    "across a walk's halves": tuple(one.name for one in ROOMS if one.name.endswith("half mapped")),
+}
 EPIPOLAR_PX = 2.0
 JPEG_QUALITY = 92
 OUT_OF_TIME = 3
+
+
+@dataclass(frozen=True)
+class Cost:
+    """What one kind of features costs in the kitchen.
+
+    Attributes:
+        map_bytes: of the map.
+        cpu_ms: median processor time from JPEG to pose.
+        extract_ms: of that, to decode and to extract what every frame needs.
+    """
+
+    map_bytes: int
+    cpu_ms: float
+    extract_ms: float
+
+
+def cost(features: str, kept: Path) -> Cost:
+    """Ask the kitchen's map by its easy frames, as a service would: JPEG to pose."""
+    named = next(one for one in ROOMS if one.name == TIMED)
+    room = named.make(kept)
+    camera = room.asked.camera
+    assert camera is not None
+    map_ = map_of(named, room.mapped, features, kept)
+    localizer = Localizer(map_)
+    whole_ms, extract_ms = [], []
+    for _, image in room.pictures():
+        jpeg = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1].tobytes()
+        start = time.thread_time()
+        query = Query.of_picture(decode_image(jpeg), localizer.extractor, camera)
+        extract_ms.append(1e3 * (time.thread_time() - start))
+        localizer.localize(query)
+        whole_ms.append(1e3 * (time.thread_time() - start))
+    return Cost(len(map_to_bytes(map_)), float(np.median(whole_ms)), float(np.median(extract_ms)))
 
 
 @dataclass(frozen=True)
@@ -58,48 +98,26 @@ class Answers:
         near: how many of them are answered within 5 cm (or 10) and 5°.
         given: how many are answered.
         wrong: how many of the answers are more than 10 cm off.
-        map_bytes: of the map.
-        cpu_ms: median processor time from JPEG to pose.
-        extract_ms: of that, to decode and to extract what every frame needs.
     """
 
     queries: int
     near: int
     given: int
     wrong: int
-    map_bytes: int
-    cpu_ms: float
-    extract_ms: float
 
-
-def ask(named: NamedRoom, features: str, kept: Path) -> Answers:
-    """Ask a room's map by its frames, as a service would: JPEG to pose."""
-    room = named.make(kept)
-    camera = room.asked.camera
-    assert camera is not None
-    near_m = NEAR_M if named.recording in TRUE_TO_CENTIMETRES else RIGHT_M
-    map_ = map_of(named, room.mapped, features, kept)
-    localizer = Localizer(map_)
-    errors: list[tuple[float, float] | None] = []
-    whole_ms, extract_ms = [], []
-    for truth, image in room.pictures():
-        jpeg = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1].tobytes()
-        start = time.thread_time()
-        query = Query.of_picture(decode_image(jpeg), localizer.extractor, camera)
-        extract_ms.append(1e3 * (time.thread_time() - start))
-        pose: Pose | None = localizer.localize(query).pose
-        whole_ms.append(1e3 * (time.thread_time() - start))
-        errors.append(None if pose is None else pose_distances(pose.T_map_camera, truth))
-    given = [error for error in errors if error is not None]
-    return Answers(
-        len(errors),
-        sum(bool(apart < near_m and turned < NEAR_RAD) for apart, turned in given),
-        len(given),
-        sum(bool(apart > RIGHT_M) for apart, _ in given),
-        len(map_to_bytes(map_)),
-        float(np.median(whole_ms)),
-        float(np.median(extract_ms)),
-    )
+    @classmethod
+    def of(cls, answered: Answered) -> Answers:
+        """What a room's frames are answered with, at the confidence that is asked of an answer."""
+        near_m = NEAR_M if answered.recording in TRUE_TO_CENTIMETRES else RIGHT_M
+        metric = get_extractor(answered.features).metric
+        frames = [case for case in answered.cases if case.kind is Kind.WHOLE]
+        given = [case for case in frames if case.confidence(metric) >= MIN_CONFIDENCE]
+        return cls(
+            len(frames),
+            sum(case.is_within(near_m, NEAR_RAD) for case in given),
+            len(given),
+            sum(not case.is_within(RIGHT_M, np.inf) for case in given),
+        )
 
 
 def right_across_lights(features: str) -> dict[str, int]:
@@ -136,24 +154,24 @@ def _epipolar_inliers(a: np.ndarray, b: np.ndarray) -> int:
     return int(report["num_inliers"])
 
 
-def cells(kept: Path) -> dict[str, Callable[[str], dict[str, Any]]]:
-    """What is measured of a kind of features, by name."""
-    found: dict[str, Callable[[str], dict[str, Any]]] = {}
-    for named in ROOMS:
-        found[named.name] = lambda features, named=named: asdict(ask(named, features, kept))  # type: ignore[misc]
-    return found | {"lighting pairs": right_across_lights, "coloured pairs": agreeing_across_colours}
-
-
 def measure(features: list[str], kept: Path, is_late: Callable[[], bool]) -> dict[str, dict[str, Any]]:
     """All cells that are kept or can be measured in time, by kind of features and by name."""
-    digest, table = code_digest(), {}
-    for name in features:
-        row = table.setdefault(name, {})
-        for cell, measured in cells(kept).items():
-            path = kept / "features" / f"{name}-{cell}-{digest}.json".replace(" ", "-")
-            if not path.is_file() and is_late():
-                continue
+    table: dict[str, dict[str, Any]] = {name: {} for name in features}
+    for name, row in table.items():
+        for named in ROOMS:
+            answered = answers_of(named, name, kept, is_late, frames_alone=True)
+            if answered is not None:
+                row[named.name] = asdict(Answers.of(answered))
+        others: dict[str, Callable[[str], dict[str, Any]]] = {
+            LIGHTS: right_across_lights,
+            COLOURS: agreeing_across_colours,
+            COST: lambda features: asdict(cost(features, kept)),
+        }
+        for cell, measured in others.items():
+            path = kept / "features" / f"{name}-{cell}-{code_digest(name)}.json".replace(" ", "-")
             if not path.is_file():
+                if is_late():
+                    continue
                 path.parent.mkdir(parents=True, exist_ok=True)
                 path.write_text(json.dumps(measured(name)))
                 print(f"measured: {name}, {cell}", flush=True)
@@ -164,20 +182,27 @@ def measure(features: list[str], kept: Path, is_late: Callable[[], bool]) -> dic
 def shown(table: dict[str, dict[str, Any]]) -> list[dict[str, str]]:
     """A line a figure, a column a kind of features."""
     lines = []
-    for cell in dict.fromkeys(cell for row in table.values() for cell in row):
-        line = {"": cell} | {name: _share(row[cell]) for name, row in table.items() if "queries" in row.get(cell, {})}
-        if len(line) > 1:
-            lines.append(line)
-        for key in dict.fromkeys(key for row in table.values() for key in row.get(cell, {}) if len(line) == 1):
+    for named in ROOMS:
+        lines.append(
+            {"": named.name} | {name: _share(row[named.name]) for name, row in table.items() if named.name in row}
+        )
+    for label, rooms in MEANS.items():
+        means = {
+            name: f"{np.mean([100 * row[room]['near'] / row[room]['queries'] for room in rooms]):.0f} %"
+            for name, row in table.items()
+            if all(room in row for room in rooms)
+        }
+        lines.append({"": label} | means)
+    for cell in (LIGHTS, COLOURS):
+        for key in dict.fromkeys(key for row in table.values() for key in row.get(cell, {})):
             counts = {name: f"{row[cell][key]:.0f}" for name, row in table.items() if cell in row}
             lines.append({"": f"{cell}: {key}"} | counts)
-    timed = {name: row[TIMED] for name, row in table.items() if TIMED in row}
     for label, key, unit in (
         ("map, kB", "map_bytes", 1e3),
         ("whole, ms", "cpu_ms", 1),
         ("extract, ms", "extract_ms", 1),
     ):
-        lines.append({"": label} | {name: f"{row[key] / unit:.0f}" for name, row in timed.items()})
+        lines.append({"": label} | {name: f"{row[COST][key] / unit:.0f}" for name, row in table.items() if COST in row})
     return lines
 
 
@@ -201,7 +226,7 @@ def main() -> None:
     print_table(shown(table), ["", *table])
     if args.json:
         args.json.write_text(json.dumps(table, indent=2) + "\n")
-    missing = sum(len(cells(args.cache)) - len(row) for row in table.values())
+    missing = sum(len(ROOMS) + len((LIGHTS, COLOURS, COST)) - len(row) for row in table.values())
     if missing:
         print(f"{missing} cells are still to be measured: run it again.")
         raise SystemExit(OUT_OF_TIME)

@@ -6,7 +6,6 @@ what is fitted to some recordings can be checked on another. Trajectories, simul
 
 from __future__ import annotations
 
-import hashlib
 import shutil
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
@@ -16,7 +15,6 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-import rholoc
 from measuring import SHARED_DATA
 from rholoc.geometry import BoolArray, Camera, FloatArray
 from rholoc.mapping import BuildOptions, build_map
@@ -27,11 +25,10 @@ from rholoc.simulation import Light, Site, simulate_recording
 from rholoc.trajectory import PoseMethod, estimate_trajectory
 
 KITCHEN_CAMERA = "525.505,525.505,320,240"
-HALVES_ASKED = 40  # frames of each half, about
+HALVES_ASKED = 24  # frames of each half, about
 WALK_SECONDS, WALK_ASKED = 30.0, 30  # frames
 ROOM_FPS, BUILDING_FPS, BUILDING_ASKED_FPS, LIGHT_FPS = 30.0, 15.0, 1.0, 5.0
 ROOM_SEEDS = range(3)
-_PACKAGES = ("density", "features", "localization")
 
 
 @dataclass(frozen=True)
@@ -164,7 +161,7 @@ ROOMS = (
     NamedRoom("kitchen, easy", "kitchen 400", "redkitchen", partial(kitchen, "400:1000", "200:400:8", 1)),
     NamedRoom("kitchen, hard", "kitchen 400", "redkitchen", partial(kitchen, "400:1000", "100:200:4", 1)),
     NamedRoom("kitchen, blurred over 9 px", "kitchen 400", "redkitchen", partial(kitchen, "400:1000", "200:400:8", 9)),
-    NamedRoom("kitchen, map 600–999", "kitchen 600", "redkitchen", partial(kitchen, "600:1000", "100:400:6", 1)),
+    NamedRoom("kitchen, map 600–999", "kitchen 600", "redkitchen", partial(kitchen, "600:1000", "100:400:12", 1)),
     NamedRoom("kitchen, map 700–999", "kitchen 700", "redkitchen", partial(kitchen, "700:1000", "100:400:6", 1)),
     *(
         NamedRoom(f"{room_name}, {part} half mapped", f"{room_name} {which}", name, partial(half, name, which))
@@ -172,7 +169,7 @@ ROOMS = (
         for which, part in enumerate(("first", "second"))
     ),
     NamedRoom("building", "building", "building", building),
-    NamedRoom("another light", "another light", "another light", room_by_another_light),
+    NamedRoom("another light", "another light", "room 0", room_by_another_light),
     *(NamedRoom(f"room {seed}", f"room {seed}", f"room {seed}", partial(room, seed)) for seed in ROOM_SEEDS),
 )
 
@@ -221,12 +218,3 @@ def _pictures(path: Path, each: int) -> list[tuple[np.ndarray, Camera]]:
         height, width = image.shape[:2]
         found.append((image, Camera(width, height, 0.8 * width, 0.8 * width, (width - 1) / 2, (height - 1) / 2)))
     return found
-
-
-def code_digest() -> str:
-    """A name for the code that answers: what was answered by other code is asked again."""
-    digest = hashlib.sha256()
-    for package in _PACKAGES:
-        for file in sorted((Path(rholoc.__file__).parent / package).rglob("*.py")):
-            digest.update(file.read_bytes())
-    return digest.hexdigest()[:12]

@@ -74,7 +74,7 @@ def search(*candidates: _Found) -> _Search:
 
 
 def test_of_two_candidates_the_better_supported_of_those_that_may_be_given_out_is_likelier() -> None:
-    sure, surer, doubtful = found(0.7, 50.0), found(0.61, 80.0), found(0.59, 200.0)
+    sure, surer, doubtful = found(0.7, 50.0), found(0.51, 80.0), found(0.49, 200.0)
     assert _likelier(None, doubtful) is doubtful
     assert _likelier(sure, surer) is surer is _likelier(surer, sure)
     assert _likelier(sure, doubtful) is sure is _likelier(doubtful, sure)
@@ -94,8 +94,8 @@ def test_of_two_candidates_the_better_supported_of_those_that_may_be_given_out_i
         (0.3, None, "best"),
         (0.3, 0.89, "best"),
         (0.3, 0.9, "elsewhere"),
-        (0.59, 0.95, "elsewhere"),
-        (0.6, 0.95, "best"),
+        (0.49, 0.95, "elsewhere"),
+        (0.5, 0.95, "best"),
         (None, 0.95, "elsewhere"),
         (None, 0.5, None),
     ],

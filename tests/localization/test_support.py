@@ -12,7 +12,7 @@ from rholoc.geometry import Camera
 from rholoc.localization import Localizer
 from rholoc.localization.ascent import Optimum
 from rholoc.localization.matches import Matches
-from rholoc.localization.support import Support, _Grid, support_of
+from rholoc.localization.support import Support, _beyond_chance, _Grid, support_of
 
 WIDE = Camera(640, 360, 500.0, 500.0, 319.5, 179.5)
 
@@ -38,7 +38,7 @@ def supported(localizer: Localizer, point_room: Any, chosen: int, density: float
     rays = np.tile([0.0, 0.0, 1.0], (count, 1))
     evidence = Evidence.of(landmarks, rays, index.landmarks[landmarks], np.zeros((count, 3, 3)), found.chances, 500.0)
     optimum = Optimum(index.map.T_map_camera[20], 1.0, np.full(count, density))
-    return support_of(index, pixels, camera, found, evidence, optimum, np.full(count, by_chance))
+    return support_of(index, pixels, camera, found, evidence, optimum, np.full(count, by_chance), Matches.none())
 
 
 def test_without_matches_that_agree_nothing_speaks_for_a_pose(localizer: Localizer, point_room: Any) -> None:
@@ -85,7 +85,8 @@ def test_what_should_be_in_a_cell_and_is_not_counts_where_something_else_is(
     seen_alike = index.seen_alike
     asked: list[int] = []
     monkeypatch.setattr(index, "seen_alike", lambda rows, views: (asked.append(views), seen_alike(rows, views))[1])
-    support = support_of(index, pixels, camera, found, evidence, Optimum(T, 1.0, np.ones(count)), by_chance)
+    optimum = Optimum(T, 1.0, np.ones(count))
+    support = support_of(index, pixels, camera, found, evidence, optimum, by_chance, found)
 
     assert asked == [10]
     shared = np.array([np.isin(index.visibility[[view]].indices, seen[chosen]).sum() for view in range(60)])
@@ -103,3 +104,18 @@ def test_what_should_be_in_a_cell_and_is_not_counts_where_something_else_is(
     missing = sum(min(-np.log(1 - rate) * expected[cell], 10.0) for cell in np.flatnonzero(empty))
     assert support.missing == pytest.approx(missing)
     assert (missing > 20) == (crowd == 3)
+    assert support.found == matched.sum()
+    assert support.expected == min(expected.sum(), len(pixels))
+    assert support.beyond_chance == count
+
+
+def test_matches_of_a_wider_search_count_beyond_what_chance_puts_around(localizer: Localizer, point_room: Any) -> None:
+    """Ten matches within four pixels of where they should be, 45 in the ring from there to fourteen pixels."""
+    index, camera, T = localizer.index, point_room.camera, localizer.map.T_map_camera[20]
+    landmarks = np.resize(index.visibility[[20]].indices.astype(np.int64), 60)
+    off_px = np.array([3.9] * 10 + [4.1] * 20 + [13.9] * 25 + [14.1] * 5)
+    pixels = camera.project((index.landmarks[landmarks] - T[:3, 3]) @ T[:3, :3]) + np.outer(off_px, (0.6, 0.8))
+    wide = Matches(np.arange(60), landmarks, np.full(60, 0.5))
+    assert _beyond_chance(index, pixels, camera, wide, T) == pytest.approx(10 - 45 * 16 / 180)
+    assert _beyond_chance(index, pixels, camera, wide.take(np.arange(10, 60)), T) == 0.0
+    assert _beyond_chance(index, pixels, camera, Matches.none(), T) == 0.0

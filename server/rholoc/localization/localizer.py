@@ -203,9 +203,7 @@ class Localizer:
         """
         watch = _Stopwatch(query.deadline_s)
         self.check(query)
-        search = self._quick_search(query, watch) or self._search(
-            self.adapted(_with_more_features(query, watch)), watch
-        )
+        search = self._thorough_search(query, watch)
         answer = self._answer(search)
         if answer.localized:
             return answer
@@ -224,8 +222,7 @@ class Localizer:
 
     def candidate(self, query: Query) -> tuple[Verified, float] | None:
         """The pose that would be answered with, however doubtful, and its confidence."""
-        watch = _Stopwatch(query.deadline_s)
-        search = self._search(self.adapted(_with_more_features(query, watch)), watch)
+        search = self._thorough_search(query, _Stopwatch(query.deadline_s))
         found = search.outcome(self.options.conclusive)
         return None if found is None else (found.verified, found.confidence)
 
@@ -244,6 +241,10 @@ class Localizer:
         if query.dof is Dof.AUTO and not self.index.seen_upright:
             query = replace(query, dof=Dof.FREE)
         return query
+
+    def _thorough_search(self, query: Query, watch: _Stopwatch) -> _Search:
+        """A quick look, and a close one where that is not sure."""
+        return self._quick_search(query, watch) or self._search(self.adapted(_with_more_features(query, watch)), watch)
 
     def _quick_search(self, query: Query, watch: _Stopwatch) -> _Search | None:
         """A look at what few features point to first; None unless more can be had and that is sure."""
@@ -285,7 +286,9 @@ class Localizer:
     def _look_for_rivals(self, search: _Search, rays: FloatArray) -> None:
         """Look for other poses that the picture may show as well as the best; a prior has settled that before."""
         query, watch, best = search.query, search.watch, search.best or search.elsewhere
-        if search.nearest is None or best is None or best.confidence < MIN_CONFIDENCE or watch.late:
+        if search.nearest is None or best is None or watch.late:
+            return
+        if best.confidence < min(self.min_confidence, MIN_CONFIDENCE):
             return
         if query.intrinsics is Intrinsics.UNKNOWN:
             query = replace(query, camera=best.camera)

@@ -266,6 +266,7 @@ class _Joint:
         """Match again around the poses and ascend, within each radius in turn."""
         T, links, densities = T_map_cameras, self.asked.links, self.index.map.densities
         verified: tuple[Verified, ...] = ()
+        wide: list[Matches] = []
         for radius in SEARCH_RADII_PX:
             near = [
                 self.index.match_near(frame.features, frame.camera, pose, radius)
@@ -273,6 +274,7 @@ class _Joint:
             ]
             if sum(len(matches) for matches, _ in near) < _MIN_MATCHES:
                 return None
+            wide = wide or [matches for matches, _ in near]
             evidences = [
                 evidence_of(self.index, matches, rays, frame.camera)
                 for (matches, _), rays, frame in zip(near, self.rays, self.frames, strict=True)
@@ -281,9 +283,9 @@ class _Joint:
             optima = ascend_together(densities, evidences, T, links, tolerances_px, self.dof)
             T = np.array([optimum.T_map_camera for optimum in optima])
             verified = tuple(
-                _verified(self.index, frame, optimum, matches, evidence, by_chance)
-                for optimum, (matches, by_chance), evidence, frame in zip(
-                    optima, near, evidences, self.frames, strict=True
+                _verified(self.index, frame, optimum, matches, evidence, by_chance, around)
+                for optimum, (matches, by_chance), evidence, frame, around in zip(
+                    optima, near, evidences, self.frames, wide, strict=True
                 )
             )
         covariances = joint_covariances([one.evidence for one in verified], [one.optimum for one in verified], links)
@@ -317,12 +319,18 @@ class _Joint:
 
 
 def _verified(
-    index: MapIndex, frame: Query, optimum: Optimum, matches: Matches, evidence: Evidence, by_chance: FloatArray
+    index: MapIndex,
+    frame: Query,
+    optimum: Optimum,
+    matches: Matches,
+    evidence: Evidence,
+    by_chance: FloatArray,
+    wide: Matches,
 ) -> Verified:
     pixels = frame.features.pixels
-    support = support_of(index, pixels, frame.camera, matches, evidence, optimum, by_chance)
+    support = support_of(index, pixels, frame.camera, matches, evidence, optimum, by_chance, wide)
     chance = float(by_chance.sum())
-    return Verified(optimum, matches, evidence, pixels[matches.detections], chance, matches, support)
+    return Verified(optimum, matches, evidence, pixels[matches.detections], chance, wide, support)
 
 
 def _plane(rays: FloatArray) -> FloatArray:

@@ -9,7 +9,7 @@ screen agree as far as they reach, and no farther.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 
 import numpy as np
 
@@ -21,10 +21,12 @@ from rholoc.localization.matches import Matches
 
 _CELLS_ACROSS = 8
 _CELL_NATS = 10.0  # the most that a cell can say
+_PART_NATS = 3.0  # the least that makes it a part of the picture that bears a pose out
 _CHANCE_NATS = 1.5  # what a match by chance says, about
 _VIEWS_ALIKE = 10
 _FEWEST_EXPECTED, _FEWEST_DETECTED = 2, 3  # landmarks, features of a cell that can contradict
 _HIGHEST_RATE = 0.9
+_CLOSE_PX, _AROUND_PX = 4.0, 14.0  # of where landmarks should be
 
 
 @dataclass(frozen=True)
@@ -34,10 +36,19 @@ class Support:
     Attributes:
         seen: nats, what its matches say for it, cell by cell.
         missing: nats, what the cells say against it where landmarks should be and other things are.
+        found: how many landmarks are where views from hereabouts saw them.
+        expected: how many of them should be: as many as those views saw, or as the picture has features for.
+        beyond_chance: how many matches of a wider search are close to their landmarks, beyond those that chance put
+            there, by how many it put around.
+        parts: how many cells say enough for it by themselves.
     """
 
     seen: float
     missing: float
+    found: float = 0.0
+    expected: float = 0.0
+    beyond_chance: float = 0.0
+    parts: float = 0.0
 
     @property
     def net(self) -> float:
@@ -47,8 +58,7 @@ class Support:
     @classmethod
     def mean(cls, supports: Sequence[Support]) -> Support:
         """Of several frames: they show much the same, so that together they say little more than each."""
-        count = len(supports)
-        return cls(sum(one.seen for one in supports) / count, sum(one.missing for one in supports) / count)
+        return cls(*np.mean([astuple(one) for one in supports], axis=0).tolist())
 
 
 def support_of(
@@ -59,6 +69,7 @@ def support_of(
     evidence: Evidence,
     optimum: Optimum,
     by_chance: FloatArray,
+    wide: Matches,
 ) -> Support:
     """The support of an optimum.
 
@@ -70,20 +81,42 @@ def support_of(
         evidence: what they say.
         optimum: the pose.
         by_chance: (N,) how probably each feature matches something there by chance.
+        wide: the matches of a wider search.
     """
     agreeing = np.flatnonzero(optimum.density > 0)
     if len(agreeing) == 0:
         return Support(0.0, 0.0)
     grid = _Grid.of(camera)
     gains = np.log1p(optimum.density[agreeing] / evidence.epsilon[agreeing])
-    said = grid.sums(pixels[found.detections[agreeing]], gains) - _CHANCE_NATS * grid.sums(pixels, by_chance)
+    gained = grid.sums(pixels[found.detections[agreeing]], gains)
+    said = gained - _CHANCE_NATS * grid.sums(pixels, by_chance)
     shown, should_be = _expected(index, found.landmarks[agreeing], camera, optimum.T_map_camera)
     expected = grid.sums(should_be)
-    seen = grid.sums(should_be[np.isin(shown, found.landmarks[agreeing])])
+    is_found = np.isin(shown, found.landmarks[agreeing])
+    seen = grid.sums(should_be[is_found])
     empty = (seen == 0) & (expected >= _FEWEST_EXPECTED) & (grid.sums(pixels) >= _FEWEST_DETECTED)
     rate = min(float(seen.sum()) / max(float(expected[seen > 0].sum()), 1.0), _HIGHEST_RATE)
     against = -np.log(1 - rate) * expected[empty]
-    return Support(float(np.clip(said, 0, _CELL_NATS).sum()), float(np.minimum(against, _CELL_NATS).sum()))
+    return Support(
+        float(np.clip(said, 0, _CELL_NATS).sum()),
+        float(np.minimum(against, _CELL_NATS).sum()),
+        float(is_found.sum()),
+        float(min(len(shown), len(pixels))),
+        _beyond_chance(index, pixels, camera, wide, optimum.T_map_camera),
+        float((gained > _PART_NATS).sum()),
+    )
+
+
+def _beyond_chance(
+    index: MapIndex, pixels: FloatArray, camera: Camera, wide: Matches, T_map_camera: FloatArray
+) -> float:
+    """How many more matches are close to their landmarks than those a little farther off make it likely by chance."""
+    T = T_map_camera
+    shown = camera.project((index.landmarks[wide.landmarks] - T[:3, 3]) @ T[:3, :3])
+    off_px = np.linalg.norm(shown - pixels[wide.detections], axis=1)
+    close, around = (off_px < _CLOSE_PX).sum(), (off_px < _AROUND_PX).sum()
+    by_chance = (around - close) * _CLOSE_PX**2 / (_AROUND_PX**2 - _CLOSE_PX**2)
+    return float(max(close - by_chance, 0.0))
 
 
 def _expected(

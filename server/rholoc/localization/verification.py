@@ -125,6 +125,6 @@ def verify(
     optimum = ascend(densities, evidence, T, (narrow_px, FINAL_TOLERANCE_PX), dof)
     optimum = settle(index, matches, evidence, optimum, dof)
     pixels = query.features.pixels
-    support = support_of(index, pixels, query.camera, matches, evidence, optimum, by_chance)
+    support = support_of(index, pixels, query.camera, matches, evidence, optimum, by_chance, wide)
     chance = float(by_chance.sum())
     return Verified(optimum, matches, evidence, pixels[matches.detections], chance, wide, support, focal_free)
