@@ -6,7 +6,7 @@ rooms, which are all wrong; and windows of a frame, over a seventh of its area, 
 that looks alike.
 
 Every pose found is kept, however doubtful, with what its confidence is made of; so answers are asked for again only
-where the code that finds poses has changed, not where the confidence has.
+where the code that finds poses or its inputs has changed, not where the confidence's weights have.
 """
 
 from __future__ import annotations
@@ -185,7 +185,7 @@ def answers_of(
 @cache
 def code_digest(features: str) -> str:
     """A name for the code that finds poses by one kind of features: what was found by other code is asked again."""
-    digest = hashlib.sha256()
+    digest = hashlib.sha256(inspect.getsource(confidence_inputs).encode())
     root = Path(rholoc.__file__).parent
     files = [file for package in _PACKAGES for file in sorted((root / package).rglob("*.py"))]
     own = Path(inspect.getfile(type(get_extractor(features))))
