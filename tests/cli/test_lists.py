@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from rholoc.cli import main
-from rholoc.jobs import Job, JobState
+from rholoc.jobs import Job, JobPriority, JobState, RecordingStore
 from rholoc.jobs.queue import JobQueue
 from rholoc.maps import Map, MapInfo, save_map
 from rholoc.progress import Stage
@@ -78,3 +78,15 @@ def test_jobs_are_listed_with_their_trust(
     ]
     run(monkeypatch, "job", "list", "--data", tmp_path, "--json")
     assert [row["trusted"] for row in json.loads(capsys.readouterr().out)] == [None, None, False, True]
+
+
+def test_a_job_that_waits_gets_another_priority(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    recordings, queue = RecordingStore(tmp_path), JobQueue(tmp_path)
+    job = queue.submit(recordings.create([("walk.mp4", [b"x"])]).id, "hall")
+    run(monkeypatch, "job", "prioritize", job.id, "high", "--data", tmp_path)
+    assert queue.get(job.id).priority is JobPriority.HIGH
+    queue.close()
+    run(monkeypatch, "job", "list", "--data", tmp_path)
+    assert "waiting for a worker: none is running" in capsys.readouterr().out

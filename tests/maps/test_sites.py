@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -94,6 +95,44 @@ def test_a_broken_file_is_said_to_be_broken(tmp_path: Path, text: str) -> None:
     with pytest.raises(InvalidInput, match="campus is broken"):
         library.get("campus")
     assert list(library.all()) == ["good"]
+
+
+def changed_at(maps_dir: Path, time_ns: int) -> None:
+    """Let the folder of sites have changed then, long ago: so that it does not depend on the clock's ticks."""
+    os.utime(maps_dir / "sites", ns=(time_ns, time_ns))
+
+
+def test_the_site_of_a_map_follows_every_change(tmp_path: Path) -> None:
+    one, other = SiteLibrary(tmp_path), SiteLibrary(tmp_path)
+    assert one.site_of("hall") is None
+    for number, expected in enumerate(["b", "a", "a"]):
+        other.put("ba"[number % 2], Site(maps=(SiteMap("hall", pose=FramePose()), SiteMap("yard"))))
+        changed_at(tmp_path, number)
+        assert (one.site_of("hall"), one.site_of("yard")) == (expected, None)
+    other.delete("a")
+    changed_at(tmp_path, 3)
+    assert one.site_of("hall") == "b"
+
+
+def test_sites_are_read_again_only_after_a_change(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    library = SiteLibrary(tmp_path)
+    library.put("campus", Site(maps=(SiteMap("hall", pose=FramePose()),)))
+    changed_at(tmp_path, 1)
+    assert library.site_of("hall") == "campus"
+    monkeypatch.setattr(SiteLibrary, "get", lambda *_: pytest.fail("a file was read"))
+    assert (library.site_of("hall"), library.site_of("yard")) == ("campus", None)
+
+
+def test_a_renamed_map_stays_in_its_sites(tmp_path: Path) -> None:
+    library = SiteLibrary(tmp_path)
+    hall, yard = SiteMap("hall", floor="1", pose=FramePose((1.0, 2.0, 3.0))), SiteMap("yard")
+    library.put("campus", Site(maps=(hall, yard), links=(SiteLink("yard", "hall", FramePose()),)))
+    library.put("both", Site(maps=(hall, SiteMap("lobby"))))
+    library.rename_map("hall", "lobby")
+    campus = library.get("campus")
+    assert campus.maps == (replace(hall, map="lobby"), yard)
+    assert [(link.first, link.second) for link in campus.links] == [("yard", "lobby")]
+    assert [one.map for one in library.get("both").maps] == ["hall", "lobby"], "it has a map of that name already"
 
 
 def test_a_site_turned_to_the_east_looks_east() -> None:

@@ -6,10 +6,12 @@ import json
 
 import httpx
 import numpy as np
+import pytest
 
 from rholoc.jobs import RecordingStore
 from rholoc.jobs.recording_notes import note_recording
 from rholoc.recordings import MemoryFrames, Recording
+from rholoc_client import Client, ServiceError
 
 VIDEO = b"\0\0\0\x18ftypmp42" + b"\0" * 3_000_000
 
@@ -54,6 +56,19 @@ def test_names_of_files_are_not_trusted(service):
     recording = upload(service, {"file": ("../../../etc/evil.mp4", VIDEO[:100])}).json()["recording"]
     stored = RecordingStore(service.settings.data_dir).path(recording).resolve()
     assert service.settings.data_dir.resolve() in stored.parents
+
+
+def test_a_job_has_a_priority_while_it_waits(service):
+    job = upload(service, {"file": ("walk.mp4", VIDEO)}, priority="low").json()["job"]
+    assert (job["priority"], job["memory_bytes"], job["obstacle"]) == ("low", None, "no_worker")
+    with Client(service.url) as client:
+        assert client.prioritize_job(job["id"], "high").priority == "high"
+        assert client.job(job["id"]).obstacle == "no_worker"
+        assert client.cancel_job(job["id"]).obstacle is None
+        with pytest.raises(ServiceError, match="no longer waits"):
+            client.prioritize_job(job["id"], "low")
+    refused = upload(service, {"file": ("walk.mp4", VIDEO)}, priority="highest")
+    assert (refused.status_code, refused.json()["code"]) == (422, "invalid_request")
 
 
 def test_a_job_is_cancelled_and_tried_again(service):

@@ -67,6 +67,14 @@ def test_a_request_names_a_site_or_a_place_on_earth(client, picture_world, maps)
     assert answer.site is not None
 
 
+def test_a_renamed_map_stays_in_its_site(client) -> None:
+    client.put_site("campus", {"maps": [{"map": "room", "pose": TURNED}]})
+    client.rename_map("room", "study")
+    (one,) = client.site("campus").maps
+    assert (one.map, one.present) == ("study", True)
+    client.rename_map("study", "room")
+
+
 def test_a_request_without_maps_asks_all(campus, picture_world) -> None:
     answer = httpx.post(
         f"{campus.url}/v1/localize?dof=6",

@@ -6,13 +6,16 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import sqlalchemy as sa
+from sqlalchemy.exc import OperationalError
 
 from rholoc.errors import NotFound, UnknownCamera
 from rholoc.geometry import Camera
 from rholoc.localization import MapFinder
 from rholoc.maps import CameraLibrary, CameraProfile, Site, SiteLibrary, SiteMap
 from rholoc.service.keys import KeyStore, Scope
-from rholoc.storage import CAMERAS, KEYS, SITES
+from rholoc.storage import CAMERAS, KEYS, SITES, replica
+from waiting import until
 
 _CAMERA = CameraProfile(Camera(640, 480, 500.0, 500.0, 320.0, 240.0), {"rms_px": 0.2})
 
@@ -75,3 +78,33 @@ def test_each_server_indexes_the_maps_that_others_publish(open_storage: Any, tmp
     other.refresh()
     finder.refresh()
     assert finder.counts() == {"present": 0, "indexed": 0}
+
+
+@pytest.mark.slow
+def test_postgres_tells_of_changes(
+    open_storage: Any, tmp_path: Path, postgres: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also after it was started again: meanwhile it is asked, as it is where a database tells nothing."""
+    url = postgres.create_database("tells_of_changes")
+    one, other = open_storage(url), open_storage(url, follow=True)
+    here, there = (CameraLibrary(tmp_path, shared.documents(CAMERAS)) for shared in (one, other))
+    listening = sa.text("SELECT count(*) FROM pg_stat_activity WHERE query LIKE 'LISTEN%'")
+
+    def is_listening() -> bool:
+        try:
+            with one.engine.connect() as connection:
+                return connection.execute(listening).scalar() == 1
+        except OperationalError:
+            return False
+
+    monkeypatch.setattr(replica, "FOLLOW_EVERY_S", 3600.0)
+    until(is_listening)
+    here.put("phone", _CAMERA)
+    until(lambda: there.names() == ["phone"])
+    monkeypatch.setattr(replica, "FOLLOW_EVERY_S", 0.1)
+    here.put("axis", _CAMERA)  # wakes the follower, which then asks often
+    postgres.stop()
+    postgres.start()
+    until(is_listening)
+    here.delete("phone")
+    until(lambda: there.names() == ["axis"])

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
 from typing import Protocol
 
 from rholoc.errors import InvalidInput
 from rholoc.maps.files import replace_file
+
+_TICK_NS = 2 * 10**9  # a folder that changed within its clock's last tick may change again and look the same
 
 
 class Documents(Protocol):
@@ -18,6 +21,10 @@ class Documents(Protocol):
 
     def read(self, name: str) -> bytes:
         """What a file holds. Raises FileNotFoundError, and OSError where it cannot be read."""
+        ...
+
+    def stamp(self) -> object:
+        """What differs once any of them has changed; None where it is too early to tell."""
         ...
 
     def write(self, name: str, content: bytes, called: str = "") -> None:
@@ -49,6 +56,14 @@ class FolderDocuments:
     def read(self, name: str) -> bytes:
         """What a file holds. Raises FileNotFoundError, and OSError where it cannot be read."""
         return (self._folder / name).read_bytes()
+
+    def stamp(self) -> object:
+        """The folder's time of change: it does not show what is written into a file in place."""
+        try:
+            changed_ns = self._folder.stat().st_mtime_ns
+        except OSError:
+            return None
+        return changed_ns if time.time_ns() - changed_ns > _TICK_NS else None
 
     def write(self, name: str, content: bytes, called: str = "") -> None:
         """Store a file. Raises StorageFull, InvalidInput: nothing was replaced."""

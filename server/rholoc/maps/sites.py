@@ -5,9 +5,11 @@ from __future__ import annotations
 import json
 import math
 import threading
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from enum import StrEnum
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -241,6 +243,35 @@ def _check_earth(earth: SiteOnEarth) -> None:
         )
 
 
+@dataclass(frozen=True)
+class _AllSites:
+    """All sites as they were when their files had a stamp."""
+
+    stamp: object
+    sites: Mapping[str, Site]
+
+    @cached_property
+    def site_by_map(self) -> dict[str, str]:
+        """The name of the first site in which each map has a pose."""
+        found: dict[str, str] = {}
+        for name, site in self.sites.items():
+            for one in site.maps:
+                if one.pose is not None:
+                    found.setdefault(one.map, name)
+        return found
+
+
+def _with_renamed(site: Site, name: str, new_name: str) -> Site:
+    """The site with a map under a new name."""
+
+    def now(one: str) -> str:
+        return new_name if one == name else one
+
+    maps = tuple(replace(one, map=now(one.map)) for one in site.maps)
+    links = tuple(replace(link, first=now(link.first), second=now(link.second)) for link in site.links)
+    return replace(site, maps=maps, links=links)
+
+
 class SiteLibrary:
     """Sites by name; safe to share between threads.
 
@@ -255,6 +286,7 @@ class SiteLibrary:
         self._files = files or FolderDocuments(maps_dir / SITES_FOLDER)
         self._changing = threading.Lock()
         self._read: dict[str, tuple[bytes, Site]] = {}
+        self._all = _AllSites(None, {})
 
     def names(self) -> list[str]:
         """The names of all sites, sorted."""
@@ -319,20 +351,32 @@ class SiteLibrary:
             raise self._unknown(name) from error
 
     def all(self) -> dict[str, Site]:
-        """All sites that can be read, by name."""
-        sites = {}
-        for name in self.names():
-            with suppress(UnknownSite, InvalidInput):
-                sites[name] = self.get(name)
-        return sites
+        """All sites that can be read, by name; their files are read again only after one has changed."""
+        return dict(self._present().sites)
 
     def site_of(self, map_name: str) -> str | None:
         """The name of the first site in which a map has a pose; None where it has one in none."""
-        for name, site in self.all().items():
-            member = site.member(map_name)
-            if member is not None and member.pose is not None:
-                return name
-        return None
+        return self._present().site_by_map.get(map_name)
+
+    def rename_map(self, name: str, new_name: str) -> None:
+        """Let a map that was renamed stay in its sites; one that lists the new name already is left as it is.
+
+        Raises:
+            InvalidName, StorageFull: it is not in them all.
+        """
+        for site_name, site in self.all().items():
+            if site.member(name) is not None and site.member(new_name) is None:
+                self.put(site_name, _with_renamed(site, name, new_name))
+
+    def _present(self) -> _AllSites:
+        stamp = self._files.stamp()  # before the files are read
+        if stamp is None or stamp != self._all.stamp:
+            sites = {}
+            for name in self.names():
+                with suppress(UnknownSite, InvalidInput):
+                    sites[name] = self.get(name)
+            self._all = _AllSites(stamp, sites)
+        return self._all
 
     def _unknown(self, name: str) -> UnknownSite:
         names = self.names()

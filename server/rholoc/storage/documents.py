@@ -29,6 +29,10 @@ class CatalogueDocuments:
         except KeyError as error:
             raise FileNotFoundError(name) from error
 
+    def stamp(self) -> object:
+        """The catalogue's revision."""
+        return self._replica.revision
+
     def write(self, name: str, content: bytes, called: str = "") -> None:
         """Store a file. Raises SQLAlchemyError: nothing was replaced."""
         self._set(name, content)

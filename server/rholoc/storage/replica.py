@@ -18,9 +18,12 @@ import structlog
 from sqlalchemy.exc import SQLAlchemyError
 
 from rholoc.errors import RholocError
+from rholoc.storage.change_listener import ChangeListener, notify
 from rholoc.storage.tables import catalogue_table, documents_table, maps_table
 
 FOLLOW_EVERY_S = 0.5
+"""How often the database is asked where it does not tell of changes, or might not have."""
+
 _LOOK_AGAIN_AFTER_S = 0.1
 _log = structlog.get_logger("rholoc.storage")
 
@@ -127,6 +130,7 @@ class Replica:
             connection.execute(catalogue_table.update().values(revision=catalogue_table.c.revision + 1))
             revision: int = connection.execute(sa.select(catalogue_table.c.revision)).scalar_one()
             yield connection, revision
+            notify(connection)
         try:
             self.refresh()
         except SQLAlchemyError:
@@ -169,7 +173,9 @@ class Replica:
 
     def _follow(self) -> None:
         failing = False
-        while not self._stopping.wait(FOLLOW_EVERY_S):
+        listener = ChangeListener(self._engine)
+        while not self._stopping.is_set():
+            listener.wait(FOLLOW_EVERY_S, self._stopping)
             try:
                 changes = self._changes()
                 self._apply(replace(changes, maps=self._prepared(changes.maps)))
@@ -179,6 +185,7 @@ class Replica:
                 if not failing:
                     _log.warning("catalogue_not_refreshed", exc_info=True)
                 failing = True
+        listener.close()
 
     def _prepared(self, changed: Mapping[str, MapRow | None]) -> dict[str, MapRow | None]:
         """The maps that changed and are ready to be asked; those that are not stay what they are meanwhile."""

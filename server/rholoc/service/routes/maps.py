@@ -140,10 +140,11 @@ async def put_map(map_name: str, request: Request, service: Service, response: R
     responses=failures(*_FAILURES, Conflict, InvalidRequest),
 )
 async def patch_map(map_name: str, change: MapPatch, service: Service) -> MapDetail:
-    """The new name must be free."""
+    """The new name must be free. The map stays in its sites."""
     check_map_name(change.name)
     if change.name != map_name:
         await run_in_threadpool(service.library.rename, map_name, change.name)
+        await run_in_threadpool(service.sites.rename_map, map_name, change.name)
     service.localizers.forget_missing()
     return await run_in_threadpool(_detail, service, change.name)
 
