@@ -1,22 +1,28 @@
 """How a service holds up: throughput against cores, latency at 80 % of it, shedding beyond, memory over time.
 
-    python benchmarks/load.py [--servers 2] [--seconds 30] [--soak 600] [--json FILE]
+    python benchmarks/load.py [--servers 2] [--seconds 30] [--json FILE]
+    python benchmarks/load.py --soak 3600 [--rate 2] [--servers 2] [--json FILE]
 
 Starts servers on 127.0.0.1 with the shipped map and asks them for poses of its pictures:
 
 - capacity: as many requests at a time as a server works on, with 1, 2, … of the machine's cores; frames a second;
-- 80 %: requests that come at random moments (Poisson), four fifths of the capacity; the median, 99 % and worst;
+- 80 %: requests that come at random moments (Poisson), four fifths of the capacity; the median, 99 % and worst. Beside
+  them what an ideal service has, whose frames all take the same time and wait in one queue: at random moments several
+  come at once, however quick the service is;
 - overload: twice the capacity; what is shed (503 with Retry-After), the times of what is accepted, and of /healthz;
-- soak, if asked: half the capacity for so long; resident memory after the first tenth and at the end.
+- ``--soak``, instead of these: so many seconds at ``--rate`` frames a second, lists, a report and metrics beside; the
+  resident memory from the first tenth on, which is for warming up.
 
 With ``--servers`` above 1 they share the cores, a storage (a folder) and a database file, as on several machines, and
-requests take turns. What asks runs on the same cores, which costs some of them. Ends by itself; prints one JSON object.
+requests take turns. What asks runs on the cores that are measured, which costs some of them. Ends by itself; prints one
+JSON object.
 """
 
 from __future__ import annotations
 
 import argparse
 import asyncio
+import heapq
 import json
 import os
 import random
@@ -43,6 +49,8 @@ WARM_UP = 10  # requests to each server, before anything is measured
 HEALTH_EVERY_S = 0.1
 MOST_AT_ONCE = 400  # requests that are open: more would measure what asks
 PATIENCE_S = 60.0
+SAMPLES = 180  # of the memory, over the part of a soak that counts
+BESIDE = ("/v1/maps", f"/v1/maps/{MAP}", f"/v1/maps/{MAP}/report", "/metrics", "/readyz")  # asked during a soak
 
 
 @dataclass
@@ -204,6 +212,13 @@ class Asker:
         watching.cancel()
         return outcome
 
+    async def others(self, every_s: float) -> None:
+        """Ask for other things in turns, for as long as nobody cancels it."""
+        for path in cycle(BESIDE):
+            for url in self._urls:
+                await self._client.get(url + path)
+            await asyncio.sleep(every_s)
+
     async def _watch_health(self, outcome: Outcome) -> None:
         for url in cycle(self._urls):
             begun = time.perf_counter()
@@ -212,7 +227,7 @@ class Asker:
             await asyncio.sleep(HEALTH_EVERY_S)
 
 
-async def measure(servers: Sequence[Server], cores: int, seconds: float, soak_s: float) -> dict[str, Any]:
+async def measure(servers: Sequence[Server], cores: int, seconds: float) -> dict[str, Any]:
     """All that is asked of servers on all the cores."""
     limits = httpx.Limits(max_connections=2 * MOST_AT_ONCE, max_keepalive_connections=2 * MOST_AT_ONCE)
     async with httpx.AsyncClient(timeout=PATIENCE_S, limits=limits) as client:
@@ -222,15 +237,35 @@ async def measure(servers: Sequence[Server], cores: int, seconds: float, soak_s:
         figures = {"capacity": capacity.summary()}
         hz = capacity.frames_a_second
         figures["at 80 %"] = (await asker.at_random(0.8 * hz, seconds)).summary()
+        figures["at 80 %"]["ideal_p99_over_p50"] = round(ideal_p99_over_p50(cores, 0.8), 2)
         figures["at 200 %"] = (await asker.at_random(2 * hz, seconds)).summary()
-        if soak_s:
-            await asker.at_random(0.5 * hz, 0.1 * soak_s, seed=1)
-            before = [server.resident_mib() for server in servers]
-            soaked = await asker.at_random(0.5 * hz, 0.9 * soak_s, seed=2)
-            after = [server.resident_mib() for server in servers]
-            growth = [round(100 * (b / a - 1), 1) for a, b in zip(before, after, strict=True)]
-            figures["soak"] = {**soaked.summary(), "resident_mib": [round(mib) for mib in after], "growth_%": growth}
     return figures
+
+
+async def soak(servers: Sequence[Server], rate_hz: float, seconds: float) -> dict[str, Any]:
+    """Keep servers moderately busy, and watch their memory."""
+    resident: list[list[float]] = []
+
+    async def watch(every_s: float) -> None:
+        while True:
+            resident.append([server.resident_mib() for server in servers])
+            await asyncio.sleep(every_s)
+
+    async with httpx.AsyncClient(timeout=PATIENCE_S) as client:
+        asker = Asker(servers, client)
+        beside = asyncio.create_task(asker.others(every_s=1.0))
+        await asker.at_random(rate_hz, 0.1 * seconds, seed=1)
+        watching = asyncio.create_task(watch(0.9 * seconds / SAMPLES))
+        soaked = await asker.at_random(rate_hz, 0.9 * seconds, seed=2)
+        for task in (watching, beside):
+            assert not task.done(), "What runs beside a soak ended."
+            task.cancel()
+    by_server = np.array(resident).T
+    growth = 100 * (by_server / by_server[:, :1] - 1)
+    return {
+        **soaked.summary(), "asked_hz": rate_hz, "resident_mib": by_server[:, :: SAMPLES // 10].round(1).tolist(),
+        "growth_%": {"at_most": growth.max(axis=1).round(1).tolist(), "in_the_end": growth[:, -1].round(1).tolist()},
+    }  # fmt: skip
 
 
 async def capacity_of(servers: Sequence[Server], cores: int, seconds: float) -> float:
@@ -241,25 +276,56 @@ async def capacity_of(servers: Sequence[Server], cores: int, seconds: float) -> 
         return (await asker.always(2 * cores, seconds)).frames_a_second
 
 
+def ideal_p99_over_p50(cores: int, load: float, requests: int = 100_000) -> float:
+    """Of the times in a queue with so many servers (M/D/c): random arrivals, frames that all take one unit of time."""
+    moments = np.cumsum(np.random.default_rng(0).exponential(1 / (cores * load), requests))
+    free, took = [0.0] * cores, []
+    for moment in moments.tolist():
+        begun = max(moment, heapq.heappop(free))
+        heapq.heappush(free, begun + 1.0)
+        took.append(begun + 1.0 - moment)
+    p50, p99 = np.percentile(took, [50, 99])
+    return float(p99 / p50)
+
+
+@contextmanager
+def confined_to(cores: int) -> Iterator[None]:
+    """Ask from the cores that servers have, too: else what asks would have one of its own."""
+    before = os.sched_getaffinity(0)
+    os.sched_setaffinity(0, set(sorted(before)[:cores]))
+    try:
+        yield
+    finally:
+        os.sched_setaffinity(0, before)
+
+
+def by_cores(available: int, seconds: float, with_all: float) -> dict[str, Any]:
+    """Capacity of one server with fewer cores, and what share of the linear it is with all of them."""
+    rates = {available: with_all}
+    for cores in range(1, available):
+        with serving(1, cores) as servers, confined_to(cores):
+            rates[cores] = round(asyncio.run(capacity_of(servers, cores, seconds)), 1)
+    return {"frames_a_second_by_cores": rates, "share_of_linear": round(with_all / (available * rates[1]), 2)}
+
+
 def main() -> None:
     """Run the benchmark."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--servers", type=int, default=1, choices=range(1, 9), metavar="N")
     parser.add_argument("--seconds", type=float, default=30.0, help="how long each part takes")
-    parser.add_argument("--soak", type=float, default=0.0, metavar="SECONDS")
+    parser.add_argument("--soak", type=float, metavar="SECONDS", help="only a soak, so long")
+    parser.add_argument("--rate", type=float, default=2.0, metavar="HZ", help="frames a second of a soak")
     parser.add_argument("--json", type=Path, help="write the figures here as well")
     args = parser.parse_args()
     available = len(os.sched_getaffinity(0))
     figures: dict[str, Any] = {"cores": available, "servers": args.servers}
     with serving(args.servers, available) as servers:
-        figures |= asyncio.run(measure(servers, available, args.seconds, args.soak))
-    by_cores = {}
-    for cores in range(1, available):
-        with serving(1, cores) as servers:
-            by_cores[cores] = round(asyncio.run(capacity_of(servers, cores, args.seconds)), 1)
-    by_cores[available] = figures["capacity"]["frames_a_second"]
-    figures["frames_a_second_by_cores"] = by_cores
-    figures["share_of_linear"] = round(by_cores[available] / (available * by_cores[1]), 2) if available > 1 else 1.0
+        if args.soak:
+            figures["soak"] = asyncio.run(soak(servers, args.rate, args.soak))
+        else:
+            figures |= asyncio.run(measure(servers, available, args.seconds))
+    if not args.soak:
+        figures |= by_cores(available, args.seconds, figures["capacity"]["frames_a_second"])
     text = json.dumps(figures, indent=2)
     print(text)
     if args.json:

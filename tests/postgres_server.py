@@ -8,6 +8,7 @@ import shutil
 import signal
 import subprocess
 import tempfile
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -55,6 +56,15 @@ class PostgresServer:
     def stop(self) -> None:
         """Stop it at once, whoever is connected."""
         self._server.send_signal(signal.SIGINT)
+        self._server.wait(30)
+
+    def kill(self) -> None:
+        """Kill all its processes, as a machine does that goes down."""
+        (pid,) = (int(line) for line in (self._cluster / "postmaster.pid").read_text().split("\n")[:1])
+        children = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
+        for one in [pid, *map(int, children)]:
+            with suppress(ProcessLookupError):
+                os.kill(one, signal.SIGKILL)
         self._server.wait(30)
 
     def create_database(self, name: str) -> str:

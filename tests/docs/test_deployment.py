@@ -4,16 +4,23 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
+import socket
 import subprocess
 import sys
+import threading
+from collections.abc import Iterator
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any
 
+import httpx
 import kubernetes_validate
 import pytest
 import yaml
 
 from rholoc.service import Settings, create_app
+from waiting import until
 
 _ROOT = Path(__file__).parents[2]
 _DEPLOY = _ROOT / "server" / "deploy"
@@ -63,3 +70,105 @@ def test_what_the_autoscalers_look_at_is_measured(manifests: list[dict[str, Any]
     source = (_ROOT / "server" / "rholoc" / "service" / "app.py").read_text(encoding="utf-8")
     assert names == {"rholoc_frames", "rholoc_jobs"}
     assert all(f'gauge("{name}"' in source for name in names)
+
+
+CADDYFILE = (_DEPLOY / "Caddyfile").read_text(encoding="utf-8")
+_REPLAYING_CADDY = (2, 8)  # sends a body that it kept to another server
+needs_caddy = pytest.mark.skipif(shutil.which("caddy") is None, reason="Caddy is not installed")
+
+
+class Upstream(ThreadingHTTPServer):
+    """A server that answers with its port, or breaks off while it works on a request."""
+
+    def __init__(self, dies: bool) -> None:
+        self.broken_off: list[tuple[str, str]] = []
+        upstream = self
+
+        class Handler(BaseHTTPRequestHandler):
+            protocol_version = "HTTP/1.1"
+
+            def answer(self) -> None:
+                self.rfile.read(int(self.headers.get("Content-Length", 0)))
+                if dies:
+                    upstream.broken_off.append((self.command, self.path))
+                    self.connection.shutdown(socket.SHUT_RDWR)
+                    self.close_connection = True
+                    return
+                self.send_response(200)
+                self.send_header("Content-Length", "0")
+                self.end_headers()
+
+            do_GET = do_POST = answer
+
+            def log_message(self, *_: object) -> None:
+                pass
+
+        super().__init__(("127.0.0.1", 0), Handler)
+        threading.Thread(target=self.serve_forever, daemon=True).start()
+
+
+@pytest.fixture
+def proxy(tmp_path: Path) -> Iterator[tuple[str, tuple[int, ...], Upstream]]:
+    """The address of Caddy as it is deployed, before a server that dies and one that does not; its version; the first.
+
+    It takes the server that dies for well again soon.
+    """
+    said = subprocess.run(["caddy", "version"], capture_output=True, text=True, check=True).stdout
+    version = tuple(int(part) for part in re.findall(r"\d+", said)[:2])
+    upstreams = [Upstream(dies=True), Upstream(dies=False)]
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        port = free.getsockname()[1]
+    to = " ".join(f"127.0.0.1:{one.server_port}" for one in upstreams)
+    text = re.sub(r"dynamic a [^}]*}[^}]*}[^}]*}", f"to {to}", CADDYFILE)
+    text = text.replace("{$RHOLOC_SITE:localhost}", f"http://localhost:{port}").replace("least_conn", "first")
+    if version < _REPLAYING_CADDY:
+        text = text.replace("request_buffers 33MB", "")
+    assert to in text
+    file = tmp_path / "Caddyfile"
+    file.write_text("{\n\tadmin off\n}\n" + text.replace("fail_duration 10s", "fail_duration 300ms"))
+    command = ["caddy", "run", "--adapter", "caddyfile", "--config", str(file)]
+    running = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    url = f"http://localhost:{port}"
+
+    def answers() -> bool:
+        assert running.poll() is None, "Caddy did not start"
+        try:
+            return httpx.get(f"{url}/healthz").status_code > 0
+        except httpx.TransportError:
+            return False
+
+    try:
+        until(answers)
+        yield url, version, upstreams[0]
+    finally:
+        running.terminate()
+        running.wait(60)
+        for upstream in upstreams:
+            upstream.shutdown()
+            upstream.server_close()
+
+
+@needs_caddy
+def test_another_server_gets_what_one_died_with_if_it_changes_nothing(
+    proxy: tuple[str, tuple[int, ...], Upstream],
+) -> None:
+    url, version, dying = proxy
+
+    def answered(method: str, path: str, content: bytes = b"") -> set[int]:
+        """With what, until the server that dies has had it."""
+        statuses = set()
+        dying.broken_off.clear()
+
+        def has_had_it() -> bool:
+            statuses.add(httpx.request(method, url + path, content=content).status_code)
+            return (method, path) in dying.broken_off
+
+        until(has_had_it)
+        return statuses
+
+    assert answered("GET", "/v1/maps") == {200}
+    assert answered("POST", "/v1/maps/hall/localize") == {200}
+    assert 502 in answered("POST", "/v1/recordings")
+    assert 502 in answered("POST", "/v1/maps/hall/corrections", b"{}")
+    if version >= _REPLAYING_CADDY:
+        assert answered("POST", "/v1/localize", b"a picture" * 10_000) == {200}

@@ -25,6 +25,7 @@ from rholoc.maps.map import Map
 from rholoc.maps.rho_file import unpacked_covariances, unpacked_poses
 from rholoc.maps.validation import validate_map
 
+_MOST_SHOWN = 80  # characters of an unexpected name
 _HINT = "Export the map again, or take another copy."
 _SNIFFED = 4096
 
@@ -304,7 +305,9 @@ def _without(names: list[str], others: list[str]) -> list[str]:
 
 
 def _some(names: list[str]) -> str:
-    return ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
+    return ", ".join(name[:_MOST_SHOWN] for name in names[:3]) + (
+        f" and {len(names) - 3} more" if len(names) > 3 else ""
+    )
 
 
 def _either(values: Sequence[int]) -> str:

@@ -21,6 +21,7 @@ PAPER_COLUMNS = ("timestamp", "x", "y", "z", "hx", "hy", "hz")
 FURTHER_COLUMNS = ("frame", "roll", "qx", "qy", "qz", "qw", "confidence", "inliers", "map_trusted", "expected_error_m")
 TRAJECTORY_COLUMNS = PAPER_COLUMNS + FURTHER_COLUMNS
 
+_MOST_SHOWN = 80  # characters of a wrong value
 _HINT = f"The first row must be {','.join(PAPER_COLUMNS)}, with or without {','.join(FURTHER_COLUMNS)} after it."
 _NORM_TOLERANCE = 1e-2
 
@@ -175,10 +176,21 @@ def _read_values(path: Path) -> tuple[list[str], FloatArray]:
 def _parse(row: Sequence[str], line: int, header: Sequence[str], path: Path) -> list[float]:
     if len(row) != len(header):
         raise InvalidTrajectory(f"{path.name}, row {line}: {len(row)} values under {len(header)} column names.")
+    known = [(name, value) for name, value in zip(header, row, strict=True) if name in TRAJECTORY_COLUMNS]
     try:
-        return [float(value) for name, value in zip(header, row, strict=True) if name in TRAJECTORY_COLUMNS]
+        return [float(value) for _, value in known]
     except ValueError as error:
-        raise InvalidTrajectory(f"{path.name}, row {line}: {error}.") from error
+        name, value = next((name, value) for name, value in known if not _is_number(value))
+        shown = value[:_MOST_SHOWN]
+        raise InvalidTrajectory(f"{path.name}, row {line}: '{shown}' under {name} is not a number.") from error
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
 
 
 def _whole(values: FloatArray, name: str, path: Path) -> IntArray:

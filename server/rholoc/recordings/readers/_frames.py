@@ -20,6 +20,8 @@ from rholoc.reports import RecordingWarning, WarningKind
 
 MAX_FRAME_COUNT_DIFFERENCE = 2  # frames that a recorder may lose at the end of the video or of its table
 
+_LONGEST_NAME_BYTES = 240  # of a file or folder that a list names, without an ending that is tried
+
 
 @dataclass(frozen=True, eq=False)
 class TimedFrames:
@@ -133,8 +135,10 @@ def listed_file(folder: Path, name: str) -> Path:
     """The file that a list in the folder refers to, by a path relative to it.
 
     Raises:
-        InvalidRecording: the name leads out of the folder.
+        InvalidRecording: the name leads out of the folder, or is too long for a file.
     """
+    if max(len(part.encode("utf-8", "surrogatepass")) for part in name.split("/")) > _LONGEST_NAME_BYTES:
+        raise InvalidRecording(f"The list of images names '{name[:80]}…', which is too long for a file.")
     path = folder / name
     if "\0" in name or not path.resolve().is_relative_to(folder.resolve()):
         raise InvalidRecording(f"The list of images names '{name[:80]}', outside the recording's folder.")

@@ -1,0 +1,353 @@
+"""Whether any file makes a reader fail: damaged recordings, tables, maps, pictures, archives and backups.
+
+    python benchmarks/fuzz_readers.py [--cases 100000] [--seconds 600] [--seed 0] [--only NAME …] [--json FILE]
+
+Each case is a good file (or a recording's folder) to which one to three things have befallen: a value became another, a
+line was lost or doubled, bytes were changed, it was cut off or grew, or there is something else in its place. A reader
+has to read it or refuse it by an error of ``rholoc.errors`` in one line, within five seconds, by a process that may
+hold 2 GiB. The cases are divided among the readers and made from the seed, the reader's name and the case's number.
+
+Prints how many were read and refused, the slowest case and the most memory by reader; exit status 1 where one failed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import io
+import json
+import multiprocessing
+import random
+import resource
+import sys
+import tempfile
+import time
+import zipfile
+from collections import Counter
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "recordings"))
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "jobs"))
+import cv2
+import numpy as np
+import phone_recordings as phone
+from fake_pipeline import tiny_map
+
+from rholoc.errors import RholocError
+from rholoc.evaluation.reading import read_frame_poses
+from rholoc.exports import ExportFormat, export_map
+from rholoc.mapping.table_reading import read_observations
+from rholoc.maps import CameraLibrary, FloorPlan, MapLibrary, SiteLibrary, read_coefficient_table
+from rholoc.maps.floor_plan import MEDIA_TYPES, check_plan
+from rholoc.maps.rho_file import load_map
+from rholoc.maps.trajectory_table import read_trajectory_csv
+from rholoc.processes.limits import limit_own_memory
+from rholoc.recordings import (
+    CameraFile,
+    check_archive,
+    decode_image,
+    read_camera_json,
+    read_frames_csv,
+    read_imu_csv,
+    read_pose_table,
+    read_recording,
+    write_camera_json,
+)
+from rholoc.service.backup import back_up, unpack_backup
+
+SHIPPED = Path(__file__).resolve().parents[1] / "maps"
+MOST_MEMORY_BYTES = 2 * 2**30
+MOST_SECONDS = 5.0
+MOST_CHARACTERS = 2000
+BATCH = 500
+SHOWN = 20  # problems
+FORK = multiprocessing.get_context("fork")
+WAYPOINTS = "name,time,x,y,z\nA,1000.1,0,0,1.5\nB,1000.5,1,0,1.5\nC,1001.0,1,1,1.5\n"
+STRANGE = (
+    b"", b"nan", b"-inf", b"1e999", b"-1", b"0", b"1", b"1e308", b"-1e-320", b"9" * 400, b"1_000", b"0x10", b"true",
+    b"null", b'"', b"[", b"{}", "é".encode(), b"\xed\xa0\x80", b"\x00", b"a" * 10_000, b"[" * 100_000, b"1,2,3", b"..",
+    b"/etc/hostname", "１".encode(), b"2147483648", b"-2147483649", b"18446744073709551616", b"1e18", b"[]", b"\r",
+)  # fmt: skip
+SEPARATORS = b',;: \t\n"[]{}'
+OTHERS = (b"", b"\n", b"[]", b"{}", b"null", b"\x00" * 100, b"," * 1000, b"[" * 100_000, b"\xef\xbb\xbf", b"PK\x05\x06")
+
+
+@dataclass(frozen=True)
+class Reader:
+    """A reader, and what it can read.
+
+    Attributes:
+        name: for people.
+        files: good ones, by path; a single one where the reader takes a file.
+        read: called with the folder of the files.
+    """
+
+    name: str
+    files: Mapping[str, bytes]
+    read: Callable[[Path], object]
+
+
+@dataclass
+class Tally:
+    """What came of a reader's cases."""
+
+    read: int = 0
+    refused: int = 0
+    slowest_s: float = 0.0
+    memory_mib: float = 0.0
+    problems: list[str] = field(default_factory=list)
+
+    def add(self, other: Tally) -> None:
+        """Count more cases."""
+        self.read += other.read
+        self.refused += other.refused
+        self.slowest_s = max(self.slowest_s, other.slowest_s)
+        self.memory_mib = max(self.memory_mib, other.memory_mib)
+        self.problems += other.problems
+
+
+def damaged(content: bytes, choices: random.Random) -> bytes:
+    """A file to which something has befallen."""
+    how = choices.choice(("value", "value", "value", "line", "bytes", "bytes", "cut", "grown", "other"))
+    at = choices.randrange(max(1, len(content)))
+    if how == "value":
+        start = max(content.rfind(SEPARATORS[i : i + 1], 0, at) for i in range(len(SEPARATORS))) + 1
+        ends = (content.find(SEPARATORS[i : i + 1], start) for i in range(len(SEPARATORS)))
+        end = min((end for end in ends if end >= 0), default=len(content))
+        return content[:start] + choices.choice(STRANGE) + content[end:]
+    if how == "line":
+        lines = content.split(b"\n")
+        row = choices.randrange(len(lines))
+        changed = (lines[:row] + lines[row + 1 :], lines[: row + 1] + lines[row:], lines[::-1])
+        return b"\n".join(choices.choice(changed))
+    if how == "bytes":
+        length = choices.randrange(1, 20)
+        return content[:at] + choices.randbytes(length) + content[at + choices.choice((0, 1, length)) :]
+    if how == "cut":
+        return content[:at]
+    if how == "grown":
+        return content + choices.choice((content, b"\n\n", b"\xff\xfe", b"{", b",", choices.randbytes(50)))
+    return choices.choice(OTHERS)
+
+
+def readers() -> list[Reader]:
+    """All readers of what users hand in."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        found = [Reader(f"recording {layout}", _recording(layout, folder), _use_recording) for layout in phone.WRITERS]
+        own = _contents(folder / "rholoc")
+        (folder / "empty").mkdir()
+        library = MapLibrary(folder / "maps")
+        library.put("room", tiny_map())
+        back_up(folder / "a.backup", folder / "maps", folder / "empty")
+        site = {"maps": [{"map": "room", "pose": {"position": [0, 0, 0], "yaw_deg": 0}}], "links": []}
+        return [
+            *found,
+            _of_file("imu table", "imu.csv", own["imu.csv"], read_imu_csv),
+            _of_file("frames table", "frames.csv", own["frames.csv"], read_frames_csv),
+            _of_file("camera.json", "camera.json", own["camera.json"], read_camera_json),
+            _of_file("pose table", "poses.txt", b"0 0 0 0 0 0 0 1\n0.5 1 0 0 0 0 0 1\n", read_pose_table),
+            _of_file("trajectory (Table 6)", "t.csv", _exported(ExportFormat.TRAJECTORY), read_trajectory_csv),
+            _of_file("ground truth", "t.txt", b"0 0 0 0 0 0 0 1\n0.5 1 0 0 0 0 0 1\n", read_frame_poses),
+            _of_file("observations (Table 4)", "o.csv", _observations(), read_observations),
+            _of_file("map (Table 5)", "m.csv", _exported(ExportFormat.CSV), read_coefficient_table),
+            _of_file("map", "room.rho", library.path("room").read_bytes(), load_map),
+            _of_file("archive", "a.zip", _zipped(own), check_archive),
+            _of_file("backup", "a.backup", (folder / "a.backup").read_bytes(), _use_backup),
+            _of_file("stored camera", "cameras/c.json", own["camera.json"], _use_camera),
+            _of_file("site", "sites/s.json", json.dumps(site).encode(), _use_site),
+            *(_of_file(f"floor plan {kind}", "plan", content, partial(_use_plan, kind)) for kind, content in _plans()),
+            *(_of_file(f"picture {ending}", "p", content, _use_picture) for ending, content in _pictures()),
+        ]
+
+
+def _of_file(name: str, path: str, content: bytes, read: Callable[[Path], object]) -> Reader:
+    return Reader(name, {path: content}, lambda folder: read(folder / path))
+
+
+def _recording(layout: str, folder: Path) -> dict[str, bytes]:
+    walk = phone.write_recording(layout, folder / layout)
+    if not (walk / "waypoints.csv").exists():
+        (walk / "waypoints.csv").write_text(WAYPOINTS)
+    if not (walk / "camera.json").exists():
+        write_camera_json(walk / "camera.json", CameraFile(fps=20.0, readout_s=0.01))
+    return _contents(walk)
+
+
+def _contents(folder: Path) -> dict[str, bytes]:
+    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+def _exported(form: ExportFormat) -> bytes:
+    return b"".join(
+        piece if isinstance(piece, bytes) else piece.encode() for piece in export_map(tiny_map(), form, title="room")
+    )
+
+
+def _observations() -> bytes:
+    """The first rows of those of the shipped map."""
+    text = b"".join(
+        piece if isinstance(piece, bytes) else piece.encode()
+        for piece in export_map(load_map(SHIPPED / "testsite.rho"), ExportFormat.OBSERVATIONS, title="room")
+    )
+    return b"".join(text.splitlines(keepends=True)[:40])
+
+
+def _zipped(files: Mapping[str, bytes]) -> bytes:
+    out = io.BytesIO()
+    with zipfile.ZipFile(out, "w") as packed:
+        for name, content in files.items():
+            packed.writestr(name, content)
+    return out.getvalue()
+
+
+def _plans() -> list[tuple[str, bytes]]:
+    lines = {"type": "LineString", "coordinates": [[0, 0], [4, 0], [4, 3]]}
+    plan = {"type": "FeatureCollection", "features": [{"type": "Feature", "properties": {}, "geometry": lines}]}
+    drawn = [("image/png", _encoded(".png")), ("image/jpeg", _encoded(".jpg"))]
+    return drawn + [(kind, json.dumps(plan).encode()) for kind in MEDIA_TYPES if "json" in kind]
+
+
+def _pictures() -> list[tuple[str, bytes]]:
+    return [(ending, _encoded(ending)) for ending in (".jpg", ".png", ".webp", ".bmp", ".ppm")]
+
+
+def _encoded(ending: str) -> bytes:
+    shades = np.random.default_rng(0).integers(0, 255, (40, 60, 3), dtype=np.uint8)
+    return bytes(cv2.imencode(ending, shades)[1])
+
+
+def _use_recording(folder: Path) -> None:
+    recording = read_recording(folder)
+    next(iter(recording.frames.images([0])))
+
+
+def _use_backup(path: Path) -> None:
+    unpack_backup(path, path.parent / "out" / "maps", path.parent / "out" / "data")
+
+
+def _use_camera(path: Path) -> None:
+    CameraLibrary(path.parents[1]).get("c")
+
+
+def _use_site(path: Path) -> None:
+    SiteLibrary(path.parents[1]).get("s")
+
+
+def _use_plan(kind: str, path: Path) -> None:
+    check_plan(path.read_bytes(), FloorPlan(kind, (0.0, 0.0), 0.0, 0.01))
+
+
+def _use_picture(path: Path) -> None:
+    decode_image(path.read_bytes())
+
+
+def case(reader: Reader, number: int, seed: int) -> dict[str, bytes]:
+    """The files of a case."""
+    choices = random.Random(f"{seed} {reader.name} {number}")
+    broken = dict(reader.files)
+    for _ in range(choices.randint(1, 3)):
+        victim = choices.choice(sorted(broken))
+        broken[victim] = damaged(broken[victim], choices)
+    return broken
+
+
+def run_case(reader: Reader, number: int, seed: int, tally: Tally) -> None:
+    """Read the files of a case, and count what came of it."""
+    problem = ""
+    with tempfile.TemporaryDirectory(dir="/dev/shm" if Path("/dev/shm").is_dir() else None) as name:
+        folder = Path(name) / "walk"
+        for path, content in case(reader, number, seed).items():
+            (folder / path).parent.mkdir(parents=True, exist_ok=True)
+            (folder / path).write_bytes(content)
+        begun = time.perf_counter()
+        try:
+            reader.read(folder)
+            tally.read += 1
+        except RholocError as error:
+            tally.refused += 1
+            said = f"{error.message} {error.hint}"
+            if "\n" in said or len(said) > MOST_CHARACTERS or not error.message:
+                problem = f"an error of {len(said)} characters: {said[:100]!r}"
+        except Exception as error:
+            problem = f"{type(error).__name__}: {str(error)[:200]}"
+        took_s = time.perf_counter() - begun
+    tally.slowest_s = max(tally.slowest_s, took_s)
+    if took_s > MOST_SECONDS:
+        problem = problem or f"{took_s:.1f} s"
+    if problem:
+        tally.problems.append(f"{reader.name}, case {number}: {problem}")
+
+
+def run_batch(reader: Reader, numbers: range, seed: int, answer: Any, at: Any) -> None:
+    """Run cases in a process of their own, which says where it is."""
+    limit_own_memory(MOST_MEMORY_BYTES)
+    tally = Tally()
+    for number in numbers:
+        at.value = number
+        run_case(reader, number, seed, tally)
+    tally.memory_mib = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    answer.send(tally)
+
+
+def in_process(reader: Reader, numbers: range, seed: int) -> Tally:
+    """What came of cases; one that ends the process is a problem, and those after it are run by another."""
+    tally = Tally()
+    while numbers:
+        ours, theirs = FORK.Pipe(duplex=False)
+        at = FORK.Value("q", numbers.start)
+        process = FORK.Process(target=run_batch, args=(reader, numbers, seed, theirs, at))
+        process.start()
+        theirs.close()
+        try:
+            tally.add(ours.recv())
+            numbers = range(0)
+        except EOFError:
+            tally.problems.append(f"{reader.name}, case {at.value}: the process ended")
+            numbers = range(at.value + 1, numbers.stop)
+        process.join()
+    return tally
+
+
+def main() -> None:
+    """Run the benchmark."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--cases", type=int, default=100_000)
+    parser.add_argument("--seconds", type=float, default=600.0, help="no batch begins later")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--only", nargs="+", metavar="NAME", help="readers whose names begin so")
+    parser.add_argument("--json", type=Path, help="write the figures here as well")
+    args = parser.parse_args()
+    chosen = [one for one in readers() if not args.only or one.name.startswith(tuple(args.only))]
+    tallies = {reader.name: Tally() for reader in chosen}
+    each, end_s = -(-args.cases // len(chosen)), time.monotonic() + args.seconds
+    for start in range(0, each, BATCH):
+        for reader in chosen:
+            if time.monotonic() < end_s:
+                tallies[reader.name].add(in_process(reader, range(start, min(start + BATCH, each)), args.seed))
+    problems = [problem for tally in tallies.values() for problem in tally.problems]
+    figures = {
+        "cases": sum(one.read + one.refused for one in tallies.values()) + len(problems),
+        "problems": len(problems),
+        "kinds": dict(Counter(problem.split(": ", 1)[-1][:60] for problem in problems)),
+        "slowest_s": round(max(one.slowest_s for one in tallies.values()), 2),
+        "memory_mib": round(max(one.memory_mib for one in tallies.values())),
+        "readers": {
+            name: {"read": one.read, "refused": one.refused, "slowest_s": round(one.slowest_s, 2)}
+            for name, one in tallies.items()
+        },
+    }
+    text = json.dumps(figures, indent=2)
+    print(text)
+    for problem in problems[:SHOWN]:
+        print(problem, file=sys.stderr)
+    if args.json:
+        args.json.write_text(text + "\n")
+    raise SystemExit(bool(problems))
+
+
+if __name__ == "__main__":
+    main()
