@@ -8,6 +8,7 @@ from pathlib import Path
 
 from rholoc.maps import MapLibrary
 from rholoc.service.keys import KeyStore, Scope
+from rholoc.storage import SharedStorage
 
 Run = Callable[..., tuple[int, str, str]]
 
@@ -36,3 +37,21 @@ def test_what_is_there_is_not_replaced(command: Run, tmp_path: Path, picture_wor
         assert status == 1
         assert "exist" in said
         assert said.count("\n") == 1
+
+
+def test_what_servers_share_is_backed_up_and_restored_as_well(
+    command: Run, tmp_path: Path, picture_world, monkeypatch
+) -> None:
+    for name in ("here", "there"):
+        monkeypatch.setenv("RHOLOC_STORAGE_URL", f"file://{tmp_path / name}/storage")
+        shared = SharedStorage(f"file://{tmp_path / name}/storage", tmp_path / name)
+        shared.open()
+        if name == "here":
+            shared.library.put("hall", picture_world.map_)
+            assert command("backup", tmp_path / "all.backup", "--data", tmp_path / name)[0] == 0
+        else:
+            status, said, _ = command("restore", tmp_path / "all.backup", "--data", tmp_path / name, "--json")
+            assert (status, json.loads(said)["maps"]) == (0, 1)
+            shared.refresh()
+            assert shared.library.names() == ["hall"]
+        shared.close()

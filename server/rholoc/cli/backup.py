@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -10,11 +12,11 @@ import typer
 from rholoc.cli.console import print_json, print_notice
 from rholoc.cli.options import Json
 from rholoc.cli.serve import Data, Maps, service_settings
-from rholoc.errors import InvalidInput
 
 if TYPE_CHECKING:
     from rholoc.service import Settings
     from rholoc.service.backup import Manifest
+    from rholoc.storage import SharedStorage
 
 _MB = 1e6
 
@@ -28,9 +30,15 @@ def backup(
 ) -> None:
     """Write maps, the versions that they replaced, sites, cameras and keys to a file; the server may run."""
     from rholoc.service.backup import back_up
+    from rholoc.service.shared_backup import back_up_shared
 
-    settings = _folders(maps, data)
-    _say("Backed up", back_up(file, settings.maps_dir, settings.data_dir, recordings), as_json)
+    settings = service_settings(maps_dir=maps, data_dir=data)
+    with _opened(settings) as shared:
+        if shared is None:
+            manifest = back_up(file, settings.maps_dir, settings.data_dir, recordings)
+        else:
+            manifest = back_up_shared(file, shared, settings.data_dir, recordings)
+    _say("Backed up", manifest, as_json)
 
 
 def restore(
@@ -41,18 +49,30 @@ def restore(
 ) -> None:
     """Bring back what is in a backup. Nothing is replaced: where something of it exists, nothing is restored."""
     from rholoc.service.backup import restore as bring_back
+    from rholoc.service.shared_backup import restore_shared
 
-    settings = _folders(maps, data)
-    _say("Restored", bring_back(file, settings.maps_dir, settings.data_dir), as_json)
-
-
-def _folders(maps: Maps, data: Data) -> Settings:
     settings = service_settings(maps_dir=maps, data_dir=data)
-    if settings.shared_storage is not None:
-        raise InvalidInput(
-            "This service keeps its maps in shared storage.", "Back up the database and the object storage themselves."
-        )
-    return settings
+    with _opened(settings) as shared:
+        if shared is None:
+            manifest = bring_back(file, settings.maps_dir, settings.data_dir)
+        else:
+            manifest = restore_shared(file, shared, settings.data_dir)
+    _say("Restored", manifest, as_json)
+
+
+@contextmanager
+def _opened(settings: Settings) -> Iterator[SharedStorage | None]:
+    """The storage that servers share, open; None where there is none."""
+    from rholoc.service.app import open_shared
+
+    shared = open_shared(settings)
+    if shared is not None:
+        shared.open()
+    try:
+        yield shared
+    finally:
+        if shared is not None:
+            shared.close()
 
 
 def _say(done: str, manifest: Manifest, as_json: bool) -> None:

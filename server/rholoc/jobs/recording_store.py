@@ -17,7 +17,7 @@ from typing import BinaryIO
 from rholoc.disk import reporting_full_disk, sync_folder
 from rholoc.errors import Conflict, InvalidRecording, TooLarge, UnknownRecording
 
-_ENTRY_FILE = ".entry.json"  # no uploaded file can have this name: theirs never start with a dot
+ENTRY_FILE = ".entry.json"  # no uploaded file can have this name: theirs never start with a dot
 _PENDING_PREFIX = ".pending-"
 _PENDING_EXPIRES_S = 24 * 3600.0
 _MAX_NAME_LENGTH = 100
@@ -225,7 +225,7 @@ class RecordingStore:
             UnknownRecording: no recording has this id.
         """
         try:
-            text = (self._folder(recording_id) / _ENTRY_FILE).read_text(encoding="utf-8")
+            text = (self._folder(recording_id) / ENTRY_FILE).read_text(encoding="utf-8")
         except (FileNotFoundError, NotADirectoryError) as error:
             raise unknown_recording(recording_id) from error
         fields = json.loads(text)
@@ -280,7 +280,7 @@ class RecordingStore:
 
     def _publish(self, folder: Path, entry: RecordingEntry) -> None:
         """Write the entry, make everything durable, and give the folder the name under which recordings are found."""
-        with (folder / _ENTRY_FILE).open("w", encoding="utf-8") as file:
+        with (folder / ENTRY_FILE).open("w", encoding="utf-8") as file:
             json.dump(asdict(entry), file)
             file.flush()
             os.fsync(file.fileno())

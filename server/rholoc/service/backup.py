@@ -15,8 +15,8 @@ import re
 import shutil
 import tarfile
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Iterable, Iterator
+from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import asdict, dataclass, field
 from pathlib import Path, PurePosixPath
 from typing import IO, cast
@@ -78,14 +78,29 @@ def back_up(file: Path, maps_dir: Path, data_dir: Path, recordings: bool = False
         StorageUnavailable: maps were published all the time; try again.
         StorageFull: the disk is full; nothing is left of the file.
     """
+    return write_backup(file, _opened(maps_dir, data_dir, recordings))
+
+
+def write_backup(file: Path, contents: AbstractContextManager[Iterable[tuple[str, Path]]]) -> Manifest:
+    """Write files to a backup.
+
+    Args:
+        file: the backup.
+        contents: opens the paths in the backup and the files, each of which is read before the next is asked for.
+
+    Raises:
+        Conflict: the file exists.
+        InvalidInput: it cannot be written.
+        StorageFull: the disk is full; nothing is left of the file.
+    """
     if file.exists():
         raise Conflict(f"{file} exists already.", "Name another file, or remove it first.")
     unfinished = file.with_name(f".{uuid4().hex}.backup")
     try:
-        with reporting_full_disk(), _opened(maps_dir, data_dir, recordings) as sources:
+        with reporting_full_disk(), contents as sources:
             with unfinished.open("xb") as out, tarfile.open(fileobj=out, mode="w", format=tarfile.PAX_FORMAT) as tar:
                 manifest = Manifest(time.time(), __version__)
-                for path, source in sources.items():
+                for path, source in sources:
                     manifest.files[path] = _add(tar, path, source)
                 _add_manifest(tar, manifest)
                 tar.close()
@@ -100,6 +115,17 @@ def back_up(file: Path, maps_dir: Path, data_dir: Path, recordings: bool = False
     finally:
         unfinished.unlink(missing_ok=True)
     return manifest
+
+
+def unpack_backup(file: Path, maps_dir: Path, data_dir: Path) -> Manifest:
+    """Unpack a backup into empty folders.
+
+    Raises:
+        InvalidInput: it is none, was cut off or changed, or cannot be read.
+        StorageFull: the disk is full.
+    """
+    with reporting_full_disk():
+        return _unpacked(file, {_MAPS: maps_dir, _DATA: data_dir})
 
 
 def restore(file: Path, maps_dir: Path, data_dir: Path) -> Manifest:
@@ -140,7 +166,7 @@ def _is_there(paths: list[str]) -> Conflict:
 
 
 @contextmanager
-def _opened(maps_dir: Path, data_dir: Path, recordings: bool) -> Iterator[dict[str, Path]]:
+def _opened(maps_dir: Path, data_dir: Path, recordings: bool) -> Iterator[Iterable[tuple[str, Path]]]:
     """Links to all files of one moment, by their paths in the backup; they outlive what is replaced or deleted."""
     folder = maps_dir / f".{uuid4().hex}.backup"
     try:
@@ -149,7 +175,7 @@ def _opened(maps_dir: Path, data_dir: Path, recordings: bool) -> Iterator[dict[s
         if recordings:
             whole = [one for one in sorted((data_dir / _RECORDINGS).glob("*")) if _ID.fullmatch(one.name)]
             data += [path for one in whole for path in sorted(one.rglob("*")) if path.is_file()]
-        yield maps | {f"{_DATA}/{path.relative_to(data_dir).as_posix()}": path for path in data}
+        yield (maps | {f"{_DATA}/{path.relative_to(data_dir).as_posix()}": path for path in data}).items()
     finally:
         shutil.rmtree(folder, ignore_errors=True)
 

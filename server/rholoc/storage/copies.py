@@ -67,6 +67,13 @@ class Copies:
                 self._fetching.pop(blob, None)
         return path
 
+    def fetch(self, blob: str, size_bytes: int, target: Path) -> None:
+        """Copy an object into a file that is not one of the copies here. Raises as :meth:`path`."""
+        size = self._objects.fetch(self._key(blob), target)
+        if size != size_bytes:
+            target.unlink()
+            raise StorageUnavailable(f"The storage gave {size} bytes of a map of {size_bytes}.", "Try again later.")
+
     def has(self, blob: str) -> bool:
         """Whether there is a copy of an object here."""
         return self._path(blob).is_file()
@@ -95,10 +102,7 @@ class Copies:
             self.folder.mkdir(parents=True, exist_ok=True)
         arrived = path.with_name(f".{uuid.uuid4().hex}.arrived")
         try:
-            size = self._objects.fetch(self._key(blob), arrived)
-            if size != size_bytes:
-                message = f"The storage gave {size} bytes of a map of {size_bytes}."
-                raise StorageUnavailable(message, "Try again later.")
+            self.fetch(blob, size_bytes, arrived)
             arrived.replace(path)
         finally:
             arrived.unlink(missing_ok=True)

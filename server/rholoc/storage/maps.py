@@ -36,6 +36,23 @@ class _Version:
     version: int
 
 
+@dataclass(frozen=True)
+class StoredMap:
+    """The file of a map in the storage.
+
+    Attributes:
+        name: the map's.
+        number: 0 of the map of that name; of those that it replaced as in :meth:`MapLibrary.versions`.
+        blob: the object's name.
+        size_bytes: its size.
+    """
+
+    name: str
+    number: int
+    blob: str
+    size_bytes: int
+
+
 class SharedMapLibrary(MapLibrary):
     """Maps of which the catalogue knows the names and the storage holds the files.
 
@@ -79,6 +96,25 @@ class SharedMapLibrary(MapLibrary):
             self._replica.refresh()
             row = self._row(name)
             return self._copies.path(row.blob, row.size_bytes)
+
+    def stored(self, connection: sa.Connection) -> list[StoredMap]:
+        """The files of all maps, and of those that they replaced, as a transaction sees them."""
+        present = _selected(maps_table).add_columns(maps_table.c.name, sa.literal(0).label("number"))
+        replaced = _selected(map_versions_table).add_columns(map_versions_table.c.name, map_versions_table.c.number)
+        found = []
+        for wanted in (present.where(maps_table.c.blob.is_not(None)), replaced):
+            rows = connection.execute(wanted).mappings()
+            found += [StoredMap(row["name"], row["number"], row["blob"], row["size_bytes"]) for row in rows]
+        return found
+
+    def fetch(self, stored: StoredMap, target: Path) -> None:
+        """Copy the file of a map from the storage.
+
+        Raises:
+            MissingObject: it was removed since, as the map was replaced often.
+            StorageUnavailable, StorageFull: it cannot be fetched.
+        """
+        self._copies.fetch(stored.blob, stored.size_bytes, target)
 
     def stat(self, name: str) -> MapStat:
         """Size, time and signature of a map's file.

@@ -11,9 +11,10 @@ from rholoc.disk import reporting_full_disk
 from rholoc.storage.copies import Copies
 from rholoc.storage.database import database_engine, prepare_database, reporting_full_database
 from rholoc.storage.documents import CatalogueDocuments
-from rholoc.storage.maps import SharedMapLibrary
+from rholoc.storage.maps import SharedMapLibrary, StoredMap
 from rholoc.storage.objects import ObjectStorage
 from rholoc.storage.replica import MapRow, Replica
+from rholoc.storage.tables import documents_table
 
 ASKERS, CAMERAS, KEYS, SITES = "askers", "cameras", "keys", "sites"  # kinds of small files
 _MAPS = "maps"
@@ -55,6 +56,19 @@ class SharedStorage:
     def documents(self, kind: str) -> CatalogueDocuments:
         """The small files of one kind."""
         return CatalogueDocuments(self._replica, kind)
+
+    def snapshot(self) -> tuple[list[StoredMap], dict[str, bytes]]:
+        """The files of all maps, and all small files by kind and name, ``cameras/phone.json``, of one moment.
+
+        Raises:
+            SQLAlchemyError: the database does not answer.
+        """
+        of_one_moment = {} if self.engine.dialect.name == "sqlite" else {"isolation_level": "REPEATABLE READ"}
+        with self.engine.connect().execution_options(**of_one_moment) as connection, connection.begin():
+            maps = self.library.stored(connection)
+            wanted = sa.select(documents_table.c.path, documents_table.c.content)
+            rows = connection.execute(wanted.where(documents_table.c.content.is_not(None)))
+            return maps, {row.path: bytes(row.content) for row in rows}
 
     def open(self, follow: bool = False) -> None:
         """Make or update the tables, and see what the catalogue holds.
