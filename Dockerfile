@@ -20,7 +20,8 @@ RUN python3 -m venv /opt/rholoc
 COPY pyproject.toml server/constraints.txt /src/server/
 COPY client/pyproject.toml /src/client/
 RUN python3 -c "import tomllib; \
-needed = [name for of in ('server', 'client') for name in tomllib.load(open(of + '/pyproject.toml', 'rb'))['project']['dependencies']]; \
+server, client = (tomllib.load(open(of + '/pyproject.toml', 'rb'))['project'] for of in ('server', 'client')); \
+needed = [*server['dependencies'], *server['optional-dependencies']['telemetry'], *client['dependencies']]; \
 print(*(name for name in needed if not name.startswith('rholoc-client')), sep='\n')" \
         > /tmp/requirements.txt \
     && /opt/rholoc/bin/pip install -r /tmp/requirements.txt

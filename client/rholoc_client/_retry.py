@@ -12,6 +12,7 @@ import httpx
 from rholoc_client._calls import Call, Outcome
 
 BUSY = 503
+TOO_MANY_REQUESTS = 429
 _LONGEST_RETRY_AFTER_S = 60.0
 
 
@@ -41,10 +42,17 @@ class Attempts:
         """Seconds to wait before the next attempt, or None where ``outcome`` is final."""
         if isinstance(outcome, httpx.TransportError):
             return next(self._waits_s, None) if may_repeat(outcome, self._call.idempotent) else None
-        if outcome.status_code != BUSY or outcome.status_code in self._call.answers:
+        if not _says_later(outcome) or outcome.status_code in self._call.answers:
             return None
         wait_s = next(self._waits_s, None)
         return None if wait_s is None else max(wait_s, _retry_after_s(outcome))
+
+
+def _says_later(response: httpx.Response) -> bool:
+    """Whether the service asks to be asked again soon; a quota that is used up has another ``Retry-After``."""
+    if response.status_code == TOO_MANY_REQUESTS:
+        return 0 < _asked_s(response) <= _LONGEST_RETRY_AFTER_S
+    return response.status_code == BUSY
 
 
 def may_repeat(error: httpx.TransportError, idempotent: bool) -> bool:
@@ -56,8 +64,11 @@ def may_repeat(error: httpx.TransportError, idempotent: bool) -> bool:
 
 
 def _retry_after_s(response: httpx.Response) -> float:
+    return min(max(_asked_s(response), 0.0), _LONGEST_RETRY_AFTER_S)
+
+
+def _asked_s(response: httpx.Response) -> float:
     try:
-        asked_s = float(response.headers.get("Retry-After", "0"))
+        return float(response.headers.get("Retry-After", "0"))
     except ValueError:  # an HTTP date, which the service does not send
         return 0.0
-    return min(max(asked_s, 0.0), _LONGEST_RETRY_AFTER_S)

@@ -39,6 +39,8 @@
         ├── StorageFull             the service's disk is full
         ├── StorageUnavailable      the service's storage or database cannot be used at present
         ├── RequestTimeout          the request reached the service too slowly
+        ├── TooManyRequests         the API key asks more often than it may, retries included
+        │   └── QuotaExceeded       the API key would hold more maps, bytes or jobs than it may
         ├── Busy                    the service's queue is full, retries included
         ├── DeadlineExceeded        the deadline passed
         ├── UnsupportedVersion      the service speaks another version of the upload protocol
@@ -274,6 +276,18 @@ class RequestTimeout(ServiceError):
     """The request reached the service too slowly, or stopped half-way."""
 
     code = "request_timeout"
+
+
+class TooManyRequests(ServiceError):
+    """The API key asks more often than it may, and did so at every retry."""
+
+    code = "too_many_requests"
+
+
+class QuotaExceeded(TooManyRequests):
+    """The API key would hold more maps, bytes or jobs than it may."""
+
+    code = "quota_exceeded"
 
 
 class Busy(ServiceError):

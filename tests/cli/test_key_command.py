@@ -10,7 +10,7 @@ from typer.testing import CliRunner, Result
 
 from rholoc.cli import app
 from rholoc.errors import Conflict, NotFound
-from rholoc.service.keys import KeyStore, Scope
+from rholoc.service.keys import KeyLimits, KeyStore, Scope
 
 
 def run(folder: Path, *arguments: str) -> Result:
@@ -34,7 +34,22 @@ def test_keys_are_listed_without_their_secrets(tmp_path):
     assert secret not in listed
 
 
-@pytest.mark.parametrize(("arguments", "kind"), [(("create", "a"), Conflict), (("revoke", "b"), NotFound)])
+def test_limits_are_set_changed_and_lifted(tmp_path):
+    run(tmp_path, "create", "robot", "--requests-per-s", "5", "--burst", "20", "--stored-bytes", "1000")
+    (key,) = KeyStore(tmp_path).keys()
+    assert key.limits == KeyLimits(5.0, 20, None, 1000, None)
+    assert "5 requests a second, 20 at once, 1000 bytes" in run(tmp_path, "list").stdout
+    assert run(tmp_path, "limit", "robot", "--maps", "3", "--jobs", "0").exit_code == 0
+    (listed,) = json.loads(run(tmp_path, "list", "--json").stdout)
+    assert (listed["limits"]["maps"], listed["limits"]["jobs"], listed["limits"]["burst"]) == (3, 0, None)
+    run(tmp_path, "limit", "robot")
+    assert KeyStore(tmp_path).named("robot").limits == KeyLimits()
+    assert run(tmp_path, "limit", "robot", "--burst", "0").exit_code == 2
+
+
+@pytest.mark.parametrize(
+    ("arguments", "kind"), [(("create", "a"), Conflict), (("revoke", "b"), NotFound), (("limit", "b"), NotFound)]
+)
 def test_what_cannot_be_done_is_said(tmp_path, arguments, kind):
     run(tmp_path, "create", "a")
     assert isinstance(run(tmp_path, *arguments).exception, kind)

@@ -7,7 +7,17 @@ import asyncio
 import httpx
 import pytest
 
-from rholoc_client import AsyncClient, Busy, Client, ConnectionFailed, Internal, InvalidAnswer, ServiceError
+from rholoc_client import (
+    AsyncClient,
+    Busy,
+    Client,
+    ConnectionFailed,
+    Internal,
+    InvalidAnswer,
+    QuotaExceeded,
+    ServiceError,
+    TooManyRequests,
+)
 
 JOB = {
     "id": "1" * 32, "recording": "2" * 32, "map": "hall", "state": "queued", "stage": "received", "progress": 0.0,
@@ -67,6 +77,20 @@ def test_a_busy_service_is_asked_again_after_what_it_says(slept):
     assert client(script).maps() == []
     assert slept[0] == 3
     assert 0.2 <= slept[1] <= 0.4
+
+
+def limited(code: str, retry_after: str) -> httpx.Response:
+    body = {"code": code, "message": "Too much.", "hint": "", "request_id": "r"}
+    return httpx.Response(429, json=body, headers={"Retry-After": retry_after})
+
+
+def test_a_key_that_asks_too_often_asks_again_when_it_is_told_to(slept):
+    assert client(Script(limited("too_many_requests", "2"), maps())).maps() == []
+    assert slept == [2]
+    for code, kind in (("too_many_requests", TooManyRequests), ("quota_exceeded", QuotaExceeded)):
+        with pytest.raises(kind):
+            client(Script(limited(code, "600"))).maps()
+    assert slept == [2]
 
 
 def test_waits_double_and_are_scattered(slept):

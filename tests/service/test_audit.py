@@ -9,7 +9,7 @@ import httpx
 import pytest
 
 from rholoc.service import audit as module
-from rholoc.service.audit import AuditLog, Change
+from rholoc.service.audit import Change, FolderAuditLog
 from rholoc.service.guard import KeyPolicy
 from rholoc.service.keys import KeyStore, Scope
 
@@ -72,7 +72,7 @@ def test_what_was_refused_or_changes_nothing_is_not_noted(locked, picture_world)
 
 def test_the_oldest_are_forgotten(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "_FILE_BYTES", 2000)
-    log = AuditLog(tmp_path)
+    log = FolderAuditLog(tmp_path)
     for number in range(500):
         log.note(replace(CHANGE, time=float(number)))
     kept = [change.time for change in log.changes(1000)]
@@ -84,19 +84,19 @@ def test_the_oldest_are_forgotten(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
 
 
 def test_a_line_that_was_cut_off_is_passed_over(tmp_path: Path) -> None:
-    log = AuditLog(tmp_path)
+    log = FolderAuditLog(tmp_path)
     log.note(CHANGE)
     with (tmp_path / "audit" / "audit.jsonl").open("ab") as file:
         file.write(b'{"time": 2.0, "who"\n')
     log.note(replace(CHANGE, time=3.0))
     assert [change.time for change in log.changes(10)] == [3.0, 1.0]
-    assert AuditLog(tmp_path / "nowhere").changes(10) == []
+    assert FolderAuditLog(tmp_path / "nowhere").changes(10) == []
 
 
 def test_a_disk_that_is_full_does_not_stop_changes(locked, picture_world, monkeypatch) -> None:
-    def full(self: AuditLog, change: Change) -> None:
+    def full(self: FolderAuditLog, change: Change) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(AuditLog, "note", full)
+    monkeypatch.setattr(FolderAuditLog, "note", full)
     _, mapper, _ = locked
     assert mapper.put("/v1/maps/hall", content=picture_world.rho()).status_code == 201

@@ -46,7 +46,7 @@ def test_a_database_of_before_there_were_migrations_keeps_its_jobs(tmp_path: Pat
         connection.exec_driver_sql(
             "CREATE TABLE rholoc_workers (id VARCHAR(100) NOT NULL PRIMARY KEY, heartbeat FLOAT NOT NULL)"
         )
-        later = {"warnings", "worker", "release", "turn", "memory_bytes"}
+        later = {"warnings", "worker", "release", "turn", "memory_bytes", "asked_in"}
         columns = [str(sa.schema.CreateColumn(c).compile(engine)) for c in jobs_table.columns if c.name not in later]
         connection.exec_driver_sql(f"CREATE TABLE rholoc_jobs ({', '.join(columns)}, PRIMARY KEY (id))")
         connection.exec_driver_sql(

@@ -9,6 +9,9 @@ from typing import Any
 import httpx
 import pytest
 
+from rholoc.service.app import open_keys, open_shared
+from rholoc.service.guard import KeyPolicy
+from rholoc.service.keys import KeyLimits, Scope
 from waiting import until
 
 BUCKET = "rholoc"
@@ -120,3 +123,20 @@ def test_servers_stay_ready_while_the_database_is_gone(serve: Any, tmp_path: Any
     finally:
         postgres.start()
     until(lambda: httpx.get(f"{url}/readyz").json()["checks"]["jobs"] == "ok")
+
+
+@pytest.mark.slow
+def test_what_keys_hold_is_counted_together(serve: Any, s3_url: str, postgres: Any, picture_world: Any) -> None:
+    urls = {"database_url": postgres.create_database("quotas"), "storage_url": s3_url}
+    running = [serve(**urls, keys=KeyPolicy.ALWAYS) for _ in range(2)]
+    shared = open_shared(running[0].settings)
+    shared.open()
+    secret = open_keys(running[0].settings, shared).create("mapper", Scope.ADMIN, limits=KeyLimits(maps=1))
+    shared.close()
+    here, there = (httpx.Client(base_url=one.url, headers={"Authorization": f"Bearer {secret}"}) for one in running)
+    until(lambda: there.get("/v1/maps").status_code == 200, HEARD_WITHIN_S)
+    assert here.put("/v1/maps/one", content=picture_world.rho()).status_code == 201
+    until(lambda: there.get("/v1/maps/one").status_code == 200, HEARD_WITHIN_S)
+    refused = there.put("/v1/maps/two", content=picture_world.rho())
+    assert (refused.status_code, refused.json()["code"]) == (429, "quota_exceeded")
+    assert [one["path"] for one in there.get("/v1/audit").json()["changes"]] == ["/v1/maps/one"]

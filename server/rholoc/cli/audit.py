@@ -20,9 +20,13 @@ def audit(
     as_json: Json = False,
 ) -> None:
     """Show who changed what over HTTP: maps, sites, cameras, recordings, jobs, keys."""
-    from rholoc.service.audit import AuditLog
+    from rholoc.service.app import audit_log, open_shared
 
-    changes = AuditLog(service_settings(data_dir=data).data_dir).changes(limit, map_name)
+    settings = service_settings(data_dir=data)
+    shared = open_shared(settings)
+    if shared is not None:
+        shared.open()
+    changes = audit_log(settings, shared).changes(limit, map_name)
     if as_json:
         print_json([asdict(change) for change in changes])
         return

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -12,13 +13,24 @@ from rholoc.cli.options import Json, choice
 from rholoc.cli.serve import Data, opened_keys, service_settings
 
 if TYPE_CHECKING:
-    from rholoc.service.keys import KeyStore
+    from rholoc.service.keys import KeyLimits, KeyStore
 
 _DAY_S = 24 * 3600.0
 
-app = typer.Typer(help="Make, list and revoke the API keys of a server.", no_args_is_help=True)
+app = typer.Typer(help="Make, limit, list and revoke the API keys of a server.", no_args_is_help=True)
 
 Name = Annotated[str, typer.Argument(metavar="NAME", help="Whose key it is.")]
+RequestsPerS = Annotated[
+    float | None, typer.Option("--requests-per-s", min=0.001, help="Requests a second, to each server.")
+]
+Burst = Annotated[
+    int | None, typer.Option("--burst", min=1, help="How many of them may come at once; default: those of a second.")
+]
+Maps = Annotated[int | None, typer.Option("--maps", min=0, help="How many maps it may hold.")]
+StoredBytes = Annotated[
+    int | None, typer.Option("--stored-bytes", min=0, help="How many bytes of maps and recordings it may hold.")
+]
+Jobs = Annotated[int | None, typer.Option("--jobs", min=0, help="How many of its jobs may be queued or running.")]
 
 
 @app.command()
@@ -29,15 +41,38 @@ def create(
         typer.Option(metavar="read|localize|map|admin", help="What it allows; each scope includes the ones before."),
     ] = "localize",
     expires: Annotated[float | None, typer.Option(metavar="DAYS", min=0, help="How many days it is valid.")] = None,
+    requests_per_s: RequestsPerS = None,
+    burst: Burst = None,
+    maps: Maps = None,
+    stored_bytes: StoredBytes = None,
+    jobs: Jobs = None,
     data: Data = None,
 ) -> None:
     """Make a key and print it. It is shown only once: the server only keeps its hash."""
-    from rholoc.service.keys import Scope
+    from rholoc.service.keys import KeyLimits, Scope
 
     wanted = choice(Scope, scope, "--scope")
-    secret = _store(data).create(name, wanted, None if expires is None else expires * _DAY_S)
+    limits = KeyLimits(requests_per_s, burst, maps, stored_bytes, jobs)
+    secret = _store(data).create(name, wanted, None if expires is None else expires * _DAY_S, limits)
     print_notice(f"The key of {name}, for {wanted}. It is not shown again:")
     typer.echo(secret)
+
+
+@app.command()
+def limit(
+    name: Name,
+    requests_per_s: RequestsPerS = None,
+    burst: Burst = None,
+    maps: Maps = None,
+    stored_bytes: StoredBytes = None,
+    jobs: Jobs = None,
+    data: Data = None,
+) -> None:
+    """Set how much a key allows, from the next request on. Limits that are not given are lifted."""
+    from rholoc.service.keys import KeyLimits
+
+    key = _store(data).limit(name, KeyLimits(requests_per_s, burst, maps, stored_bytes, jobs))
+    print_notice(f"The key of {name}: {_limited(key.limits) or 'no limits'}.")
 
 
 @app.command("list")
@@ -45,15 +80,15 @@ def list_keys(data: Data = None, as_json: Json = False) -> None:
     """Show all keys."""
     keys = _store(data).keys()
     if as_json:
-        print_json(
-            [{"name": key.name, "scope": key.scope, "created": key.created, "expires": key.expires} for key in keys]
-        )
+        shown = ("name", "scope", "created", "expires", "limits")
+        print_json([{name: value for name, value in asdict(key).items() if name in shown} for key in keys])
         return
     if not keys:
         print_notice("There are no keys. Make one with rholoc key create.")
     for key in keys:
         until = "" if key.expires is None else f", {'expired' if key.expired else 'good until'} {_day(key.expires)}"
-        output.print(f"{key.name}: {key.scope}, made {_day(key.created)}{until}", markup=False, soft_wrap=True)
+        limits = "".join(f", {limit}" for limit in [_limited(key.limits)] if limit)
+        output.print(f"{key.name}: {key.scope}, made {_day(key.created)}{until}{limits}", markup=False, soft_wrap=True)
 
 
 @app.command()
@@ -70,6 +105,21 @@ def _store(data: Data) -> KeyStore:
     from rholoc.service.keys import KeyStore
 
     return KeyStore(settings.data_dir)
+
+
+def _limited(limits: KeyLimits) -> str:
+    """A key's limits in words; empty where it has none."""
+    return ", ".join(
+        words.format(value)
+        for words, value in (
+            ("{:g} requests a second", limits.requests_per_s),
+            ("{} at once", limits.burst),
+            ("{} maps", limits.maps),
+            ("{} bytes", limits.stored_bytes),
+            ("{} jobs", limits.jobs),
+        )
+        if value is not None
+    )
 
 
 def _day(seconds: float) -> str:

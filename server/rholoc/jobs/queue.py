@@ -9,8 +9,10 @@ from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
+import sqlalchemy as sa
 from sqlalchemy.exc import IntegrityError
 
+from rholoc import telemetry
 from rholoc.errors import Conflict, UnknownRecording
 from rholoc.jobs.capacity import memory_for_walk
 from rholoc.jobs.job import Job, JobKind, JobOptions, JobPriority, JobState, Obstacle
@@ -68,7 +70,7 @@ class JobQueue:
         """
         check_map_name(map_name)
         options = options or JobOptions()
-        work = JobWork("" if options.kind is JobKind.LEARN else recording_id, map_name, options)
+        work = JobWork("" if options.kind is JobKind.LEARN else recording_id, map_name, options, telemetry.traceparent())
         length_s, memory_bytes = self._size_of(work.recording, options)
         job_id = job_id or uuid.uuid4().hex
         with reporting_full_database(), suppress(IntegrityError):
@@ -102,6 +104,10 @@ class JobQueue:
     def last_learning(self, map_name: str) -> Job | None:
         """The job by which the map of a name last learned from its queries, or could not; None where there is none."""
         return self._jobs.last_learning(map_name)
+
+    def unfinished(self) -> dict[str, str]:
+        """The jobs that are queued or running, and the maps that they will publish."""
+        return self._jobs.unfinished()
 
     def counts(self) -> dict[JobState, int]:
         """How many jobs are in each state."""
@@ -142,7 +148,7 @@ class JobQueue:
         job = self._jobs.get(job_id)
         length_s = self._recordings.get(job.recording).size_bytes / _BYTES_PER_SECOND if job.recording else 0.0
         with reporting_full_database():
-            self._jobs.requeue(job_id, length_s, self._release)
+            self._jobs.requeue(job_id, length_s, self._release, telemetry.traceparent())
         return self.get(job_id)
 
     def prioritize(self, job_id: str, priority: JobPriority) -> Job:
@@ -176,6 +182,11 @@ class JobQueue:
         for recording_id in self._jobs.mapped_before(time.time() - retention_s):
             with suppress(UnknownRecording):  # it was deleted before
                 self._recordings.delete(recording_id)
+
+    @property
+    def engine(self) -> sa.Engine:
+        """The database's."""
+        return self._engine
 
     def has_worker(self) -> bool:
         """Whether a worker is alive, here or elsewhere, by its last heartbeat."""

@@ -134,6 +134,12 @@ class SharedUploadStore(UploadStore):
             if one.modified < old and one.key.split("/")[1] not in ids:
                 self._objects.delete(one.key)
 
+    def unfinished(self) -> dict[str, str]:
+        """As :meth:`UploadStore.unfinished`."""
+        with self._engine.connect() as connection:
+            rows = connection.execute(sa.select(uploads_table.c.id, uploads_table.c.map_name))
+            return {row.id: row.map_name for row in rows}
+
     def _unfinished(self) -> int:
         with self._engine.connect() as connection:
             return connection.execute(sa.select(sa.func.count()).select_from(uploads_table)).scalar_one()

@@ -70,6 +70,7 @@ class JobWork:
     recording: str
     map_name: str
     options: JobOptions
+    asked_in: str | None = None  # the trace of the request, as a W3C traceparent
 
 
 @dataclass(frozen=True)
@@ -131,6 +132,13 @@ class JobTable:
             found = sa.select(jobs_table.c.state, sa.func.count()).group_by(jobs_table.c.state)
             counted = {JobState(state): number for state, number in connection.execute(found)}
         return {state: counted.get(state, 0) for state in JobState}
+
+    def unfinished(self) -> dict[str, str]:
+        """The jobs that are queued or running, and the maps that they will publish."""
+        wanted = sa.select(jobs_table.c.id, jobs_table.c.map_name)
+        with self._engine.connect() as connection:
+            rows = connection.execute(wanted.where(jobs_table.c.state.in_([JobState.QUEUED, JobState.RUNNING])))
+            return {row.id: row.map_name for row in rows}
 
     def needs(self, recording_id: str) -> bool:
         """Whether a job that is queued or running reads the recording."""
@@ -195,6 +203,7 @@ class JobTable:
             "recording": work.recording,
             "map_name": work.map_name,
             "options": asdict(work.options),
+            "asked_in": work.asked_in,
             "created": now,
             "workflow_id": _new_workflow(job_id),
             "release": release,
@@ -204,10 +213,10 @@ class JobTable:
         with self._engine.begin() as connection:
             connection.execute(jobs_table.insert().values(**values, **_QUEUED))
 
-    def requeue(self, job_id: str, length_s: float, release: int) -> None:
+    def requeue(self, job_id: str, length_s: float, release: int, asked_in: str | None = None) -> None:
         """Queue a failed or cancelled job again, as if it were submitted now. Raises UnknownJob, Conflict."""
         turn = turn_of(time.time(), self.get(job_id).priority, length_s)
-        values = {"workflow_id": _new_workflow(job_id), "release": release, "turn": turn, **_QUEUED}
+        values = {"workflow_id": _new_workflow(job_id), "release": release, "turn": turn, "asked_in": asked_in, **_QUEUED}
         with self._engine.begin() as connection:
             changed = connection.execute(
                 jobs_table.update()
@@ -299,7 +308,7 @@ class JobTable:
             changed = connection.execute(jobs_table.update().where(*as_seen).values(**taken))
         if not changed.rowcount:
             return None
-        work = JobWork(row["recording"], row["map_name"], JobOptions.from_json(row["options"]))
+        work = JobWork(row["recording"], row["map_name"], JobOptions.from_json(row["options"]), row["asked_in"])
         return Claim(lease, work, row["memory_bytes"] or 0)
 
     def held_by(self, worker: str) -> set[Lease]:

@@ -182,6 +182,14 @@ class UploadStore:
             hint = "Finish or abandon (DELETE) another upload, or try again later."
             raise Busy(f"There are {self._max_unfinished} unfinished uploads already.", hint, _RETRY_AFTER_S)
 
+    def unfinished(self) -> dict[str, str]:
+        """The ids of the uploads that have no job yet, and the maps that they will become."""
+        found = {}
+        for path in list(self._recordings.root.glob(f"*/{_PLAN_FILE}")):
+            with suppress(FileNotFoundError):  # it was finished or removed meanwhile
+                found[path.parent.name.removeprefix(_PREFIX)] = _read_plan(path).map_name
+        return found
+
     def _unfinished(self) -> int:
         return sum(1 for _ in self._recordings.root.glob(f"{_PREFIX}*"))
 

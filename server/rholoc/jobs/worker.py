@@ -18,7 +18,6 @@ import time
 import uuid
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from types import FrameType
 from typing import TypeVar
@@ -27,6 +26,7 @@ import sqlalchemy as sa
 from dbos import DBOS, DBOSClient, DBOSConfig
 from sqlalchemy.exc import SQLAlchemyError
 
+from rholoc import telemetry
 from rholoc.disk import is_full, reporting_full_disk, storage_full
 from rholoc.errors import Cancelled, RholocError, StorageUnavailable
 from rholoc.jobs.build_process import BuildLimits, build_in_process, describe, unexpected
@@ -70,6 +70,26 @@ class Timing:
     heartbeat_s: float = 2.0
     dead_after_s: float = DEAD_AFTER_S
     cancel_grace_s: float = 1.0
+
+
+class StageSpans:
+    """Spans of a build's stages, each noted when the next one is heard of."""
+
+    def __init__(self) -> None:
+        self._stage: Stage | None = None
+        self._begun_s = 0.0
+
+    def note(self, stage: Stage) -> None:
+        """Hear of a stage; again and again, while it lasts."""
+        if stage is not self._stage:
+            self.end()
+            self._stage, self._begun_s = stage, time.perf_counter()
+
+    def end(self) -> None:
+        """The last stage has ended."""
+        if self._stage is not None:
+            telemetry.note(str(self._stage), time.perf_counter() - self._begun_s)
+        self._stage = None
 
 
 class Worker:
@@ -243,15 +263,22 @@ class Worker:
             claim = self._claims.get(workflow)
         if claim is None:
             return
+        work = claim.work
+        about: dict[str, telemetry.Value] = {
+            "rholoc.job": job_id,
+            "rholoc.map": work.map_name,
+            "rholoc.attempt": claim.lease.attempt,
+        }
         try:
-            self._build_and_publish(claim.lease, claim.work)
+            with telemetry.job_span(f"job {work.options.kind}", about, work.asked_in) as marks:
+                self._build_and_publish(claim.lease, work, marks)
         except Cancelled:
             _log.info("job %s left: cancelled, or given to another worker", job_id)
             self._clear_unwanted_work()
         finally:
             self._drop(claim)
 
-    def _build_and_publish(self, lease: Lease, work: JobWork) -> None:
+    def _build_and_publish(self, lease: Lease, work: JobWork, marks: telemetry.Marks) -> None:
         stopped = self._too_often(lease) or DBOS.run_step({"name": "build"}, self._build, lease, work)
         done = stopped or DBOS.run_step({"name": "publish"}, self._publish, lease, work)
         if isinstance(done, MoreMemoryNeeded):
@@ -259,6 +286,7 @@ class Worker:
             ended = self._jobs.hand_on(lease, done.memory_bytes)
         elif isinstance(done, Failure):
             _log.warning("job %s failed: %s", lease.job, done.message)
+            marks.fail(done.message)
             ended = self._jobs.fail(lease, done)
         else:
             ended = self._jobs.publish(lease, done)
@@ -275,12 +303,19 @@ class Worker:
         )
 
     def _build(self, lease: Lease, work: JobWork) -> Failure | MoreMemoryNeeded | None:
+        stages = StageSpans()
+
+        def note(stage: Stage, fraction: float, message: str = "") -> None:
+            stages.note(stage)
+            self._note(lease, stage, fraction, message)
+
         try:
-            task = self._patiently(lease, lambda: self._task(lease, work))
+            with telemetry.span("inputs"):
+                task = self._patiently(lease, lambda: self._task(lease, work))
             failure = build_in_process(
                 self._pipeline,
                 task,
-                note=partial(self._note, lease),
+                note=note,
                 check=lambda: self._check_held(lease),
                 poll_s=self._timing.poll_s,
                 cancel_grace_s=self._timing.cancel_grace_s,
@@ -293,6 +328,8 @@ class Worker:
             raise
         except RholocError as error:
             return describe(error)
+        finally:
+            stages.end()
 
     def _publish(self, lease: Lease, work: JobWork) -> tuple[str, ...] | Failure | MoreMemoryNeeded:
         """Publish the map; returns why it is not to be trusted, or why it could not be published here."""
@@ -304,7 +341,8 @@ class Worker:
                 failure = self._build(lease, work)
                 if failure is not None:
                     return failure
-            reasons = self._patiently(lease, lambda: self._pipeline.publish(task, self._library(lease)))
+            with telemetry.span("publish"):
+                reasons = self._patiently(lease, lambda: self._pipeline.publish(task, self._library(lease)))
             if work.recording:
                 self._recordings.release(work.recording)
             return reasons
@@ -499,6 +537,8 @@ def run_worker(
         capacity=capacity,
         release=release,
     )
+    telemetry.begin("rholoc-worker")
     worker.start()
     stop.wait()
     worker.stop()
+    telemetry.end()

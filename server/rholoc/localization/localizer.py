@@ -9,6 +9,7 @@ from itertools import islice
 
 import numpy as np
 
+from rholoc import telemetry
 from rholoc.density import Evidence
 from rholoc.errors import InvalidDescriptors
 from rholoc.features import Extractor, FeatureSet, get_extractor
@@ -71,6 +72,7 @@ class _Stopwatch:
     def lap(self, stage: str) -> None:
         now = time.perf_counter()
         self.timings_ms[stage] = self.timings_ms.get(stage, 0.0) + 1e3 * (now - self._last)
+        telemetry.note(stage, now - self._last)
         self._last = now
 
     @property

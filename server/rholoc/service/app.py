@@ -13,7 +13,7 @@ from pydantic import ValidationError
 from sqlalchemy.exc import SQLAlchemyError
 from starlette.exceptions import HTTPException
 
-from rholoc import __version__
+from rholoc import __version__, telemetry
 from rholoc.errors import RholocError
 from rholoc.jobs import (
     EmbeddedWorker,
@@ -30,7 +30,7 @@ from rholoc.localization import VECTORS_FILE, MapFinder
 from rholoc.logs import configure_logs
 from rholoc.maps import CameraLibrary, Documents, FolderDocuments, MapLibrary, SiteLibrary
 from rholoc.service import web
-from rholoc.service.audit import Audited, AuditLog
+from rholoc.service.audit import Audited, AuditLog, FolderAuditLog, SharedAuditLog
 from rholoc.service.bodies import HeldBodies
 from rholoc.service.compute import ComputePool
 from rholoc.service.connections import SlowBodies
@@ -58,13 +58,17 @@ from rholoc.service.metrics import Metered, Metrics
 from rholoc.service.middleware import RequestBoundary
 from rholoc.service.openapi import install
 from rholoc.service.pacing import FramesFirst
+from rholoc.service.quotas import Quotas
+from rholoc.service.rates import RateLimited
 from rholoc.service.renderings import Renderings
 from rholoc.service.routes import ROUTERS
 from rholoc.service.settings import Settings
 from rholoc.service.state import State
 from rholoc.service.stream_count import OpenStreams
+from rholoc.service.tracing import Traced
 from rholoc.service.tus import Tus
 from rholoc.storage import ASKERS, CAMERAS, KEYS, SITES, SharedStorage
+from rholoc.storage.holdings import Holdings
 
 _BODIES_AT_ONCE = 8  # of the largest size allowed
 
@@ -79,12 +83,13 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     """The service as an ASGI application. Its threads and its worker live from start-up to shut-down."""
     settings, metrics = settings or Settings(), Metrics()
     shared = open_shared(settings)
-    keys = open_keys(settings, shared)
+    keys, audit = open_keys(settings, shared), audit_log(settings, shared)
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
         configure_logs()
-        app.state.rholoc = state = _start(settings, metrics, keys, shared)
+        telemetry.begin("rholoc-server")
+        app.state.rholoc = state = _start(settings, metrics, keys, audit, shared)
         state.watch.start()
         state.learner.start()
         if state.worker is not None:
@@ -103,6 +108,7 @@ def create_app(settings: Settings | None = None) -> FastAPI:
             state.jobs.close()
             if shared is not None:
                 shared.close()
+            telemetry.end()
 
     app = FastAPI(
         title="rholoc",
@@ -122,10 +128,12 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     app.add_middleware(JsonBodies, max_bytes=settings.max_json_bytes)
     app.add_middleware(FramesFirst, busy=lambda scope: scope["app"].state.rholoc.compute.busy)
     app.add_middleware(SlowBodies, silence_s=settings.slow_client_timeout_s)
+    app.add_middleware(RateLimited, keys=keys)
     app.add_middleware(Guard, routes=app.routes, keys=keys, policy=settings.keys, host=settings.host)
     app.add_middleware(Tus)
-    app.add_middleware(Audited, log=AuditLog(settings.data_dir))
+    app.add_middleware(Audited, log=audit)
     app.add_middleware(RequestBoundary)
+    app.add_middleware(Traced)
     app.add_middleware(SecurityHeaders)
     app.add_middleware(Metered, metrics=metrics)
     install(app)
@@ -154,7 +162,14 @@ def open_keys(settings: Settings, shared: SharedStorage | None) -> KeyStore:
     return KeyStore(settings.data_dir, None if shared is None else shared.documents(KEYS))
 
 
-def _start(settings: Settings, metrics: Metrics, keys: KeyStore, shared: SharedStorage | None) -> State:
+def audit_log(settings: Settings, shared: SharedStorage | None) -> AuditLog:
+    """Where it is noted who changed what."""
+    return FolderAuditLog(settings.data_dir) if shared is None else SharedAuditLog(shared.engine)
+
+
+def _start(
+    settings: Settings, metrics: Metrics, keys: KeyStore, audit: AuditLog, shared: SharedStorage | None
+) -> State:
     settings.data_dir.mkdir(parents=True, exist_ok=True)
     limits = KeptLimits(size_bytes=settings.learn_max_bytes)
     if shared is None:
@@ -177,11 +192,13 @@ def _start(settings: Settings, metrics: Metrics, keys: KeyStore, shared: SharedS
     metrics.gauge("rholoc_maps", "Maps in the folder, and how many of them are indexed", "state", finder.counts)
     streams = OpenStreams(settings.max_streams)
     metrics.gauge("rholoc_streams", "Streams of frames that are open", "at", lambda: {"now": streams.count})
+    uploads = _uploads(settings, recordings, jobs, shared)
     return State(
         settings=settings,
         library=library,
         cameras=cameras,
         keys=keys,
+        audit=audit,
         shared=shared,
         localizers=Localizers(library, settings.min_confidence),
         finder=finder,
@@ -194,13 +211,14 @@ def _start(settings: Settings, metrics: Metrics, keys: KeyStore, shared: SharedS
         metrics=metrics,
         live=Live(settings.live, settings.keep_failures),
         recordings=recordings,
-        uploads=_uploads(settings, recordings, jobs, shared),
+        uploads=uploads,
         jobs=jobs,
         job_events=JobEvents(jobs),
         queries=queries,
         learner=Learner(queries, settings, salts),
         worker=_worker(settings) if settings.worker else None,
         streams=streams,
+        quotas=Quotas(Holdings(jobs.engine), keys, library, recordings, uploads, jobs),
     )
 
 

@@ -9,20 +9,26 @@ from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from itertools import islice
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
+import sqlalchemy as sa
 import structlog
+from sqlalchemy.exc import SQLAlchemyError
 from starlette.concurrency import run_in_threadpool
 from starlette.datastructures import Headers
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from rholoc.service.access import found_route, request_key
 from rholoc.service.keys import Scope as KeyScope
+from rholoc.storage.tables import changes_table
 
 _FOLDER, _FILE, _LOCK = "audit", "audit.jsonl", ".lock"
 _FILE_BYTES = 4 * 2**20
 _FILES = 5  # with the one that is written to
+_ROWS = 100_000  # of the table
+_ROWS_AT_ONCE = 500
 _MAX_PATH = 300
+_MAPS = "/v1/maps/"
 _CHANGING = frozenset({"POST", "PUT", "PATCH", "DELETE"})
 _SCOPES = frozenset({KeyScope.MAP, KeyScope.ADMIN})  # what changes nothing needs less
 _PIECES = ("PATCH", "/v1/recordings/{recording}")  # of an upload, which is noted when it begins
@@ -52,7 +58,19 @@ class Change:
     request_id: str
 
 
-class AuditLog:
+class AuditLog(Protocol):
+    """The changes; the oldest are forgotten. Safe to share between threads and processes."""
+
+    def note(self, change: Change) -> None:
+        """Add a change. Raises OSError, SQLAlchemyError."""
+        ...
+
+    def changes(self, most: int, map_name: str | None = None) -> list[Change]:
+        """The last changes, the newest first; of all, or those whose path names a map."""
+        ...
+
+
+class FolderAuditLog:
     """The changes of the servers that share a data folder; the oldest are forgotten beyond 20 MiB.
 
     Safe to share between threads and processes.
@@ -96,8 +114,37 @@ class AuditLog:
         return self._folder / (_FILE if number == 0 else f"{_FILE}.{number}")
 
 
+class SharedAuditLog:
+    """The changes of all servers that share a database; the oldest are forgotten beyond 100 000.
+
+    Args:
+        engine: the database's, with rholoc's tables in it.
+    """
+
+    def __init__(self, engine: sa.Engine) -> None:
+        self._engine = engine
+
+    def note(self, change: Change) -> None:
+        """Add a change. Raises SQLAlchemyError."""
+        with self._engine.begin() as connection:
+            added = connection.execute(changes_table.insert().values(**asdict(change)))
+            number = added.inserted_primary_key[0] if added.inserted_primary_key else 0
+            if number % _ROWS_AT_ONCE == 0:
+                connection.execute(changes_table.delete().where(changes_table.c.id <= number - _ROWS))
+
+    def changes(self, most: int, map_name: str | None = None) -> list[Change]:
+        """The last changes, the newest first; of all, or those whose path names a map. Raises SQLAlchemyError."""
+        fields = [column for column in changes_table.c if column.name != "id"]
+        wanted = sa.select(*fields).order_by(changes_table.c.id.desc()).limit(most)
+        if map_name is not None:
+            path, of_map = changes_table.c.path, f"{_MAPS}{map_name}"
+            wanted = wanted.where(sa.or_(path == of_map, path.startswith(f"{of_map}/", autoescape=True)))
+        with self._engine.connect() as connection:
+            return [Change(**row) for row in connection.execute(wanted).mappings()]
+
+
 def _names(path: str, map_name: str) -> bool:
-    return path.startswith("/v1/maps/") and path.split("/")[3] == map_name
+    return path == f"{_MAPS}{map_name}" or path.startswith(f"{_MAPS}{map_name}/")
 
 
 class Audited:
@@ -130,7 +177,7 @@ class Audited:
     def _note(self, change: Change) -> None:
         try:
             self._audit.note(change)
-        except OSError as error:  # what was changed is changed: the answer stands
+        except (OSError, SQLAlchemyError) as error:  # what was changed is changed: the answer stands
             _log.warning("change_not_noted", error=str(error)[:200], **asdict(change))
 
 

@@ -33,6 +33,12 @@ def media_type(request: Request) -> str:
     return message.get_content_type() if request.headers.get("content-type") else ""
 
 
+def declared_length(request: Request) -> int:
+    """How many bytes the body says that it has; 0 where it does not say."""
+    declared = request.headers.get("content-length", "")
+    return int(declared) if declared.isdecimal() else 0
+
+
 async def limited_stream(request: Request, max_bytes: int) -> AsyncIterator[bytes]:
     """The body's chunks.
 
@@ -41,8 +47,7 @@ async def limited_stream(request: Request, max_bytes: int) -> AsyncIterator[byte
         ClientDisconnect: the sender broke off.
     """
     too_large = TooLarge(f"The body is longer than {max_bytes} bytes.", "Send less, or raise the service's limit.")
-    declared = request.headers.get("content-length", "")
-    if declared.isdigit() and int(declared) > max_bytes:
+    if declared_length(request) > max_bytes:
         raise too_large
     received = 0
     async for chunk in request.stream():

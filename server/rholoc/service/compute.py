@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextvars
 import math
 import os
 import sys
@@ -121,7 +122,8 @@ class _Lane:
             return work(), time.perf_counter() - start
 
         self.taken += 1
-        loop, future = asyncio.get_running_loop(), self._executor.submit(timed)
+        loop, context = asyncio.get_running_loop(), contextvars.copy_context()
+        future = self._executor.submit(context.run, timed)
         # When the work ends, not when its caller gives up: a thread cannot be stopped, and keeps its place until then.
         future.add_done_callback(lambda _: _from_thread(loop, self._release))
         result, duration_s = await asyncio.wrap_future(future)

@@ -6,6 +6,7 @@ Every error of :mod:`rholoc.errors` has a status here; errors that only exist ov
 from __future__ import annotations
 
 import errno
+import math
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
@@ -69,6 +70,25 @@ class CrossSite(HttpError):
     code = "cross_site"
 
 
+class TooManyRequests(HttpError):
+    """The API key asks more often than it may. Try again after ``retry_after_s`` seconds."""
+
+    code = "too_many_requests"
+
+    def __init__(self, message: str, hint: str = "", retry_after_s: float = 1.0) -> None:
+        super().__init__(message, hint)
+        self.retry_after_s = retry_after_s
+
+
+class QuotaExceeded(TooManyRequests):
+    """The API key would hold more maps, bytes or jobs than it may."""
+
+    code = "quota_exceeded"
+
+    def __init__(self, message: str, hint: str = "", retry_after_s: float = 600.0) -> None:
+        super().__init__(message, hint, retry_after_s)
+
+
 class RequestTimeout(HttpError):
     """The request's body stops coming, or comes too slowly."""
 
@@ -110,6 +130,7 @@ STATUS: Mapping[type[RholocError], int] = {
     Forbidden: 403,
     CrossSite: 403,
     UnknownRoute: 404,
+    TooManyRequests: 429,
     RequestTimeout: 408,
     MethodNotAllowed: 405,
     UnsupportedMediaType: 415,
@@ -171,8 +192,8 @@ def error_body(error: RholocError, request_id: str) -> dict[str, str]:
 def error_headers(error: RholocError) -> dict[str, str]:
     """``Retry-After`` in whole seconds where trying again may help; how to authenticate; which methods and which
     version of tus are supported."""
-    if isinstance(error, Busy):
-        return {"Retry-After": str(max(1, round(error.retry_after_s)))}
+    if isinstance(error, Busy | TooManyRequests):
+        return {"Retry-After": str(max(1, math.ceil(error.retry_after_s)))}
     if isinstance(error, UnsupportedVersion):
         return {"Tus-Version": TUS_VERSION, "Tus-Resumable": TUS_VERSION}
     if isinstance(error, MethodNotAllowed):

@@ -39,6 +39,7 @@ def _clean(state: State) -> None:
     state.renderings.sweep()
     state.jobs.delete_mapped_recordings(state.settings.recording_retention_days * _DAY_S)
     state.queries.sweep(_map_ids(state))
+    state.quotas.tidy()
 
 
 def _map_ids(state: State) -> set[str] | None:

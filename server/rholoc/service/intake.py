@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Annotated
 
+from fastapi import Request
 from pydantic import BaseModel, ConfigDict, Field
 from starlette.concurrency import run_in_threadpool
 
@@ -20,9 +22,10 @@ from rholoc.errors import (
     UnknownMap,
 )
 from rholoc.features import extractor_names, get_extractor
-from rholoc.jobs import JobKind, JobOptions, JobPriority
+from rholoc.jobs import Job, JobKind, JobOptions, JobPriority
 from rholoc.maps import DensityKind, check_map_name, check_observations
 from rholoc.recordings import parse_frame_slice
+from rholoc.service.access import request_key
 from rholoc.service.errors import InvalidRequest
 from rholoc.service.state import State
 from rholoc.trajectory import PoseMethod
@@ -67,6 +70,20 @@ class RecordingFields(BaseModel):
     priority: JobPriority = Field(
         default=JobOptions.priority, description="how soon its turn comes, among jobs submitted within a day"
     )
+
+
+async def counted_job(service: State, request: Request, map_name: str, begin: Callable[[], Job]) -> Job:
+    """The job that ``begin`` queues for a map, if the request's key may have one more; counted to it.
+
+    Raises:
+        QuotaExceeded: it may not.
+    """
+    key, quotas = request_key(request.scope), service.quotas
+    async with quotas.counting(key):
+        await run_in_threadpool(quotas.check, key, job_for=map_name)
+        job = await run_in_threadpool(begin)
+        await run_in_threadpool(quotas.hold_job, key, job.id, map_name)
+    return job
 
 
 async def checked_options(fields: RecordingFields, service: State) -> JobOptions:

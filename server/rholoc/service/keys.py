@@ -9,7 +9,7 @@ import re
 import secrets
 import time
 from contextlib import suppress
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field, fields, replace
 from enum import StrEnum
 from pathlib import Path
 
@@ -39,6 +39,35 @@ class Scope(StrEnum):
 
 
 @dataclass(frozen=True)
+class KeyLimits:
+    """How much a key allows, with all keys that it handed on; None where there is no limit.
+
+    Attributes:
+        requests_per_s: requests a second, to each server.
+        burst: how many may come at once; None: those of a second, at least one.
+        maps: how many maps it may hold, those of its jobs included.
+        stored_bytes: of its maps and recordings.
+        jobs: how many of its jobs may be queued or running.
+    """
+
+    requests_per_s: float | None = None
+    burst: int | None = None
+    maps: int | None = None
+    stored_bytes: int | None = None
+    jobs: int | None = None
+
+    @property
+    def quotas(self) -> bool:
+        """Whether what it may hold is limited."""
+        return any(limit is not None for limit in (self.maps, self.stored_bytes, self.jobs))
+
+    def within(self, other: KeyLimits) -> KeyLimits:
+        """The lower of each limit."""
+        both = ((getattr(self, one.name), getattr(other, one.name)) for one in fields(self))
+        return KeyLimits(*(min((one for one in pair if one is not None), default=None) for pair in both))
+
+
+@dataclass(frozen=True)
 class ApiKey:
     """What is known of a key; not the key itself.
 
@@ -47,12 +76,16 @@ class ApiKey:
         scope: what it allows.
         created: seconds since the epoch.
         expires: seconds since the epoch, or None.
+        limits: how much it allows.
+        holder: the hash of the key that it was handed on by, to which it counts as well; empty where it was not.
     """
 
     name: str
     scope: Scope
     created: float
     expires: float | None = None
+    limits: KeyLimits = field(default_factory=KeyLimits)
+    holder: str = ""
 
     @property
     def expired(self) -> bool:
@@ -74,8 +107,22 @@ class KeyStore:
     def __init__(self, data_dir: Path, files: Documents | None = None) -> None:
         self._files = files or FolderDocuments(Path(data_dir) / FOLDER, mode=0o700)
 
-    def create(self, name: str, scope: Scope, lifetime_s: float | None = None) -> str:
+    def create(
+        self,
+        name: str,
+        scope: Scope,
+        lifetime_s: float | None = None,
+        limits: KeyLimits | None = None,
+        handed_by: ApiKey | None = None,
+    ) -> str:
         """Make a key and return it; it cannot be seen again.
+
+        Args:
+            name: whose it is.
+            scope: what it allows.
+            lifetime_s: for how long; None: forever.
+            limits: how much it allows.
+            handed_by: the key that it is handed on by: it gets no more, and counts to it.
 
         Raises:
             InvalidName: the name is empty, too long or not printable.
@@ -88,9 +135,48 @@ class KeyStore:
             raise Conflict(f"There is already a key called {name}.", "Revoke it first, or choose another name.")
         secret = _PREFIX + secrets.token_urlsafe(_BYTES)
         now = time.time()
-        key = ApiKey(name, scope, now, None if lifetime_s is None else now + lifetime_s)
-        self._files.write(_hash(secret), json.dumps(asdict(key)).encode(), called="the key")
+        limits, holder = limits or KeyLimits(), ""
+        if handed_by is not None:
+            limits = limits.within(handed_by.limits)
+            holder = handed_by.holder or self._hash_of(handed_by.name)
+        key = ApiKey(name, scope, now, None if lifetime_s is None else now + lifetime_s, limits, holder)
+        self._write(_hash(secret), key)
         return secret
+
+    def limit(self, name: str, limits: KeyLimits) -> ApiKey:
+        """Set how much the key of a name allows, from the next request on; returns the key.
+
+        Raises:
+            NotFound: there is no key of this name.
+            StorageFull: the disk is full.
+        """
+        hashed = self._hash_of(name)
+        key = self._read(hashed)
+        if key is None:
+            raise _unknown(name)
+        limited = replace(key, limits=limits)
+        self._write(hashed, limited)
+        return limited
+
+    def named(self, name: str) -> ApiKey:
+        """The key of a name.
+
+        Raises:
+            NotFound: there is none.
+        """
+        key = self._read(self._hash_of(name))
+        if key is None:
+            raise _unknown(name)
+        return key
+
+    def accountable(self, key: ApiKey) -> list[ApiKey]:
+        """The keys that a request with a key counts to: itself, and the one that it was handed on by, if it exists."""
+        holder = self._read(key.holder) if key.holder else None
+        return [key] if holder is None else [key, holder]
+
+    def holder_name(self, key: ApiKey) -> str:
+        """The name of the key that a key was handed on by; empty where it was not, or that was revoked."""
+        return "".join(one.name for one in self.accountable(key)[1:])
 
     def keys(self) -> list[ApiKey]:
         """All keys, expired ones too, the oldest first."""
@@ -102,12 +188,8 @@ class KeyStore:
         Raises:
             NotFound: there is no key of this name.
         """
-        found = [hashed for hashed in self._hashes() if (key := self._read(hashed)) is not None and key.name == name]
-        if not found:
-            raise NotFound(f"There is no key called {name}.", "rholoc key list shows the keys.")
-        for hashed in found:
-            with suppress(FileNotFoundError):
-                self._files.delete(hashed)
+        with suppress(FileNotFoundError):
+            self._files.delete(self._hash_of(name))
 
     def find(self, secret: str) -> ApiKey | None:
         """The key, expired or not, or None. The comparison takes the same time wherever two hashes differ."""
@@ -118,13 +200,36 @@ class KeyStore:
     def _hashes(self) -> list[str]:
         return [name for name in self._files.names() if _HASH.fullmatch(name)]
 
+    def _hash_of(self, name: str) -> str:
+        """The hash of the key of a name. Raises NotFound."""
+        for hashed in self._hashes():
+            key = self._read(hashed)
+            if key is not None and key.name == name:
+                return hashed
+        raise _unknown(name)
+
+    def _write(self, hashed: str, key: ApiKey) -> None:
+        self._files.write(hashed, json.dumps(asdict(key)).encode(), called="the key")
+
     def _read(self, hashed: str) -> ApiKey | None:
         """A key; None where it was revoked meanwhile."""
         try:
             stored = json.loads(self._files.read(hashed))
         except FileNotFoundError:
             return None
-        return ApiKey(stored["name"], Scope(stored["scope"]), stored["created"], stored["expires"])
+        limits = KeyLimits(**stored.get("limits", {}))  # keys of earlier releases have neither of the last two
+        return ApiKey(
+            stored["name"],
+            Scope(stored["scope"]),
+            stored["created"],
+            stored["expires"],
+            limits,
+            stored.get("holder", ""),
+        )
+
+
+def _unknown(name: str) -> NotFound:
+    return NotFound(f"There is no key called {name[:_MAX_NAME_LENGTH]}.", "rholoc key list shows the keys.")
 
 
 def _hash(secret: str) -> str:

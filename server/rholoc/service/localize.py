@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 import structlog
 
+from rholoc import telemetry
 from rholoc.errors import DeadlineExceeded, InvalidCamera, InvalidDescriptors, RholocError
 from rholoc.features import Extractor, FeatureSet
 from rholoc.geometry import ByteArray, FloatArray, Pose
@@ -58,7 +59,9 @@ class Stopwatch:
         try:
             yield
         finally:
-            self.stages_ms[name] = self.stages_ms.get(name, 0.0) + 1000 * (time.perf_counter() - start)
+            took_s = time.perf_counter() - start
+            self.stages_ms[name] = self.stages_ms.get(name, 0.0) + 1000 * took_s
+            telemetry.note(name, took_s)
 
     def check(self, deadline_s: float) -> None:
         """Raise DeadlineExceeded once ``deadline_s`` seconds have passed."""
@@ -105,6 +108,7 @@ def localize_frame(
             valid; with several maps, only if none could be used.
     """
     clock.stages_ms["queue"] = 1000 * clock.elapsed_s
+    telemetry.note("queue", clock.elapsed_s)
     deadline_s = frame_deadline_s(frame.options.deadline_ms, settings)
     features = FrameFeatures(frame, settings, clock, deadline_s)
 

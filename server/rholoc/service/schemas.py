@@ -1257,6 +1257,38 @@ class RecordingAccepted(_Out):
     job: JobOut
 
 
+class KeyLimitsIn(_In):
+    """How much a key allows, with all keys that it handed on; what is null or missing is not limited."""
+
+    model_config = ConfigDict(
+        extra="forbid",
+        frozen=True,
+        json_schema_extra={"example": {"requests_per_s": 5, "burst": 20, "maps": 10, "stored_bytes": 1e10, "jobs": 2}},
+    )
+
+    requests_per_s: Number | None = Field(
+        default=None, ge=0.001, le=1e6, description="requests a second, to each server"
+    )
+    burst: int | None = Field(
+        default=None, ge=1, le=10**6, description="how many requests may come at once; default: those of a second"
+    )
+    maps: int | None = Field(default=None, ge=0, le=10**9, description="maps, with those that its jobs will publish")
+    stored_bytes: int | None = Field(default=None, ge=0, le=2**53, description="bytes of maps and recordings")
+    jobs: int | None = Field(default=None, ge=0, le=10**9, description="jobs that are queued or running")
+
+
+class KeyLimitsOut(KeyLimitsIn):
+    """How much a key allows; null: not limited."""
+
+
+class KeyUsageOut(_Out):
+    """What a key holds, with all keys that it handed on."""
+
+    maps: int = Field(description="with those that its jobs will publish")
+    stored_bytes: int = Field(description="of maps and recordings; an unfinished upload counts whole")
+    jobs: int = Field(description="queued or running, or to come with an unfinished upload")
+
+
 class KeyIn(_In):
     """A key to hand on."""
 
@@ -1268,6 +1300,9 @@ class KeyIn(_In):
     lifetime_s: Number = Field(
         default=86400, ge=60, le=31 * 86400, description="how long it is valid, s: a minute to 31 days"
     )
+    limits: KeyLimitsIn = Field(
+        default_factory=KeyLimitsIn, description="how much it allows; never more than the request's own key"
+    )
 
 
 class KeyOut(_Out):
@@ -1277,6 +1312,27 @@ class KeyOut(_Out):
     scope: Scope
     created: float = Field(description="s since the epoch")
     expires: float | None = Field(description="s since the epoch; null: never")
+    limits: KeyLimitsOut = Field(description="how much it allows")
+
+
+class KeyDetail(KeyOut):
+    """A key, and what it holds."""
+
+    model_config = ConfigDict(
+        frozen=True,
+        json_schema_extra={
+            "example": {
+                "name": "robot-7",
+                "scope": "map",
+                "created": 1767607200.0,
+                "expires": None,
+                "limits": {"requests_per_s": 5.0, "maps": 10},
+                "used": {"maps": 2, "stored_bytes": 48_211_004, "jobs": 0},
+            }
+        },
+    )
+
+    used: KeyUsageOut
 
 
 class KeyList(_Out):
@@ -1286,7 +1342,15 @@ class KeyList(_Out):
         frozen=True,
         json_schema_extra={
             "example": {
-                "keys": [{"name": "robot-7", "scope": "localize", "created": 1767607200.0, "expires": None}],
+                "keys": [
+                    {
+                        "name": "robot-7",
+                        "scope": "localize",
+                        "created": 1767607200.0,
+                        "expires": None,
+                        "limits": {"requests_per_s": 5.0},
+                    }
+                ],
             }
         },
     )

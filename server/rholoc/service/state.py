@@ -11,6 +11,7 @@ from fastapi import Depends, Request
 from rholoc.jobs import EmbeddedWorker, JobQueue, QueryStore, RecordingStore, UploadStore
 from rholoc.localization import MapFinder
 from rholoc.maps import CameraLibrary, MapLibrary, SiteLibrary
+from rholoc.service.audit import AuditLog
 from rholoc.service.bodies import HeldBodies
 from rholoc.service.compute import ComputePool
 from rholoc.service.exports import Exports
@@ -21,6 +22,7 @@ from rholoc.service.live import Live
 from rholoc.service.localizers import Localizers
 from rholoc.service.map_watch import MapWatch
 from rholoc.service.metrics import Metrics
+from rholoc.service.quotas import Quotas
 from rholoc.service.renderings import Renderings
 from rholoc.service.settings import Settings
 from rholoc.service.stream_count import OpenStreams
@@ -35,6 +37,7 @@ class State:
     library: MapLibrary
     cameras: CameraLibrary
     keys: KeyStore
+    audit: AuditLog
     shared: SharedStorage | None
     localizers: Localizers
     finder: MapFinder
@@ -54,6 +57,7 @@ class State:
     learner: Learner
     worker: EmbeddedWorker | None
     streams: OpenStreams
+    quotas: Quotas
     publishing: asyncio.Lock = field(default_factory=asyncio.Lock)  # a large map takes memory while it is checked
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -11,12 +12,14 @@ import sqlalchemy as sa
 from dbos import DBOS
 from sqlalchemy.exc import DatabaseError, OperationalError
 
+from rholoc import telemetry
 from rholoc.disk import reporting_full_disk, storage_full
 from rholoc.errors import Conflict, InvalidInput
 from rholoc.storage.tables import VERSION_TABLE
 
-HEAD = "0003"  # the last of the migrations; their numbers are in order as text
+HEAD = "0004"  # the last of the migrations; their numbers are in order as text
 _BUSY_TIMEOUT_MS = 10_000
+_MAX_STATEMENT = 1000  # characters, without values
 _MIGRATIONS = Path(__file__).with_name("migrations")
 _LOCK_NUMBER = 0x72686F6C6F63  # of PostgreSQL's advisory locks: "rholoc"
 
@@ -45,10 +48,28 @@ def database_engine(data_dir: Path, database_url: str | None = None) -> sa.Engin
         InvalidInput: the URL is not valid.
     """
     if database_url is not None:
-        return sa.create_engine(_postgres_url(database_url), pool_pre_ping=True)
-    engine = sa.create_engine(f"sqlite:///{Path(data_dir).resolve() / 'jobs.sqlite'}", pool_pre_ping=True)
-    sa.event.listen(engine, "connect", _prepare_sqlite)
+        engine = sa.create_engine(_postgres_url(database_url), pool_pre_ping=True)
+    else:
+        engine = sa.create_engine(f"sqlite:///{Path(data_dir).resolve() / 'jobs.sqlite'}", pool_pre_ping=True)
+        sa.event.listen(engine, "connect", _prepare_sqlite)
+    if telemetry.is_on() or telemetry.wanted():
+        _trace_statements(engine)
     return engine
+
+
+def _trace_statements(engine: sa.Engine) -> None:
+    """Note each statement's time where what it is for is traced."""
+
+    def begin(connection: sa.Connection, *_: object) -> None:
+        connection.info["statement_begun_s"] = time.perf_counter()
+
+    def end(connection: sa.Connection, _cursor: object, statement: str, *_: object) -> None:
+        took_s = time.perf_counter() - connection.info["statement_begun_s"]
+        attributes = {"db.system.name": engine.dialect.name, "db.query.text": statement[:_MAX_STATEMENT]}
+        telemetry.note(f"database {statement.split(maxsplit=1)[0]}", took_s, attributes, of_others=True)
+
+    sa.event.listen(engine, "before_cursor_execute", begin)
+    sa.event.listen(engine, "after_cursor_execute", end)
 
 
 def prepare_database(engine: sa.Engine) -> None:

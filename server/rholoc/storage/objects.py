@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from datetime import timedelta
 from pathlib import Path
@@ -16,6 +16,7 @@ import obstore
 from obstore.exceptions import BaseError, NotFoundError, PermissionDeniedError, UnauthenticatedError
 from obstore.store import from_url
 
+from rholoc import telemetry
 from rholoc.disk import is_full, reporting_full_disk, storage_full
 from rholoc.errors import InvalidInput, StorageUnavailable
 
@@ -91,7 +92,7 @@ class ObjectStorage:
             StorageUnavailable: the storage does not take it.
             StorageFull: it is a folder on a disk that is full.
         """
-        with _reporting("write to"):
+        with _traced("put", key), _reporting("write to"):
             obstore.put(self._store, key, content, chunk_size=_PIECE_BYTES)
 
     def fetch(self, key: str, target: Path) -> int:
@@ -105,7 +106,7 @@ class ObjectStorage:
         arrived = target.with_name(f".{uuid4().hex}.part")
         size = 0
         try:
-            with _reporting("read from"), reporting_full_disk(), arrived.open("wb") as file:
+            with _traced("get", key), _reporting("read from"), reporting_full_disk(), arrived.open("wb") as file:
                 found = obstore.get(self._store, key)
                 for piece in found.stream(min_chunk_size=_PIECE_BYTES):
                     size += file.write(memoryview(piece))
@@ -122,7 +123,7 @@ class ObjectStorage:
         Raises:
             StorageUnavailable: the storage does not answer.
         """
-        with _reporting("delete from"), contextlib.suppress(NotFoundError, FileNotFoundError):
+        with _traced("delete", key), _reporting("delete from"), contextlib.suppress(NotFoundError, FileNotFoundError):
             obstore.delete(self._store, key)
 
     def list(self, prefix: str) -> Iterator[StoredObject]:
@@ -131,10 +132,14 @@ class ObjectStorage:
         Raises:
             StorageUnavailable: the storage does not answer.
         """
-        with _reporting("list"):
+        with _traced("list", prefix), _reporting("list"):
             for page in obstore.list(self._store, prefix):
                 for meta in page:
                     yield StoredObject(meta["path"], meta["size"], meta["last_modified"].timestamp())
+
+
+def _traced(operation: str, key: str) -> AbstractContextManager[telemetry.Marks]:
+    return telemetry.span(f"storage {operation}", {"rholoc.storage.key": key}, of_others=True)
 
 
 @contextmanager

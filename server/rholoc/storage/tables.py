@@ -38,6 +38,7 @@ jobs_table = sa.Table(
     sa.Column("release", sa.Integer),  # of the work: an earlier release's workers leave it alone
     sa.Column("turn", sa.Float),  # jobs are taken in its order
     sa.Column("memory_bytes", sa.BigInteger),  # null: not known yet
+    sa.Column("asked_in", sa.Text),  # the request's trace, as a W3C traceparent; null where it was not traced
 )
 
 workers_table = sa.Table(
@@ -119,6 +120,32 @@ uploads_table = sa.Table(
     sa.Column("map_name", sa.Text, nullable=False),
     sa.Column("options", sa.JSON, nullable=False),
     sa.Column("touched", sa.Float, nullable=False),
+)
+
+# The requests that changed something, of all servers; see :mod:`rholoc.service.audit`.
+changes_table = sa.Table(
+    "rholoc_changes",
+    metadata,
+    sa.Column("id", sa.BigInteger().with_variant(sa.Integer, "sqlite"), primary_key=True),
+    sa.Column("time", sa.Float, nullable=False),
+    sa.Column("who", sa.Text, nullable=False),
+    sa.Column("method", sa.String(8), nullable=False),
+    sa.Column("path", sa.Text, nullable=False),
+    sa.Column("status", sa.Integer, nullable=False),
+    sa.Column("job", sa.String(64), nullable=False),
+    sa.Column("request_id", sa.String(64), nullable=False),
+)
+
+# What API keys have stored, or have under way: what their quotas are counted by. ``holder`` is the key that ``key`` was
+# handed on by, if any. A row may outlive what it is about.
+holdings_table = sa.Table(
+    "rholoc_holdings",
+    metadata,
+    sa.Column("kind", sa.String(16), primary_key=True),
+    sa.Column("name", sa.String(64), primary_key=True),
+    sa.Column("key", sa.String(64), nullable=False, index=True),
+    sa.Column("holder", sa.String(64), nullable=False, index=True),
+    sa.Column("size_bytes", sa.BigInteger, nullable=False),
 )
 
 upload_pieces_table = sa.Table(

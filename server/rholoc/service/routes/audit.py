@@ -10,7 +10,6 @@ from starlette.concurrency import run_in_threadpool
 from rholoc.errors import InvalidName
 from rholoc.maps import check_map_name
 from rholoc.service.access import NEEDS_ADMIN
-from rholoc.service.audit import AuditLog
 from rholoc.service.openapi import failures
 from rholoc.service.schemas import ChangeOut, ChangesOut
 from rholoc.service.state import Service
@@ -26,5 +25,5 @@ async def list_changes(
 ) -> ChangesOut:
     """The last requests that changed something, the newest first: maps, sites, cameras, recordings, jobs, keys."""
     name = None if map is None else check_map_name(map)
-    changes = await run_in_threadpool(AuditLog(service.settings.data_dir).changes, limit, name)
+    changes = await run_in_threadpool(service.audit.changes, limit, name)
     return ChangesOut(changes=[ChangeOut.model_validate(one, from_attributes=True) for one in changes])

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import AsyncIterator
+from functools import partial
 from typing import Annotated
 
-from fastapi import APIRouter, Header, Query, Response
+from fastapi import APIRouter, Header, Query, Request, Response
 from fastapi.responses import StreamingResponse
 from starlette.concurrency import run_in_threadpool
 
 from rholoc.errors import Conflict, UnknownJob
 from rholoc.service.access import NEEDS_MAP, NEEDS_READ
 from rholoc.service.errors import InvalidRequest
+from rholoc.service.intake import counted_job
 from rholoc.service.job_events import LOOK_EVERY_S, job_out
 from rholoc.service.openapi import failures
 from rholoc.service.schemas import JobChange, JobList, JobOut
@@ -131,6 +133,7 @@ async def cancel_job(
     summary="Try a job again",
     responses=failures(InvalidRequest, UnknownJob, Conflict),
 )
-async def retry_job(job: str, service: Service) -> JobOut:
+async def retry_job(job: str, request: Request, service: Service) -> JobOut:
     """Queue a failed or cancelled job again, with the recording that was kept."""
-    return job_out(await run_in_threadpool(service.jobs.retry, job))
+    found = await run_in_threadpool(service.jobs.get, job)
+    return job_out(await counted_job(service, request, found.map_name, partial(service.jobs.retry, job)))

@@ -5,18 +5,30 @@ from __future__ import annotations
 import io
 import secrets
 import time
+from dataclasses import asdict
+from typing import Any
 
 import segno
 from fastapi import APIRouter, Request, Response
 from starlette.concurrency import run_in_threadpool
 
 from rholoc.errors import Busy, InvalidInput, NotFound, StorageFull
-from rholoc.service.access import NEEDS_ADMIN, NEEDS_MAP, NEEDS_READ, forbidden, granted_key
+from rholoc.service.access import NEEDS_ADMIN, NEEDS_MAP, NEEDS_READ, forbidden, granted_key, request_key
 from rholoc.service.errors import InvalidRequest
-from rholoc.service.keys import HANDED_PREFIX, ApiKey, KeyStore
+from rholoc.service.keys import HANDED_PREFIX, ApiKey, KeyLimits, KeyStore
 from rholoc.service.openapi import failures
-from rholoc.service.schemas import HandedKeyOut, KeyIn, KeyList, KeyOut, QrIn
-from rholoc.service.state import Service
+from rholoc.service.schemas import (
+    HandedKeyOut,
+    KeyDetail,
+    KeyIn,
+    KeyLimitsIn,
+    KeyLimitsOut,
+    KeyList,
+    KeyOut,
+    KeyUsageOut,
+    QrIn,
+)
+from rholoc.service.state import Service, State
 
 router = APIRouter(prefix="/v1", tags=["keys"])
 
@@ -41,7 +53,7 @@ async def hand_on_key(wanted: KeyIn, request: Request, service: Service) -> Hand
     if not needed:
         return HandedKeyOut(key=None, name=None, scope=wanted.scope, expires=None)
     lifetime_s = wanted.lifetime_s if expires is None else min(wanted.lifetime_s, expires - time.time())
-    return await run_in_threadpool(_hand_on, service.keys, wanted, lifetime_s)
+    return await run_in_threadpool(_hand_on, service.keys, wanted, lifetime_s, request_key(request.scope))
 
 
 @router.get("/keys", dependencies=[NEEDS_ADMIN], summary="All keys")
@@ -49,6 +61,25 @@ async def list_keys(service: Service) -> KeyList:
     """Their names and scopes, the oldest first; not the keys themselves, of which the server only has hashes."""
     keys = await run_in_threadpool(service.keys.keys)
     return KeyList(keys=[_shown(key) for key in keys])
+
+
+@router.get("/keys/{name}", dependencies=[NEEDS_ADMIN], summary="One key", responses=failures(NotFound, InvalidRequest))
+async def get_key(name: str, service: Service) -> KeyDetail:
+    """How much it allows, and what it holds."""
+    return await run_in_threadpool(_detail, service, name)
+
+
+@router.put(
+    "/keys/{name}/limits",
+    dependencies=[NEEDS_ADMIN],
+    summary="Limit a key",
+    responses=failures(NotFound, InvalidRequest, StorageFull),
+)
+async def limit_key(name: str, wanted: KeyLimitsIn, service: Service) -> KeyDetail:
+    """Sets all its limits, from the next request on; those that are missing are lifted. What it holds stays, even where
+    it is more than it may."""
+    await run_in_threadpool(service.keys.limit, name, _limits(wanted))
+    return await run_in_threadpool(_detail, service, name)
 
 
 @router.delete(
@@ -81,7 +112,7 @@ async def draw_qr(wanted: QrIn) -> Response:
     return Response(await run_in_threadpool(_svg, wanted.text), media_type=_SVG)
 
 
-def _hand_on(store: KeyStore, wanted: KeyIn, lifetime_s: float) -> HandedKeyOut:
+def _hand_on(store: KeyStore, wanted: KeyIn, lifetime_s: float, by: ApiKey | None) -> HandedKeyOut:
     all_keys = store.keys()
     handed = [key for key in all_keys if key.name.startswith(HANDED_PREFIX)]
     for key in handed:
@@ -90,12 +121,26 @@ def _hand_on(store: KeyStore, wanted: KeyIn, lifetime_s: float) -> HandedKeyOut:
     if sum(not key.expired for key in handed) >= _MAX_HANDED:
         raise Busy("Too many temporary keys exist at the moment.", "Revoke some, or wait until they expire.")
     name = HANDED_PREFIX + secrets.token_hex(_NAME_BYTES)
-    secret = store.create(name, wanted.scope, lifetime_s)
+    secret = store.create(name, wanted.scope, lifetime_s, _limits(wanted.limits), by)
     return HandedKeyOut(key=secret, name=name, scope=wanted.scope, expires=time.time() + lifetime_s)
 
 
 def _shown(key: ApiKey) -> KeyOut:
-    return KeyOut(name=key.name, scope=key.scope, created=key.created, expires=key.expires)
+    return KeyOut(**_fields(key))
+
+
+def _detail(service: State, name: str) -> KeyDetail:
+    key = service.keys.named(name)
+    return KeyDetail(**_fields(key), used=KeyUsageOut(**asdict(service.quotas.usage(name))))
+
+
+def _fields(key: ApiKey) -> dict[str, Any]:
+    limits = KeyLimitsOut(**asdict(key.limits))
+    return {"name": key.name, "scope": key.scope, "created": key.created, "expires": key.expires, "limits": limits}
+
+
+def _limits(wanted: KeyLimitsIn) -> KeyLimits:
+    return KeyLimits(**wanted.model_dump())
 
 
 def _svg(text: str) -> bytes:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Annotated
 
-from fastapi import APIRouter, Query, Response
+from fastapi import APIRouter, Query, Request, Response
 from starlette.concurrency import run_in_threadpool
 
 from rholoc.errors import (
@@ -16,11 +17,12 @@ from rholoc.errors import (
     StorageUnavailable,
     UnknownMap,
 )
-from rholoc.jobs import JobKind, JobOptions
+from rholoc.jobs import Job, JobKind, JobOptions
 from rholoc.mapping import FEWEST_QUERIES, too_few_queries
 from rholoc.maps import check_observations
 from rholoc.service.access import NEEDS_MAP, NEEDS_READ
 from rholoc.service.errors import InvalidRequest
+from rholoc.service.intake import counted_job
 from rholoc.service.job_events import job_out
 from rholoc.service.openapi import failures
 from rholoc.service.schemas import DeletedQueries, JobOut, LearningOut
@@ -37,14 +39,14 @@ _FAILURES = (UnknownMap, InvalidName, InvalidMap)
     summary="Let a map learn from its users",
     responses=failures(*_FAILURES, InvalidInput, Conflict, StorageFull),
 )
-async def learn_from_users(map_name: str, service: Service, response: Response) -> JobOut:
+async def learn_from_users(map_name: str, request: Request, service: Service, response: Response) -> JobOut:
     """A job learns from the queries that are kept for the map: views and landmarks of what was seen often, without what
     many should have seen and did not. `Location` names the job. The map's next version takes the place of the present
     one unless it would localize queries that were held back worse; then the job fails and says by how much. Where the
     setting `learn` says so, maps learn by themselves each night."""
-    job = await run_in_threadpool(_submit, service, map_name)
+    job = await counted_job(service, request, map_name, partial(_submit, service, map_name))
     response.headers["Location"] = f"/v1/jobs/{job.id}"
-    return job
+    return job_out(job)
 
 
 @router.get(
@@ -76,7 +78,7 @@ async def delete_learning(
     return await run_in_threadpool(_delete, service, map_name, asker)
 
 
-def _submit(service: State, map_name: str) -> JobOut:
+def _submit(service: State, map_name: str) -> Job:
     map_ = service.library.get(map_name)
     check_observations(map_, f"The map {map_name}")
     kept = service.queries.kept(map_.info.id).queries
@@ -84,7 +86,7 @@ def _submit(service: State, map_name: str) -> JobOut:
         raise too_few_queries(kept)
     if (running := service.jobs.learning(map_name)) is not None:
         raise Conflict(f"The map {map_name} is learning already.", f"Wait for the job {running.id}.")
-    return job_out(service.jobs.submit("", map_name, JobOptions(kind=JobKind.LEARN)))
+    return service.jobs.submit("", map_name, JobOptions(kind=JobKind.LEARN))
 
 
 def _learning(service: State, map_name: str) -> LearningOut:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import uuid
 from collections.abc import Mapping
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -58,14 +59,15 @@ from rholoc.maps import (
 from rholoc.maps.floor_plan import MEDIA_TYPES
 from rholoc.pictures.rendering import Rendering
 from rholoc.reports import CoverageReport
-from rholoc.service.access import NEEDS_ADMIN, NEEDS_MAP, NEEDS_READ
-from rholoc.service.bodies import media_type, read_body, save_body
+from rholoc.service.access import NEEDS_ADMIN, NEEDS_MAP, NEEDS_READ, request_key
+from rholoc.service.bodies import declared_length, media_type, read_body, save_body
 from rholoc.service.compute import Effort
 from rholoc.service.corrections import corrected_map
 from rholoc.service.errors import InvalidRequest, UnsupportedMediaType
 from rholoc.service.examples import REPORT, sent
 from rholoc.service.exports import ExportRequest, is_long
 from rholoc.service.files import OpenedFile
+from rholoc.service.intake import counted_job
 from rholoc.service.job_events import job_out
 from rholoc.service.openapi import BINARY, failures, request_body
 from rholoc.service.renderings import etag_of
@@ -87,6 +89,7 @@ from rholoc.service.schemas import (
     UpdateIn,
 )
 from rholoc.service.state import Service, State
+from rholoc.storage.holdings import Kind
 from rholoc.trajectory import Scale
 
 router = APIRouter(prefix="/v1/maps", tags=["maps"])
@@ -123,10 +126,14 @@ async def put_map(map_name: str, request: Request, service: Service, response: R
     folder.mkdir(exist_ok=True)
     arrived = folder / uuid.uuid4().hex
     new = map_name not in service.library.names()
+    key, quotas = request_key(request.scope), service.quotas
+    await run_in_threadpool(quotas.check, key, map_name, declared_length(request))
     try:
         await save_body(request, arrived, service.settings.max_upload_bytes)
-        async with service.publishing:
+        async with quotas.counting(key), service.publishing:
+            await run_in_threadpool(quotas.check, key, map_name, arrived.stat().st_size)
             await run_in_threadpool(_publish, service, map_name, arrived)
+            await run_in_threadpool(quotas.hold, key, Kind.MAP, map_name)
     finally:
         arrived.unlink(missing_ok=True)
     response.status_code = 201 if new else 200
@@ -145,6 +152,7 @@ async def patch_map(map_name: str, change: MapPatch, service: Service) -> MapDet
     if change.name != map_name:
         await run_in_threadpool(service.library.rename, map_name, change.name)
         await run_in_threadpool(service.sites.rename_map, map_name, change.name)
+        await run_in_threadpool(service.quotas.rename_map, map_name, change.name)
     service.localizers.forget_missing()
     return await run_in_threadpool(_detail, service, change.name)
 
@@ -373,7 +381,7 @@ async def delete_plan(map_name: str, service: Service) -> MapDetail:
         *_FAILURES, UnknownRecording, UnknownCamera, InvalidCamera, InvalidInput, InvalidRequest, StorageFull
     ),
 )
-async def update_map(map_name: str, wanted: UpdateIn, service: Service, response: Response) -> JobOut:
+async def update_map(map_name: str, wanted: UpdateIn, request: Request, service: Service, response: Response) -> JobOut:
     """A job localizes the recording in the map and learns it; `Location` is the job's address. When it is done, the
     map's next version replaces the present one; a recording of another place changes nothing."""
     await run_in_threadpool(_check_learns, service.library, map_name)
@@ -385,7 +393,8 @@ async def update_map(map_name: str, wanted: UpdateIn, service: Service, response
         pictures=service.settings.keep_pictures,
         priority=wanted.priority,
     )
-    job = await run_in_threadpool(service.jobs.submit, wanted.recording, map_name, options)
+    submit = partial(service.jobs.submit, wanted.recording, map_name, options)
+    job = await counted_job(service, request, map_name, submit)
     response.headers["Location"] = f"/v1/jobs/{job.id}"
     return job_out(job)
 
@@ -396,13 +405,20 @@ async def update_map(map_name: str, wanted: UpdateIn, service: Service, response
     summary="Merge another map into a map's frame",
     responses=failures(*_FAILURES, InvalidInput, InvalidRequest, MappingFailed, Conflict, Busy, StorageFull),
 )
-async def merge_map(map_name: str, wanted: MergeIn, service: Service) -> MapDetail:
+async def merge_map(map_name: str, wanted: MergeIn, request: Request, service: Service) -> MapDetail:
     """The merged map is published as `into`; both maps stay, unless `into` is one of them."""
     into = check_map_name(wanted.into)
     a = await run_in_threadpool(service.library.get, map_name)
     b = await run_in_threadpool(service.library.get, wanted.other)
+    key, quotas = request_key(request.scope), service.quotas
+    new = into not in service.library.names()
+    await run_in_threadpool(quotas.check, key, into if new else None)
     merged = await service.compute.run(lambda: merge_maps(a, b), Effort.LARGE)
-    await run_in_threadpool(_publish_merged, service.library, {map_name: a, wanted.other: b}, into, merged)
+    async with quotas.counting(key):
+        await run_in_threadpool(quotas.check, key, into if new else None)
+        await run_in_threadpool(_publish_merged, service.library, {map_name: a, wanted.other: b}, into, merged)
+        if new:
+            await run_in_threadpool(quotas.hold, key, Kind.MAP, into)
     return await run_in_threadpool(_detail, service, into)
 
 

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from contextlib import suppress
+from contextlib import AsyncExitStack, suppress
 from dataclasses import asdict
+from functools import partial
 from typing import Any
 
 from fastapi import APIRouter, Request, Response
@@ -42,10 +43,10 @@ from rholoc.recordings import (
     check_file_name,
     check_file_start,
 )
-from rholoc.service.access import NEEDS_MAP, NEEDS_READ, granted_key
-from rholoc.service.bodies import media_type, read_multipart
+from rholoc.service.access import NEEDS_MAP, NEEDS_READ, granted_key, request_key
+from rholoc.service.bodies import declared_length, media_type, read_multipart
 from rholoc.service.errors import InvalidRequest, UnsupportedMediaType, UnsupportedVersion
-from rholoc.service.intake import UPLOAD_FAILURES, RecordingFields, checked_options
+from rholoc.service.intake import UPLOAD_FAILURES, RecordingFields, checked_options, counted_job
 from rholoc.service.job_events import job_out
 from rholoc.service.keys import Scope
 from rholoc.service.openapi import BINARY, failures, request_body
@@ -61,6 +62,7 @@ from rholoc.service.schemas import (
 )
 from rholoc.service.state import Service, State
 from rholoc.service.tus import RESUMABLE
+from rholoc.storage.holdings import Kind
 from rholoc.trajectory import PoseMethod
 
 router = APIRouter(prefix="/v1/recordings", tags=["recordings"])
@@ -170,10 +172,13 @@ async def delete_waypoints(recording: str, request: Request, service: Service) -
     summary="Map a stored recording again",
     responses=failures(UnknownRecording, *UPLOAD_FAILURES),
 )
-async def map_again(recording: str, wanted: RecordingFields, service: Service, response: Response) -> JobOut:
+async def map_again(
+    recording: str, wanted: RecordingFields, request: Request, service: Service, response: Response
+) -> JobOut:
     """With other options, corrected waypoints, fewer frames, or as another map. `Location` is the job's address."""
     options = await checked_options(wanted, service)
-    job = await run_in_threadpool(service.jobs.submit, recording, wanted.map, options)
+    submit = partial(service.jobs.submit, recording, wanted.map, options)
+    job = await counted_job(service, request, wanted.map, submit)
     response.headers["Location"] = f"/v1/jobs/{job.id}"
     return job_out(job)
 
@@ -204,17 +209,22 @@ async def upload_recording(request: Request, service: Service) -> Response:
         raise UnsupportedMediaType(
             "A recording must be sent as multipart/form-data.", "curl -F file=@walk.mp4 -F map=hall"
         )
+    key, quotas = request_key(request.scope), service.quotas
+    await run_in_threadpool(quotas.check, key, size_bytes=declared_length(request))
     pending = await run_in_threadpool(service.recordings.begin, service.settings.max_upload_bytes)
-    try:
+    async with AsyncExitStack() as in_the_end:
+        in_the_end.push_async_callback(run_in_threadpool, pending.abort)
         fields, options = await _receive(request, pending, service)
+        await in_the_end.enter_async_context(quotas.counting(key))
+        await run_in_threadpool(quotas.check, key, None, pending.size_bytes, fields.map)
         entry = await run_in_threadpool(pending.commit)
-    finally:
-        await run_in_threadpool(pending.abort)
-    try:
-        job = await run_in_threadpool(service.jobs.submit, entry.id, fields.map, options)
-    except Exception:
-        await run_in_threadpool(service.recordings.delete, entry.id)  # no job would ever read it
-        raise
+        try:
+            job = await run_in_threadpool(service.jobs.submit, entry.id, fields.map, options)
+        except Exception:
+            await run_in_threadpool(service.recordings.delete, entry.id)  # no job would ever read it
+            raise
+        await run_in_threadpool(quotas.hold, key, Kind.RECORDING, entry.id, entry.size_bytes)
+        await run_in_threadpool(quotas.hold_job, key, job.id, fields.map)
     accepted = RecordingAccepted(recording=entry.id, job=job_out(job))
     return JSONResponse(accepted.model_dump(mode="json"), 202, {"Location": f"/v1/jobs/{job.id}"})
 

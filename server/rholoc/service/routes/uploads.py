@@ -11,12 +11,13 @@ from starlette.requests import ClientDisconnect
 
 from rholoc.errors import Conflict, InvalidRecording, StorageFull, TooLarge, UnknownRecording
 from rholoc.service import tus
-from rholoc.service.access import NEEDS_MAP, NEEDS_READ
+from rholoc.service.access import NEEDS_MAP, NEEDS_READ, request_key
 from rholoc.service.bodies import limited_stream, media_type, read_body
 from rholoc.service.errors import ChecksumMismatch, InvalidRequest, UnsupportedMediaType, UnsupportedVersion
 from rholoc.service.intake import RecordingFields, checked_options
 from rholoc.service.openapi import BINARY, failures, request_body
 from rholoc.service.state import Service, State
+from rholoc.storage.holdings import Kind
 
 router = APIRouter(prefix="/v1/recordings", tags=["recordings"])
 
@@ -46,7 +47,12 @@ async def begin_upload(request: Request, service: State) -> Response:
     if _FILE_NAME not in metadata:
         raise InvalidRequest("Upload-Metadata has no filename.", "Send filename and map, each with base64.")
     options = await checked_options(fields, service)
-    upload = await run_in_threadpool(service.uploads.create, metadata[_FILE_NAME], length, fields.map, options)
+    key, quotas = request_key(request.scope), service.quotas
+    async with quotas.counting(key):
+        await run_in_threadpool(quotas.check, key, None, length, fields.map)
+        upload = await run_in_threadpool(service.uploads.create, metadata[_FILE_NAME], length, fields.map, options)
+        await run_in_threadpool(quotas.hold, key, Kind.RECORDING, upload.id, length)
+        await run_in_threadpool(quotas.hold_job, key, upload.id, fields.map)
     headers = {"Location": f"{router.prefix}/{upload.id}", **tus.standing(upload)}
     return Response(status_code=201, headers=headers)
 
