@@ -366,7 +366,10 @@ def outcome(deployment: Deployment, run: Run, name: str, job: str | None, before
             problems.append(f"The map was published {max(len(versions) + 1, deployment.published(name))} times.")
     if not soon(lambda: same(f"/v1/maps/{MAP}/download", first, second)):
         problems.append("The corrected map is not the same at both servers.")
-    made = httpx.get(f"{first}/v1/maps/{MAP}", timeout=30).json()["version"] - before
+    answer = httpx.get(f"{first}/v1/maps/{MAP}", timeout=30)
+    if answer.status_code != 200:
+        return [*problems, f"The corrected map was answered with {answer.status_code}: {answer.text[:200]}"]
+    made = answer.json()["version"] - before
     if len(set(run.confirmed)) < len(run.confirmed):
         problems.append("Two writers were told of the same version.")
     if not len(run.confirmed) <= made <= len(run.confirmed) + run.unknown:

@@ -13,7 +13,8 @@ from fake_pipeline import tiny_map
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from rholoc.errors import Conflict, InvalidMap, RholocError, StorageUnavailable, UnknownMap
+from rholoc.disk import storage_full
+from rholoc.errors import Conflict, InvalidMap, RholocError, StorageFull, StorageUnavailable, UnknownMap
 from rholoc.maps import Map, MapLibrary, load_map, map_to_bytes
 from rholoc.storage import SharedStorage
 from waiting import until
@@ -177,6 +178,30 @@ def test_copies_leave_for_others_and_are_fetched_again(open_storage: Any) -> Non
         shared.library.put(name, tiny_map())
     assert len(list(shared.library.folder.glob("*.rho"))) == 2
     assert [load_map(shared.library.path(name)).info.version for name in ("a", "b", "c")] == [1, 1, 1]
+
+
+def test_copies_leave_a_full_disk_to_a_map_that_is_asked(open_storage: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    size, shared = len(map_to_bytes(tiny_map())), open_storage(cache_bytes=0)
+    names = ["a", "b", "c"]
+    for name in names:
+        shared.library.put(name, tiny_map())
+    fetch, folder = shared.objects.fetch, shared.library.folder
+
+    def onto_a_small_disk(key: str, target: Path) -> int:
+        if sum(path.stat().st_size for path in folder.iterdir()) + size > 3.5 * size:
+            raise storage_full()
+        return int(fetch(key, target))
+
+    monkeypatch.setattr(shared.objects, "fetch", onto_a_small_disk)
+    other = open_storage(cache_bytes=0)
+    other.library.put("d", tiny_map())
+    shared.refresh()
+    assert [load_map(shared.library.path(name)).info.version for name in [*names, "d", *names]] == [1] * 7
+    (folder / "ballast").write_bytes(bytes(4 * size))
+    for path in folder.glob("*.rho"):
+        path.unlink()
+    with pytest.raises(StorageFull):
+        shared.library.path("a")
 
 
 def test_files_that_no_map_needs_leave_the_storage(

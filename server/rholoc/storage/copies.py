@@ -10,7 +10,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from rholoc.disk import reporting_full_disk
-from rholoc.errors import StorageUnavailable
+from rholoc.errors import StorageFull, StorageUnavailable
 from rholoc.storage.objects import ObjectStorage
 
 _SUFFIX = ".rho"
@@ -43,7 +43,7 @@ class Copies:
         blob = uuid.uuid4().hex
         self._objects.put(self._key(blob), file)
         file.replace(self._path(blob))
-        self._make_room(blob)
+        self._make_room(blob, self._most_bytes)
         return blob
 
     def path(self, blob: str, size_bytes: int) -> Path:
@@ -102,26 +102,35 @@ class Copies:
             self.folder.mkdir(parents=True, exist_ok=True)
         arrived = path.with_name(f".{uuid.uuid4().hex}.arrived")
         try:
-            self.fetch(blob, size_bytes, arrived)
+            try:
+                self.fetch(blob, size_bytes, arrived)
+            except StorageFull:  # maybe of copies
+                self._make_room(blob, sum(size for _, size, _ in self._found()) - size_bytes)
+                self.fetch(blob, size_bytes, arrived)
             arrived.replace(path)
         finally:
             arrived.unlink(missing_ok=True)
-        self._make_room(blob)
+        self._make_room(blob, self._most_bytes)
 
-    def _make_room(self, kept: str) -> None:
-        """Remove the copies that were used longest ago until the rest fits; ``kept`` stays."""
+    def _make_room(self, kept: str, most_bytes: float) -> None:
+        """Remove the copies that were used longest ago until the rest takes no more than that; ``kept`` stays."""
+        found = self._found()
+        total = sum(size for _, size, _ in found)
+        for _, size, path in sorted(found):
+            if total <= most_bytes:
+                return
+            if path.stem != kept:
+                path.unlink(missing_ok=True)
+                total -= size
+
+    def _found(self) -> list[tuple[float, int, Path]]:
+        """The copies: when each was last used, its size, and where it is."""
         found = []
         for path in self.folder.glob(f"*{_SUFFIX}"):
             with suppress(FileNotFoundError):
                 status = path.stat()
                 found.append((status.st_mtime, status.st_size, path))
-        total = sum(size for _, size, _ in found)
-        for _, size, path in sorted(found):
-            if total <= self._most_bytes:
-                return
-            if path.stem != kept:
-                path.unlink(missing_ok=True)
-                total -= size
+        return found
 
     def _key(self, blob: str) -> str:
         return f"{self._prefix}/{blob}{_SUFFIX}"
