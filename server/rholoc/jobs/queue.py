@@ -70,7 +70,9 @@ class JobQueue:
         """
         check_map_name(map_name)
         options = options or JobOptions()
-        work = JobWork("" if options.kind is JobKind.LEARN else recording_id, map_name, options, telemetry.traceparent())
+        work = JobWork(
+            "" if options.kind is JobKind.LEARN else recording_id, map_name, options, telemetry.traceparent()
+        )
         length_s, memory_bytes = self._size_of(work.recording, options)
         job_id = job_id or uuid.uuid4().hex
         with reporting_full_database(), suppress(IntegrityError):

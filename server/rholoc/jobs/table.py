@@ -216,7 +216,13 @@ class JobTable:
     def requeue(self, job_id: str, length_s: float, release: int, asked_in: str | None = None) -> None:
         """Queue a failed or cancelled job again, as if it were submitted now. Raises UnknownJob, Conflict."""
         turn = turn_of(time.time(), self.get(job_id).priority, length_s)
-        values = {"workflow_id": _new_workflow(job_id), "release": release, "turn": turn, "asked_in": asked_in, **_QUEUED}
+        values = {
+            "workflow_id": _new_workflow(job_id),
+            "release": release,
+            "turn": turn,
+            "asked_in": asked_in,
+            **_QUEUED,
+        }
         with self._engine.begin() as connection:
             changed = connection.execute(
                 jobs_table.update()
