@@ -49,6 +49,7 @@ from fake_pipeline import KILL_POINTS
 
 from failing_storage import FailingStorage, StorageFault
 from postgres_server import PostgresServer
+from rholoc.jobs.table import RELEASE
 
 TESTS = Path(__file__).resolve().parents[1] / "tests"
 SHIPPED = Path(__file__).resolve().parents[1] / "maps"
@@ -140,7 +141,8 @@ class Deployment:
             home = folder / f"worker-{number}"
             home.mkdir()
             folders = [str(home / "data"), str(home / "maps"), str(self._control)]
-            command = [sys.executable, pipeline, *folders, *urls.values()]
+            capacity = [str(RELEASE), "1", "inf"]
+            command = [sys.executable, pipeline, *folders, *capacity, *urls.values()]
             self.workers.append(Program(command, environment, folder / f"worker-{number}.log"))
 
     def _server(self, folder: Path, number: int, environment: dict[str, str]) -> Program:
