@@ -23,6 +23,7 @@ from pathlib import Path
 import numpy as np
 
 import rholoc
+from rholoc.errors import MappingFailed
 from rholoc.features import FeatureSet, Metric, get_extractor
 from rholoc.geometry import Camera, FloatArray, pose_distances
 from rholoc.localization import Localizer, Query
@@ -90,6 +91,9 @@ class Case:
         return cls(**(stored | {"kind": Kind(stored["kind"]), "inputs": inputs}))
 
 
+UNANSWERED = Case(Kind.WHOLE, None, 0.0, None, None, False)
+
+
 @dataclass(frozen=True)
 class Answered:
     """All that was asked of one room with one kind of features."""
@@ -117,15 +121,22 @@ def case(kind: Kind, localizer: Localizer, query: Query, truth: FloatArray | Non
 
 
 def frames_asked(named: NamedRoom, features: str, kept: Path) -> Iterator[Case]:
-    """A room's frames, asked as they are."""
-    room, camera, localizer = _opened(named, features, kept)
+    """A room's frames, asked as they are; of a room that cannot be mapped by such features none is answered."""
+    try:
+        room, camera, localizer = _opened(named, features, kept)
+    except MappingFailed:
+        yield from (UNANSWERED for _ in named.make(kept).pictures())
+        return
     for truth, image in room.pictures():
         yield case(Kind.WHOLE, localizer, Query.of_picture(image, localizer.extractor, camera), truth)
 
 
 def doubts_asked(named: NamedRoom, features: str, kept: Path) -> Iterator[Case]:
-    """All else that is asked of one room."""
-    room, camera, localizer = _opened(named, features, kept)
+    """All else that is asked of one room, where it can be mapped."""
+    try:
+        room, camera, localizer = _opened(named, features, kept)
+    except MappingFailed:
+        return
     extractor = localizer.extractor
     others = list(strangers(named.recording, STRANGERS, kept))
     rng = np.random.default_rng(0)
