@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -194,3 +195,15 @@ def test_a_map_that_would_be_worse_is_not_made(
     monkeypatch.setattr(user_learning, "_lesson", teach_badly)
     with pytest.raises(MappingFailed, match="would be worse"):
         learn_from_queries(room_map, queries)
+
+
+def test_a_pose_that_is_a_little_off_is_neither_right_nor_wrong(point_room: Any) -> None:
+    """It is in the right place: a map that gives it where there was none before is no worse for it."""
+    T = point_room.walk(3)[0].T_map_camera
+    features = point_room.see(point_room.walk(3)[0], 0)
+    for off_m, right, wrong in ((0.01, 1, 0), (0.06, 0, 0), (0.3, 0, 1)):
+        beside = T.copy()
+        beside[0, 3] += off_m
+        localizer: Any = SimpleNamespace(localize=lambda query, T=beside: SimpleNamespace(pose=Pose(T)))
+        answers = user_learning._answers(localizer, [(point_room.camera, T, features)])
+        assert (answers.right, answers.wrong) == (right, wrong)

@@ -31,7 +31,7 @@ class SharedQueryStore(QueryStore):
     """
 
     def __init__(self, objects: ObjectStorage, limits: KeptLimits | None = None) -> None:
-        super().__init__(Path(QUERIES_FOLDER), limits)
+        super().__init__(Path(), limits)  # nothing stays on this disk
         self._objects = objects
         self._heard: dict[_Heard, float] = {}
 

@@ -44,6 +44,7 @@ _MOST_LANDMARKS_RATIO = 1.15  # against those that recordings brought
 _MOST_KNOWN_PER_VIEW = 120  # landmarks that a view of a query keeps, beside the new ones
 _METRES_PER_RADIAN = 1.0
 _RIGHT_M, _RIGHT_RAD = 0.05, np.deg2rad(5.0)
+_WRONG_M, _WRONG_RAD = 0.25, np.deg2rad(10.0)
 _MOST_REMEMBERED = 40
 _WORSE_M = 0.01  # in the median, that is no worse: what is asked for is as the map before has it
 
@@ -228,12 +229,12 @@ def _lesson(localizer: Localizer, placed: Sequence[_Placed], progress: ProgressL
     left, fresh = keep_features(known, ~gone), _fresh_views(known, teaching)
     if not fresh:
         return _Lesson(left, gone, 0, 0, 0)
-    map_, seen_again, new = _joined(left, fresh, len(known), progress)
+    map_, seen_again, new = _joined(left, fresh, _most_landmarks(known), progress)
     return _Lesson(map_, gone, len(fresh), seen_again, new)
 
 
-def _joined(left: Map, fresh: Sequence[_Placed], count_before: int, progress: ProgressListener) -> tuple[Map, int, int]:
-    """A map with the views of queries; how many landmarks they see again, how many are new."""
+def _joined(left: Map, fresh: Sequence[_Placed], most: int, progress: ProgressListener) -> tuple[Map, int, int]:
+    """A map with the views of queries and at most so many landmarks; how many they see again, how many are new."""
     localizer = Localizer(left, min_confidence=LEARNING_CONFIDENCE)
     cameras = [one.query.camera for one in fresh]
     T = np.array([one.T_map_camera for one in fresh])
@@ -241,7 +242,7 @@ def _joined(left: Map, fresh: Sequence[_Placed], count_before: int, progress: Pr
     views = Views.from_features(cameras, T, times, [one.query.features for one in fresh])
     labels, new, _ = recognize(localizer, views, progress)
     new = new.keep(_seen_repeatedly(views, new, np.array([one.occasion for one in fresh])))
-    new = new.keep(_needed_most(views, new, labels, _most_landmarks(count_before, left) - len(left)))
+    new = new.keep(_needed_most(views, new, labels, most - len(left)))
     seen, landmarks = seen_landmarks(left, _some_of_each_view(views, labels), new)
     sources = [_source(left, camera) for camera in dict.fromkeys(cameras)]
     rows = {source.camera: row for row, source in enumerate(sources)}
@@ -318,10 +319,13 @@ def _needed_most(views: Views, landmarks: Landmarks, known: IntArray, most: int)
     return chosen
 
 
-def _most_landmarks(count_before: int, left: Map) -> int:
-    """How many landmarks the map may have: as many as before, or a little more than recordings brought."""
-    recorded = np.unique(left.observation_features[_is_recorded(left)[left.observation_views]])
-    return max(count_before, int(_MOST_LANDMARKS_RATIO * len(recorded)))
+def _most_landmarks(known: Map) -> int:
+    """How many landmarks the next version of a map may have: as many as this, or a little more than recordings brought.
+
+    What is forgotten makes room for what is new.
+    """
+    recorded = np.unique(known.observation_features[_is_recorded(known)[known.observation_views]])
+    return max(len(known), int(_MOST_LANDMARKS_RATIO * len(recorded)))
 
 
 def _bounded(map_: Map) -> Map:
@@ -343,7 +347,7 @@ class _Answers:
     Attributes:
         asked: how many questions.
         right: of those how many answers are within 5 cm and 5°.
-        wrong: how many poses were given that are not.
+        wrong: how many poses were given that are off by more than 25 cm or 10°.
         median_m: of the errors of the poses given; infinite where there are none.
     """
 
@@ -367,7 +371,8 @@ def _answers(localizer: Localizer, frames: Sequence[tuple[Camera, FloatArray, Fe
     distances, angles = np.array(errors).reshape(-1, 2).T
     right = int(((distances < _RIGHT_M) & (angles < _RIGHT_RAD)).sum())
     median_m = float(np.median(distances)) if len(errors) else np.inf
-    return _Answers(len(frames), right, len(errors) - right, median_m)
+    wrong = int(((distances > _WRONG_M) | (angles > _WRONG_RAD)).sum())
+    return _Answers(len(frames), right, wrong, median_m)
 
 
 def _questions(held_back: Sequence[_Placed]) -> list[tuple[Camera, FloatArray, FeatureSet]]:
