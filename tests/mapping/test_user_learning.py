@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import nullcontext
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
@@ -207,3 +208,12 @@ def test_a_pose_that_is_a_little_off_is_neither_right_nor_wrong(point_room: Any)
         localizer: Any = SimpleNamespace(localize=lambda query, T=beside: SimpleNamespace(pose=Pose(T)))
         answers = user_learning._answers(localizer, [(point_room.camera, T, features)])
         assert (answers.right, answers.wrong) == (right, wrong)
+
+
+@pytest.mark.parametrize(
+    ("right", "wrong", "is_worse"), [(50, 1, False), (49, 1, True), (53, 2, False), (52, 2, True), (60, 5, True)]
+)
+def test_a_wrong_answer_is_outweighed_by_three_right_ones(right: int, wrong: int, is_worse: bool) -> None:
+    before, after = user_learning._Answers(90, 50, 1, 0.01), user_learning._Answers(90, right, wrong, 0.01)
+    with pytest.raises(MappingFailed) if is_worse else nullcontext():
+        user_learning._check_no_worse(before, after, "queries")

@@ -46,6 +46,7 @@ _METRES_PER_RADIAN = 1.0
 _RIGHT_M, _RIGHT_RAD = 0.05, np.deg2rad(5.0)
 _WRONG_M, _WRONG_RAD = 0.25, np.deg2rad(10.0)
 _MOST_REMEMBERED = 40
+_RIGHT_PER_WRONG = 3  # more answers that are right outweigh one more that is wrong
 _WORSE_M = 0.01  # in the median, that is no worse: what is asked for is as the map before has it
 
 
@@ -88,14 +89,16 @@ def learn_from_queries(map_: Map, queries: Sequence[AnsweredQuery], progress: Pr
             "The map is unchanged.",
         )
     lesson = _lesson(localizer, placed, progress)
+    placed_again = placed
     if lesson.new:  # what was hard to place by the old landmarks alone is easier by the new ones too
         better = Localizer(lesson.map_, min_confidence=LEARNING_CONFIDENCE)
-        lesson = _lesson(localizer, _placed(better, queries, progress), progress)
+        placed_again = _placed(better, queries, progress)
+        lesson = _lesson(localizer, placed_again, progress)
     if not lesson.gone.any() and not lesson.new:
         raise MappingFailed("The queries show nothing new, and miss nothing.", "The map is unchanged.")
     after = _bounded(lesson.map_)
     learned = Localizer(after, min_confidence=LEARNING_CONFIDENCE)
-    held_back = [one for one in placed if _is_held_back(one.query)]
+    held_back = [one for one in _uncontested(placed, placed_again) if _is_held_back(one.query)]
     questions, remembered = _questions(held_back), _remembered(known, lesson.gone)
     before_answers, after_answers = _answers(localizer, questions), _answers(learned, questions)
     progress(Stage.REPORT, 0.7, f"{len(held_back)} queries held back, asked before and after")
@@ -148,6 +151,18 @@ def _placed(localizer: Localizer, queries: Sequence[AnsweredQuery], progress: Pr
     sigmas_m = np.sqrt([np.trace(one.covariance[:3, :3]) for one in found])
     exact = sigmas_m <= _MAX_SIGMA_RATIO * np.median(sigmas_m) if found else sigmas_m > 0
     return [one for one, is_exact in zip(found, exact, strict=True) if is_exact]
+
+
+def _uncontested(placed: Sequence[_Placed], again: Sequence[_Placed]) -> list[_Placed]:
+    """The queries that are not placed elsewhere by a map that has learned: of those that are, by what has moved or by
+    what has not, nobody knows which map is right."""
+    elsewhere = {id(one.query): one.T_map_camera for one in again}
+    found = []
+    for one in placed:
+        apart_m, turned_rad = pose_distances(one.T_map_camera, elsewhere.get(id(one.query), one.T_map_camera))
+        if apart_m <= _WRONG_M and turned_rad <= _WRONG_RAD:
+            found.append(one)
+    return found
 
 
 def _occasions(queries: Sequence[AnsweredQuery]) -> IntArray:
@@ -401,7 +416,8 @@ def _remembered(map_: Map, gone: BoolArray) -> list[tuple[Camera, FloatArray, Fe
 
 def _check_no_worse(before: _Answers, after: _Answers, of: str) -> None:
     """Raises MappingFailed: a map answers worse than before; ``of`` says what it was asked."""
-    if after.right < before.right or after.wrong > before.wrong:
+    gained = after.right - before.right
+    if gained < 0 or _RIGHT_PER_WRONG * (after.wrong - before.wrong) > gained:
         raise MappingFailed(
             f"The map would be worse: of {before.asked} {of} it would place {after.right} rightly and {after.wrong} "
             f"wrongly, and places {before.right} and {before.wrong}.",
