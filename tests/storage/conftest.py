@@ -12,6 +12,8 @@ from rholoc.storage import SharedStorage
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "jobs"))  # of the tiny map and the sites of jobs
 
+from job_site import Site
+
 OpenStorage = Callable[..., SharedStorage]
 
 
@@ -37,3 +39,11 @@ def open_storage(tmp_path: Path, storage_url: str) -> Iterator[OpenStorage]:
     yield open_one
     for shared in opened:
         shared.close()
+
+
+@pytest.fixture
+def campus(tmp_path: Path, postgres_url: str, storage_url: str) -> Iterator[Site]:
+    """A site whose workers share no folder."""
+    site = Site(tmp_path, postgres_url, storage_url)
+    yield site
+    site.close()

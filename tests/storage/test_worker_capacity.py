@@ -4,25 +4,19 @@ from __future__ import annotations
 
 import os
 import signal
-from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
-from job_site import Site
 
 from rholoc.jobs import JobQueue, JobState, Obstacle
 from rholoc.jobs.table import RELEASE
 from waiting import until
 
+if TYPE_CHECKING:
+    from job_site import Site
+
 _ENDED = (JobState.PUBLISHED, JobState.FAILED)
-
-
-@pytest.fixture
-def campus(tmp_path: Path, postgres_url: str, storage_url: str) -> Iterator[Site]:
-    """A site whose workers share no folder."""
-    site = Site(tmp_path, postgres_url, storage_url)
-    yield site
-    site.close()
 
 
 @pytest.mark.slow
