@@ -12,9 +12,13 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "recordings"))
+sys.path.insert(0, str(Path(__file__).parents[1] / "jobs"))
 import phone_recordings as phone
+from fake_pipeline import tiny_map
 
 from rholoc.errors import RholocError
+from rholoc.maps import read_coefficient_table, write_coefficient_table
+from rholoc.maps.trajectory_table import PAPER_COLUMNS, read_trajectory_csv
 from rholoc.recordings import CameraFile, read_recording, write_camera_json
 
 EXAMPLES = 40  # of each reader
@@ -99,3 +103,26 @@ def test_whatever_befalls_a_recording_it_is_read_or_refused_in_one_line(name):
         assert len(complaint) < LONGEST_COMPLAINT
 
     feed()
+
+
+@pytest.mark.parametrize("letters", ["a" * 300, "é" * 200, "folder/" + "b" * 250])
+def test_a_name_that_no_file_can_have_is_refused(tmp_path: Path, letters: str) -> None:
+    walk = phone.write_recording("tum", tmp_path / "walk")
+    lines = (walk / "rgb.txt").read_text().splitlines()
+    name = lines[-1].split()[1]
+    (walk / "rgb.txt").write_text("\n".join(lines).replace(name, letters))
+    assert "too long for a file" in complaint_about(walk)
+
+
+def test_tables_do_not_repeat_a_wrong_value_of_any_length(tmp_path: Path) -> None:
+    table = tmp_path / "t.csv"
+    table.write_text(f"{','.join(PAPER_COLUMNS)}\n{','.join(['x' * 10_000] * len(PAPER_COLUMNS))}\n")
+    with pytest.raises(RholocError, match=r"row 2: 'x+' under \w+ is not a number") as refused:
+        read_trajectory_csv(table)
+    assert len(str(refused.value)) < LONGEST_COMPLAINT
+    write_coefficient_table(tiny_map(), table)
+    header, *rows = table.read_text().splitlines()
+    table.write_text("\n".join([header.replace("a_0_0_0_0_0_1", "y" * 10_000), *rows]))
+    with pytest.raises(RholocError, match=r"has the unexpected y+") as refused:
+        read_coefficient_table(table)
+    assert len(str(refused.value)) < LONGEST_COMPLAINT
