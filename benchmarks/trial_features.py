@@ -12,6 +12,7 @@ import numpy as np
 from rholoc.features import Extractor, FeatureSet, Metric
 from rholoc.features import extractors as installed
 from rholoc.features.extractors._sift import SiftExtractor
+from rholoc.features.extractors.xfeat import XFeatExtractor
 from rholoc.geometry import ByteArray
 
 _small = partial(SiftExtractor, longest_px=400, exact=True)
@@ -69,6 +70,7 @@ TRIALS: tuple[Extractor, ...] = (
     _small("sift, 400 px, 64 bytes", quick_px=288, descriptor_bytes=64),
     _small("sift, 400 px, 32 bytes", quick_px=288, descriptor_bytes=32),
     SiftExtractor("sift, 48 bytes", descriptor_bytes=48, exact=True),
+    XFeatExtractor("xfeat, 416 px", longest_px=416),
     ColouredSift("sift48 with colour", _small("", quick_px=288, descriptor_bytes=48)),
 )
 

@@ -18,6 +18,7 @@
         │   ├── InvalidRecording    a recording that cannot be read
         │   ├── InvalidWaypoints    waypoints missing, malformed, too few or collinear
         │   ├── InvalidTrajectory   a pose table that cannot be read
+        │   ├── NotInstalled        features that need a package which the service does not have
         │   └── UnsupportedMediaType
         ├── InvalidMap              a map file that is corrupt, truncated or foreign
         ├── NotFound
@@ -150,6 +151,12 @@ class InvalidTrajectory(InvalidInput):
     """A pose table that cannot be read."""
 
     code = "invalid_trajectory"
+
+
+class NotInstalled(InvalidInput):
+    """The features asked for need a package that is not installed where the service runs."""
+
+    code = "not_installed"
 
 
 class UnsupportedMediaType(InvalidInput):

@@ -10,7 +10,8 @@
     │   ├── InvalidName         not a valid map name
     │   ├── InvalidRecording    a video, image folder or table that cannot be read
     │   ├── InvalidWaypoints    waypoints missing, malformed, too few or collinear
-    │   └── InvalidTrajectory   a trajectory or pose table that cannot be read
+    │   ├── InvalidTrajectory   a trajectory or pose table that cannot be read
+    │   └── NotInstalled        features that need a package which is not installed
     ├── InvalidMap              a map file that is corrupt, truncated or foreign
     ├── NotFound
     │   ├── UnknownMap
@@ -91,6 +92,12 @@ class InvalidTrajectory(InvalidInput):
     """A trajectory or pose table cannot be read."""
 
     code = "invalid_trajectory"
+
+
+class NotInstalled(InvalidInput):
+    """The features asked for need a package that is not installed on this machine."""
+
+    code = "not_installed"
 
 
 class InvalidMap(RholocError):

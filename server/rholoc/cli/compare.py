@@ -48,7 +48,8 @@ def compare(
     truth: Annotated[bool, typer.Option("--truth", help="Take poses from a simulated recording's truth.csv.")] = False,
     camera: options.Camera = None,
     features: Annotated[
-        str | None, typer.Option(metavar="gray|rgb|lab|lab3|sift|sift48", help="The features that all methods share.")
+        str | None,
+        typer.Option(metavar="gray|rgb|lab|lab3|sift|sift48|xfeat", help="The features that all methods share."),
     ] = None,
     dof: options.DofOption = "6",
     tensor: Annotated[bool, typer.Option(help="Run the tensor density too.")] = True,

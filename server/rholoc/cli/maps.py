@@ -39,7 +39,7 @@ def build(
     density: Annotated[str, typer.Option(metavar="ray|tensor|observed", help="The form of the densities.")] = "ray",
     degree: Annotated[int, typer.Option(metavar="1|2|3", help="P of fitted densities; with 1 nothing localizes.")] = 2,
     features: Annotated[
-        str | None, typer.Option(metavar="gray|rgb|lab|lab3|sift|sift48", help="What the map's features are.")
+        str | None, typer.Option(metavar="gray|rgb|lab|lab3|sift|sift48|xfeat", help="What the map's features are.")
     ] = None,
     poses: Annotated[
         str, typer.Option(metavar="visual-inertial|visual|inertial|odometry|given", help="Where frame poses come from.")

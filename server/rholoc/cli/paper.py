@@ -30,7 +30,7 @@ def observations(
         Path | None, typer.Option("--out", "-o", metavar="CSV", help="Where to; default: NAME-observations.csv.")
     ] = None,
     features: Annotated[
-        str, typer.Option(metavar="gray|rgb|lab|lab3|sift|sift48", help="What is looked for in the pictures.")
+        str, typer.Option(metavar="gray|rgb|lab|lab3|sift|sift48|xfeat", help="What is looked for in the pictures.")
     ] = "lab",
     poses: Annotated[
         str, typer.Option(metavar="visual-inertial|visual|inertial|odometry|given", help="Where frame poses come from.")
@@ -81,7 +81,9 @@ def fit(
     ] = False,
     features: Annotated[
         str | None,
-        typer.Option(metavar="gray|rgb|lab|lab3|sift|sift48", help="What they are of; default: as descriptors tell."),
+        typer.Option(
+            metavar="gray|rgb|lab|lab3|sift|sift48|xfeat", help="What they are of; default: as descriptors tell."
+        ),
     ] = None,
     camera: Annotated[
         str | None,

@@ -5,9 +5,9 @@ from __future__ import annotations
 import importlib
 import pkgutil
 from functools import cache
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
-from rholoc.errors import InvalidInput
+from rholoc.errors import InvalidInput, NotInstalled
 from rholoc.features.feature_set import Channel, FeatureSet, Metric
 from rholoc.geometry import ByteArray
 
@@ -45,6 +45,19 @@ class Extractor(Protocol):
         ...
 
 
+@runtime_checkable
+class NeedsPackage(Protocol):
+    """An extractor that needs a package which not every installation has."""
+
+    def check_installed(self) -> None:
+        """Do nothing where the package is there.
+
+        Raises:
+            NotInstalled: it is not; the hint says how to install it.
+        """
+        ...
+
+
 @cache
 def _registry() -> dict[str, Extractor]:
     modules = [
@@ -55,9 +68,9 @@ def _registry() -> dict[str, Extractor]:
     return {module.EXTRACTOR.name: module.EXTRACTOR for module in modules}
 
 
-def extractor_names() -> list[str]:
-    """The names of all extractors, sorted."""
-    return sorted(_registry())
+def extractor_names(only_installed: bool = True) -> list[str]:
+    """The names of the extractors that can be used here, or of all, sorted."""
+    return sorted(name for name, one in _registry().items() if not only_installed or _is_installed(one))
 
 
 def get_extractor(name: str) -> Extractor:
@@ -65,7 +78,20 @@ def get_extractor(name: str) -> Extractor:
 
     Raises:
         InvalidInput: there are no features of this name.
+        NotInstalled: they need a package that is not here.
     """
     if name not in _registry():
         raise InvalidInput(f"There are no features called '{name}'.", f"Choose one of {', '.join(extractor_names())}.")
-    return _registry()[name]
+    extractor = _registry()[name]
+    if isinstance(extractor, NeedsPackage):
+        extractor.check_installed()
+    return extractor
+
+
+def _is_installed(extractor: Extractor) -> bool:
+    try:
+        if isinstance(extractor, NeedsPackage):
+            extractor.check_installed()
+    except NotInstalled:
+        return False
+    return True

@@ -24,6 +24,7 @@ from rholoc.errors import (
     InvalidMap,
     InvalidName,
     MappingFailed,
+    NotInstalled,
     RholocError,
     StorageFull,
     TooLarge,
@@ -731,6 +732,8 @@ def _check_features(map_: Map) -> None:
     hint = "Build the map with one of this version's extractors."
     try:
         extractor = get_extractor(map_.info.features)
+    except NotInstalled as error:
+        raise InvalidMap(error.message, error.hint) from error
     except InvalidInput as error:
         raise InvalidMap(error.message, hint) from error
     if map_.descriptors.shape[1] != extractor.descriptor_bytes or not np.isin(map_.channels, extractor.channels).all():
