@@ -151,7 +151,6 @@ class Worker:
         self._client = DBOSClient(system_database_engine=self._engine, application_name=_APPLICATION)
         self._jobs, self._workers = JobTable(self._engine), WorkerTable(self._engine)
         self._beat()
-        self._client.register_queue(self._queue, polling_interval_sec=self._timing.poll_s)
         config: DBOSConfig = {
             "name": _APPLICATION,
             "system_database_engine": self._engine,
@@ -473,6 +472,8 @@ class Worker:
 
     def _beat(self) -> None:
         self._workers.beat(self.id, self._offered_bytes, self._release)
+        # Each time: while the database was gone no heart was seen to beat, and another may have removed the queue.
+        self._client.register_queue(self._queue, polling_interval_sec=self._timing.poll_s)
 
     def _sweep(self) -> None:
         """Queue the jobs of dead workers again, and those that a failure of the database stopped here."""
