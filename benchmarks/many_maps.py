@@ -5,11 +5,12 @@
 
 ``--asked`` names a map and another walk through its room, whose frames are asked; ``--others`` are further maps.
 FOLDER, which should be empty at first and is not cleaned up, gets these maps and copies of them until there are enough.
-A copy lies elsewhere, has at most so many ``--views`` of its original, and looks otherwise: each of its landmarks has
-the descriptors of a landmark drawn from all maps of the same features. So every copy is a room of natural features,
-laid out and seen as a real room is, in which other things stand side by side. With ``--own`` they are drawn from the
-copy's own original: rooms furnished with the very same things in other places, a case that no campus has, and the
-hardest. Frames are asked of the originals alone; what is right is known of them.
+A copy lies elsewhere, has at most so many ``--views`` of its original, and looks otherwise: each of its pieces, some
+hundred landmarks that lie side by side, looks like a piece drawn from all maps of the same features. So every copy is
+a room laid out and seen as a real room is, furnished with what stands in real rooms, and with the very things that
+the frames show among them. With ``--own`` pieces are drawn from the copy's own original: rooms furnished with nothing
+but the same things in other places, a case that no campus has, and the hardest. Frames are asked of the originals
+alone; what is right is known of them.
 
 For each size: how long all maps take to be indexed, and a start with the index at hand; memory, of a process that holds
 the index alone and of one that has answered; milliseconds of processor time of an answer from a picture in JPEG, its
@@ -33,6 +34,7 @@ from typing import Any, TypeVar
 from uuid import uuid4
 
 import cv2
+import faiss
 import numpy as np
 
 from measuring import print_table, resident_mb
@@ -48,6 +50,7 @@ from rholoc.service.schemas import CameraChoice, LocalizeOptions
 from rholoc.service.settings import Settings
 
 COPY_PITCH_M = 100.0
+PIECE_LANDMARKS = 100
 T = TypeVar("T")
 
 
@@ -71,12 +74,13 @@ class Asked:
 def fill(folder: Path, originals: dict[str, Map], size: int, views: int, own: bool) -> None:
     """Copies until there are so many maps in a folder; those that are there already stay."""
     names = list(originals)
-    pools = {name: looks([originals[name]] if own else alike(originals, originals[name])) for name in names}
+    pools = {name: furniture([originals[name]] if own else alike(originals, originals[name])) for name in names}
+    pieces = {name: pieces_of(originals[name]) for name in names}
     for number in range(len(originals), size):
         name = names[number % len(names)]
         path = folder / f"copy-{number:05}-{name}.rho"
         if not path.exists():
-            path.write_bytes(map_to_bytes(copied(originals[name], number, views, pools[name])))
+            path.write_bytes(map_to_bytes(copied(originals[name], number, views, pieces[name], pools[name])))
 
 
 def alike(originals: dict[str, Map], map_: Map) -> list[Map]:
@@ -84,18 +88,34 @@ def alike(originals: dict[str, Map], map_: Map) -> list[Map]:
     return [one for one in originals.values() if one.info.features == map_.info.features]
 
 
-def looks(maps: Sequence[Map]) -> np.ndarray:
-    """(L, B) the first descriptor of each landmark of some maps."""
-    return np.concatenate(
-        [map_.descriptors[np.searchsorted(map_.descriptor_features, np.arange(len(map_)))] for map_ in maps]
-    )
+def pieces_of(map_: Map) -> np.ndarray:
+    """(L,) the number of the piece that each landmark belongs to: those that lie side by side."""
+    points = np.ascontiguousarray(map_.landmarks, dtype=np.float32)
+    kmeans = faiss.Kmeans(3, max(1, len(points) // PIECE_LANDMARKS), niter=10, seed=0, min_points_per_centroid=1)
+    kmeans.train(points)
+    return np.asarray(kmeans.assign(points)[1])
 
 
-def copied(map_: Map, number: int, views: int, pool: np.ndarray) -> Map:
+def furniture(maps: Sequence[Map]) -> list[np.ndarray]:
+    """(N, B) the first descriptor of each landmark of a piece, of all pieces of some maps."""
+    found = []
+    for map_ in maps:
+        first = map_.descriptors[np.searchsorted(map_.descriptor_features, np.arange(len(map_)))]
+        numbers = pieces_of(map_)
+        found += [first[numbers == number] for number in np.unique(numbers)]
+    return found
+
+
+def copied(map_: Map, number: int, views: int, pieces: np.ndarray, pool: Sequence[np.ndarray]) -> Map:
     """A room that is laid out as that of a map, and looks otherwise."""
     rng = np.random.default_rng(number)
     kept = np.unique(np.linspace(0, len(map_.view_times) - 1, min(views, len(map_.view_times))).astype(np.int64))
-    part = part_of(map_, kept).map
+    descriptors = map_.descriptors[np.searchsorted(map_.descriptor_features, np.arange(len(map_)))]
+    for piece in np.unique(pieces):
+        rows, look = np.flatnonzero(pieces == piece), pool[rng.integers(len(pool))]
+        descriptors[rows] = look[rng.permutation(max(len(rows), len(look)))[: len(rows)] % len(look)]
+    looks = replace(map_, descriptors=descriptors, descriptor_features=np.arange(len(map_), dtype=np.int32))
+    part = part_of(looks, kept).map
     shift = np.array([COPY_PITCH_M * number, 0.0, 0.0])
     T_map_camera = part.T_map_camera.copy()
     T_map_camera[:, :3, 3] += shift
@@ -104,8 +124,6 @@ def copied(map_: Map, number: int, views: int, pool: np.ndarray) -> Map:
         info=replace(part.info, id=uuid4().hex),
         landmarks=(part.landmarks + shift).astype(np.float32),
         T_map_camera=T_map_camera,
-        descriptors=pool[rng.integers(0, len(pool), len(part))],
-        descriptor_features=np.arange(len(part), dtype=np.int32),
         observations=None,
         colours=None,
         pictures=None,
