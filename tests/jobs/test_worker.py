@@ -12,11 +12,14 @@ from typing import TYPE_CHECKING
 
 import pytest
 import sqlalchemy as sa
+from dbos import DBOSClient
 from fake_pipeline import BUILD_STAGES, TIMING, FakePipeline
 
 from rholoc.errors import Conflict
 from rholoc.jobs import JobOptions, JobState, MappingTask
 from rholoc.jobs.build_process import build_in_process, run_build
+from rholoc.jobs.table import WorkerTable
+from rholoc.jobs.worker import WORKER_QUEUE
 from rholoc.maps import MapLibrary
 from rholoc.processes import Limits
 from rholoc.progress import Stage, silent
@@ -96,6 +99,22 @@ def test_a_running_job_is_cancelled_within_two_seconds(busy_site: Site, point: s
     control.let_go(point)
     assert busy_site.queue.get(job.id).state is JobState.CANCELLED
     assert name not in MapLibrary(busy_site.maps_dir).names()
+
+
+def test_a_worker_that_was_taken_for_dead_takes_jobs_again(busy_site: Site) -> None:
+    """While the database was gone it could not tell that it lives; another forgot it and removed its queue."""
+    engine = open_database(busy_site.data_dir)
+    workers = WorkerTable(engine)
+    until(lambda: workers.living())
+    (worker,) = workers.living()
+    client = DBOSClient(system_database_engine=engine, application_name="rholoc")
+    workers.remove(worker.id)
+    client.delete_queue(f"{WORKER_QUEUE}{worker.id}")
+    client.destroy()
+    until(lambda: [one.id for one in workers.living()] == [worker.id])
+    job = busy_site.submit(map_name="after-all")
+    assert busy_site.wait_for(job, JobState.PUBLISHED, JobState.FAILED).state is JobState.PUBLISHED
+    engine.dispose()
 
 
 def test_what_is_being_published_cannot_be_cancelled(busy_site: Site) -> None:

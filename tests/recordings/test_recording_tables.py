@@ -25,6 +25,7 @@ from rholoc.recordings import (
     write_frames_csv,
     write_imu_csv,
 )
+from rholoc.recordings.tables.pose_table import poses_from_rows
 
 IMU_HEADER = "timestamp,ax,ay,az,gx,gy,gz"
 _SHARED_FOLDER = settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
@@ -139,6 +140,7 @@ WHOLE = {"width": 640, "height": 480, "fx": 500, "fy": 500, "cx": 320, "cy": 240
         json.dumps({"fx": 500}),
         json.dumps(WHOLE | {"fx": "wide"}),
         json.dumps(WHOLE | {"fx": -1}),
+        json.dumps(WHOLE | {"fx": 10**400}),
         json.dumps(WHOLE | {"fx": float("nan")}),
         json.dumps(WHOLE | {"width": float("inf")}),
         json.dumps(WHOLE | {"distortion": [1, 2]}),
@@ -201,3 +203,11 @@ def test_a_broken_pose_table_is_reported(tmp_path: Path, text: str) -> None:
     (tmp_path / "poses.txt").write_text(text)
     with pytest.raises(InvalidTrajectory):
         read_pose_table(tmp_path / "poses.txt")
+
+
+@pytest.mark.parametrize("column", range(7))
+def test_poses_that_are_no_numbers_are_refused(column: int) -> None:
+    rows = np.array([[0.0, 0, 0, 0, 0, 0, 1]])
+    rows[0, column] = np.nan
+    with pytest.raises(InvalidTrajectory):
+        poses_from_rows(rows, "images.txt")

@@ -50,7 +50,7 @@ _INPUTS, _MAP_FILE = "inputs", "map.rho"  # in a job's work folder
 _STORAGE_PATIENCE_S, _STORAGE_AGAIN_S = 600.0, 2.0
 _T = TypeVar("_T")
 _APPLICATION = "rholoc"
-_QUEUE = "rholoc-worker-"  # and the worker's id
+WORKER_QUEUE = "rholoc-worker-"  # and the worker's id
 _WORKFLOW = "rholoc-map-recording"
 _ACTIVE = ("PENDING", "ENQUEUED", "DELAYED")  # states of workflows
 
@@ -127,7 +127,7 @@ class Worker:
         self._limits = limits or BuildLimits()
         self._capacity = capacity or Capacity()
         self._release = release
-        self._queue = f"{_QUEUE}{self.id}"
+        self._queue = f"{WORKER_QUEUE}{self.id}"
         self._database_url = database_url
         self._shared = None if storage_url is None else SharedStorage(storage_url, self._data_dir, database_url)
         self._stopping = threading.Event()
@@ -478,7 +478,7 @@ class Worker:
     def _sweep(self) -> None:
         """Queue the jobs of dead workers again, and those that a failure of the database stopped here."""
         for dead in self._workers.forget(self._timing.dead_after_s):
-            self._client.delete_queue(f"{_QUEUE}{dead}")
+            self._client.delete_queue(f"{WORKER_QUEUE}{dead}")
         living = self._workers.living(self._timing.dead_after_s)
         # Workers of before rows named them look after each other, as long as one is left.
         are_all_named = all(worker.release > 1 for worker in living)

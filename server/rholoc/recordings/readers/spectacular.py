@@ -10,7 +10,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -22,7 +21,7 @@ from rholoc.geometry import Camera, FloatArray, is_rotation
 from rholoc.recordings.imu_normalisation import ImuConvention, Samples, normalise_imu
 from rholoc.recordings.readers._frames import require_video, timed_video
 from rholoc.recordings.recording import Imu, Recording, RecordingFormat
-from rholoc.recordings.tables.csv_table import read_text
+from rholoc.recordings.tables.csv_table import parse_json, read_text
 from rholoc.reports import RecordingWarning, WarningKind
 
 _INTRINSICS = ("focalLengthX", "focalLengthY", "principalPointX", "principalPointY")
@@ -77,7 +76,7 @@ def _read_lines(path: Path) -> _Log:
     lines = [line for line in read_text(path).splitlines() if line.strip()]
     for number, line in enumerate(lines, start=1):
         try:
-            value = json.loads(line)
+            value = parse_json(line)
         except (ValueError, RecursionError) as error:
             if number == len(lines) and number > 1:  # the app was stopped while it wrote
                 log.warnings.append(RecordingWarning(WarningKind.NOT_USED, "The last line of data.jsonl is cut off."))
@@ -119,7 +118,7 @@ def _calibration(path: Path) -> dict[str, Any] | None:
     if not path.is_file():
         return None
     try:
-        camera = json.loads(read_text(path, InvalidCamera))["cameras"][0]
+        camera = parse_json(read_text(path, InvalidCamera))["cameras"][0]
     except (ValueError, TypeError, KeyError, IndexError, RecursionError) as error:
         raise InvalidCamera(
             f"{path.name} describes no camera.", "It needs {'cameras': [{'focalLengthX': …}]}."

@@ -18,6 +18,7 @@ from rholoc.geometry import FloatArray
 MAX_TABLE_BYTES = 2**29
 MAX_TABLE_ROWS = 3_000_000  # four hours at 200 Hz
 MAX_JSON_BYTES = 2**26
+_MOST_DIGITS = 300  # of an integer: more are no float
 _MOST_SHOWN = 200  # characters of a table in a message
 
 
@@ -39,11 +40,27 @@ def read_json(path: Path, error: type[InvalidInput] = InvalidRecording, max_byte
         error: the file cannot be read, is over ``max_bytes``, not JSON, or nested too deep.
     """
     try:
-        return json.loads(read_text(path, error, max_bytes))
+        return parse_json(read_text(path, error, max_bytes))
     except RecursionError as cause:
         raise error(f"{path.name} is not JSON that can be read: it is nested too deep.", "Write plain JSON.") from cause
     except ValueError as cause:
         raise error(f"{path.name} is not JSON: {cause}.") from cause
+
+
+def parse_json(text: str) -> Any:
+    """The content of a JSON document.
+
+    Raises:
+        ValueError: it is not JSON, or has an integer that no float holds.
+        RecursionError: it is nested too deep.
+    """
+    return json.loads(text, parse_int=_integer)
+
+
+def _integer(digits: str) -> int:
+    if len(digits) > _MOST_DIGITS:
+        raise ValueError(f"it has a number of {len(digits)} digits")
+    return int(digits)
 
 
 def read_rows(

@@ -71,12 +71,12 @@ def poses_from_rows(rows: FloatArray, source: str) -> FloatArray:
         InvalidTrajectory: a quaternion is not of unit length, or a position is implausibly far away.
     """
     q = rows[:, 3:].clip(-2, 2)  # squares of more may overflow, and are not of unit length either
-    wrong = np.flatnonzero(np.abs(np.linalg.norm(q, axis=1) - 1) > _NORM_TOLERANCE)
+    wrong = np.flatnonzero(~(np.abs(np.linalg.norm(q, axis=1) - 1) <= _NORM_TOLERANCE))  # NaN is wrong, too
     if len(wrong):
         raise InvalidTrajectory(
             f"{source}: the quaternion of pose {wrong[0] + 1} is not of unit length.", _COLUMNS_HINT
         )
-    far = np.flatnonzero(np.abs(rows[:, :3]).max(axis=1) > _FARTHEST)
+    far = np.flatnonzero(~(np.abs(rows[:, :3]).max(axis=1) <= _FARTHEST))
     if len(far):
         raise InvalidTrajectory(f"{source}: pose {far[0] + 1} is implausibly far away.", _COLUMNS_HINT)
     return pose_matrix(Rotation.from_quat(rows[:, 3:]).as_matrix(), rows[:, :3])
