@@ -14,7 +14,7 @@ from rholoc.features.feature_set import Metric
 from rholoc.features.vlad import Vlad, normalised
 from rholoc.geometry import ByteArray, FloatArray
 
-DIMENSIONS = 128
+DIMENSIONS = 256
 """Of a vector."""
 
 _PICTURES_AT_A_TIME = 100  # whose whole VLAD vectors are in memory

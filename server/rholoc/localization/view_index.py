@@ -1,6 +1,6 @@
 """Which of many maps? The views of all of them as short vectors, in an inverted file.
 
-What is kept takes 144 bytes a view, whatever the maps hold; a search looks at a quarter of the lists. With fewer it
+What is kept takes 272 bytes a view, whatever the maps hold; a search looks at a quarter of the lists. With fewer it
 loses the right map: a picture also shows what is no landmark, and so its vector often lies in another list than those
 of the views that it is most like.
 """

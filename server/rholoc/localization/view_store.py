@@ -23,7 +23,7 @@ from rholoc.geometry import FloatArray
 from rholoc.localization.view_index import packed_vectors, unpacked_vectors
 
 _BUSY_TIMEOUT_S = 10.0
-_LAYOUT = 1  # of the tables; a file of another one is begun anew
+_LAYOUT = 2  # of the tables; a file of another one is begun anew
 _TABLES = """
 CREATE TABLE IF NOT EXISTS models (
     features TEXT PRIMARY KEY, id TEXT NOT NULL, maps INTEGER NOT NULL, data BLOB NOT NULL
