@@ -93,7 +93,7 @@ def open_at_once(url: str | None, folder: Path, times: int) -> list[sa.Engine]:
 
 
 def test_several_that_start_at_once_migrate_once(tmp_path: Path) -> None:
-    engines = open_at_once(None, tmp_path, 3)
+    engines = open_at_once(None, tmp_path, 8)
     assert differences(engines[0]) == []
     for engine in engines:
         engine.dispose()

@@ -67,7 +67,7 @@ export async function showMap(main, name, signal) {
   const learning = get(`${address}/learning`, { signal });
   await Promise.all([
     loading(trust, async () => fill(trust, trustNotice(map, await report)), signal),
-    loading(about, async () => fillAbout(about, map, await report, learningText(await learning)), signal),
+    loading(about, async () => fillAbout(about, map, ...(await Promise.all([report, learning]))), signal),
     loading(works, async () => fill(works, await showCoverage(map, await report, scene, signal)), signal),
     showScene(scene, map, signal),
   ]);
@@ -122,7 +122,8 @@ function trustNotice(map, report) {
   );
 }
 
-function fillAbout(place, map, report, learned) {
+function fillAbout(place, map, report, learning) {
+  const learned = learningText(learning);
   const metric = map.scale === "metric";
   const advice = [report.coaching ?? []]
     .flat()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sqlite3
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -19,6 +20,7 @@ from rholoc.storage.tables import VERSION_TABLE
 
 HEAD = "0004"  # the last of the migrations; their numbers are in order as text
 _BUSY_TIMEOUT_MS = 10_000
+_WAL_AGAIN_S = 0.02
 _MAX_STATEMENT = 1000  # characters, without values
 _MIGRATIONS = Path(__file__).with_name("migrations")
 _LOCK_NUMBER = 0x72686F6C6F63  # of PostgreSQL's advisory locks: "rholoc"
@@ -175,6 +177,19 @@ def _prepare_sqlite(connection: Any, _: object) -> None:
     """Readers do not block the writer (WAL), writers wait their turn, a commit survives a power cut."""
     connection.isolation_level = "IMMEDIATE"
     connection.execute(f"PRAGMA busy_timeout={_BUSY_TIMEOUT_MS}")
-    connection.execute("PRAGMA journal_mode=WAL")
+    _use_wal(connection)
     connection.execute("PRAGMA synchronous=FULL")
     connection.execute("PRAGMA foreign_keys=ON")
+
+
+def _use_wal(connection: Any) -> None:
+    """Of several that open a new file at once some are refused, whatever the time-out: SQLite does not wait here."""
+    given_up_s = time.monotonic() + _BUSY_TIMEOUT_MS / 1000
+    while True:
+        try:
+            connection.execute("PRAGMA journal_mode=WAL")
+            return
+        except sqlite3.OperationalError as error:
+            if "locked" not in str(error) or time.monotonic() > given_up_s:
+                raise
+            time.sleep(_WAL_AGAIN_S)
