@@ -14,6 +14,10 @@ from rholoc.localization import Dof, Localizer, Query
 from rholoc.mapping import AnsweredQuery
 from rholoc.maps import Map
 
+LATELY_S = 4e9
+"""Seconds since the epoch, later than now for long. Which queries are held back for a test goes by their times, and so
+what there is to learn does."""
+
 _APART_S = 1000.0
 
 

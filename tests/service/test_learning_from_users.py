@@ -8,7 +8,7 @@ import httpx
 import numpy as np
 import pytest
 
-from kept_queries import keep_queries
+from kept_queries import LATELY_S, keep_queries
 from rholoc.features import get_extractor
 from rholoc.jobs import JobKind
 from rholoc.jobs.table import JobTable
@@ -142,7 +142,7 @@ def asked_often(serve, point_room, picture_world):
     map_ = point_room.map_of(point_room.walk(80)[:45], "west")
     save_map(map_, running.settings.maps_dir / "west.rho")
     (running.settings.maps_dir / "old.rho").write_bytes(picture_world.rho())
-    keep_queries(running.settings.data_dir, map_, point_room, datetime.now(UTC).timestamp())
+    keep_queries(running.settings.data_dir, map_, point_room, LATELY_S)
     return running
 
 

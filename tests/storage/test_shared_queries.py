@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from kept_queries import a_query, keep_queries
+from kept_queries import LATELY_S, a_query, keep_queries
 from rholoc.jobs import JobKind, JobOptions, JobQueue, KeptLimits, QueryStore, SharedQueryStore
 from rholoc.jobs.table import JobTable
 from rholoc.jobs.worker import Worker
@@ -110,7 +110,7 @@ def test_a_worker_elsewhere_publishes_what_the_map_learned(
     shared = open_storage()
     shared.library.put("west", point_room.map_of(point_room.walk(80)[:45], "west"))
     before = shared.library.get("west")
-    keep_queries(tmp_path / "asked", before, point_room, time.time())
+    keep_queries(tmp_path / "asked", before, point_room, LATELY_S)
     store = SharedQueryStore(shared.objects)
     for query in QueryStore(tmp_path / "asked").load(before.info.id):
         store.add(before.info.id, replace(query, asker=ALICE))
