@@ -349,6 +349,7 @@ def test_the_camera_is_tracked_and_the_track_says_when_it_is_lost_and_when_it_ju
     browser.close()
 
 
+@pytest.mark.slow
 def test_a_video_is_tracked_to_its_end(desk_browser, running, picture_world, opened, settled, tmp_path):
     height, width = picture_world.image.shape[:2]
     film = cv2.VideoWriter(str(tmp_path / "film.webm"), cv2.VideoWriter_fourcc(*"VP80"), 10, (width, height))

@@ -26,6 +26,7 @@ def compared(wall: Any) -> Comparison:
     return compare([wall.walk(14)], sets, CompareOptions(features="gray"))
 
 
+@pytest.mark.slow
 def test_all_methods_find_the_poses(compared: Comparison) -> None:
     names = [method.name for method in compared.splits[0].methods]
     assert names[:2] == ["ray", "tensor"]
@@ -38,6 +39,7 @@ def test_all_methods_find_the_poses(compared: Comparison) -> None:
             assert np.degrees(method.errors.rotation_rad).max() < 1, method.name
 
 
+@pytest.mark.slow
 def test_figures_are_json_and_name_every_stage(compared: Comparison) -> None:
     figures = json.loads(json.dumps(compared.as_dict()))
     near = figures["queries"][0]
@@ -51,6 +53,7 @@ def test_figures_are_json_and_name_every_stage(compared: Comparison) -> None:
     assert by_name["tensor"]["map_bytes"] > by_name["ray"]["map_bytes"] == by_name["cv2, place"]["map_bytes"] > 0
 
 
+@pytest.mark.slow
 def test_the_farther_walk_is_farther_from_the_views(compared: Comparison) -> None:
     near, far = compared.splits
     assert near.view_distance.max() < 0.15
@@ -70,6 +73,7 @@ def test_failures_count_in_every_figure() -> None:
     assert figures["median_ms"] == {"match": 2.0, "ascend": 0.0, "total": 3.0}
 
 
+@pytest.mark.slow
 def test_plots_name_their_methods(compared: Comparison, tmp_path: Path) -> None:
     split = compared.splits[0]
     plots = [plot_recall(split), plot_error_by_distance(split), plot_errors_from_above(compared, split)]

@@ -160,6 +160,7 @@ def test_a_file_is_put_piece_by_piece(tmp_path, picture_world, monkeypatch):
     assert MapLibrary(tmp_path / "maps").put_file("room", tmp_path / "arrived").info.version == 5
 
 
+@pytest.mark.slow
 def test_a_download_is_of_one_version_whatever_happens_meanwhile(serve, picture_world):
     running = serve()
     path = running.settings.maps_dir / "room.rho"

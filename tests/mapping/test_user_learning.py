@@ -141,6 +141,7 @@ def test_of_a_recording_that_is_forgotten_what_users_saw_stays(learned: Map) -> 
     assert (np.bincount(left.descriptor_features, minlength=len(left)) > 0).all()
 
 
+@pytest.mark.slow
 def test_a_map_does_not_grow_without_end(room_map: Map, changed_room: Any) -> None:
     map_ = room_map
     for night in range(2):
