@@ -31,6 +31,15 @@
 ``message`` says what is wrong, ``hint`` what to do; both are one line. ``code`` is stable and public.
 """
 
+import re
+
+_UNPRINTABLE = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029\ud800-\udfff]+")  # what a quoted value may contain
+
+
+def one_line(text: str) -> str:
+    """Text as one line: what would break it, steer a terminal, or is half a character becomes a space."""
+    return _UNPRINTABLE.sub(" ", text)
+
 
 class RholocError(Exception):
     """The base of all errors that a user can meet."""
@@ -38,9 +47,9 @@ class RholocError(Exception):
     code = "error"
 
     def __init__(self, message: str, hint: str = "") -> None:
-        super().__init__(message)
-        self.message = message
-        self.hint = hint
+        self.message = one_line(message)
+        self.hint = one_line(hint)
+        super().__init__(self.message)
 
     def __str__(self) -> str:
         return f"{self.message} {self.hint}".strip()

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from rholoc.geometry import FloatArray
-from rholoc.recordings import RecordingFormat
+from rholoc.recordings import CameraFile, RecordingFormat, read_recording, write_camera_json
 
 SIZE = (64, 48)
 FRAMES = 24
@@ -363,6 +363,17 @@ def write_recording(name: str, folder: Path) -> Path:
     """The walk in one of the layouts, in a new folder."""
     folder.mkdir(parents=True)
     WRITERS[name][1](folder)
+    return folder
+
+
+def write_complete_recording(name: str, folder: Path) -> Path:
+    """The walk in one of the layouts, with measured waypoints and a camera beside it."""
+    write_recording(name, folder)
+    first, middle, last = (float(time) for time in read_recording(folder).frames.times[[2, FRAMES // 2, -2]])
+    rows: list[list[object]] = [["A", first, 0, 0, 1.5], ["B", middle, 1, 0, 1.5], ["C", last, 1, 1, 1.5]]
+    write_rows(folder / "waypoints.csv", "name,time,x,y,z", rows)
+    if not (folder / "camera.json").exists():
+        write_camera_json(folder / "camera.json", CameraFile(fps=FPS, readout_s=0.01))
     return folder
 
 

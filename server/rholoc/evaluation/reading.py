@@ -11,6 +11,8 @@ from rholoc.evaluation.matching import FramePoses
 from rholoc.maps import read_trajectory_csv
 from rholoc.recordings import read_pose_table
 
+_LARGEST_KEY = 2.0**63
+
 
 def read_frame_poses(path: Path) -> FramePoses:
     """Read Table 6 (CSV with the column ``timestamp``) or ``poses.txt``.
@@ -25,6 +27,11 @@ def read_frame_poses(path: Path) -> FramePoses:
         numbered = bool(len(table)) and bool(np.all(table.frames >= 0))
         return FramePoses(table.T_map_camera, table.frames if numbered else None, table.times)
     poses = read_pose_table(path)
+    if np.abs(poses.keys).max() >= _LARGEST_KEY:
+        raise InvalidTrajectory(
+            f"{path.name}: {np.abs(poses.keys).max():g} is too large for a frame number or a time.",
+            "Each row begins with a frame number, or with a time in seconds.",
+        )
     if np.all(poses.keys == np.floor(poses.keys)):
         return FramePoses(poses.T_map_camera, frames=poses.keys.astype(np.int64))
     return FramePoses(poses.T_map_camera, times=poses.keys)

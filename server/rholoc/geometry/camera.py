@@ -47,7 +47,7 @@ class Camera:
         for name, focal, size in (("fx", self.fx, self.width), ("fy", self.fy, self.height)):
             if focal <= 0:
                 raise InvalidCamera(f"The camera's {name} is {focal:g}; a focal length is positive.", hint)
-            field_deg = math.degrees(2 * math.atan(size / (2 * focal)))
+            field_deg = math.degrees(2 * math.atan2(size / 2, focal))
             if not _MIN_FIELD_OF_VIEW_DEG <= field_deg <= _MAX_FIELD_OF_VIEW_DEG:
                 raise InvalidCamera(
                     f"The camera's {name} {focal:g} px means a field of view of {field_deg:.1f}° over {size} px.", hint

@@ -24,6 +24,7 @@ TRAJECTORY_COLUMNS = PAPER_COLUMNS + FURTHER_COLUMNS
 _MOST_SHOWN = 80  # characters of a wrong value
 _HINT = f"The first row must be {','.join(PAPER_COLUMNS)}, with or without {','.join(FURTHER_COLUMNS)} after it."
 _NORM_TOLERANCE = 1e-2
+_MOST_WHOLE = 2.0**53  # above which not every whole number is a float
 
 
 @dataclass(frozen=True, eq=False)
@@ -194,8 +195,8 @@ def _is_number(text: str) -> bool:
 
 
 def _whole(values: FloatArray, name: str, path: Path) -> IntArray:
-    if not np.isfinite(values).all() or np.any(values != np.floor(values)):
-        raise InvalidTrajectory(f"{path.name}: a value under {name} is not a whole number.")
+    if not (np.abs(values) < _MOST_WHOLE).all() or np.any(values != np.floor(values)):
+        raise InvalidTrajectory(f"{path.name}: a value under {name} is not a whole number, or too large.")
     return values.astype(np.int64)
 
 
@@ -215,6 +216,6 @@ def _rotations(columns: dict[str, FloatArray], path: Path) -> FloatArray:
 
 
 def _require_unit(vectors: FloatArray, name: str, path: Path) -> None:
-    norms = np.linalg.norm(vectors, axis=1)
+    norms = np.linalg.norm(vectors.clip(-2, 2), axis=1)  # squares of more may overflow, and are not of unit length
     if not np.all(np.abs(norms - 1) <= _NORM_TOLERANCE):
         raise InvalidTrajectory(f"{path.name}: a {name} is not of unit length.")

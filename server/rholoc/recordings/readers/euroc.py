@@ -24,7 +24,7 @@ from rholoc.geometry import Camera, FloatArray, is_rotation
 from rholoc.recordings.imu_normalisation import ImuConvention, Samples, frame_times_s, normalise_imu
 from rholoc.recordings.readers._frames import listed_file, timed_images
 from rholoc.recordings.recording import FrameSource, GivenPoses, Imu, Recording, RecordingFormat
-from rholoc.recordings.tables.csv_table import read_text
+from rholoc.recordings.tables.csv_table import read_text, shortened
 from rholoc.recordings.tables.logged_table import has_columns, read_logged_table
 from rholoc.recordings.tables.pose_table import PoseTable, match_poses, poses_from_rows
 from rholoc.reports import RecordingWarning, WarningKind
@@ -33,6 +33,7 @@ _GYROSCOPE = tuple(f"w_rs_s_{axis}" for axis in "xyz")
 _ACCELEROMETER = tuple(f"a_rs_s_{axis}" for axis in "xyz")
 _BODY_POSE = ("p_rs_r_x", "p_rs_r_y", "p_rs_r_z", "q_rs_x", "q_rs_y", "q_rs_z", "q_rs_w")
 _NS_PER_S = 1e9
+_MAX_SENSOR_BYTES = 2**16
 
 
 def recognises(folder: Path) -> bool:
@@ -76,11 +77,17 @@ def _root(folder: Path) -> Path:
 def _sensor(path: Path) -> dict[str, Any]:
     if not path.is_file():
         return {}
-    text = read_text(path, InvalidCamera)
+    lines = read_text(path, InvalidCamera, _MAX_SENSOR_BYTES).splitlines()
+    text = "\n".join(line for line in lines if not line.startswith("%YAML"))
     try:
-        values = yaml.safe_load("\n".join(line for line in text.splitlines() if not line.startswith("%YAML")))
-    except (yaml.YAMLError, RecursionError, ValueError) as error:
-        raise InvalidCamera(f"{path.parent.name}/{path.name} is not YAML.") from error
+        # By references, a few lines stand for more values than any memory holds.
+        plain = not any(isinstance(token, yaml.AliasToken) for token in yaml.scan(text))
+        values = yaml.safe_load(text) if plain else None
+    except (yaml.YAMLError, RecursionError, ValueError, OverflowError):
+        plain = False
+    if not plain:
+        hint = "Leave it as the dataset has it, or leave it out."
+        raise InvalidCamera(f"{path.parent.name}/{path.name} is not plain YAML.", hint)
     return values if isinstance(values, dict) else {}
 
 
@@ -89,7 +96,8 @@ def _camera(sensor: dict[str, Any], size: tuple[int, int]) -> tuple[Camera | Non
         return None, ()
     distortion = sensor.get("distortion_model", "radial-tangential")
     if distortion not in ("radial-tangential", "radtan", "none"):
-        text = f"The camera's distortion is {distortion}, which is not supported: its intrinsics are ignored."
+        shown = shortened(str(distortion))
+        text = f"The camera's distortion is {shown}, which is not supported: its intrinsics are ignored."
         return None, (RecordingWarning(WarningKind.CAMERA_UNSUPPORTED, text),)
     try:
         fx, fy, cx, cy = (float(value) for value in sensor["intrinsics"])
@@ -104,7 +112,7 @@ def _body(sensor: dict[str, Any]) -> FloatArray | None:
     """T_body_sensor (4, 4), or None where the file does not give it."""
     try:
         T = np.array(sensor["T_BS"]["data"], dtype=np.float64).reshape(4, 4)
-    except (KeyError, TypeError, ValueError):
+    except (KeyError, TypeError, ValueError, OverflowError):
         return None
     return T if is_rotation(T[:3, :3]) else None
 

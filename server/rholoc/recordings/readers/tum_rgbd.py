@@ -16,6 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
+from rholoc.errors import InvalidRecording
 from rholoc.geometry import FloatArray
 from rholoc.recordings.frames.depth import DepthImages
 from rholoc.recordings.readers._frames import depth_images, listed_file, timed_images
@@ -40,8 +41,8 @@ def read(folder: Path) -> Recording:
         InvalidRecording: the list or an image is missing or broken.
         InvalidTrajectory: the ground truth is broken.
     """
-    table = read_logged_table(folder / "rgb.txt")
-    timed = timed_images([listed_file(folder, name) for _, name in table.rows], table.numbered(0)[:, 0])
+    taken, names = _list(folder / "rgb.txt")
+    timed = timed_images([listed_file(folder, name) for name in names], taken)
     truth = folder / "groundtruth.txt"
     warnings = list(timed.warnings)
     if (folder / "accelerometer.txt").is_file():
@@ -58,6 +59,18 @@ def read(folder: Path) -> Recording:
     )
 
 
+def _list(path: Path) -> tuple[FloatArray, list[str]]:
+    """The times (M,) in seconds and the names of listed images.
+
+    Raises:
+        InvalidRecording: the list is broken.
+    """
+    table = read_logged_table(path)
+    if table.columns != 2:
+        raise InvalidRecording(f"{path.name} has {table.columns} columns.", "Each row is a time and an image's name.")
+    return table.numbered(0)[:, 0], [name for _, name in table.rows]
+
+
 def _depth(folder: Path, times: FloatArray) -> DepthImages | None:
     """For each frame, of some time (N,) in seconds, the depth image that was taken with it.
 
@@ -66,8 +79,7 @@ def _depth(folder: Path, times: FloatArray) -> DepthImages | None:
     """
     if not (folder / "depth.txt").is_file():
         return None
-    table = read_logged_table(folder / "depth.txt")
-    taken, names = table.numbered(0)[:, 0], [name for _, name in table.rows]
+    taken, names = _list(folder / "depth.txt")
     nearest = np.abs(taken - times[:, None]).argmin(axis=1)
     paths = [
         listed_file(folder, names[row]) if abs(taken[row] - time) <= _SAME_MOMENT_S else None

@@ -14,7 +14,7 @@ from rholoc.errors import InvalidRecording
 from rholoc.geometry import FloatArray
 from rholoc.recordings.tables.csv_table import MAX_TABLE_ROWS, parse_number, read_text, require_columns
 
-_UNIT = re.compile(r"\[[^\]]*\]|\([^)]*\)")  # of a column's name
+_UNIT = re.compile(r"\[[^\[\]]*\]|\([^()]*\)")  # of a column's name; a bracket that none closes costs nothing
 _HEAD_BYTES = 4096
 
 
