@@ -323,6 +323,11 @@ def find_site_link(name: str, first: str, second: str) -> Call[Site]:
     return Call("POST", f"{_site_path(name)}/links", _site, headers=headers, content=content)
 
 
+def place_site(name: str) -> Call[Job]:
+    """Place the maps of a site; the answer is the job that does."""
+    return _post(f"{_site_path(name)}/place", {}, _job)
+
+
 def delete_site(name: str) -> Call[None]:
     """Delete a site."""
     return Call("DELETE", _site_path(name), lambda response: None, idempotent=False)

@@ -273,6 +273,10 @@ class Client:
         """Find the pose between two maps of a site, by points that both have or by overlap; places the site anew."""
         return self._send(_calls.find_site_link(name, first, second))
 
+    def place_site(self, name: str) -> Job:
+        """Let a job look for links between the maps of a site until all are placed; wait for it as for a map's."""
+        return self._send(_calls.place_site(name))
+
     def delete_site(self, name: str) -> None:
         """Delete a site; its maps stay."""
         self._send(_calls.delete_site(name))
@@ -569,6 +573,10 @@ class AsyncClient:
     async def find_site_link(self, name: str, first: str, second: str) -> Site:
         """As :meth:`Client.find_site_link`."""
         return await self._send(_calls.find_site_link(name, first, second))
+
+    async def place_site(self, name: str) -> Job:
+        """As :meth:`Client.place_site`."""
+        return await self._send(_calls.place_site(name))
 
     async def delete_site(self, name: str) -> None:
         """As :meth:`Client.delete_site`."""

@@ -354,19 +354,21 @@ class Job:
     """A mapping job.
 
     Attributes:
-        id, recording, map: its id, the recording's id, the name of the map that it publishes.
+        id, recording, map: its id, the recording's id, the name of the map that it publishes; empty where it has none.
         state: queued, running, published, failed or cancelled.
         stage: the stage it is in or ended in.
         progress: 0..1 over all stages.
         message: one line for people.
         log: the last lines of its log.
-        warnings: why its published map is not to be trusted; empty where it is.
+        warnings: why its published map is not to be trusted, or why maps of its site are not placed.
         error_code, error_message, error_hint: why it failed, or None.
         created, started, ended: seconds since the epoch, or None.
         attempts: how many workers have taken it up.
         priority: how soon its turn comes: high, normal or low.
         memory_bytes: about how much memory it needs; None until its recording was read.
         obstacle: why no worker can take it: "no_worker", "memory" or "release"; None where one can.
+        kind: build, update, learn, or place the maps of a site.
+        site: the site whose maps it places; None where it makes a map.
     """
 
     id: str
@@ -388,11 +390,14 @@ class Job:
     priority: str = "normal"
     memory_bytes: int | None = None
     obstacle: str | None = None
+    kind: str = "build"
+    site: str | None = None
 
     @property
     def trusted(self) -> bool | None:
-        """Whether the map that it published is to be trusted; ``warnings`` say why not. None before that."""
-        return not self.warnings if self.state == "published" else None
+        """Whether the map that it published is to be trusted; ``warnings`` say why not. None before that, and where it
+        makes none."""
+        return not self.warnings if self.state == "published" and self.site is None else None
 
     @property
     def has_ended(self) -> bool:

@@ -59,6 +59,19 @@ def test_two_maps_are_linked(site: Run, maps: Path, tmp_path: Path) -> None:
     assert SiteLibrary(maps).site_of("east") == "campus"
 
 
+def test_placing_is_left_to_the_workers(site: Run, command: Run, maps: Path, tmp_path: Path) -> None:
+    (tmp_path / "campus.json").write_text('{"maps": [{"map": "west"}, {"map": "east"}]}')
+    site("put", "campus", tmp_path / "campus.json", "--maps", maps)
+    where = ("--maps", maps, "--data", tmp_path / "data", "--queue")
+    status, said, _ = site("place", "campus", *where, "--json")
+    assert status == 0
+    (job,) = json.loads(command("job", "list", "--data", tmp_path / "data", "--json")[1])
+    assert (job["id"], job["kind"], job["site"]) == (json.loads(said)["id"], "place", "campus")
+    assert "site campus" in command("job", "list", "--data", tmp_path / "data")[1]
+    assert site("place", "campus", *where)[0] == 1
+    assert site("place", "nowhere", *where)[0] == 1
+
+
 @pytest.mark.parametrize(
     ("text", "says"),
     [

@@ -9,20 +9,23 @@ import sys
 import threading
 import time
 import uuid
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 
 from rholoc.errors import InvalidRecording, UnknownMap
 from rholoc.geometry import Camera
-from rholoc.jobs import Capacity, MappingPipeline, MappingTask, MoreMemoryNeeded, Timing, run_worker
-from rholoc.maps import DensityKind, Map, MapInfo, MapLibrary, save_map
+from rholoc.jobs import Capacity, JobKind, MappingPipeline, MappingTask, MoreMemoryNeeded, Timing, run_worker
+from rholoc.maps import DensityKind, Map, MapInfo, MapLibrary, MapWaypoint, save_map
 from rholoc.progress import ProgressListener, Stage
 from rholoc.reports import MapReport, TrajectoryReport
 
 TIMING = Timing(poll_s=0.1, heartbeat_s=0.25, dead_after_s=1.5, cancel_grace_s=0.5)
-BUILD_STAGES: tuple[Stage, ...] = tuple(stage for stage in Stage if stage not in (Stage.RECEIVED, Stage.PUBLISHED))
+_NOT_OF_BUILDS = (Stage.RECEIVED, Stage.LINKS, Stage.PUBLISHED)
+BUILD_STAGES: tuple[Stage, ...] = tuple(stage for stage in Stage if stage not in _NOT_OF_BUILDS)
 KILL_POINTS = (*BUILD_STAGES, "built", "publishing", "after-publishing")
 
 
@@ -61,14 +64,16 @@ class Control:
 
 
 class FakePipeline(MappingPipeline):
-    """Builds a map of one feature; publishes as the real pipeline does."""
+    """Builds a map of one feature; publishes, and places the maps of sites, as the real pipeline does."""
 
     def __init__(self, control: Control) -> None:
         self.control = control
 
     def build(self, task: MappingTask, progress: ProgressListener) -> MoreMemoryNeeded | None:
-        if task.map_file.exists():
+        if task.built_file.exists():
             return None
+        if task.options.kind is JobKind.PLACE:
+            return super().build(task, self._held(progress))
         needed_gib = re.match(r"(\d+) GiB", task.recording.read_text())
         if needed_gib and int(needed_gib[1]) * 2**30 > task.memory_bytes:
             return MoreMemoryNeeded(int(needed_gib[1]) * 2**30)
@@ -82,11 +87,24 @@ class FakePipeline(MappingPipeline):
             self._wait(f"deaf-{stage}")
             self._kill_once(task, stage, os.getppid())
             self._obey(task.recording.read_bytes(), stage)
-        save_map(tiny_map(trusted=task.recording.read_bytes() != b"a doubtful walk"), task.map_file)
+        save_map(tiny_map(trusted=task.recording.read_bytes() != b"a doubtful walk"), task.built_file)
         self.control.reach("built")
         self._wait("built")
         self._kill_once(task, "built", os.getppid())
         return None
+
+    def _held(self, progress: ProgressListener) -> ProgressListener:
+        """Progress that is noted and may be held, like that of the stages of a build."""
+
+        def note(stage: Stage, fraction: float, message: str = "") -> None:
+            progress(stage, fraction, message)
+            self.control.reach(stage)
+            self.control.reach(message)
+            while self.control.held(message):
+                progress(stage, fraction, message)
+                time.sleep(0.02)
+
+        return note
 
     def publish(self, task: MappingTask, library: MapLibrary) -> tuple[str, ...]:
         self._wait("publishing")
@@ -125,8 +143,8 @@ class FakePipeline(MappingPipeline):
             raise OSError(28, "No space left on device")
 
 
-def tiny_map(trusted: bool = True) -> Map:
-    """A valid map of one feature in one view."""
+def tiny_map(trusted: bool = True, waypoints: Mapping[str, Sequence[float]] = MappingProxyType({})) -> Map:
+    """A valid map of one feature in one view, with waypoints at some positions."""
     info = MapInfo(
         id=uuid.uuid4().hex,
         version=1,
@@ -136,6 +154,7 @@ def tiny_map(trusted: bool = True) -> Map:
         upright=True,
         created="2025-01-01T00:00:00Z",
         camera=Camera(width=640, height=480, fx=500.0, fy=500.0, cx=320.0, cy=240.0),
+        waypoints=tuple(MapWaypoint(name, (x, y, z)) for name, (x, y, z) in waypoints.items()),
         report=MapReport(
             trajectories=(TrajectoryReport("visual", 9, trusted=trusted, why="Two reconstructions disagree."),)
         ),

@@ -80,7 +80,7 @@ def test_a_job_reads_the_corrected_waypoints_and_the_chosen_frames(
     assert notes is not None
     assert (notes.frames, [one.name for one in notes.waypoints]) == (6, ["A", "B", "C"])
     correct_waypoints(room_recording, tuple(replace(one, time_s=0.05 * i) for i, one in enumerate(GIVEN)), notes)
-    task.map_file.unlink()
+    task.built_file.unlink()
     MappingPipeline().build(replace(task, options=JobOptions(frames="0:5")), silent)
     assert [len(one.frames.times) for one in read] == [6, 5]
     assert [[point.name for point in one.waypoints] for one in read] == [["A", "B", "C"], ["W0", "W1", "W2"]]

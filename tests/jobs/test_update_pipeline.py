@@ -58,7 +58,7 @@ def test_an_update_of_a_map_that_was_deleted_is_refused(task: MappingTask) -> No
     MapLibrary(task.maps_dir).delete("room")
     with pytest.raises(UnknownMap):
         MappingPipeline().build(task, silent)
-    assert not task.map_file.exists()
+    assert not task.built_file.exists()
 
 
 def test_a_recording_of_another_place_leaves_the_map(task: MappingTask, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -70,7 +70,7 @@ def test_a_recording_of_another_place_leaves_the_map(task: MappingTask, monkeypa
     with pytest.raises(MappingFailed):
         MappingPipeline().build(task, silent)
     assert save_state(task) == before
-    assert not task.map_file.exists()
+    assert not task.built_file.exists()
 
 
 def save_state(task: MappingTask) -> bytes:

@@ -223,7 +223,7 @@ def test_a_full_disk_is_reported(busy_site: Site, tmp_path: Path) -> None:
     task = MappingTask(recording, tmp_path / "map.rho", tmp_path, "room", JobOptions())
     failure = run_build(FakePipeline(busy_site.control), task, Limits(), silent)
     assert (failure.code, failure.message) == ("storage_full", "The disk is full; nothing stored was changed.")
-    assert not task.map_file.exists()
+    assert not task.built_file.exists()
 
 
 _SIGNALLED_ON_THE_WAY = """

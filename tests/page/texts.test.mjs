@@ -8,7 +8,8 @@ import { GERMAN } from "../../client/page/shared/texts.js";
 
 const ROOT = new URL("../../client/page", import.meta.url).pathname;
 const SPOKEN = ["queued", "running", "published", "failed", "cancelled", "received", "read", "keyframes", "features"];
-const LOOKED_UP = [...SPOKEN, "poses", "observations", "densities", "report", "accelerometer", "gyroscope"];
+const STAGES = ["poses", "observations", "densities", "report", "links"];
+const LOOKED_UP = [...SPOKEN, ...STAGES, "high", "normal", "low", "accelerometer", "gyroscope"];
 const VALUES = /\{\d\}/g;
 
 /** The texts of all t`…` in a module, as they are looked up. */

@@ -202,7 +202,7 @@ def test_the_next_version_is_published_and_the_one_before_is_kept(asked_often):
     before = load_map(settings.maps_dir / "west.rho").info
     task = MappingTask(
         recording=None,
-        map_file=settings.data_dir / "work" / "map.rho",
+        built_file=settings.data_dir / "work" / "map.rho",
         maps_dir=settings.maps_dir,
         map_name="west",
         options=JobOptions(kind=JobKind.LEARN),

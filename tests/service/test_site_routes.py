@@ -147,6 +147,24 @@ def test_what_can_be_no_site_is_refused(campus, client, body, status: int, code:
     assert client.sites() == []
 
 
+def test_a_job_places_the_maps_of_a_site(campus, client) -> None:
+    client.put_site("campus", {"maps": [{"map": "west"}, {"map": "east"}]})
+    answer = httpx.post(f"{campus.url}/v1/sites/campus/place", timeout=PATIENCE_S)
+    assert answer.status_code == 202
+    job = client.job(answer.json()["id"])
+    assert answer.headers["Location"] == f"/v1/jobs/{job.id}"
+    assert (job.kind, job.site, job.map, job.recording, job.state) == ("place", "campus", "", "", "queued")
+    assert answer.json()["trusted"] is None
+    with pytest.raises(Conflict, match=job.id):
+        client.place_site("campus")
+    client.cancel_job(job.id)
+    again = client.place_site("campus")
+    assert again.id != job.id
+    client.cancel_job(again.id)
+    with pytest.raises(UnknownSite):
+        client.place_site("nowhere")
+
+
 @pytest.mark.parametrize(
     ("pair", "code"),
     [
@@ -194,6 +212,8 @@ def test_the_async_client_does_the_same(campus, client) -> None:
             put = await other.put_site("campus", {"maps": [{"map": "west"}, {"map": "east"}]})
             assert await other.site("campus") == put
             assert (await other.find_site_link("campus", "west", "east")).version == 2
+            job = await other.place_site("campus")
+            assert (job.site, (await other.cancel_job(job.id)).state) == ("campus", "cancelled")
             assert len(await other.sites()) == 1
             await other.delete_site("campus")
             with pytest.raises(UnknownSite):

@@ -6,7 +6,7 @@ import { fill, h } from "../shared/dom.js";
 import { t, translated } from "../shared/text.js";
 import { inPlainWords, Trust, whatToDo } from "../shared/trust.js";
 import { ago, duration, when } from "./format.js";
-import { action, empty, facts, loading, lostNotice, skeletons, stateBadge } from "./parts.js";
+import { action, empty, facts, loading, lostNotice, skeletons, stateBadge, tell } from "./parts.js";
 
 const STAGES = [
   "received",
@@ -19,6 +19,8 @@ const STAGES = [
   "report",
   "published",
 ];
+const STAGES_OF_SITES = ["received", "links", "published"];
+const PRIORITIES = ["high", "normal", "low"];
 const LOOK_MS = 2000;
 const ENDED = ["published", "failed", "cancelled"];
 
@@ -67,7 +69,7 @@ function row(job) {
     h(
       "div",
       { class: "row spread" },
-      h("h2", {}, h("a", { href: `#/jobs/${job.id}` }, job.map)),
+      h("h2", {}, h("a", { href: `#/jobs/${job.id}` }, nameOf(job))),
       h("span", { class: "row" }, stateBadge(job), h("span", { class: "muted small" }, ago(job.created))),
     ),
     bar(job),
@@ -76,7 +78,9 @@ function row(job) {
   );
 }
 
-const bar = (job) => h("progress", { max: 1, value: job.progress, "aria-label": t`Progress of ${job.map}` });
+const nameOf = (job) => (job.site ? t`Site ${job.site}` : job.map);
+
+const bar = (job) => h("progress", { max: 1, value: job.progress, "aria-label": t`Progress of ${nameOf(job)}` });
 
 export async function showJob(main, id, signal) {
   const lost = lostNotice();
@@ -98,7 +102,7 @@ function overview(job) {
     h(
       "div",
       { class: "row spread" },
-      h("h1", {}, t`Map ${job.map}`),
+      h("h1", {}, job.site ? nameOf(job) : t`Map ${job.map}`),
       h(
         "div",
         { class: "row" },
@@ -109,17 +113,11 @@ function overview(job) {
             again();
           }),
         job.state === "published" &&
+          job.map &&
           h("a", { class: "button primary", href: `#/maps/${encodeURIComponent(job.map)}` }, t`To the map`),
       ),
     ),
-    job.warnings.length > 0 &&
-      h(
-        "div",
-        { class: "notice bad stack", role: "alert" },
-        h("p", {}, h("strong", {}, t`Do not rely on this map.`)),
-        job.warnings.map((warning) => h("p", {}, inPlainWords(warning).plain)),
-        h("p", {}, whatToDo(Trust.NO, [], job.warnings.join(" "))),
-      ),
+    job.warnings.length > 0 && (job.site ? unplaced(job) : untrusted(job)),
     job.error &&
       h(
         "div",
@@ -138,7 +136,11 @@ function overview(job) {
       [t`Queued`, when(job.created)],
       [t`Took`, job.started && job.ended ? duration(job.ended - job.started) : null],
       [t`Attempts`, job.attempts],
-      [t`Recording`, h("a", { href: `#/recordings/${job.recording}` }, h("code", {}, job.recording))],
+      [t`Priority`, job.state === "queued" ? priorityField(job) : translated(job.priority)],
+      [
+        t`Recording`,
+        job.recording ? h("a", { href: `#/recordings/${job.recording}` }, h("code", {}, job.recording)) : null,
+      ],
     ]),
     h("h2", {}, t`Log`),
     job.log.length
@@ -147,12 +149,50 @@ function overview(job) {
   ];
 }
 
+function untrusted(job) {
+  return h(
+    "div",
+    { class: "notice bad stack", role: "alert" },
+    h("p", {}, h("strong", {}, t`Do not rely on this map.`)),
+    job.warnings.map((warning) => h("p", {}, inPlainWords(warning).plain)),
+    h("p", {}, whatToDo(Trust.NO, [], job.warnings.join(" "))),
+  );
+}
+
+function unplaced(job) {
+  return h(
+    "div",
+    { class: "notice warn stack", role: "alert" },
+    h("p", {}, h("strong", {}, t`Not all maps of the site are placed.`)),
+    job.warnings.map((warning) => h("p", {}, warning)),
+    h("p", {}, t`Give a link or a pose, or map what lies between them.`),
+  );
+}
+
+/** A choice of how soon a job's turn comes, which takes effect at once. */
+function priorityField(job) {
+  const options = PRIORITIES.map((one) =>
+    h("option", { value: one, selected: one === job.priority }, translated(one)),
+  );
+  const select = h("select", { "aria-label": t`Priority` }, options);
+  select.addEventListener("change", async () => {
+    try {
+      await call("PATCH", path`v1/jobs/${job.id}`, { body: { priority: select.value } });
+    } catch (error) {
+      select.value = job.priority;
+      tell(error.message, "bad");
+    }
+  });
+  return select;
+}
+
 function stages(job) {
-  const at = STAGES.indexOf(job.stage);
+  const all = job.site ? STAGES_OF_SITES : STAGES;
+  const at = all.indexOf(job.stage);
   return h(
     "ol",
     { class: "stages" },
-    STAGES.map((stage, i) =>
+    all.map((stage, i) =>
       h(
         "li",
         {

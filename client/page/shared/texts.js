@@ -233,6 +233,14 @@ export const GERMAN = {
     "Aus jeder hochgeladenen Aufnahme erstellt ein Auftrag eine Karte.",
   "Progress of {0}": "Fortschritt von {0}",
   "Map {0}": "Karte {0}",
+  "Site {0}": "Standort {0}",
+  "Not all maps of the site are placed.": "Nicht alle Karten des Standorts sind eingeordnet.",
+  "Give a link or a pose, or map what lies between them.":
+    "Geben Sie eine Verbindung oder eine Pose an, oder nehmen Sie auf, was dazwischen liegt.",
+  Priority: "Vorrang",
+  high: "hoch",
+  normal: "normal",
+  low: "niedrig",
   "To the map": "Zur Karte",
   Queued: "Eingereiht",
   Took: "Dauer",
@@ -252,6 +260,7 @@ export const GERMAN = {
   observations: "Beobachtungen",
   densities: "Dichten",
   report: "Bericht",
+  links: "Verbindungen",
 
   // Recordings
   "Stored recordings": "Gespeicherte Aufnahmen",

@@ -40,7 +40,7 @@ def list_jobs(data: Data = None, as_json: Json = False) -> None:
     if not jobs:
         print_notice("There are no jobs.")
     for job in jobs:
-        output.print(f"{job.id}: {job.map_name}, {_outcome(job)}", markup=False, soft_wrap=True)
+        output.print(f"{job.id}: {job.map_name or _subject(job)}, {_outcome(job)}", markup=False, soft_wrap=True)
 
 
 @app.command()
@@ -59,12 +59,18 @@ def prioritize(
         changed = queue.prioritize(job, wanted)
     finally:
         queue.close()
-    print_notice(f"The job for the map {changed.map_name} has priority {changed.priority}.")
+    print_notice(f"The job for {_subject(changed)} has priority {changed.priority}.")
+
+
+def _subject(job: Job) -> str:
+    return f"the site {job.site}" if job.site else f"the map {job.map_name}"
 
 
 def _outcome(job: Job) -> str:
     if job.error_message is not None:
         return f"{job.state}: {job.error_message}"
+    if job.trusted is None and job.warnings:
+        return f"{job.state}: {' '.join(job.warnings)}"
     if job.trusted is not None:
         return f"{job.state}, trusted: {trust_line(job.trusted, ' '.join(job.warnings))}"
     return f"{job.state}, {job.stage if job.obstacle is None else job.message}"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from itertools import combinations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -10,7 +9,8 @@ import typer
 
 from rholoc.cli import options
 from rholoc.cli.console import output, print_error, print_json, print_notice
-from rholoc.errors import InvalidInput, MappingFailed
+from rholoc.cli.serve import Data, service_settings
+from rholoc.errors import InvalidInput
 
 if TYPE_CHECKING:
     from rholoc.maps import Site
@@ -98,24 +98,51 @@ def link(
 
 
 @app.command()
-def place(name: Name, maps: Maps = _MAPS, as_json: options.Json = False) -> None:
+def place(
+    name: Name,
+    maps: Maps = _MAPS,
+    queue: Annotated[bool, typer.Option("--queue", help="Leave it to the server's workers, as a job.")] = False,
+    data: Data = None,
+    as_json: options.Json = False,
+) -> None:
     """Look for links until all maps are placed, or no further two of them overlap."""
-    from rholoc.mapping import find_link, solve_site, with_link
+    if queue:
+        _queue_placing(name, maps, data, as_json)
+    else:
+        _place(name, maps, as_json)
+
+
+def _queue_placing(name: str, maps: Path, data: Path | None, as_json: bool) -> None:
+    from dataclasses import asdict
+
+    from rholoc.jobs import JobQueue
+    from rholoc.maps import SiteLibrary
+
+    settings = service_settings(data_dir=data)
+    if settings.shared_storage is None:
+        SiteLibrary(maps).get(name)
+    jobs = JobQueue(settings.data_dir, settings.jobs_database)
+    try:
+        job = jobs.submit_placing(name)
+    finally:
+        jobs.close()
+    if as_json:
+        print_json(asdict(job))
+    else:
+        print_notice(f"The job {job.id} places the maps of the site {name}. See rholoc job list.")
+
+
+def _place(name: str, maps: Path, as_json: bool) -> None:
+    from rholoc.mapping import search_links, solve_site, with_link
     from rholoc.maps import MapLibrary, SiteLibrary
 
     sites, library = SiteLibrary(maps), MapLibrary(maps)
     stored = sites.get(name)
     site = solve_site(stored)
-    present = [one.map for one in site.maps if one.map in set(library.names())]
-    for first, second in combinations(present, 2):
-        if _joined(site, first, second):
-            continue
-        try:
-            site = with_link(site, find_link(first, library.get(first), second, library.get(second)))
-        except (MappingFailed, InvalidInput) as error:
-            print_notice(f"{first} and {second}: {error.message}")
-            continue
-        print_notice(f"{first} and {second}: found")
+    for pair in search_links(site, library.get, library.names()):
+        print_notice(f"{pair.first} and {pair.second}: {'found' if pair.link else pair.reason}")
+        if pair.link is not None:
+            site = with_link(site, pair.link)
     _print(name, sites.put(name, site, stored.version), maps, as_json)
     left = [one.map for one in site.maps if one.pose is None]
     if left:
@@ -131,15 +158,6 @@ def delete(name: Name, maps: Maps = _MAPS) -> None:
 
     SiteLibrary(maps).delete(name)
     print_notice(f"The site {name} is deleted; its maps stay.")
-
-
-def _joined(site: Site, first: str, second: str) -> bool:
-    """Whether links lead from one map to another."""
-    reached, before = {first}, 0
-    while len(reached) > before:
-        before = len(reached)
-        reached |= {end for one in site.links for end in (one.first, one.second) if {one.first, one.second} & reached}
-    return second in reached
 
 
 def _shown(name: str, site: Site, maps: Path) -> dict[str, object]:

@@ -19,6 +19,12 @@ class JobKind(StrEnum):
     BUILD = "build"  # makes a new map, replacing any of that name
     UPDATE = "update"  # learns it into the map of that name
     LEARN = "learn"  # lets the map of that name learn from the queries kept for it; there is no recording
+    PLACE = "place"  # looks for links between the maps of a site; there is neither a recording nor a map
+
+    @property
+    def reads_recording(self) -> bool:
+        """Whether it needs a recording."""
+        return self in (JobKind.BUILD, JobKind.UPDATE)
 
 
 class JobPriority(StrEnum):
@@ -34,7 +40,7 @@ class JobOptions:
     """How a job builds or updates its map.
 
     Attributes:
-        kind: whether it builds or updates. An update keeps the map's own density and features.
+        kind: what it does. An update keeps the map's own density and features.
         density: the form of the densities.
         features: the extractor's name.
         poses: where frame poses come from; None leaves it to :class:`rholoc.mapping.BuildOptions` or ``UpdateOptions``.
@@ -43,6 +49,7 @@ class JobOptions:
         pictures: whether the map keeps a small picture of each view.
         frames: a choice of the recording's frames by number, ``start:stop[:step]``; None takes all.
         priority: how soon its turn comes.
+        site: whose maps are placed, by a job that does that.
     """
 
     density: DensityKind = DensityKind.RAY
@@ -53,6 +60,7 @@ class JobOptions:
     pictures: bool = False
     frames: str | None = None
     priority: JobPriority = JobPriority.NORMAL
+    site: str | None = None
 
     @classmethod
     def from_json(cls, stored: Mapping[str, Any]) -> JobOptions:
@@ -66,6 +74,7 @@ class JobOptions:
             pictures=stored.get("pictures", False),
             frames=stored.get("frames"),
             priority=JobPriority(stored.get("priority", JobPriority.NORMAL)),
+            site=stored.get("site"),
         )
 
 
@@ -99,13 +108,13 @@ class Job:
     Attributes:
         id: unique, 32 hex digits.
         recording: the recording's id; empty where the job needs none.
-        map_name: the map that it will publish.
+        map_name: the map that it will publish; empty where it places a site's maps.
         state: where it stands.
         stage: the stage it is in or ended in.
         progress: 0..1 over all stages.
         message: one line for people.
         log: the last lines of its log.
-        warnings: why its published map is not to be trusted; empty where it is.
+        warnings: why its published map is not to be trusted, or why maps of its site are not placed.
         error_code, error_message, error_hint: set when it failed.
         created, started, ended: seconds since the epoch, or None.
         attempts: how many workers have taken it up.
@@ -114,6 +123,8 @@ class Job:
         worker: the id of the worker that has it; None where none has.
         release: of the job's work, see :data:`rholoc.jobs.table.RELEASE`.
         obstacle: why no worker can take it; None where one can, or has, or need not.
+        kind: what it does.
+        site: whose maps it places; None where it makes a map.
     """
 
     id: str
@@ -137,8 +148,11 @@ class Job:
     worker: str | None = None
     release: int = 1
     obstacle: Obstacle | None = None
+    kind: JobKind = JobKind.BUILD
+    site: str | None = None
 
     @property
     def trusted(self) -> bool | None:
-        """Whether the map that it published is to be trusted; None before that."""
-        return not self.warnings if self.state is JobState.PUBLISHED else None
+        """Whether the map that it published is to be trusted; None before that, and where it makes none."""
+        has_map = self.state is JobState.PUBLISHED and self.kind is not JobKind.PLACE
+        return not self.warnings if has_map else None

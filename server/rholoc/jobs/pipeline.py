@@ -13,6 +13,7 @@ from rholoc.jobs.capacity import MoreMemoryNeeded, memory_for
 from rholoc.jobs.job import JobKind, JobOptions
 from rholoc.jobs.query_store import QueryStore
 from rholoc.jobs.recording_notes import WAYPOINTS_FILE, note_recording
+from rholoc.jobs.site_placing import write_links
 from rholoc.mapping import BuildOptions, UpdateOptions, build_map, learn_from_queries, update_map
 from rholoc.maps import CameraLibrary, Map, MapLibrary, load_map, save_map, trust_of
 from rholoc.progress import ProgressListener, Stage
@@ -25,9 +26,10 @@ class MappingTask:
 
     Attributes:
         recording: the file or folder that was uploaded; None where the job needs none.
-        map_file: where the built map is kept until it is published. It exists only once it is complete.
+        built_file: where what was built is kept until it is published: a map, or the links of a site. It exists only
+            once it is complete.
         maps_dir: the folder in which the build finds maps and cameras.
-        map_name: the name under which the map is published.
+        map_name: the name under which the map is published; empty where there is none.
         options: how the map is built.
         max_frame_pixels: the most pixels a frame of the recording's video may have.
         folder: where notes on the recording are kept, and waypoints that replace its own.
@@ -36,7 +38,7 @@ class MappingTask:
     """
 
     recording: Path | None
-    map_file: Path
+    built_file: Path
     maps_dir: Path
     map_name: str
     options: JobOptions
@@ -53,7 +55,7 @@ class Pipeline(Protocol):
     """
 
     def build(self, task: MappingTask, progress: ProgressListener) -> MoreMemoryNeeded | None:
-        """Write ``task.map_file``, atomically; do nothing if it exists.
+        """Write ``task.built_file``, atomically; do nothing if it exists.
 
         Returns:
             None; or what it needs where it would need more memory than it may take, and nothing was written.
@@ -61,7 +63,7 @@ class Pipeline(Protocol):
         ...
 
     def publish(self, task: MappingTask, library: MapLibrary) -> tuple[str, ...]:
-        """Put ``task.map_file`` into the library, atomically; do nothing if it is there already.
+        """Put ``task.built_file`` into the library, atomically; do nothing if it is there already.
 
         Returns:
             Why the map is not to be trusted, one line each.
@@ -70,24 +72,29 @@ class Pipeline(Protocol):
 
 
 class MappingPipeline:
-    """The pipeline of the service: recording → map → library, or kept queries → the map's next version → library."""
+    """The pipeline of the service: recording → map → library, or kept queries → the map's next version → library, or
+    a site's maps → links, which :func:`rholoc.jobs.site_placing.store_links` stores."""
 
     def build(self, task: MappingTask, progress: ProgressListener) -> MoreMemoryNeeded | None:
         """Read the recording, build its map or learn it into the existing one, and save the result.
 
         As soon as the recording was read it is known how much memory that takes; where that is too much, it ends.
 
-        Raises: as :func:`rholoc.recordings.read_recording`, and :func:`rholoc.mapping.build_map`, ``update_map`` or
-            ``learn_from_queries`` do.
+        Raises: as :func:`rholoc.recordings.read_recording`, and :func:`rholoc.mapping.build_map`, ``update_map``,
+            ``learn_from_queries`` or :func:`rholoc.jobs.site_placing.write_links` do.
         """
-        if task.map_file.exists():
+        if task.built_file.exists():
+            return None
+        if task.options.kind is JobKind.PLACE:
+            assert task.options.site is not None
+            write_links(task.maps_dir, task.options.site, task.built_file, progress)
             return None
         built = _learned(task, progress) if task.options.kind is JobKind.LEARN else _mapped(task, progress)
         if isinstance(built, MoreMemoryNeeded):
             return built
-        partial = task.map_file.with_name(f"{os.getpid()}-{task.map_file.name}")
+        partial = task.built_file.with_name(f"{os.getpid()}-{task.built_file.name}")
         save_map(built, partial)
-        partial.replace(task.map_file)
+        partial.replace(task.built_file)
         return None
 
     def publish(self, task: MappingTask, library: MapLibrary) -> tuple[str, ...]:
@@ -97,11 +104,11 @@ class MappingPipeline:
             Conflict: the map that was updated is no longer the one in the library.
             InvalidName, InvalidMap, StorageFull, InvalidInput: as :meth:`rholoc.maps.MapLibrary.put_file` does.
         """
-        map_ = load_map(task.map_file)
+        map_ = load_map(task.built_file)
         if _updates(task):
             library.replace(task.map_name, map_)
         elif _published_id(library, task.map_name) != map_.info.id:
-            library.put_file(task.map_name, task.map_file)
+            library.put_file(task.map_name, task.built_file)
         return doubts(map_)
 
 
@@ -111,7 +118,7 @@ def _mapped(task: MappingTask, progress: ProgressListener) -> Map | MoreMemoryNe
     camera = CameraLibrary(task.maps_dir).named_in(task.options.camera)
     with frame_pixels_limited(task.max_frame_pixels):
         recording = read_recording(
-            task.recording, camera, task.options.frames, _corrected(task), workdir=task.map_file.parent
+            task.recording, camera, task.options.frames, _corrected(task), workdir=task.built_file.parent
         )
         if task.folder is not None and task.options.frames is None and _corrected(task) is None:
             note_recording(task.folder, recording)

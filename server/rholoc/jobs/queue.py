@@ -70,10 +70,24 @@ class JobQueue:
         """
         check_map_name(map_name)
         options = options or JobOptions()
-        work = JobWork(
-            "" if options.kind is JobKind.LEARN else recording_id, map_name, options, telemetry.traceparent()
-        )
-        length_s, memory_bytes = self._size_of(work.recording, options)
+        return self._insert(recording_id if options.kind.reads_recording else "", map_name, options, job_id)
+
+    def submit_placing(self, site: str) -> Job:
+        """Queue the search for links between the maps of a site.
+
+        Raises:
+            Conflict: one is queued or running.
+            StorageFull: the disk is full.
+        """
+        if (unfinished := self._jobs.placing(site)) is not None:
+            raise Conflict(
+                f"The maps of the site {site} are being placed already.", f"Wait for the job {unfinished.id}."
+            )
+        return self._insert("", "", JobOptions(kind=JobKind.PLACE, site=site))
+
+    def _insert(self, recording_id: str, map_name: str, options: JobOptions, job_id: str | None = None) -> Job:
+        work = JobWork(recording_id, map_name, options, telemetry.traceparent())
+        length_s, memory_bytes = self._size_of(recording_id, options)
         job_id = job_id or uuid.uuid4().hex
         with reporting_full_database(), suppress(IntegrityError):
             self._jobs.insert(job_id, work, length_s, memory_bytes, self._release)

@@ -13,7 +13,7 @@ from typing import Any
 import sqlalchemy as sa
 
 from rholoc.errors import Conflict, UnknownJob
-from rholoc.jobs.job import Job, JobOptions, JobPriority, JobState
+from rholoc.jobs.job import Job, JobKind, JobOptions, JobPriority, JobState
 from rholoc.progress import Stage
 from rholoc.storage.tables import jobs_table, workers_table
 
@@ -21,7 +21,7 @@ LOG_LINES = 50
 MAX_LINE_LENGTH = 500  # characters of a job's messages
 MAX_WARNINGS = 20
 DEAD_AFTER_S = 15.0  # since the last heartbeat
-RELEASE = 2
+RELEASE = 3
 """Of the work that jobs are. It goes up where an earlier release's workers could not do a new kind of job, or go on
 with one that is half done: they leave it to later ones, which do all that is of an earlier release from its start."""
 
@@ -31,7 +31,7 @@ _DAY_S = 24 * 3600.0
 _AHEAD_S = {JobPriority.HIGH: _DAY_S, JobPriority.NORMAL: 0.0, JobPriority.LOW: -_DAY_S}
 _PATIENCE = 10.0  # seconds that a second of a walk lets shorter ones overtake it
 
-# Roughly what share of a job's time each stage takes.
+# Roughly what share of a job's time each stage of mapping takes. Links are all that a job with them does.
 _SHARES = {
     Stage.RECEIVED: 0.0,
     Stage.READ: 0.05,
@@ -151,13 +151,17 @@ class JobTable:
 
     def learning(self, map_name: str) -> Job | None:
         """The queued or running job by which a map learns from its queries."""
-        found = sa.select(jobs_table).where(
-            jobs_table.c.map_name == map_name,
-            jobs_table.c.recording == "",
-            jobs_table.c.state.in_([JobState.QUEUED, JobState.RUNNING]),
-        )
+        return self._unfinished(JobKind.LEARN, jobs_table.c.map_name == map_name)
+
+    def placing(self, site: str) -> Job | None:
+        """The queued or running job by which the maps of a site are placed."""
+        return self._unfinished(JobKind.PLACE, jobs_table.c.options["site"].as_string() == site)
+
+    def _unfinished(self, kind: JobKind, of: sa.ColumnElement[bool]) -> Job | None:
+        unfinished = jobs_table.c.state.in_([JobState.QUEUED, JobState.RUNNING])
         with self._engine.connect() as connection:
-            row = connection.execute(found).mappings().first()
+            found = connection.execute(sa.select(jobs_table).where(of, _kind_of_row == kind, unfinished))
+            row = found.mappings().first()
         return None if row is None else _job(row)
 
     def last_learning(self, map_name: str) -> Job | None:
@@ -166,7 +170,7 @@ class JobTable:
             sa.select(jobs_table)
             .where(
                 jobs_table.c.map_name == map_name,
-                jobs_table.c.recording == "",
+                _kind_of_row == JobKind.LEARN,
                 jobs_table.c.state.in_([JobState.PUBLISHED, JobState.FAILED]),
             )
             .order_by(jobs_table.c.ended.desc())
@@ -382,7 +386,7 @@ class JobTable:
 
     def begin_publishing(self, lease: Lease) -> bool:
         """From here on the job cannot be cancelled. False if the lease was lost before."""
-        return self._update(lease, stage=Stage.PUBLISHED, message="publishing the map")
+        return self._update(lease, stage=Stage.PUBLISHED, message="publishing")
 
     def publish(self, lease: Lease, warnings: Sequence[str], connection: sa.Connection | None = None) -> bool:
         """Record that the job's map is published, and any reasons why it is not to be trusted.
@@ -510,9 +514,12 @@ def shortened(text: str) -> str:
 
 def overall(stage: Stage, fraction: float) -> float:
     """The progress 0..1 over all stages, of ``fraction`` within ``stage``."""
+    within = min(1.0, max(0.0, fraction))
+    if stage is Stage.LINKS:
+        return within
     stages = list(_SHARES)
     before = sum(_SHARES[earlier] for earlier in stages[: stages.index(stage)])
-    return min(1.0, before + _SHARES[stage] * min(1.0, max(0.0, fraction)))
+    return min(1.0, before + _SHARES[stage] * within)
 
 
 _QUEUED: dict[str, Any] = {
@@ -533,6 +540,7 @@ _QUEUED: dict[str, Any] = {
 _GIVEN_BACK: dict[str, Any] = {"state": JobState.QUEUED, "worker": None, "message": "waiting for another worker"}
 
 _turn_of_row = sa.func.coalesce(jobs_table.c.turn, jobs_table.c.created)
+_kind_of_row = jobs_table.c.options["kind"].as_string()
 _release_of_row = sa.func.coalesce(jobs_table.c.release, _FIRST_RELEASE)
 _memory_of_row = sa.func.coalesce(jobs_table.c.memory_bytes, 0)
 
@@ -540,10 +548,6 @@ _memory_of_row = sa.func.coalesce(jobs_table.c.memory_bytes, 0)
 def _turn(row: sa.RowMapping) -> float:
     turn: float | None = row["turn"]
     return row["created"] if turn is None else turn
-
-
-def _priority(row: sa.RowMapping) -> JobPriority:
-    return JobPriority(row["options"].get("priority", JobPriority.NORMAL))
 
 
 def _new_workflow(job_id: str) -> str:
@@ -569,6 +573,15 @@ def _appended(log: list[str], *lines: str) -> list[str]:
     return [*log, *(f"{now} {line}" for line in lines)][-LOG_LINES:]
 
 
+def _priority(row: sa.RowMapping) -> JobPriority:
+    return JobPriority(row["options"].get("priority", JobPriority.NORMAL))
+
+
+def _kind(row: sa.RowMapping) -> JobKind:
+    kind = row["options"].get("kind", JobKind.BUILD)
+    return JobKind(kind) if kind in list(JobKind) else JobKind.BUILD  # it is one that a later release has
+
+
 def _job(row: sa.RowMapping) -> Job:
     return Job(
         id=row["id"],
@@ -591,4 +604,6 @@ def _job(row: sa.RowMapping) -> Job:
         memory_bytes=row["memory_bytes"],
         worker=row["worker"],
         release=row["release"] or _FIRST_RELEASE,
+        kind=_kind(row),
+        site=row["options"].get("site"),
     )

@@ -16,7 +16,7 @@ import socket
 import threading
 import time
 import uuid
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import FrameType
@@ -37,16 +37,17 @@ from rholoc.jobs.recording_notes import READ_FILES
 from rholoc.jobs.recording_store import RecordingStore
 from rholoc.jobs.shared_queries import SharedQueryStore
 from rholoc.jobs.shared_recordings import SharedRecordingStore
+from rholoc.jobs.site_placing import store_links
 from rholoc.jobs.table import DEAD_AFTER_S, RELEASE, Claim, Failure, JobTable, JobWork, Lease, WorkerTable
-from rholoc.maps import CameraLibrary, Map, MapLibrary
+from rholoc.maps import CameraLibrary, Map, MapLibrary, SiteLibrary
 from rholoc.progress import Stage
-from rholoc.storage import CAMERAS, SharedStorage
+from rholoc.storage import CAMERAS, SITES, SharedStorage
 from rholoc.storage.database import open_database
 
 _log = logging.getLogger("rholoc.jobs")
 
 _MAX_ATTEMPTS = 5
-_INPUTS, _MAP_FILE = "inputs", "map.rho"  # in a job's work folder
+_INPUTS, _MAP_FILE, _LINKS_FILE = "inputs", "map.rho", "links.json"  # in a job's work folder
 _STORAGE_PATIENCE_S, _STORAGE_AGAIN_S = 600.0, 2.0
 _T = TypeVar("_T")
 _APPLICATION = "rholoc"
@@ -336,12 +337,12 @@ class Worker:
             raise Cancelled("This worker no longer has the job.")
         try:
             task = self._patiently(lease, lambda: self._task(lease, work))
-            if not task.map_file.exists():  # it was built on another machine, whose disk this one does not see
+            if not task.built_file.exists():  # it was built on another machine, whose disk this one does not see
                 failure = self._build(lease, work)
                 if failure is not None:
                     return failure
             with telemetry.span("publish"):
-                reasons = self._patiently(lease, lambda: self._pipeline.publish(task, self._library(lease)))
+                reasons = self._patiently(lease, lambda: self._put(lease, work, task))
             if work.recording:
                 self._recordings.release(work.recording)
             return reasons
@@ -353,6 +354,13 @@ class Worker:
             return describe(storage_full()) if is_full(error) else unexpected(error)
         except Exception as error:
             return unexpected(error)
+
+    def _put(self, lease: Lease, work: JobWork, task: MappingTask) -> tuple[str, ...]:
+        """Put what was built where everybody finds it; returns why it is not to be trusted, or not complete."""
+        library = self._library(lease)
+        if work.options.site is None:
+            return self._pipeline.publish(task, library)
+        return store_links(task.built_file, work.options.site, self._sites(), library)
 
     def _patiently(self, lease: Lease, act: Callable[[], _T]) -> _T:
         """Do what needs the shared storage; while that does not answer, try again, for a time.
@@ -388,10 +396,10 @@ class Worker:
         folder = self._work_dir(lease)
         with reporting_full_disk():
             folder.mkdir(parents=True, exist_ok=True)
-        needs_recording = work.options.kind is not JobKind.LEARN
+        needs_recording = work.options.kind.reads_recording
         return MappingTask(
             recording=self._recordings.path(work.recording) if needs_recording else None,
-            map_file=folder / _MAP_FILE,
+            built_file=folder / _built_name(work),
             maps_dir=self._maps_dir if self._shared is None else self._inputs(folder, work),
             map_name=work.map_name,
             options=work.options,
@@ -416,22 +424,40 @@ class Worker:
         return min(self._limits.memory_bytes, self._capacity.memory_bytes - sum(others))
 
     def _inputs(self, folder: Path, work: JobWork) -> Path:
-        """A folder with copies of the map, the camera and the queries that a job needs of the shared ones."""
+        """A folder with copies of the maps, site, camera and queries that a job needs of the shared ones."""
         assert self._shared is not None
         self._shared.refresh()
         inputs = folder / _INPUTS
         inputs.mkdir(exist_ok=True)
-        if work.options.kind is not JobKind.BUILD:
-            source = MapLibrary(inputs).path(work.map_name)
-            if not source.exists():
-                shutil.copyfile(self._shared.library.path(work.map_name), source)
-        if work.options.kind is JobKind.LEARN and not (folder / _MAP_FILE).exists():
+        if (folder / _built_name(work)).exists():
+            return inputs
+        if work.options.site is not None:
+            site = self._sites().get(work.options.site)
+            SiteLibrary(inputs).put(work.options.site, site)
+            present = set(self._shared.library.names())
+            self._copy_maps([one.map for one in site.maps if one.map in present], inputs)
+        elif work.options.kind is not JobKind.BUILD:
+            self._copy_maps([work.map_name], inputs)
+        if work.options.kind is JobKind.LEARN:
             queries = SharedQueryStore(self._shared.objects)
             queries.fetch(self._shared.library.map_id(work.map_name), inputs)
         cameras = CameraLibrary(inputs, self._shared.documents(CAMERAS))
         if work.options.camera is not None and "," not in work.options.camera:
             CameraLibrary(inputs).put(work.options.camera, cameras.get(work.options.camera))
         return inputs
+
+    def _copy_maps(self, names: Sequence[str], folder: Path) -> None:
+        """Copy shared maps that are not in the folder yet."""
+        assert self._shared is not None
+        for name in names:
+            copy = MapLibrary(folder).path(name)
+            if not copy.exists():
+                arriving = copy.with_name(f".{copy.name}")
+                shutil.copyfile(self._shared.library.path(name), arriving)
+                arriving.replace(copy)
+
+    def _sites(self) -> SiteLibrary:
+        return SiteLibrary(self._maps_dir, None if self._shared is None else self._shared.documents(SITES))
 
     def _work_dir(self, lease: Lease) -> Path:
         return self._data_dir / "work" / lease.workflow
@@ -499,6 +525,11 @@ class Worker:
             left = {lease for lease in held if lease.workflow not in self._claims}
         found, self._left_before = left & self._left_before, left
         return found
+
+
+def _built_name(work: JobWork) -> str:
+    """Of the file in which a job keeps what it built."""
+    return _MAP_FILE if work.options.site is None else _LINKS_FILE
 
 
 def run_worker(

@@ -21,6 +21,7 @@ from rholoc.mapping.frames import levelled
 from rholoc.mapping.learning import UpdateOptions, update_map
 from rholoc.mapping.merging import merge_maps
 from rholoc.mapping.observation_table import observation_table
+from rholoc.mapping.site_linking import SearchedPair, add_links, map_state, search_links
 from rholoc.mapping.site_poses import find_link, pose_in_site, solve_site, with_link
 from rholoc.mapping.user_learning import FEWEST_QUERIES, learn_from_queries, too_few_queries
 
@@ -29,18 +30,22 @@ __all__ = [
     "FEWEST_QUERIES",
     "AnsweredQuery",
     "BuildOptions",
+    "SearchedPair",
     "UpdateOptions",
+    "add_links",
     "build_map",
     "find_link",
     "forget_recording",
     "lay_over_plan",
     "learn_from_queries",
     "levelled",
+    "map_state",
     "merge_maps",
     "observation_table",
     "pose_in_site",
     "remove_region",
     "remove_views",
+    "search_links",
     "set_distance",
     "set_floor_plan",
     "set_labels",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Annotated
+from typing import Annotated, Literal
 
 from fastapi import Request
 from pydantic import BaseModel, ConfigDict, Field
@@ -52,7 +52,9 @@ class RecordingFields(BaseModel):
     )
 
     map: Annotated[str, Field(description="the name of the map to publish")]
-    kind: JobKind = Field(default=JobOptions.kind, description="build a new map, or update the one of that name")
+    kind: Literal[JobKind.BUILD, JobKind.UPDATE] = Field(
+        default=JobKind.BUILD, description="build a new map, or update the one of that name"
+    )
     features: str = Field(default=JobOptions.features, description="the extractor: " + ", ".join(extractor_names()))
     density: DensityKind = Field(default=JobOptions.density, description="the form of the densities")
     poses: PoseMethod | None = Field(
@@ -73,7 +75,13 @@ class RecordingFields(BaseModel):
 
 
 async def counted_job(service: State, request: Request, map_name: str, begin: Callable[[], Job]) -> Job:
-    """The job that ``begin`` queues for a map, if the request's key may have one more; counted to it.
+    """The job that ``begin`` queues, if the request's key may have one more; counted to it.
+
+    Args:
+        service: which is asked.
+        request: by which.
+        map_name: the map that the job makes; empty where it makes none.
+        begin: queues it.
 
     Raises:
         QuotaExceeded: it may not.

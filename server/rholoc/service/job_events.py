@@ -84,4 +84,6 @@ def job_out(job: Job) -> JobOut:
         priority=job.priority,
         memory_bytes=job.memory_bytes,
         obstacle=job.obstacle,
+        kind=job.kind,
+        site=job.site,
     )

@@ -85,7 +85,7 @@ class Quotas:
             key: the request's; None where no key is needed: everything is allowed.
             stores: the map that is stored, in place of what the key holds under that name.
             size_bytes: what is stored.
-            job_for: the map that a job is queued for.
+            job_for: the map that a job is queued for; empty where it makes none.
 
         Raises:
             QuotaExceeded: it would.
@@ -95,7 +95,7 @@ class Quotas:
             return
         present = self._present()
         made = set() if stores is None else {stores}
-        if job_for is not None and job_for not in present.maps:
+        if job_for and job_for not in present.maps:
             made.add(job_for)
         for one in limited:
             held = [holding for holding in self._holdings.of(one.name) if present.has(holding)]
@@ -122,7 +122,7 @@ class Quotas:
     def hold_job(self, key: ApiKey | None, job_id: str, map_name: str) -> None:
         """Note that a key holds a job, and the map that it will publish if there is none of that name."""
         self.hold(key, Kind.JOB, job_id)
-        if map_name not in self._library.names():
+        if map_name and map_name not in self._library.names():
             self.hold(key, Kind.MAP, map_name)
 
     def rename_map(self, name: str, new_name: str) -> None:

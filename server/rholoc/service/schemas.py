@@ -9,7 +9,7 @@ from pydantic import BaseModel, ConfigDict, FailFast, Field, Strict
 from pydantic.config import JsonDict
 
 from rholoc.features import Channel
-from rholoc.jobs import JobPriority, JobState, Obstacle, RecordedWaypoint
+from rholoc.jobs import JobKind, JobPriority, JobState, Obstacle, RecordedWaypoint
 from rholoc.localization import Cause, Dof, Intrinsics, Reason
 from rholoc.maps import (
     MOST_MAPS,
@@ -1103,8 +1103,10 @@ class JobError(_Out):
 
 _JOB: JsonDict = {
     "id": _JOB_ID,
+    "kind": "build",
     "recording": _RECORDING_ID,
     "map": "testsite",
+    "site": None,
     "state": "running",
     "stage": "poses",
     "progress": 0.42,
@@ -1129,16 +1131,21 @@ class JobOut(_Out):
     model_config = ConfigDict(frozen=True, json_schema_extra={"example": _JOB})
 
     id: str
-    recording: str = Field(description="the recording's id; empty where a map learns from its users")
-    map: str = Field(description="the name of the map that it publishes")
+    kind: JobKind
+    recording: str = Field(description="the recording's id; empty where the job needs none")
+    map: str = Field(description="the name of the map that it publishes; empty where it places a site's maps")
+    site: str | None = Field(description="the site whose maps it places; null where it makes a map")
     state: JobState
     stage: Stage
     progress: float = Field(description="0..1 over all stages")
     message: str
     log: list[str]
-    warnings: list[str] = Field(description="why its published map is not to be trusted; empty where it is")
+    warnings: list[str] = Field(
+        description="why its published map is not to be trusted, or why maps of its site are not placed"
+    )
     trusted: bool | None = Field(
-        description="whether its published map is to be trusted; `warnings` say why not; null before it is published"
+        description="whether its published map is to be trusted; `warnings` say why not; null before it is published, "
+        "and for a job that publishes none"
     )
     error: JobError | None
     created: float = Field(description="s since the epoch")

@@ -86,7 +86,7 @@ def _form_schema() -> dict[str, Any]:
             "default": JobOptions.priority.value,
             "description": fields["properties"]["priority"]["description"],
         },
-        "kind": {"type": "string", "enum": [kind.value for kind in JobKind], "default": JobOptions.kind.value},
+        "kind": {"type": "string", "enum": [JobKind.BUILD, JobKind.UPDATE], "default": JobKind.BUILD},
         "poses": {
             "type": "string",
             "enum": [method.value for method in PoseMethod],

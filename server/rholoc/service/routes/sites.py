@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from fastapi import APIRouter, Response
+from functools import partial
+
+from fastapi import APIRouter, Request, Response
 from starlette.concurrency import run_in_threadpool
 
 from rholoc.errors import (
@@ -17,12 +19,15 @@ from rholoc.errors import (
     UnknownMap,
     UnknownSite,
 )
+from rholoc.jobs import Job
 from rholoc.mapping import find_link, solve_site, with_link
 from rholoc.service.access import NEEDS_ADMIN, NEEDS_MAP, NEEDS_READ
 from rholoc.service.compute import Effort
 from rholoc.service.errors import InvalidRequest
+from rholoc.service.intake import counted_job
+from rholoc.service.job_events import job_out
 from rholoc.service.openapi import failures
-from rholoc.service.schemas import SiteIn, SiteLinkWanted, SiteList, SiteOut
+from rholoc.service.schemas import JobOut, SiteIn, SiteLinkWanted, SiteList, SiteOut
 from rholoc.service.site_documents import site_of, site_out
 from rholoc.service.state import Service, State
 
@@ -101,6 +106,27 @@ async def find_site_link(site: str, wanted: SiteLinkWanted, service: Service) ->
         return site_out(site, stored, service.library.names())
 
     return await run_in_threadpool(store)
+
+
+@router.post(
+    "/{site}/place",
+    dependencies=[NEEDS_MAP],
+    status_code=202,
+    summary="Place the maps of a site",
+    responses=failures(UnknownSite, InvalidName, InvalidInput, Conflict, StorageFull),
+)
+async def place_site(site: str, request: Request, service: Service, response: Response) -> JobOut:
+    """A job holds pairs of maps against each other, as `links` does with one pair, until all are placed or no further
+    two overlap; `Location` names the job. What it finds is added to the site as it is then, and the job's `warnings`
+    say what is still not placed."""
+    job = await counted_job(service, request, "", partial(_submit_placing, service, site))
+    response.headers["Location"] = f"/v1/jobs/{job.id}"
+    return job_out(job)
+
+
+def _submit_placing(service: State, name: str) -> Job:
+    service.sites.get(name)
+    return service.jobs.submit_placing(name)
 
 
 def _put(service: State, name: str, wanted: SiteIn) -> SiteOut:
