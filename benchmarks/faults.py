@@ -1,6 +1,7 @@
 """What becomes of a service while its parts fail: nothing may be lost, published twice, or torn.
 
-    python benchmarks/faults.py [--runs 20] [--seed 0] [--minutes 10] [--only KIND …] [--json FILE]
+    python benchmarks/faults.py [--runs 20] [--seed 0] [--minutes 10] [--longest SECONDS] [--only KIND …]
+                                [--json FILE]
 
 Starts PostgreSQL, an S3 server (moto) behind a proxy that can fail, two servers and two workers, each with folders of
 its own, on 127.0.0.1. In each run, while cameras ask for poses, two writers correct one map, and a recording is
@@ -55,11 +56,11 @@ TESTS = Path(__file__).resolve().parents[1] / "tests"
 SHIPPED = Path(__file__).resolve().parents[1] / "maps"
 MAP, BUCKET = "testsite", "rholoc"
 PATIENCE_S = 120.0  # until a run has recovered: processes start in half a minute on a busy machine
-LONGEST_FAULT_S = 4.0
 DISK_BYTES = 48 * 2**20
 PIECES = 4
 TUS = {"Tus-Resumable": "1.0.0"}
-NOT_NOW = frozenset({502, 503, 504, 507})  # what a service may say while something is gone
+NOT_NOW = frozenset({502, 503, 504})  # what a service may say while something is gone
+DISK_FULL = 507  # and that, where a disk is
 
 
 class Fault(StrEnum):
@@ -205,6 +206,7 @@ class Run:
     problems: list[str] = field(default_factory=list)
     answers: Counter[str] = field(default_factory=Counter)
     confirmed: list[int] = field(default_factory=list)  # versions that writers were told of
+    not_now: frozenset[int] = NOT_NOW
     unknown: int = 0  # corrections whose answer did not arrive
     stopping: threading.Event = field(default_factory=threading.Event)
 
@@ -212,7 +214,7 @@ class Run:
         """Count an answer; whether it is a success."""
         status = "broken off" if answer is None else str(answer.status_code)
         self.answers[f"{what} {status}"] += 1
-        if answer is None or answer.is_success or answer.status_code in NOT_NOW | also:
+        if answer is None or answer.is_success or answer.status_code in self.not_now | also:
             return answer is not None and answer.is_success
         self.problems.append(f"{what} was answered with {status}: {answer.text[:200]}")
         return False
@@ -250,7 +252,7 @@ def correct(deployment: Deployment, run: Run, choices: random.Random) -> None:
         answer = asked("POST", f"{url}/v1/maps/{MAP}/corrections", json=wanted)
         if run.judge("correct", answer, frozenset({409})):
             run.confirmed.append(answer.json()["version"])
-        elif answer is None or answer.status_code in NOT_NOW:
+        elif answer is None or answer.status_code in run.not_now:
             run.unknown += 1
 
 
@@ -311,9 +313,10 @@ def happening(fault: Fault, deployment: Deployment, choices: random.Random) -> I
         deployment.storage.fault = None
 
 
-def run_once(deployment: Deployment, fault: Fault, seed: int, pictures: Sequence[bytes]) -> Run:
-    """One run, and all that is wrong after it."""
-    choices, run, name = random.Random(seed), Run(), f"walk-{seed}"
+def run_once(deployment: Deployment, fault: Fault, seed: int, pictures: Sequence[bytes], longest_s: float) -> Run:
+    """One run, whose fault lasts no longer than that, and all that is wrong after it."""
+    choices, name = random.Random(seed), f"walk-{seed}"
+    run = Run(not_now=NOT_NOW | {DISK_FULL} if fault is Fault.FULL_DISK else NOT_NOW)
     content = b"\0\0\0\x18ftypmp42 a walk" + b"." * 4000
     if fault is Fault.KILL_AT_STAGE:
         content = b"\0\0\0\x18ftypmp42 kill at " + f"{choices.choice(KILL_POINTS)},".encode() + b"." * 4000
@@ -331,7 +334,7 @@ def run_once(deployment: Deployment, fault: Fault, seed: int, pictures: Sequence
     time.sleep(choices.uniform(0, 3))
     if fault is not Fault.KILL_AT_STAGE:
         with happening(fault, deployment, choices):
-            time.sleep(choices.uniform(0.5, LONGEST_FAULT_S))
+            time.sleep(choices.uniform(0.5, longest_s))
     if not deployment.wait_until_ready():
         run.problems.append("It did not recover.")
     threads[-1].join(PATIENCE_S)
@@ -391,6 +394,7 @@ def main() -> None:
     parser.add_argument("--runs", type=int, default=20)
     parser.add_argument("--seed", type=int, default=0, help="of the first run; each has the next one")
     parser.add_argument("--minutes", type=float, default=10.0, help="no run begins later")
+    parser.add_argument("--longest", type=float, default=4.0, metavar="SECONDS", help="that a fault lasts")
     parser.add_argument("--only", nargs="+", type=Fault, choices=list(Fault), metavar="KIND")
     parser.add_argument("--json", type=Path, help="write the figures here as well")
     args = parser.parse_args()
@@ -412,7 +416,7 @@ def main() -> None:
                 if time.monotonic() > end_s:
                     break
                 fault, begun_s = faults[seed % len(faults)], time.monotonic()
-                run = run_once(deployment, fault, seed, pictures)
+                run = run_once(deployment, fault, seed, pictures, args.longest)
                 longest_s = max(longest_s, time.monotonic() - begun_s)
                 runs[fault] += 1
                 answers += run.answers

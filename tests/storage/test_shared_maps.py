@@ -6,6 +6,7 @@ import threading
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -202,6 +203,31 @@ def test_copies_leave_a_full_disk_to_a_map_that_is_asked(open_storage: Any, monk
         path.unlink()
     with pytest.raises(StorageFull):
         shared.library.path("a")
+
+
+def test_copies_leave_before_the_disk_is_full(open_storage: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Or nothing else could be written there for ever, such as the next map."""
+    size, shared = len(map_to_bytes(tiny_map())), open_storage(cache_bytes=0)
+    folder = shared.library.folder
+
+    def usage(_: Path) -> SimpleNamespace:
+        used = sum(path.stat().st_size for path in folder.iterdir())
+        return SimpleNamespace(total=10 * size, free=10 * size - used)
+
+    monkeypatch.setattr("rholoc.storage.copies.shutil.disk_usage", usage)
+    for number in range(12):
+        shared.library.put(f"map-{number}", tiny_map())
+    assert usage(folder).free >= size
+    assert len(list(folder.glob("*.rho"))) > 5
+    (folder / "ballast").write_bytes(bytes(usage(folder).free))
+    put = shared.objects.put
+
+    def put_from_a_file_that_fits(key: str, source: Path) -> None:
+        assert usage(folder).free >= 0, "what else filled the disk makes copies leave"
+        put(key, source)
+
+    monkeypatch.setattr(shared.objects, "put", put_from_a_file_that_fits)
+    shared.library.put("another", tiny_map())
 
 
 def test_files_that_no_map_needs_leave_the_storage(

@@ -1,8 +1,12 @@
-"""Copies of stored objects on the server's own disk: those used last, as many as there is room for."""
+"""Copies of stored objects on the server's own disk: those used last, as many as there is room for.
+
+They are the only files there that may leave, so they do before the disk is full: else nothing else could be written.
+"""
 
 from __future__ import annotations
 
 import os
+import shutil
 import threading
 import uuid
 from collections.abc import Iterator
@@ -14,6 +18,7 @@ from rholoc.errors import StorageFull, StorageUnavailable
 from rholoc.storage.objects import ObjectStorage
 
 _SUFFIX = ".rho"
+_FREE_SHARE, _MOST_FREE_BYTES = 0.1, 2**30  # of the disk, which copies leave for what else is written there
 
 
 class Copies:
@@ -43,7 +48,7 @@ class Copies:
         blob = uuid.uuid4().hex
         self._objects.put(self._key(blob), file)
         file.replace(self._path(blob))
-        self._make_room(blob, self._most_bytes)
+        self.make_room(blob)
         return blob
 
     def path(self, blob: str, size_bytes: int) -> Path:
@@ -105,23 +110,30 @@ class Copies:
             try:
                 self.fetch(blob, size_bytes, arrived)
             except StorageFull:  # maybe of copies
-                self._make_room(blob, sum(size for _, size, _ in self._found()) - size_bytes)
+                self.make_room(blob, size_bytes)
                 self.fetch(blob, size_bytes, arrived)
             arrived.replace(path)
         finally:
             arrived.unlink(missing_ok=True)
-        self._make_room(blob, self._most_bytes)
+        self.make_room(blob)
 
-    def _make_room(self, kept: str, most_bytes: float) -> None:
-        """Remove the copies that were used longest ago until the rest takes no more than that; ``kept`` stays."""
+    def make_room(self, kept: str = "", size_bytes: int = 0) -> None:
+        """Remove the copies that were used longest ago, as many as are too many here.
+
+        Args:
+            kept: the object whose copy stays.
+            size_bytes: how many bytes are to go in any case.
+        """
         found = self._found()
-        total = sum(size for _, size, _ in found)
+        disk = shutil.disk_usage(self.folder)
+        lacking = min(_FREE_SHARE * disk.total, _MOST_FREE_BYTES) - disk.free
+        surplus = max(sum(size for _, size, _ in found) - self._most_bytes, lacking, size_bytes)
         for _, size, path in sorted(found):
-            if total <= most_bytes:
+            if surplus <= 0:
                 return
             if path.stem != kept:
                 path.unlink(missing_ok=True)
-                total -= size
+                surplus -= size
 
     def _found(self) -> list[tuple[float, int, Path]]:
         """The copies: when each was last used, its size, and where it is."""

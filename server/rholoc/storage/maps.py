@@ -228,6 +228,10 @@ class SharedMapLibrary(MapLibrary):
         if self._copies.has(before.blob):
             self._copies.path(after.blob, after.size_bytes)
 
+    def _make_folder(self) -> None:
+        super()._make_folder()
+        self._copies.make_room()  # something else may have filled the disk
+
     def _publish(self, name: str, arrived: Path, map_: Map) -> None:
         size_bytes = arrived.stat().st_size
         published = _Version(self._copies.store(arrived), size_bytes, map_.info.id, map_.info.version)
