@@ -4,9 +4,12 @@
 
 Of every room of benchmarks/rooms.py: the share of its frames within 5 cm and 5° (10 cm where poses are no better known
 than that: halves of a walk, the building), and how many of the answers given are more than 10 cm
-off; and in the mean over what is asked from far and across a walk's halves. Of each kind of features also the bytes of
-the kitchen's map, and for the kitchen's easy frames the processor time from JPEG to pose (median, one core) and of that
-to extract: compare it where the machine was as busy all along.
+off; and in the mean over what is asked from far and across a walk's halves. Then of frames that are asked from places
+beside which nothing was mapped, by how far off the nearest view is that looks about the same way, the share that is
+answered within 10 cm and 5°, and the share for which such a pose is found, given out or too doubtful for that; frames
+that show next to nothing of the map count apart. Of each kind of features also the bytes of the kitchen's map, and for
+the kitchen's easy frames the processor time from JPEG to pose (median, one core) and of that to extract: compare it
+where the machine was as busy all along.
 
 Then right stereo matches across changed lights (../shared/data/lighting_pairs), and across coloured lights the median
 number of matches that agree with the pair's epipolar geometry, each coloured picture held against the white ones from
@@ -21,7 +24,7 @@ from __future__ import annotations
 import argparse
 import json
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -31,21 +34,23 @@ import numpy as np
 import poselib
 
 import trial_features
-from asking import Answered, Kind, answers_of, code_digest
+from asking import Answered, Case, Kind, answers_of, code_digest
 from measuring import SHARED_DATA, print_table
 from rholoc.evaluation.lighting_pairs import compare_lighting_pairs
-from rholoc.features import extractor_names, get_extractor
+from rholoc.features import Metric, extractor_names, get_extractor
 from rholoc.features.matching import LIMITS, mutual_matches
 from rholoc.localization import MIN_CONFIDENCE, Localizer, Query
 from rholoc.maps import map_to_bytes
 from rholoc.recordings import decode_image, read_image
-from rooms import ROOMS, map_of
+from rooms import ROOMS, WIDE, map_of, nearest_views
 
 NEAR_M, NEAR_RAD = 0.05, np.deg2rad(5.0)
 RIGHT_M = 0.10
 TRUE_TO_CENTIMETRES = ("redkitchen", "another light", *(f"room {seed}" for seed in range(10)))
 TIMED = "kitchen, easy"
-LIGHTS, COLOURS, COST = "lighting pairs", "coloured pairs", "cost"
+LIGHTS, COLOURS, COST, DISTANCE = "lighting pairs", "coloured pairs", "cost", "by distance"
+NEAREST_M = (0.5, 1.0, 2.0)
+DISTANCES = ("view within 0.5 m", "view within 0.5–1 m", "view within 1–2 m", "no view that looks so, or nothing shown")
 MEANS = {
     "from far": ("kitchen, map 600–999", "kitchen, map 700–999"),
     "across a walk's halves": tuple(one.name for one in ROOMS if one.name.endswith("half mapped")),
@@ -98,26 +103,44 @@ class Answers:
         near: how many of them are answered within 5 cm (or 10) and 5°.
         given: how many are answered.
         wrong: how many of the answers are more than 10 cm off.
+        found: how many frames a pose is found for within 5 cm (or 10) and 5°, given out or too doubtful for that.
     """
 
     queries: int
     near: int
     given: int
     wrong: int
+    found: int
 
     @classmethod
     def of(cls, answered: Answered) -> Answers:
-        """What a room's frames are answered with, at the confidence that is asked of an answer."""
+        """What a room's frames are answered with."""
         near_m = NEAR_M if answered.recording in TRUE_TO_CENTIMETRES else RIGHT_M
-        metric = get_extractor(answered.features).metric
         frames = [case for case in answered.cases if case.kind is Kind.WHOLE]
+        return cls.of_frames(frames, get_extractor(answered.features).metric, near_m)
+
+    @classmethod
+    def of_frames(cls, frames: Sequence[Case], metric: Metric, near_m: float) -> Answers:
+        """What frames are answered with, at the confidence that is asked of an answer."""
         given = [case for case in frames if case.confidence(metric) >= MIN_CONFIDENCE]
         return cls(
             len(frames),
             sum(case.is_within(near_m, NEAR_RAD) for case in given),
             len(given),
             sum(not case.is_within(RIGHT_M, np.inf) for case in given),
+            sum(case.is_within(near_m, NEAR_RAD) for case in frames),
         )
+
+
+def by_distance(answered: Sequence[Answered], kept: Path) -> dict[str, dict[str, int]]:
+    """What frames of the wide rooms are answered with, by how far the nearest view is; all within 10 cm are near."""
+    metric = get_extractor(answered[0].features).metric
+    cases = [case for one in answered for case in one.cases if case.kind is Kind.WHOLE]
+    distance = np.digitize(np.concatenate([nearest_views(named, kept) for named in WIDE]), NEAREST_M)
+    return {
+        label: asdict(Answers.of_frames([cases[row] for row in np.flatnonzero(distance == number)], metric, RIGHT_M))
+        for number, label in enumerate(DISTANCES)
+    }
 
 
 def right_across_lights(features: str) -> dict[str, int]:
@@ -162,6 +185,9 @@ def measure(features: list[str], kept: Path, is_late: Callable[[], bool]) -> dic
             answered = answers_of(named, name, kept, is_late, frames_alone=True)
             if answered is not None:
                 row[named.name] = asdict(Answers.of(answered))
+        wide = [answers_of(named, name, kept, is_late, frames_alone=True) for named in WIDE]
+        if all(wide):
+            row[DISTANCE] = by_distance([answered for answered in wide if answered], kept)
         others: dict[str, Callable[[str], dict[str, Any]]] = {
             LIGHTS: right_across_lights,
             COLOURS: agreeing_across_colours,
@@ -193,6 +219,7 @@ def shown(table: dict[str, dict[str, Any]]) -> list[dict[str, str]]:
             if all(room in row for room in rooms)
         }
         lines.append({"": label} | means)
+    lines += [_of_distance(label, table) for label in DISTANCES]
     for cell in (LIGHTS, COLOURS):
         for key in dict.fromkeys(key for row in table.values() for key in row.get(cell, {})):
             counts = {name: f"{row[cell][key]:.0f}" for name, row in table.items() if cell in row}
@@ -204,6 +231,14 @@ def shown(table: dict[str, dict[str, Any]]) -> list[dict[str, str]]:
     ):
         lines.append({"": label} | {name: f"{row[COST][key] / unit:.0f}" for name, row in table.items() if COST in row})
     return lines
+
+
+def _of_distance(label: str, table: dict[str, dict[str, Any]]) -> dict[str, str]:
+    """How many frames there are at one distance; the share answered and the share for which a right pose is found."""
+    cells = {name: row[DISTANCE][label] for name, row in table.items() if DISTANCE in row}
+    queries = max((cell["queries"] for cell in cells.values()), default=0)
+    found = {name: f"found {100 * cell['found'] / cell['queries']:.0f} %" for name, cell in cells.items()}
+    return {"": f"{label} ({queries})"} | {name: f"{_share(cell)}; {found[name]}" for name, cell in cells.items()}
 
 
 def _share(cell: dict[str, Any]) -> str:
@@ -226,7 +261,7 @@ def main() -> None:
     print_table(shown(table), ["", *table])
     if args.json:
         args.json.write_text(json.dumps(table, indent=2) + "\n")
-    missing = sum(len(ROOMS) + len((LIGHTS, COLOURS, COST)) - len(row) for row in table.values())
+    missing = sum(len(ROOMS) + len((LIGHTS, COLOURS, COST, DISTANCE)) - len(row) for row in table.values())
     if missing:
         print(f"{missing} cells are still to be measured: run it again.")
         raise SystemExit(OUT_OF_TIME)

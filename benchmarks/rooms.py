@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 
 from measuring import SHARED_DATA
-from rholoc.geometry import BoolArray, Camera, FloatArray
+from rholoc.geometry import BoolArray, Camera, FloatArray, angles_between
 from rholoc.mapping import BuildOptions, build_map
 from rholoc.maps import Map, load_map, read_trajectory_csv, save_map
 from rholoc.recordings import GivenPoses, Recording, read_image, read_recording
@@ -26,9 +26,12 @@ from rholoc.trajectory import PoseMethod, estimate_trajectory
 
 KITCHEN_CAMERA = "525.505,525.505,320,240"
 HALVES_ASKED = 24  # frames of each half, about
+APART_SHARE, APART_M, APART_ASKED = 0.4, 0.3, 40  # of the frames; along the walk's axis; frames, about
 WALK_SECONDS, WALK_ASKED = 30.0, 30  # frames
 ROOM_FPS, BUILDING_FPS, BUILDING_ASKED_FPS, LIGHT_FPS = 30.0, 15.0, 1.0, 5.0
 ROOM_SEEDS = range(3)
+SHOWN_BY, FEWEST_SHOWN = "sift48", 30  # landmarks
+SHOWN_RAD, ALIKE_RAD = np.deg2rad(60.0), np.deg2rad(45.0)
 
 
 @dataclass(frozen=True)
@@ -85,12 +88,43 @@ def half(name: str, which: int, kept: Path) -> Room:
 
     What one half alone has seen cannot be found in the other's map.
     """
-    recording = replace(read_recording(SHARED_DATA / name), poses=None)
-    rows, T_map_camera, camera = _trajectory(recording, kept / f"{name}-trajectory.npz")
-    first = np.arange(len(rows)) < len(rows) // 2
-    parts = [_posed(recording, rows[some], T_map_camera[some], camera) for some in (first, ~first)]
+    walk = _keyframes(name, kept)
+    first = np.arange(len(walk.frames.times)) < len(walk.frames.times) // 2
+    parts = [_chosen(walk, np.flatnonzero(some)) for some in (first, ~first)]
     mapped, asked = parts[which], parts[1 - which]
     return Room(mapped, thinned(asked, HALVES_ASKED))
+
+
+def apart(name: str, end: int, kept: Path) -> Room:
+    """What was recorded at one end of a walk asked in the map of what was recorded farther along.
+
+    The ends are those of the axis along which the camera's positions spread most, whenever it came there.
+    """
+    walk = _whole_walk(name, kept)
+    assert walk.poses is not None
+    positions = walk.poses.T_map_camera[:, :3, 3]
+    axis = np.linalg.svd(positions - positions.mean(axis=0), full_matrices=False)[2][0]
+    axis *= np.sign(axis[np.abs(axis).argmax()])
+    along_m = positions @ axis * (1, -1)[end]
+    last_m = float(np.quantile(along_m, APART_SHARE))
+    asked = _chosen(walk, np.flatnonzero(along_m < last_m))
+    return Room(_chosen(walk, np.flatnonzero(along_m > last_m + APART_M)), thinned(asked, APART_ASKED))
+
+
+def _whole_walk(name: str, kept: Path) -> Recording:
+    """The frames of a recording whose poses are known."""
+    if name == "bedroom_night":
+        return _keyframes(name, kept)
+    options = {"camera": KITCHEN_CAMERA, "frames": "100:1000"} if name == "redkitchen" else {}
+    recording = read_recording(SHARED_DATA / name, **options)
+    assert recording.poses is not None
+    return _chosen(recording, np.flatnonzero(recording.poses.known))
+
+
+def _keyframes(name: str, kept: Path) -> Recording:
+    """A walk's keyframes, with the poses that are estimated of them."""
+    recording = replace(read_recording(SHARED_DATA / name), poses=None)
+    return _posed(recording, *_trajectory(recording, kept / f"{name}-trajectory.npz"))
 
 
 def _trajectory(recording: Recording, path: Path) -> tuple[np.ndarray, FloatArray, Camera]:
@@ -115,10 +149,15 @@ def _posed(recording: Recording, rows: np.ndarray, T_map_camera: FloatArray, cam
 
 def thinned(recording: Recording, count: int) -> Recording:
     """About ``count`` frames of a posed recording."""
+    return _chosen(recording, np.arange(len(recording.frames.times))[:: max(1, len(recording.frames.times) // count)])
+
+
+def _chosen(recording: Recording, rows: np.ndarray) -> Recording:
+    """Some frames of a posed recording."""
     assert recording.poses is not None
-    rows = np.arange(len(recording.frames.times))[:: max(1, len(recording.frames.times) // count)]
     poses = GivenPoses(recording.poses.known[rows], recording.poses.T_map_camera[rows])
-    return replace(recording, frames=SelectedFrames(recording.frames, rows), poses=poses)
+    frames = SelectedFrames(recording.frames, rows)
+    return replace(recording, frames=frames, poses=poses, frame_intrinsics=None)
 
 
 # -- simulated ones --------------------------------------------------------------------------------------------------
@@ -173,6 +212,13 @@ ROOMS = (
     *(NamedRoom(f"room {seed}", f"room {seed}", f"room {seed}", partial(room, seed)) for seed in ROOM_SEEDS),
 )
 
+WIDE = tuple(
+    NamedRoom(f"{label}, {end} end asked", f"{label} {end} end", name, partial(apart, name, number))
+    for name, label in (("redkitchen", "kitchen"), ("bedroom_night", "bedroom"), ("euroc_v101", "hall"))
+    for number, end in enumerate(("near", "far"))
+)
+"""Rooms asked from places beside which no picture of the map was taken."""
+
 
 # -- their maps, and pictures of other rooms -------------------------------------------------------------------------
 
@@ -184,6 +230,31 @@ def map_of(named: NamedRoom, mapped: Recording, features: str, kept: Path) -> Ma
         path.parent.mkdir(parents=True, exist_ok=True)
         save_map(build_map([mapped], BuildOptions(features=features, poses=PoseMethod.GIVEN, report=False)), path)
     return load_map(path)
+
+
+def nearest_views(named: NamedRoom, kept: Path) -> FloatArray:
+    """(N,) how far each frame that asks is from the nearest view of the map that looks about the same way, metres.
+
+    Infinite where none does; NaN where the frame shows next to nothing that the map knows: fewer than 30 landmarks from
+    within 60° of where a view saw them, furniture in between aside. By one kind of features for all, so that all are
+    asked the same.
+    """
+    room = named.make(kept)
+    camera, poses, map_ = room.asked.camera, room.asked.poses, map_of(named, room.mapped, SHOWN_BY, kept)
+    assert camera is not None
+    assert poses is not None
+    owners, seen_from = map_.observation_features, map_.view_positions[map_.observation_views]
+    landmarks = map_.landmarks.astype(np.float64)
+    nearest_m = []
+    for T in poses.T_map_camera[poses.known]:
+        position, heading = T[:3, 3], T[:3, 2]
+        inside = camera.contains(camera.project((landmarks - position) @ T[:3, :3]))
+        turned = angles_between(seen_from - landmarks[owners], position - landmarks[owners])
+        shown = np.unique(owners[inside[owners] & (turned < SHOWN_RAD)])
+        alike = angles_between(map_.view_headings, heading) < ALIKE_RAD
+        apart_m = np.linalg.norm(map_.view_positions - position, axis=1)[alike]
+        nearest_m.append(apart_m.min(initial=np.inf) if len(shown) >= FEWEST_SHOWN else np.nan)
+    return np.array(nearest_m)
 
 
 def strangers(recording: str, each: int, kept: Path) -> Iterator[tuple[np.ndarray, Camera]]:
