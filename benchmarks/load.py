@@ -9,7 +9,8 @@ Starts servers on 127.0.0.1 with the shipped map and asks them for poses of its 
 - 80 %: requests that come at random moments (Poisson), four fifths of the capacity; the median, 99 % and worst. Beside
   them what an ideal service has, whose frames all take the same time and wait in one queue: at random moments several
   come at once, however quick the service is;
-- overload: twice the capacity; what is shed (503 with Retry-After), the times of what is accepted, and of /healthz;
+- overload: twice the capacity; what is shed (503 with Retry-After), the times of what is accepted, and of /healthz: a
+  process of its own asks for that, because several hundred open requests delay each other where they are sent, too;
 - ``--soak``, instead of these: so many seconds at ``--rate`` frames a second, lists, a report and metrics beside; the
   resident memory from the first tenth on, which is for warming up.
 
@@ -32,9 +33,11 @@ import tempfile
 import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from itertools import cycle
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -198,7 +201,8 @@ class Asker:
         """Requests at random moments, ``rate_hz`` on average, however long the answers take; /healthz beside."""
         outcome, moments = Outcome(), random.Random(seed)
         tasks: set[asyncio.Task[None]] = set()
-        watching = asyncio.create_task(self._watch_health(outcome))
+        watcher = ProcessPoolExecutor(1, get_context("spawn"))
+        watching = asyncio.wrap_future(watcher.submit(watch_health, self._urls, seconds))
         begun = due = time.perf_counter()
         while due < begun + seconds:
             due += moments.expovariate(rate_hz)
@@ -209,7 +213,8 @@ class Asker:
                 task.add_done_callback(tasks.discard)
         await asyncio.gather(*tasks)
         outcome.seconds = time.perf_counter() - begun
-        watching.cancel()
+        outcome.health_ms = await watching
+        watcher.shutdown()
         return outcome
 
     async def others(self, every_s: float) -> None:
@@ -219,12 +224,19 @@ class Asker:
                 await self._client.get(url + path)
             await asyncio.sleep(every_s)
 
-    async def _watch_health(self, outcome: Outcome) -> None:
-        for url in cycle(self._urls):
+
+def watch_health(urls: Sequence[str], seconds: float) -> list[float]:
+    """Ask servers for /healthz in turns; how long each answer took, ms."""
+    took_ms, end_s = [], time.perf_counter() + seconds
+    with httpx.Client(timeout=PATIENCE_S) as client:
+        for url in cycle(urls):
             begun = time.perf_counter()
-            await self._client.get(f"{url}/healthz")
-            outcome.health_ms.append(1e3 * (time.perf_counter() - begun))
-            await asyncio.sleep(HEALTH_EVERY_S)
+            if begun > end_s:
+                return took_ms
+            client.get(f"{url}/healthz").raise_for_status()
+            took_ms.append(1e3 * (time.perf_counter() - begun))
+            time.sleep(HEALTH_EVERY_S)
+    raise ValueError("There are no servers to ask.")
 
 
 async def measure(servers: Sequence[Server], cores: int, seconds: float) -> dict[str, Any]:

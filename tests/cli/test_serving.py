@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import json
 import os
 import re
@@ -55,6 +56,22 @@ def test_sigterm_stops_the_server_too(tmp_path: Path) -> None:
         os.kill(os.getpid(), signal.SIGTERM)
     assert has_ended(server.url)
     assert signal.getsignal(signal.SIGTERM) is before
+
+
+def test_the_garbage_collector_leaves_alone_what_was_imported(
+    command: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """To look through it takes a tenth of a second, in which nobody is answered."""
+    frozen: list[int] = []
+    monkeypatch.setattr("rholoc.logs.configure_process_logs", lambda: None)
+    monkeypatch.setattr("uvicorn.Server.run", lambda *_, **__: frozen.append(gc.get_freeze_count()))
+    before = sys.getswitchinterval()
+    try:
+        command("serve", "--port", 0, "--no-worker", "--maps", tmp_path / "maps", "--data", tmp_path / "data")
+    finally:
+        gc.unfreeze()
+        sys.setswitchinterval(before)
+    assert frozen[0] > 10_000
 
 
 def test_a_server_that_cannot_start_is_reported_with_its_log(tmp_path: Path) -> None:

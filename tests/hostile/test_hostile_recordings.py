@@ -294,7 +294,7 @@ class GreedyPipeline:
 def test_a_build_that_asks_for_too_much_memory_fails_for_that_reason(tmp_path):
     task = MappingTask(tmp_path / "walk.mp4", tmp_path / "map.rho", tmp_path, "room", JobOptions())
     limits = Limits(memory_bytes=2**31)
-    failure = build_in_process(GreedyPipeline(), task, silent, lambda: None, 0.1, 0.1, limits)
+    failure = build_in_process(GreedyPipeline(), task, silent, lambda: None, 0.1, 0.1, limits).failure
     assert (failure.code, "RHOLOC_JOB_MEMORY_GIB" in failure.hint) == ("mapping_failed", True)
 
 

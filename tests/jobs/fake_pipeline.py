@@ -77,6 +77,9 @@ class FakePipeline(MappingPipeline):
         needed_gib = re.match(r"(\d+) GiB", task.recording.read_text())
         if needed_gib and int(needed_gib[1]) * 2**30 > task.memory_bytes:
             return MoreMemoryNeeded(int(needed_gib[1]) * 2**30)
+        killed_gib = re.match(r"killed below (\d+) GiB", task.recording.read_text())
+        if killed_gib and int(killed_gib[1]) * 2**30 > task.memory_bytes:
+            os.kill(os.getpid(), signal.SIGKILL)  # as a system does that is short of memory
         self.control.reach(f"process {os.getpid()}")
         for stage in BUILD_STAGES:
             progress(stage, 0.5, f"at {stage}")

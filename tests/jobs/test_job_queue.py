@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 
 from rholoc.errors import Conflict, InvalidName, StorageFull, UnknownJob, UnknownRecording
 from rholoc.jobs import JobOptions, JobPriority, JobQueue, JobState, Obstacle
-from rholoc.jobs.capacity import memory_for_walk
+from rholoc.jobs.capacity import MoreMemoryNeeded, memory_for_walk
 from rholoc.jobs.table import RELEASE, JobTable, WorkerTable, overall, turn_of
 from rholoc.maps import DensityKind
 from rholoc.progress import Stage
@@ -191,6 +191,23 @@ def test_jobs_of_workers_without_names_are_left_to_them(site: Site, table: JobTa
     assert table.take_back(["worker"], with_nameless=False) == 0
     assert table.take_back(["worker"], with_nameless=True) == 1
     assert site.queue.get(job.id).state is JobState.QUEUED
+
+
+@pytest.mark.parametrize(
+    ("held", "granted", "most", "needed"),
+    [
+        (1000.0, 1000.0, 1000.0, None),  # nobody has more
+        (1000.0, math.inf, math.inf, None),
+        (1000.0, 1000.0, 1200.0, 1200),
+        (1000.0, 1000.0, 4000.0, 1500),
+        (0.0, 1000.0, math.inf, 1001),  # it was killed before anybody looked
+    ],
+)
+def test_what_was_killed_for_its_memory_needs_more(
+    held: float, granted: float, most: float, needed: int | None
+) -> None:
+    more = MoreMemoryNeeded.after(held, granted, most)
+    assert (None if more is None else more.memory_bytes) == needed
 
 
 def test_memory_is_estimated_from_length_and_pixels() -> None:

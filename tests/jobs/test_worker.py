@@ -17,8 +17,8 @@ from fake_pipeline import BUILD_STAGES, TIMING, FakePipeline
 
 from rholoc.errors import Conflict
 from rholoc.jobs import JobOptions, JobState, MappingTask
-from rholoc.jobs.build_process import build_in_process, run_build
-from rholoc.jobs.table import WorkerTable
+from rholoc.jobs.build_process import KilledForMemory, build_in_process, run_build
+from rholoc.jobs.table import Failure, WorkerTable
 from rholoc.jobs.worker import WORKER_QUEUE
 from rholoc.maps import MapLibrary
 from rholoc.processes import Limits
@@ -207,10 +207,11 @@ def test_a_build_beyond_its_limits_is_ended(site: Site, tmp_path: Path, limits: 
     recording = tmp_path / "walk.mp4"
     recording.write_bytes(b"a walk")
     task = MappingTask(recording, tmp_path / "map.rho", tmp_path, "room", JobOptions())
-    failure = build_in_process(
+    stopped = build_in_process(
         FakePipeline(site.control), task, silent, lambda: None, poll_s=0.1, cancel_grace_s=0.1, limits=limits
     )
-    assert failure is not None
+    failure = stopped.failure if isinstance(stopped, KilledForMemory) else stopped
+    assert isinstance(failure, Failure)
     assert failure.code == "mapping_failed"
     assert failure.message.startswith(message)
     assert "RHOLOC_JOB_" in failure.hint

@@ -168,6 +168,15 @@ def test_a_reconstruction_reports_until_it_is_done() -> None:
     assert (heard[0], heard[-1]) == (0.0, 0.5)
 
 
+def _killed(progress: ProgressListener = silent) -> None:
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def test_a_reconstruction_that_was_killed_is_told_from_one_that_crashed() -> None:
+    with pytest.raises(reconstruction.ReconstructionKilled, match="signal 9"):
+        reconstruction.run_in_child(_killed, progress=silent, stage=Stage.POSES)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("function", "message"), [(_crash, "process died"), (_fail, "The reconstruction failed: seven is not a camera")]

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from rholoc.jobs import JobQueue, JobState, Obstacle
-from rholoc.jobs.table import RELEASE
+from rholoc.jobs.table import RELEASE, WorkerTable
 from waiting import until
 
 if TYPE_CHECKING:
@@ -30,6 +30,21 @@ def test_a_long_walk_is_left_to_the_worker_that_has_the_memory(campus: Site) -> 
     campus.start_worker(memory_gib=6, jobs=2)
     done = campus.wait_for(long, *_ENDED)
     assert (done.state, done.attempts, done.obstacle) == (JobState.PUBLISHED, 2, None)
+
+
+@pytest.mark.slow
+def test_a_job_that_is_killed_for_its_memory_goes_to_a_worker_with_more(campus: Site) -> None:
+    campus.start_worker(memory_gib=2)
+    alone = campus.submit(b"killed below 4 GiB", "alone")
+    failed = campus.wait_for(alone, *_ENDED)
+    assert (failed.state, failed.attempts) == (JobState.FAILED, 1), "nobody has more"
+    campus.start_worker(memory_gib=6)
+    until(lambda: {worker.memory_bytes for worker in WorkerTable(campus.queue.engine).living()} == {2**31, 6 * 2**30})
+    jobs = [campus.submit(b"killed below 4 GiB", f"room-{number}") for number in range(4)]
+    assert all(campus.wait_for(job, *_ENDED).state is JobState.PUBLISHED for job in jobs)
+    campus.queue.retry(alone.id)
+    done = campus.wait_for(alone, *_ENDED)
+    assert (done.state, done.attempts <= 2) == (JobState.PUBLISHED, True)
 
 
 @pytest.mark.slow

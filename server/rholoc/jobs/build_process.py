@@ -21,8 +21,22 @@ from rholoc.processes import (
 )
 from rholoc.progress import ProgressListener
 from rholoc.recordings import MAX_FRAME_PIXELS
+from rholoc.trajectory.child import ReconstructionKilled
 
 _log = logging.getLogger("rholoc.jobs")
+
+
+@dataclass(frozen=True)
+class KilledForMemory:
+    """A build was killed, surely or probably for its memory.
+
+    Attributes:
+        failure: what is reported where nobody has more memory.
+        held_bytes: how much it was seen to hold.
+    """
+
+    failure: Failure
+    held_bytes: float
 
 
 @dataclass(frozen=True)
@@ -44,7 +58,7 @@ def build_in_process(
     poll_s: float,
     cancel_grace_s: float,
     limits: Limits,
-) -> Failure | MoreMemoryNeeded | None:
+) -> Failure | KilledForMemory | MoreMemoryNeeded | None:
     """Run ``pipeline.build`` in a new process; returns why there is no map file, or None when it is there.
 
     Args:
@@ -75,10 +89,10 @@ def build_in_process(
         )
     except TimeLimitExceeded:
         return _too_long(limits.time_s)
-    except MemoryLimitExceeded:
-        return _too_much_memory(limits.memory_bytes)
+    except MemoryLimitExceeded as exceeded:
+        return _too_much_memory(limits.memory_bytes, exceeded.held_bytes)
     except ChildDied as died:
-        return _died(died)
+        return KilledForMemory(_died(died), died.held_bytes) if died.was_killed else _died(died)
 
 
 def _too_long(time_s: float) -> Failure:
@@ -89,12 +103,13 @@ def _too_long(time_s: float) -> Failure:
     )
 
 
-def _too_much_memory(memory_bytes: float) -> Failure:
-    return Failure(
+def _too_much_memory(memory_bytes: float, held_bytes: float) -> KilledForMemory:
+    failure = Failure(
         "mapping_failed",
         f"Mapping needed more memory than the limit of {memory_bytes / 2**30:.3g} GiB.",
-        "Record a shorter walk, or raise RHOLOC_JOB_MEMORY_GIB.",
+        "Record a shorter walk, raise RHOLOC_JOB_MEMORY_GIB, or run a worker that has more, and retry.",
     )
+    return KilledForMemory(failure, held_bytes)
 
 
 def _died(died: ChildDied) -> Failure:
@@ -107,14 +122,16 @@ def _died(died: ChildDied) -> Failure:
 
 def run_build(
     pipeline: Pipeline, task: MappingTask, limits: Limits, listener: ProgressListener
-) -> Failure | MoreMemoryNeeded | None:
+) -> Failure | KilledForMemory | MoreMemoryNeeded | None:
     """Run ``pipeline.build`` in this process; returns why it failed or could not be done here, or None."""
     try:
         return pipeline.build(task, listener)
+    except ReconstructionKilled as error:
+        return KilledForMemory(describe(error), 0.0)
     except RholocError as error:
         return describe(error)
     except MemoryError:
-        return _too_much_memory(limits.memory_bytes)
+        return _too_much_memory(limits.memory_bytes, limits.memory_bytes)
     except OSError as error:
         return describe(storage_full()) if is_full(error) else unexpected(error)
     except Exception as error:

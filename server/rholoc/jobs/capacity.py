@@ -12,6 +12,7 @@ from rholoc.recordings import Recording
 _BASE_BYTES = 0.9e9
 _BYTES_PER_SECOND = 5e6
 _BYTES_PER_PIXEL = 60.0  # some twenty images at a time, of three bytes a pixel
+_MARGIN = 1.5  # times what a job held when it was killed
 
 
 @dataclass(frozen=True)
@@ -36,6 +37,19 @@ class MoreMemoryNeeded:
     """
 
     memory_bytes: int
+
+    @classmethod
+    def after(cls, held_bytes: float, granted_bytes: float, most_bytes: float) -> MoreMemoryNeeded | None:
+        """What a job needs that was killed for its memory, roughly; None where nobody has more than it had.
+
+        Args:
+            held_bytes: how much it was seen to hold.
+            granted_bytes: how much it could have.
+            most_bytes: how much the worker has that has most.
+        """
+        if not most_bytes > granted_bytes:
+            return None
+        return cls(int(min(max(_MARGIN * held_bytes, granted_bytes + 1), most_bytes)))
 
 
 def memory_for(recording: Recording) -> int:

@@ -29,7 +29,7 @@ from sqlalchemy.exc import SQLAlchemyError
 from rholoc import telemetry
 from rholoc.disk import is_full, reporting_full_disk, storage_full
 from rholoc.errors import Cancelled, RholocError, StorageUnavailable
-from rholoc.jobs.build_process import BuildLimits, build_in_process, describe, unexpected
+from rholoc.jobs.build_process import BuildLimits, KilledForMemory, build_in_process, describe, unexpected
 from rholoc.jobs.capacity import Capacity, MoreMemoryNeeded
 from rholoc.jobs.job import JobKind
 from rholoc.jobs.pipeline import MappingPipeline, MappingTask, Pipeline, doubts
@@ -247,6 +247,12 @@ class Worker:
         """The most that one job may take here."""
         return min(self._capacity.memory_bytes, self._limits.memory_bytes)
 
+    def _most_offered_bytes(self) -> float:
+        """The most that one job may take at any worker that can do it."""
+        living = self._workers.living(self._timing.dead_after_s)
+        able = [worker.memory_bytes for worker in living if worker.release >= self._release]
+        return max(able, default=self._offered_bytes)
+
     # -- doing them ----------------------------------------------------------------------------------------------------
 
     def _workflow(self) -> Callable[[str], None]:
@@ -312,18 +318,22 @@ class Worker:
         try:
             with telemetry.span("inputs"):
                 task = self._patiently(lease, lambda: self._task(lease, work))
-            failure = build_in_process(
+            granted_bytes = self._free_bytes(lease)
+            stopped = build_in_process(
                 self._pipeline,
                 task,
                 note=note,
                 check=lambda: self._check_held(lease),
                 poll_s=self._timing.poll_s,
                 cancel_grace_s=self._timing.cancel_grace_s,
-                limits=replace(self._limits, memory_bytes=self._free_bytes(lease)),
+                limits=replace(self._limits, memory_bytes=granted_bytes),
             )
             if work.recording:
                 self._recordings.share_notes(work.recording, READ_FILES)
-            return failure
+            if isinstance(stopped, KilledForMemory):
+                more = MoreMemoryNeeded.after(stopped.held_bytes, granted_bytes, self._most_offered_bytes())
+                return more or stopped.failure
+            return stopped
         except Cancelled:
             raise
         except RholocError as error:

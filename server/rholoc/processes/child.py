@@ -27,9 +27,16 @@ _EXIT_TAKES_S = 0.05
 
 
 class ChildDied(Exception):
-    """The process ended without an answer; ``reason`` says how, as ``signal 9`` or ``exit status 1``."""
+    """The process ended without an answer.
 
-    def __init__(self, status: int) -> None:
+    Attributes:
+        reason: how, as ``signal 9`` or ``exit status 1``.
+        was_killed: whether by SIGKILL, as a system does that is short of memory.
+        held_bytes: the most memory that it was seen to hold.
+    """
+
+    def __init__(self, status: int, held_bytes: float = 0.0) -> None:
+        self.was_killed, self.held_bytes = status == -signal.SIGKILL, held_bytes
         self.reason = f"signal {-status}" if status < 0 else f"exit status {status}"
         super().__init__(f"the process ended with {self.reason}")
 
@@ -135,7 +142,7 @@ def _follow(
     limits: Limits,
 ) -> _Returned | _Raised:
     """Wait for the answer, passing on progress."""
-    deadline_s = time.monotonic() + limits.time_s
+    deadline_s, held_bytes = time.monotonic() + limits.time_s, 0.0
     while True:
         check()
         alive = process.is_alive()  # checked first: what a dead process had sent is received below
@@ -145,11 +152,13 @@ def _follow(
         if answer is not None:
             return answer
         if not alive:
-            raise ChildDied(process.exitcode or 0)
+            raise ChildDied(process.exitcode or 0, held_bytes)
         if time.monotonic() > deadline_s:
             raise TimeLimitExceeded
-        if process.pid is not None and group_memory_bytes(process.pid) > limits.memory_bytes:
-            raise MemoryLimitExceeded
+        if process.pid is not None:
+            held_bytes = max(held_bytes, group_memory_bytes(process.pid))
+        if held_bytes > limits.memory_bytes:
+            raise MemoryLimitExceeded(held_bytes)
 
 
 def _receive(connection: Connection, until: float) -> tuple[list[_Progress], _Returned | _Raised | None]:

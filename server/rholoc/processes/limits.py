@@ -34,7 +34,11 @@ class TimeLimitExceeded(LimitExceeded):
 
 
 class MemoryLimitExceeded(LimitExceeded):
-    """It held too much memory."""
+    """It held too much memory: ``held_bytes``."""
+
+    def __init__(self, held_bytes: float) -> None:
+        self.held_bytes = held_bytes
+        super().__init__(f"the process held {held_bytes:.0f} bytes of memory")
 
 
 def machine_memory_bytes() -> float:

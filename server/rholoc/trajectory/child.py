@@ -13,6 +13,10 @@ from rholoc.progress import ProgressListener, Stage
 Result = TypeVar("Result")
 
 
+class ReconstructionKilled(MappingFailed):
+    """The system ended the process, probably for want of memory."""
+
+
 def run_in_child(function: Callable[..., Result], *args: Any, progress: ProgressListener, stage: Stage) -> Result:
     """Call ``function(*args, listener)`` in a new process and return what it returns.
 
@@ -23,7 +27,8 @@ def run_in_child(function: Callable[..., Result], *args: Any, progress: Progress
         stage: reported until the function reports something itself.
 
     Raises:
-        MappingFailed: the process died, or the function failed.
+        ReconstructionKilled: the process was killed.
+        MappingFailed: it died otherwise, or the function failed.
         RholocError: the function raised it.
     """
     latest: tuple[Stage, float, str] = (stage, 0.0, "")
@@ -37,6 +42,7 @@ def run_in_child(function: Callable[..., Result], *args: Any, progress: Progress
         return processes.run_in_child(function, *args, progress=note, check=lambda: progress(*latest), quiet=True)
     except ChildDied as died:
         hint = "Give the machine more memory, or record a shorter walk."
-        raise MappingFailed(f"The reconstruction's process died ({died.reason}).", hint) from None
+        kind = ReconstructionKilled if died.was_killed else MappingFailed
+        raise kind(f"The reconstruction's process died ({died.reason}).", hint) from None
     except ChildFailed as error:
         raise MappingFailed(f"The reconstruction failed: {error}", "Please report this recording.") from None
