@@ -68,7 +68,7 @@ def test_containers_run_as_the_image_does(manifests: list[dict[str, Any]]) -> No
 def test_what_the_autoscalers_look_at_is_measured(manifests: list[dict[str, Any]]) -> None:
     names = set(re.findall(r'"metric": \{"name": "([a-z_]+)"', json.dumps(manifests)))
     source = (_ROOT / "server" / "rholoc" / "service" / "app.py").read_text(encoding="utf-8")
-    assert names == {"rholoc_frames", "rholoc_jobs"}
+    assert names == {"rholoc_frames", "rholoc_jobs_waiting"}
     assert all(f'gauge("{name}"' in source for name in names)
 
 

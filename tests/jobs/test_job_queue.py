@@ -160,8 +160,10 @@ def test_a_job_that_no_worker_can_take_says_why(site: Site, table: JobTable) -> 
     waiting = site.queue.get(job.id)
     assert waiting.obstacle is Obstacle.MEMORY
     assert waiting.message == "waiting for a worker with 4.0 GiB of memory for it: none has more than 2.0 GiB"
+    assert site.queue.waiting() == {None: 0, Obstacle.NO_WORKER: 0, Obstacle.MEMORY: 1, Obstacle.RELEASE: 0}
     workers.beat("large", memory_bytes=8 * 2**30)
     assert site.queue.get(job.id).obstacle is None
+    assert site.queue.waiting()[None] == 1
     workers.beat("large", memory_bytes=8 * 2**30, release=1)
     assert site.queue.get(job.id).obstacle is Obstacle.MEMORY, "an earlier release's cannot take it"
     workers.beat("small", release=1)

@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import math
 import os
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -47,6 +49,26 @@ def test_a_change_of_what_was_changed_meanwhile_is_refused(tmp_path: Path) -> No
     library.put("campus", SITE, replaces=1)
     with pytest.raises(Conflict, match="version 2"):
         library.put("campus", SITE, replaces=1)
+
+
+def test_of_changes_at_the_same_moment_none_is_lost(tmp_path: Path) -> None:
+    """Each by a library of its own, as in another process."""
+    SiteLibrary(tmp_path).put("campus", Site())
+
+    def add(name: str) -> None:
+        library = SiteLibrary(tmp_path)
+        while True:
+            site = library.get("campus")
+            with suppress(Conflict):
+                library.put("campus", replace(site, maps=(*site.maps, SiteMap(name))), replaces=site.version)
+                return
+
+    names = [f"room-{number}" for number in range(12)]
+    with ThreadPoolExecutor(len(names)) as pool:
+        list(pool.map(add, names))
+    site = SiteLibrary(tmp_path).get("campus")
+    assert sorted(one.map for one in site.maps) == sorted(names)
+    assert site.version == 1 + len(names)
 
 
 def rows(matrix: np.ndarray) -> tuple[tuple[float, ...], ...]:

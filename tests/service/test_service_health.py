@@ -74,4 +74,5 @@ def test_metrics_count_requests_frames_and_jobs(service, picture_world):
     assert values['rholoc_request_seconds_count{method="GET",route="/v1/maps/{map_name}",status="404"}'] >= 1
     assert values['rholoc_localizations_total{outcome="localized"}'] >= 2
     assert values['rholoc_jobs{state="queued"}'] == 0
+    assert values['rholoc_jobs_waiting{obstacle="memory"}'] == 0
     assert values['rholoc_frames{at="now"}'] == 0

@@ -9,7 +9,7 @@ import pytest
 import sqlalchemy as sa
 from sqlalchemy.exc import OperationalError
 
-from rholoc.errors import NotFound, UnknownCamera
+from rholoc.errors import Conflict, NotFound, UnknownCamera
 from rholoc.geometry import Camera
 from rholoc.localization import MapFinder
 from rholoc.maps import CameraLibrary, CameraProfile, Site, SiteLibrary, SiteMap
@@ -63,6 +63,10 @@ def test_sites_are_shared(open_storage: Any, tmp_path: Path) -> None:
     assert there.put("campus", Site(), replaces=1).version == 2
     one.refresh()
     assert here.get("campus").maps == ()
+    here.put("campus", Site(maps=(SiteMap("kitchen"),)), replaces=2)
+    with pytest.raises(Conflict, match="version 3"):
+        there.put("campus", Site(), replaces=2)  # which has not heard of the third
+    assert there.get("campus").maps == (SiteMap("kitchen"),)
 
 
 def test_each_server_indexes_the_maps_that_others_publish(open_storage: Any, tmp_path: Path, picture_world) -> None:

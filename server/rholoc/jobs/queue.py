@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 import uuid
+from collections import Counter
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
@@ -128,6 +129,11 @@ class JobQueue:
     def counts(self) -> dict[JobState, int]:
         """How many jobs are in each state."""
         return self._jobs.counts()
+
+    def waiting(self) -> dict[Obstacle | None, int]:
+        """How many queued jobs there are by what stands in their way; None: nothing but jobs whose turn is before."""
+        counted = Counter(job.obstacle for job in self._explained(self._jobs.queued()))
+        return {obstacle: counted[obstacle] for obstacle in (None, *Obstacle)}
 
     def cancel(self, job_id: str) -> Job:
         """End a queued or running job. A worker that has it stops within two seconds.

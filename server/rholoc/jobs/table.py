@@ -133,6 +133,12 @@ class JobTable:
             counted = {JobState(state): number for state, number in connection.execute(found)}
         return {state: counted.get(state, 0) for state in JobState}
 
+    def queued(self) -> Sequence[Job]:
+        """The jobs that wait for a worker, in no order."""
+        with self._engine.connect() as connection:
+            rows = connection.execute(sa.select(jobs_table).where(jobs_table.c.state == JobState.QUEUED)).mappings()
+            return [_job(row) for row in rows]
+
     def unfinished(self) -> dict[str, str]:
         """The jobs that are queued or running, and the maps that they will publish."""
         wanted = sa.select(jobs_table.c.id, jobs_table.c.map_name)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import fcntl
+import os
 import time
 from pathlib import Path
 from typing import Protocol
@@ -29,6 +31,16 @@ class Documents(Protocol):
 
     def write(self, name: str, content: bytes, called: str = "") -> None:
         """Store a file, in place of the one that was there; errors speak of it as ``called``.
+
+        Raises:
+            StorageFull, InvalidInput: nothing was replaced.
+        """
+        ...
+
+    def exchange(self, name: str, before: bytes | None, content: bytes, called: str = "") -> bool:
+        """Store a file if it still holds ``before``, or is still missing where that is None; whether it was stored.
+
+        Of several that exchange the same at one moment, in whichever process, one stores its file.
 
         Raises:
             StorageFull, InvalidInput: nothing was replaced.
@@ -67,11 +79,28 @@ class FolderDocuments:
 
     def write(self, name: str, content: bytes, called: str = "") -> None:
         """Store a file. Raises StorageFull, InvalidInput: nothing was replaced."""
+        self._make_folder()
+        replace_file(self._folder / name, content, called)
+
+    def exchange(self, name: str, before: bytes | None, content: bytes, called: str = "") -> bool:
+        """Store a file that holds ``before``. Raises StorageFull, InvalidInput: nothing was replaced."""
+        self._make_folder()
+        descriptor = os.open(self._folder, os.O_RDONLY)
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX)  # until the descriptor is closed
+            path = self._folder / name
+            if (path.read_bytes() if path.exists() else None) != before:
+                return False
+            replace_file(path, content, called)
+        finally:
+            os.close(descriptor)
+        return True
+
+    def _make_folder(self) -> None:
         try:
             self._folder.mkdir(mode=self._mode, parents=True, exist_ok=True)
         except OSError as error:
             raise InvalidInput(f"{self._folder} cannot be created: {error.strerror}.", "Check the folder.") from error
-        replace_file(self._folder / name, content, called)
 
     def delete(self, name: str) -> None:
         """Remove a file. Raises FileNotFoundError."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import threading
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -273,9 +272,7 @@ def _with_renamed(site: Site, name: str, new_name: str) -> Site:
 
 
 class SiteLibrary:
-    """Sites by name; safe to share between threads.
-
-    Two processes that change one site at the same moment may lose one of the changes, unless they name the version.
+    """Sites by name; safe to share between threads and processes.
 
     Args:
         maps_dir: the folder of maps, in which they are ``sites/NAME.json``.
@@ -284,7 +281,6 @@ class SiteLibrary:
 
     def __init__(self, maps_dir: Path, files: Documents | None = None) -> None:
         self._files = files or FolderDocuments(maps_dir / SITES_FOLDER)
-        self._changing = threading.Lock()
         self._read: dict[str, tuple[bytes, Site]] = {}
         self._all = _AllSites(None, {})
 
@@ -325,18 +321,28 @@ class SiteLibrary:
         """
         file_name = _file_name(name)
         check_site(site)
-        with self._changing:
-            try:
-                version = self.get(name).version
-            except (UnknownSite, InvalidInput):
-                version = 0
+        while True:
+            before, version = self._stored(name)
             if replaces is not None and replaces != version:
                 raise Conflict(f"The site {name} was changed in the meantime.", f"Begin from version {version}.")
             site = replace(site, version=version + 1)
             document = {"format": _FORMAT, "format_version": _FORMAT_VERSION, **report_to_json(site)}
             content = f"{json.dumps(document, indent=1, allow_nan=False)}\n".encode()
-            self._files.write(file_name, content, called=file_name)
-        return site
+            if self._files.exchange(file_name, before, content, called=file_name):
+                return site
+
+    def _stored(self, name: str) -> tuple[bytes | None, int]:
+        """What the file of a site holds, None where there is none, and its version, 0 where it holds no site."""
+        try:
+            content = self._files.read(_file_name(name))
+        except FileNotFoundError:
+            return None, 0
+        except OSError as error:
+            raise InvalidInput(f"The file of the site {name} cannot be read.", "Check its permissions.") from error
+        try:
+            return content, _from_json(name, content).version
+        except InvalidInput:
+            return content, 0
 
     def delete(self, name: str) -> None:
         """Delete a site; its maps stay.

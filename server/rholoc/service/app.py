@@ -188,6 +188,8 @@ def _start(
     finder = MapFinder(library, settings.data_dir / VECTORS_FILE)
     compute = ComputePool(settings.concurrency, settings.queue_length)
     metrics.gauge("rholoc_jobs", "Mapping jobs", "state", lambda: {str(state): n for state, n in jobs.counts().items()})
+    waiting = lambda: {str(obstacle or "none"): n for obstacle, n in jobs.waiting().items()}  # noqa: E731
+    metrics.gauge("rholoc_jobs_waiting", "Queued mapping jobs, by why no worker can take them", "obstacle", waiting)
     metrics.gauge("rholoc_frames", "Frames that are being localized, or wait", "at", lambda: {"now": compute.taken})
     metrics.gauge("rholoc_maps", "Maps in the folder, and how many of them are indexed", "state", finder.counts)
     streams = OpenStreams(settings.max_streams)

@@ -2,8 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
+import sqlalchemy as sa
+
 from rholoc.storage.replica import Replica
 from rholoc.storage.tables import documents_table
+
+
+class _HoldsSomethingElse(Exception):
+    """A file does not hold what it should."""
 
 
 class CatalogueDocuments:
@@ -37,14 +45,26 @@ class CatalogueDocuments:
         """Store a file. Raises SQLAlchemyError: nothing was replaced."""
         self._set(name, content)
 
+    def exchange(self, name: str, before: bytes | None, content: bytes, called: str = "") -> bool:
+        """Store a file that holds ``before``. Raises SQLAlchemyError: nothing was replaced."""
+        try:
+            self._set(name, content, lambda present: present == before)
+        except _HoldsSomethingElse:
+            self._replica.refresh()
+            return False
+        return True
+
     def delete(self, name: str) -> None:
         """Remove a file. Raises FileNotFoundError."""
         self.read(name)
         self._set(name, None)
 
-    def _set(self, name: str, content: bytes | None) -> None:
+    def _set(self, name: str, content: bytes | None, accepts: Callable[[bytes | None], bool] = lambda _: True) -> None:
         path = self._prefix + name
         with self._replica.changing() as (connection, revision):
+            wanted = sa.select(documents_table.c.content).where(documents_table.c.path == path)
+            if not accepts(connection.execute(wanted).scalar()):
+                raise _HoldsSomethingElse
             values = {"content": content, "revision": revision}
             changed = connection.execute(
                 documents_table.update().where(documents_table.c.path == path).values(**values)
