@@ -182,6 +182,11 @@ def test_a_job_is_cancelled_and_tried_again(desk_browser, named, opened):
         expect(page.locator("main .badge")).to_have_text("cancelled")
         page.get_by_role("button", name="Try again").click()
         expect(page.locator("main .badge")).to_have_text("queued")
+        with page.expect_response(lambda answer: answer.request.method == "PATCH"):
+            page.get_by_label("Priority").select_option("high")
+        expect(page.get_by_label("Priority")).to_have_value("high")
+        newest = httpx.get(f"{named.url}/v1/jobs").json()["jobs"][0]
+        assert (newest["map"], newest["priority"]) == ("hall", "high")
 
 
 def test_a_recording_is_uploaded(desk_browser, named, tmp_path, opened, settled):

@@ -73,7 +73,7 @@ def test_a_job_whose_map_is_not_trusted_is_no_success(desk_browser, running, ope
     job = {
         "id": "0" * 32, "recording": "1" * 32, "map": "hall", "state": "published", "stage": "published",
         "progress": 1, "message": "published", "log": [], "error": None, "created": 1767607200, "started": 1767607201,
-        "ended": 1767607260, "attempts": 1, "trusted": False,
+        "ended": 1767607260, "attempts": 1, "priority": "normal", "kind": "build", "site": None, "trusted": False,
         "warnings": [f"The frame poses are not trusted: {DISAGREE}"],
     }  # fmt: skip
     with opened(desk_browser, running.url, "cameras", failures=-1) as page:
@@ -86,6 +86,15 @@ def test_a_job_whose_map_is_not_trusted_is_no_success(desk_browser, running, ope
         page.get_by_role("link", name="hall").click()
         expect(page.get_by_role("alert")).to_contain_text("Do not rely on this map.")
         expect(page.get_by_role("alert")).to_contain_text("two different shapes")
+        unplaced = "Nothing joins study to the others."
+        job |= {"kind": "place", "site": "house", "map": "", "recording": "", "trusted": None, "warnings": [unplaced]}
+        page.goto(f"{running.url}/#/jobs")
+        expect(page.locator("main .badge")).to_have_text("published")
+        page.get_by_role("link", name="Site house").click()
+        expect(page.get_by_role("alert")).to_contain_text(unplaced)
+        expect(page.get_by_role("heading", level=1)).to_have_text("Site house")
+        expect(page.locator(".stages li")).to_have_text(["received", "links", "published"])
+        assert page.get_by_role("link", name="To the map").count() == 0
 
 
 def test_the_longest_name_fits_everywhere(desk_browser, running, opened, settled):

@@ -105,7 +105,9 @@ def add_links(
             problems.append(f"{pair.first} and {pair.second}: {added.reason}")
     unplaced = [one.map for one in site.maps if one.pose is None]
     if unplaced:
+        tried = [pair for pair in searched if pair.reason and not set(unplaced).isdisjoint(pair.names)]
         problems.append(f"Nothing joins {', '.join(unplaced)} to the others.")
+        problems += [f"{pair.first} and {pair.second}: {pair.reason}" for pair in tried]
     return site, problems
 
 
