@@ -27,7 +27,7 @@ import zipfile
 from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -130,7 +130,7 @@ def damaged(content: bytes, choices: random.Random) -> bytes:
     how = choices.choice(("value", "value", "number", "line", "bytes", "bytes", "cut", "grown", "other"))
     at = choices.randrange(max(1, len(content)))
     if how in ("value", "number"):
-        value = choices.choice(STRANGE) if how == "value" else _number(choices)
+        value = choices.choice(STRANGE) if how == "value" else number(choices)
         start = max(content.rfind(SEPARATORS[i : i + 1], 0, at) for i in range(len(SEPARATORS))) + 1
         ends = (content.find(SEPARATORS[i : i + 1], start) for i in range(len(SEPARATORS)))
         end = min((end for end in ends if end >= 0), default=len(content))
@@ -150,10 +150,10 @@ def damaged(content: bytes, choices: random.Random) -> bytes:
     return choices.choice(OTHERS)
 
 
-def _number(choices: random.Random) -> bytes:
+def number(choices: random.Random) -> bytes:
     """A number that is nothing special."""
-    number = choices.gauss(0, 10 ** choices.uniform(-3, 6))
-    return str(choices.choice((round(number), abs(round(number)), round(number, 4)))).encode()
+    value = choices.gauss(0, 10 ** choices.uniform(-3, 6))
+    return str(choices.choice((round(value), abs(round(value)), round(value, 4)))).encode()
 
 
 def readers() -> list[Reader]:
@@ -161,7 +161,7 @@ def readers() -> list[Reader]:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         found = [Reader(f"recording {layout}", _recording(layout, folder), _use_recording) for layout in phone.WRITERS]
-        own = _contents(folder / "rholoc")
+        own = own_recording()
         (folder / "empty").mkdir()
         library = MapLibrary(folder / "maps")
         library.put("room", tiny_map())
@@ -171,7 +171,7 @@ def readers() -> list[Reader]:
             *found,
             Reader("recording images", _images(own), _use_recording),
             _of_file("recording video", "walk.mp4", own["video.mp4"], _use_recording),
-            _of_file("recording archive", "walk.zip", _zipped(own), _use_recording),
+            _of_file("recording archive", "walk.zip", zipped(own), _use_recording),
             _of_file("imu table", "imu.csv", own["imu.csv"], read_imu_csv),
             _of_file("frames table", "frames.csv", own["frames.csv"], read_frames_csv),
             _of_file("camera.json", "camera.json", own["camera.json"], read_camera_json),
@@ -183,7 +183,7 @@ def readers() -> list[Reader]:
             _of_file("tensors (Table 5)", "m.csv", _exported(ExportFormat.CSV, _tensor_map()), read_coefficient_table),
             _of_file("map", "room.rho", library.path("room").read_bytes(), load_map),
             _of_file("map of tensors", "room.rho", library.path("tensors").read_bytes(), load_map),
-            _of_file("archive", "a.zip", _zipped(own), check_archive),
+            _of_file("archive", "a.zip", zipped(own), check_archive),
             _of_file("backup", "a.backup", (folder / "a.backup").read_bytes(), _use_backup),
             _of_file("stored camera", "cameras/c.json", own["camera.json"], _use_camera),
             _of_file("site", "sites/s.json", _site(folder), _use_site),
@@ -202,7 +202,7 @@ def _recording(layout: str, folder: Path) -> dict[str, bytes]:
 
 def _images(own: Mapping[str, bytes]) -> dict[str, bytes]:
     """rholoc's own folder, with images instead of the video, and poses."""
-    images = {f"frames/frame-{i:04d}.png": _encoded(".png") for i in range(phone.FRAMES)}
+    images = {f"frames/frame-{i:04d}.png": drawing(".png") for i in range(phone.FRAMES)}
     poses = "".join(f"{i} {0.1 * i} 0 0 0 0 0 1\n" for i in range(phone.FRAMES))
     waypoints = "name,frame,x,y,z,sigma\nA,2,0,0,1.5,0.02\nB,12,1,0,1.5,\nC,22,1,1,1.5,0.05\n"
     tables = {name: own[name] for name in ("imu.csv", "frames.csv", "camera.json")}
@@ -240,7 +240,15 @@ def _observations() -> bytes:
     return b"".join(table.splitlines(keepends=True)[:40])
 
 
-def _zipped(files: Mapping[str, bytes]) -> bytes:
+@cache
+def own_recording() -> Mapping[str, bytes]:
+    """The files of a small recording in rholoc's own layout."""
+    with tempfile.TemporaryDirectory() as name:
+        return _contents(phone.write_complete_recording("rholoc", Path(name) / "walk"))
+
+
+def zipped(files: Mapping[str, bytes]) -> bytes:
+    """A ZIP file of them."""
     out = io.BytesIO()
     with zipfile.ZipFile(out, "w") as packed:
         for name, content in files.items():
@@ -251,15 +259,16 @@ def _zipped(files: Mapping[str, bytes]) -> bytes:
 def _plans() -> list[tuple[str, bytes]]:
     lines = {"type": "LineString", "coordinates": [[0, 0], [4, 0], [4, 3]]}
     plan = {"type": "FeatureCollection", "features": [{"type": "Feature", "properties": {}, "geometry": lines}]}
-    drawn = [(kind, _encoded("." + kind.removeprefix("image/"))) for kind in MEDIA_TYPES if kind.startswith("image/")]
+    drawn = [(kind, drawing("." + kind.removeprefix("image/"))) for kind in MEDIA_TYPES if kind.startswith("image/")]
     return drawn + [(kind, json.dumps(plan).encode()) for kind in MEDIA_TYPES if "json" in kind]
 
 
 def _pictures() -> list[tuple[str, bytes]]:
-    return [(ending, _encoded(ending)) for ending in (".jpg", ".png", ".webp", ".bmp", ".ppm")]
+    return [(ending, drawing(ending)) for ending in (".jpg", ".png", ".webp", ".bmp", ".ppm")]
 
 
-def _encoded(ending: str) -> bytes:
+def drawing(ending: str) -> bytes:
+    """A picture of noise, as small as a recording's frames."""
     shades = np.random.default_rng(0).integers(0, 255, (phone.SIZE[1], phone.SIZE[0], 3), dtype=np.uint8)
     return bytes(cv2.imencode(ending, shades)[1])
 

@@ -77,7 +77,8 @@ def _descriptor(text: str, path: Path, line: int, length: int) -> bytes:
 
 
 def _headings(headings: FloatArray, path: Path) -> FloatArray:
-    lengths = np.linalg.norm(headings, axis=1)
+    with np.errstate(over="ignore"):  # which is not 1 either
+        lengths = np.linalg.norm(headings, axis=1)
     wrong = np.flatnonzero(np.abs(lengths - 1) > _UNIT_TOLERANCE)
     if len(wrong):
         raise InvalidInput(

@@ -10,13 +10,25 @@ from fastapi.responses import JSONResponse
 from pydantic import BaseModel
 from pydantic.json_schema import models_json_schema
 
-from rholoc.errors import RholocError
+from rholoc.errors import RholocError, TooLarge
 from rholoc.service.access import OPEN
-from rholoc.service.errors import status_of
+from rholoc.service.errors import (
+    CrossSite,
+    Forbidden,
+    InvalidRequest,
+    QuotaExceeded,
+    TooManyRequests,
+    Unauthorized,
+    status_of,
+)
 from rholoc.service.schemas import DescriptorQuery, ErrorAnswer, FramesQuery, LocalizeOptions
 
 _REF = "#/components/schemas/{model}"
 _BY_HAND: tuple[type[BaseModel], ...] = (LocalizeOptions, DescriptorQuery, FramesQuery)
+_PATTERNS = {
+    **dict.fromkeys(("map_name", "site", "camera", "name"), r"^[A-Za-z0-9_][A-Za-z0-9._-]{0,63}$"),
+    **dict.fromkeys(("recording", "job"), "^[0-9a-f]{32}$"),
+}
 BINARY = {"type": "string", "format": "binary"}
 
 
@@ -45,6 +57,28 @@ def failures(*kinds: type[RholocError]) -> dict[int | str, dict[str, Any]]:
     return answers
 
 
+def _common_failures(operation: dict[str, Any]) -> dict[str, Any]:
+    """The ``responses`` that an operation may have because of what is common to all: keys, queries, bodies."""
+    kinds: list[type[RholocError]] = [InvalidRequest]  # of a query that it does not take
+    if "security" in operation:
+        kinds += [Unauthorized, Forbidden, CrossSite, TooManyRequests, QuotaExceeded]
+    if "requestBody" in operation:
+        kinds.append(TooLarge)
+    found = {}
+    for status, answer in failures(*kinds).items():
+        examples = answer["content"]["application/json"]["examples"]
+        content = {"application/json": {"schema": reference(ErrorAnswer), "examples": examples}}
+        found[str(status)] = {"description": answer["description"], "content": content}
+    return found
+
+
+def _describe_names(operation: dict[str, Any]) -> None:
+    """Say what the names and ids in an operation's path look like."""
+    for parameter in operation.get("parameters", ()):
+        if parameter["in"] == "path" and parameter["name"] in _PATTERNS:
+            parameter["schema"]["pattern"] = _PATTERNS[parameter["name"]]
+
+
 def install(app: FastAPI) -> None:
     """Make ``app.openapi()`` define the models of bodies that are read by hand, and no errors but ours."""
 
@@ -61,6 +95,10 @@ def install(app: FastAPI) -> None:
             schema["components"]["schemas"] = {**definitions["$defs"], **schema["components"]["schemas"]}
             for own in ("HTTPValidationError", "ValidationError"):
                 schema["components"]["schemas"].pop(own, None)
+            for item in schema["paths"].values():
+                for operation in item.values():
+                    operation["responses"] = {**_common_failures(operation), **operation["responses"]}
+                    _describe_names(operation)
             app.openapi_schema = schema
         return app.openapi_schema
 

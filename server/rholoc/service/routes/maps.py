@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 from fastapi import APIRouter, Body, Query, Request, Response
@@ -57,7 +57,7 @@ from rholoc.maps import (
     read_coefficient_table,
     trust_of,
 )
-from rholoc.maps.floor_plan import MEDIA_TYPES
+from rholoc.maps.floor_plan import GEOJSON, MEDIA_TYPES
 from rholoc.pictures.rendering import Rendering
 from rholoc.reports import CoverageReport
 from rholoc.service.access import NEEDS_ADMIN, NEEDS_MAP, NEEDS_READ, request_key
@@ -95,6 +95,12 @@ from rholoc.trajectory import Scale
 
 router = APIRouter(prefix="/v1/maps", tags=["maps"])
 _FAILURES = (UnknownMap, InvalidName, InvalidMap)
+_PLAN_CONTENT: dict[str, Any] = {
+    kind: {"schema": {"type": "object"}, "example": {"type": "FeatureCollection", "features": []}}
+    if kind == GEOJSON
+    else {"schema": BINARY}
+    for kind in MEDIA_TYPES
+}
 
 
 @router.get("", dependencies=[NEEDS_READ], summary="All maps")
@@ -179,7 +185,7 @@ async def delete_map(map_name: str, service: Service) -> None:
     responses={
         200: {
             "description": "The file.",
-            "content": {"application/octet-stream": {"schema": BINARY}},
+            "content": {form.media_type.partition(";")[0]: {"schema": BINARY} for form in ExportFormat},
         },
         **failures(*_FAILURES, InvalidInput, InvalidRequest, Busy, DeadlineExceeded),
     },
@@ -347,7 +353,7 @@ async def put_plan(
     summary="A map's floor plan",
     response_class=Response,
     responses={
-        200: {"description": "The file.", "content": {kind: {"schema": BINARY} for kind in MEDIA_TYPES}},
+        200: {"description": "The file.", "content": _PLAN_CONTENT},
         **failures(*_FAILURES, UnknownPicture),
     },
 )
