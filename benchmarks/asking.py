@@ -24,16 +24,17 @@ import numpy as np
 
 import rholoc
 from rholoc.errors import MappingFailed
-from rholoc.features import FeatureSet, Metric, get_extractor
+from rholoc.features import FeatureSet, get_extractor
 from rholoc.geometry import Camera, FloatArray, pose_distances
 from rholoc.localization import Localizer, Query
-from rholoc.localization.confidence import confidence_inputs, confidence_of, logistic
+from rholoc.localization.confidence import Grounds, confidence_of, grounds_of, probability, weights_for
 from rooms import ROOMS, NamedRoom, Room, map_of, strangers
 
 FEWER = 1 / 8  # of a frame's features
 WINDOW = 0.15  # of a frame's area
 FOCAL_OFF = 1.1
 RIGHT_M, RIGHT_RAD = 0.10, np.deg2rad(5.0)
+PLACE_M, PLACE_RAD = 0.5, np.deg2rad(20.0)  # poses that are no farther off are of the right place
 STRANGERS = 4  # pictures of each other recording
 SELDOM = 3  # of so many frames one is asked by a wrong camera and as a window: those take long
 DOUBTFUL = 0.05  # confidence from which rivals are looked for
@@ -57,23 +58,28 @@ class Case:
 
     Attributes:
         kind: what was asked.
-        inputs: what the logistic weighs; None where no pose was found.
-        factor: 0..1, by how much rivals and the focal length lower what the logistic says.
+        grounds: what confidence weighs; None where no pose was found.
+        factor: 0..1, by how much rivals and the focal length lower what comes of it.
         off_m: how far off the pose is; None in another room, or where there is none.
         turned_rad: by how much it is turned, likewise.
         right: whether it is within 10 cm and 5°.
     """
 
     kind: Kind
-    inputs: tuple[float, ...] | None
+    grounds: Grounds | None
     factor: float
     off_m: float | None
     turned_rad: float | None
     right: bool
 
-    def confidence(self, metric: Metric) -> float:
+    def confidence(self, features: str) -> float:
         """0..1, as it is today; 0 where no pose was found."""
-        return 0.0 if self.inputs is None else self.factor * logistic(np.array(self.inputs), metric)
+        return 0.0 if self.grounds is None else self.factor * probability(self.grounds, weights_for(features))
+
+    @property
+    def is_right_place(self) -> bool:
+        """Whether the pose is of the right place, if not exact."""
+        return self.kind is not Kind.WINDOW and self.is_within(PLACE_M, PLACE_RAD)
 
     def is_within(self, limit_m: float, limit_rad: float) -> bool:
         """Whether the pose is no farther off."""
@@ -87,8 +93,12 @@ class Case:
     @classmethod
     def read(cls, stored: dict) -> Case:  # type: ignore[type-arg]
         """One that was kept."""
-        inputs = None if stored["inputs"] is None else tuple(stored["inputs"])
-        return cls(**(stored | {"kind": Kind(stored["kind"]), "inputs": inputs}))
+        grounds = (
+            None
+            if stored["grounds"] is None
+            else Grounds(**(stored["grounds"] | {"place": tuple(stored["grounds"]["place"])}))
+        )
+        return cls(**(stored | {"kind": Kind(stored["kind"]), "grounds": grounds}))
 
 
 UNANSWERED = Case(Kind.WHOLE, None, 0.0, None, None, False)
@@ -110,14 +120,14 @@ def case(kind: Kind, localizer: Localizer, query: Query, truth: FloatArray | Non
     if found is None:
         return Case(kind, None, 0.0, None, None, False)
     verified, confidence = found
-    inputs = tuple(confidence_inputs((verified,), verified.covariance).tolist())
-    alone = confidence_of(verified, localizer.index.metric)
+    grounds = grounds_of((verified,), verified.covariance)
+    alone = confidence_of(verified, localizer.weights)
     factor = confidence / alone if alone > 0 else 0.0
     if truth is None:
-        return Case(kind, inputs, factor, None, None, False)
+        return Case(kind, grounds, factor, None, None, False)
     off_m, turned_rad = pose_distances(verified.optimum.T_map_camera, truth)
     right = bool(off_m < RIGHT_M and turned_rad < RIGHT_RAD and kind is not Kind.WINDOW)
-    return Case(kind, inputs, factor, float(off_m), float(turned_rad), right)
+    return Case(kind, grounds, factor, float(off_m), float(turned_rad), right)
 
 
 def frames_asked(named: NamedRoom, features: str, kept: Path) -> Iterator[Case]:
@@ -142,12 +152,14 @@ def doubts_asked(named: NamedRoom, features: str, kept: Path) -> Iterator[Case]:
     rng = np.random.default_rng(0)
     for number, (truth, image) in enumerate(room.pictures()):
         found = extractor.extract(image)
+        found = found.coloured(image)
         some = found.take(np.sort(rng.choice(len(found), int(len(found) * FEWER), replace=False)))
         yield case(Kind.FEWER, localizer, Query(some, camera), truth)
         if number % SELDOM:
             continue
         yield case(Kind.FOCAL_OFF, localizer, Query.of_picture(image, extractor, camera.zoomed(FOCAL_OFF)), truth)
-        strange = extractor.extract(others[rng.integers(len(others))][0])
+        other = others[rng.integers(len(others))][0]
+        strange = extractor.extract(other).coloured(other)
         yield case(Kind.WINDOW, localizer, Query(_window(found, strange, camera, rng), camera), truth)
     first = next(one for one in ROOMS if one.mapped == named.mapped)
     for image, strange_camera in others if named is first else ():
@@ -196,7 +208,7 @@ def answers_of(
 @cache
 def code_digest(features: str) -> str:
     """A name for the code that finds poses by one kind of features: what was found by other code is asked again."""
-    digest = hashlib.sha256(inspect.getsource(confidence_inputs).encode())
+    digest = hashlib.sha256(inspect.getsource(grounds_of).encode())
     root = Path(rholoc.__file__).parent
     files = [file for package in _PACKAGES for file in sorted((root / package).rglob("*.py"))]
     own = Path(inspect.getfile(type(get_extractor(features))))

@@ -9,10 +9,11 @@ length is a tenth off; pictures of all other rooms, which are all wrong; and win
 its area, in a picture of another room: a thing that looks alike, of less weight.
 
 Answers are kept in the cache, room by room, until the code that gives them changes; after ``--minutes`` of processor
-time the command ends and says what is missing, and asking again goes on there. With all at hand it prints, of
-descriptors compared alike: the weights that fit best; then, by weights fitted to all recordings but the one that is
-asked about, how reliable confidence is, and for each kind of features and each recording how many pictures of other
-rooms are refused, how many good answers are kept, and how many of the answers given are wrong.
+time the command ends and says what is missing, and asking again goes on there. With all at hand it prints, of features
+that are fitted together: the weights that fit best; then, by weights fitted to all recordings but the one that is asked
+about, how reliable confidence is, and for each kind of features and each recording how many pictures of other rooms
+are refused, how many good answers are kept, and how many of the answers given are wrong; whole frames and those with
+an eighth of their features apart. Simulated rooms are built alike: other ones are the hardest pictures of other rooms.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from __future__ import annotations
 import argparse
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import cv2
@@ -30,16 +31,15 @@ from scipy.optimize import minimize
 
 from asking import Answered, Case, Kind, answers_of
 from measuring import print_table
-from rholoc.features import Metric, extractor_names, get_extractor
+from rholoc.features import extractor_names, get_extractor
 from rholoc.geometry import BoolArray, FloatArray
-from rholoc.localization.confidence import MIN_CONFIDENCE
+from rholoc.localization.confidence import MIN_CONFIDENCE, Weights, has_own_weights, probability
 from rooms import ROOMS, NamedRoom
 
-NEARLY_M = 0.3  # answers between the two count little: where they lie is chance
-WINDOW_WEIGHT, NEARLY_WEIGHT = 0.2, 0.3
-RIDGE = 1.0
+WINDOW_WEIGHT = 0.2
+RIDGE = 0.3
 THRESHOLDS = (0.3, 0.4, 0.5, 0.6, 0.7)
-SIGNS = ((0, None), (0, None), (0, None), (0, None), (None, 0), (None, 0))  # of the inputs' weights
+PLACE_SIGNS = (1, 1, 1, -1)  # which way the grounds of a place may speak
 OUT_OF_TIME = 3
 
 
@@ -56,37 +56,56 @@ def all_answered(
 
 def weight_of(case: Case) -> float:
     """How much a case counts in the fit."""
-    if case.kind is Kind.FOCAL_OFF:
-        return 0.0
-    if case.kind is Kind.WINDOW:
-        return WINDOW_WEIGHT
-    nearly = not case.right and case.off_m is not None and case.off_m < NEARLY_M
-    return NEARLY_WEIGHT if nearly else 1.0
+    return WINDOW_WEIGHT if case.kind is Kind.WINDOW else 1.0
 
 
-def fit(cases: list[Case]) -> FloatArray:
-    """The logistic's intercept and weights (7,), by likelihood with a little ridge; what speaks against cannot help."""
-    usable = [case for case in cases if case.inputs is not None]
-    X = np.array([[1.0, *case.inputs] for case in usable])  # type: ignore[misc]
-    sign = np.where([case.right for case in usable], 1.0, -1.0)
-    weight = np.array([weight_of(case) for case in usable])
-    bounds = [(None, None), *SIGNS]
+def group_of(features: str) -> str:
+    """The extractors that are fitted together: those of a metric, but for those that have weights of their own."""
+    return features if has_own_weights(features) else str(get_extractor(features).metric)
+
+
+def fit(cases: list[Case]) -> Weights:
+    """What the grounds weigh, by likelihood: of being at the right place, and of being exact there."""
+    known = [case for case in cases if case.grounds is not None and case.kind is not Kind.FOCAL_OFF]
+    grounds = [case.grounds for case in known if case.grounds is not None]
+    at_place = np.array([case.is_right_place for case in known])
+    weight = np.array([weight_of(case) for case in known])
+    place = np.array([one.place for one in grounds])
+    coloured = np.array([one.has_colours for one in grounds])
+    colours = np.array([one.colours for one in grounds])
+    by_colours = np.column_stack([place, colours])[coloured]
+    right = np.array([case.right for case in known])
+    sigma = np.array([[one.sigma] for one in grounds])
+    return Weights(
+        logistic(by_colours, at_place[coloured], weight[coloured], (*PLACE_SIGNS, 1)),
+        logistic(place, at_place, weight, PLACE_SIGNS),
+        logistic(sigma[at_place], right[at_place], weight[at_place], (-1,)),
+    )
+
+
+def logistic(inputs: FloatArray, true: BoolArray, weight: FloatArray, signs: tuple[int, ...]) -> tuple[float, ...]:
+    """Intercept and slopes of a logistic in inputs (N, D), with a little ridge on what standardized ones weigh.
+
+    Args:
+        signs: which way each input may speak: 1 for, -1 against.
+    """
+    if not len(inputs):
+        return (0.0,) * (len(signs) + 1)
+    mean, spread = inputs.mean(axis=0), inputs.std(axis=0) + 1e-9
+    X = np.column_stack([np.ones(len(inputs)), (inputs - mean) / spread])
+    sign = np.where(true, 1.0, -1.0)
     found = minimize(
         lambda w: (weight * np.logaddexp(0, -sign * (X @ w))).sum() + RIDGE * (w[1:] @ w[1:]),
         np.zeros(X.shape[1]),
-        bounds=bounds,
+        bounds=[(None, None), *((0, None) if one > 0 else (None, 0) for one in signs)],
     )
-    return np.asarray(found.x)
+    slopes = found.x[1:] / spread
+    return (float(found.x[0] - slopes @ mean), *slopes.tolist())
 
 
-def confidence_by(weights: FloatArray, cases: list[Case]) -> FloatArray:
+def confidence_by(weights: Weights, cases: list[Case]) -> FloatArray:
     """Each case's confidence (N,)."""
-    said = np.zeros(len(cases))
-    for i, one in enumerate(cases):
-        if one.inputs is not None:
-            score = float(weights @ np.concatenate([[1.0], one.inputs]))
-            said[i] = one.factor / (1 + np.exp(-np.clip(score, -50, 50)))
-    return said
+    return np.array([0.0 if one.grounds is None else one.factor * probability(one.grounds, weights) for one in cases])
 
 
 @dataclass(frozen=True)
@@ -173,6 +192,7 @@ def figures(judged: list[Judged], threshold: float) -> dict[str, str]:
         "other rooms refused": share(lambda case: case.kind is Kind.OTHER_ROOM, given=False),
         "good answers kept": share(lambda case: case.kind is Kind.WHOLE and case.right),
         "wrong of given": wrong(Kind.WHOLE),
+        "an eighth: kept": share(lambda case: case.kind is Kind.FEWER and case.right),
         "an eighth: wrong": wrong(Kind.FEWER),
         "focal 1.1: wrong": wrong(Kind.FOCAL_OFF),
         "windows given": share(lambda case: case.kind is Kind.WINDOW),
@@ -181,7 +201,9 @@ def figures(judged: list[Judged], threshold: float) -> dict[str, str]:
 
 def show(answered: list[Answered]) -> list[Judged]:
     """Print all that is known of kinds of features whose descriptors are compared alike."""
-    print("  intercept and weights that fit all best:", np.round(fit([c for one in answered for c in one.cases]), 2))
+    weights = fit([case for one in answered for case in one.cases])
+    for name, values in asdict(weights).items():
+        print(f"  {name} that fits all best: {np.round(values, 2).tolist()}")
     judged = held_back(answered)
     print_table(reliability_table(judged), ["confidence", "says", *dict.fromkeys(one.features for one in judged)])
     rows = [{"": f"threshold {threshold}"} | figures(judged, threshold) for threshold in THRESHOLDS]
@@ -194,15 +216,15 @@ def show(answered: list[Answered]) -> list[Judged]:
     return judged
 
 
-def plot(by_metric: dict[Metric, list[Judged]], path: Path) -> None:
+def plot(fitted: dict[str, list[Judged]], path: Path) -> None:
     """The reliability diagram."""
     figure = Figure(figsize=(5, 5), layout="constrained")
     axes = figure.add_subplot()
     axes.plot([0, 1], [0, 1], color="0.7", label="perfect")
-    for metric, judged in by_metric.items():
+    for group, judged in fitted.items():
         bins = reliability(judged)
         sizes = [20 + 10 * one.answers**0.5 for one in bins]
-        axes.scatter([one.says for one in bins], [one.right for one in bins], s=sizes, label=metric)
+        axes.scatter([one.says for one in bins], [one.right for one in bins], s=sizes, label=group)
     axes.set(xlabel="confidence", ylabel="share within 10 cm and 5°", xlim=(0, 1), ylim=(0, 1.02), aspect="equal")
     axes.set_title("Reliability on recordings not fitted to")
     axes.legend(loc="upper left")
@@ -223,14 +245,12 @@ def main() -> None:
     answered, missing = all_answered(
         args.features.split(","), rooms, args.cache, lambda: time.process_time() > 60 * args.minutes
     )
-    by_metric = {}
-    for metric in Metric:
-        chosen = [one for one in answered if get_extractor(one.features).metric is metric]
-        if chosen:
-            print(metric)
-            by_metric[metric] = show(chosen)
-    if args.plot and by_metric:
-        plot(by_metric, args.plot)
+    fitted = {}
+    for group in sorted({group_of(one.features) for one in answered}):
+        print(group)
+        fitted[group] = show([one for one in answered if group_of(one.features) == group])
+    if args.plot and fitted:
+        plot(fitted, args.plot)
     if missing:
         print(f"{missing} rooms are still to be asked: run it again.")
         raise SystemExit(OUT_OF_TIME)

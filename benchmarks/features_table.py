@@ -37,7 +37,7 @@ import trial_features
 from asking import Answered, Case, Kind, answers_of, code_digest
 from measuring import SHARED_DATA, print_table
 from rholoc.evaluation.lighting_pairs import compare_lighting_pairs
-from rholoc.features import Metric, extractor_names, get_extractor
+from rholoc.features import extractor_names, get_extractor
 from rholoc.features.matching import LIMITS, mutual_matches
 from rholoc.localization import MIN_CONFIDENCE, Localizer, Query
 from rholoc.maps import map_to_bytes
@@ -117,12 +117,12 @@ class Answers:
         """What a room's frames are answered with."""
         near_m = NEAR_M if answered.recording in TRUE_TO_CENTIMETRES else RIGHT_M
         frames = [case for case in answered.cases if case.kind is Kind.WHOLE]
-        return cls.of_frames(frames, get_extractor(answered.features).metric, near_m)
+        return cls.of_frames(frames, answered.features, near_m)
 
     @classmethod
-    def of_frames(cls, frames: Sequence[Case], metric: Metric, near_m: float) -> Answers:
-        """What frames are answered with, at the confidence that is asked of an answer."""
-        given = [case for case in frames if case.confidence(metric) >= MIN_CONFIDENCE]
+    def of_frames(cls, frames: Sequence[Case], features: str, near_m: float) -> Answers:
+        """What frames are answered with by one kind of features, at the confidence that is asked of an answer."""
+        given = [case for case in frames if case.confidence(features) >= MIN_CONFIDENCE]
         return cls(
             len(frames),
             sum(case.is_within(near_m, NEAR_RAD) for case in given),
@@ -134,11 +134,11 @@ class Answers:
 
 def by_distance(answered: Sequence[Answered], kept: Path) -> dict[str, dict[str, int]]:
     """What frames of the wide rooms are answered with, by how far the nearest view is; all within 10 cm are near."""
-    metric = get_extractor(answered[0].features).metric
+    features = answered[0].features
     cases = [case for one in answered for case in one.cases if case.kind is Kind.WHOLE]
     distance = np.digitize(np.concatenate([nearest_views(named, kept) for named in WIDE]), NEAREST_M)
     return {
-        label: asdict(Answers.of_frames([cases[row] for row in np.flatnonzero(distance == number)], metric, RIGHT_M))
+        label: asdict(Answers.of_frames([cases[row] for row in np.flatnonzero(distance == number)], features, RIGHT_M))
         for number, label in enumerate(DISTANCES)
     }
 

@@ -2,19 +2,29 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
 from rholoc.density import Evidence
-from rholoc.geometry import Camera
-from rholoc.localization import Localizer
+from rholoc.features import FeatureSet
+from rholoc.geometry import Camera, Pose
+from rholoc.localization import Dof, Localizer, Query
 from rholoc.localization.ascent import Optimum
 from rholoc.localization.matches import Matches
 from rholoc.localization.support import Support, _beyond_chance, _Grid, support_of
+from rholoc.maps import Map
 
 WIDE = Camera(640, 360, 500.0, 500.0, 319.5, 179.5)
+
+
+def features_at(pixels: np.ndarray) -> FeatureSet:
+    """Features of nothing in particular."""
+    count = len(pixels)
+    nothing = np.zeros(count, dtype=np.float32)
+    return FeatureSet(pixels, np.zeros(count, np.uint8), np.zeros((count, 32), np.uint8), nothing, nothing)
 
 
 def test_cells_are_square_and_pixels_beyond_the_picture_count_in_its_outermost() -> None:
@@ -38,7 +48,8 @@ def supported(localizer: Localizer, point_room: Any, chosen: int, density: float
     rays = np.tile([0.0, 0.0, 1.0], (count, 1))
     evidence = Evidence.of(landmarks, rays, index.landmarks[landmarks], np.zeros((count, 3, 3)), found.chances, 500.0)
     optimum = Optimum(index.map.T_map_camera[20], 1.0, np.full(count, density))
-    return support_of(index, pixels, camera, found, evidence, optimum, np.full(count, by_chance), Matches.none())
+    query = Query(features_at(pixels), camera)
+    return support_of(index, query, found, evidence, optimum, np.full(count, by_chance), Matches.none())
 
 
 def test_without_matches_that_agree_nothing_speaks_for_a_pose(localizer: Localizer, point_room: Any) -> None:
@@ -86,7 +97,7 @@ def test_what_should_be_in_a_cell_and_is_not_counts_where_something_else_is(
     asked: list[int] = []
     monkeypatch.setattr(index, "seen_alike", lambda rows, views: (asked.append(views), seen_alike(rows, views))[1])
     optimum = Optimum(T, 1.0, np.ones(count))
-    support = support_of(index, pixels, camera, found, evidence, optimum, by_chance, found)
+    support = support_of(index, Query(features_at(pixels), camera), found, evidence, optimum, by_chance, found)
 
     assert asked == [10]
     shared = np.array([np.isin(index.visibility[[view]].indices, seen[chosen]).sum() for view in range(60)])
@@ -106,16 +117,44 @@ def test_what_should_be_in_a_cell_and_is_not_counts_where_something_else_is(
     assert (missing > 20) == (crowd == 3)
     assert support.found == matched.sum()
     assert support.expected == min(expected.sum(), len(pixels))
-    assert support.beyond_chance == count
+    assert support.beyond_chance == pytest.approx(count * np.log(count / 0.15) - (count - 0.15))
+    assert np.isnan(support.colours)
 
 
-def test_matches_of_a_wider_search_count_beyond_what_chance_puts_around(localizer: Localizer, point_room: Any) -> None:
+def test_matches_close_to_their_landmarks_count_by_how_improbable_they_are_by_chance(
+    localizer: Localizer, point_room: Any
+) -> None:
     """Ten matches within four pixels of where they should be, 45 in the ring from there to fourteen pixels."""
     index, camera, T = localizer.index, point_room.camera, localizer.map.T_map_camera[20]
     landmarks = np.resize(index.visibility[[20]].indices.astype(np.int64), 60)
     off_px = np.array([3.9] * 10 + [4.1] * 20 + [13.9] * 25 + [14.1] * 5)
     pixels = camera.project((index.landmarks[landmarks] - T[:3, 3]) @ T[:3, :3]) + np.outer(off_px, (0.6, 0.8))
+
+    def nats(count: float, by_chance: float) -> float:
+        return count * np.log(count / by_chance) - (count - by_chance)
+
     wide = Matches(np.arange(60), landmarks, np.full(60, 0.5))
-    assert _beyond_chance(index, pixels, camera, wide, T) == pytest.approx(10 - 45 * 16 / 180)
+    assert _beyond_chance(index, pixels, camera, wide, T) == pytest.approx(nats(10, 0.15 + 45 * 16 / 180))
     assert _beyond_chance(index, pixels, camera, wide.take(np.arange(10, 60)), T) == 0.0
     assert _beyond_chance(index, pixels, camera, Matches.none(), T) == 0.0
+    chances = np.where((np.arange(60) < 10) & (np.arange(60) % 2 == 0), 0.9, 0.5)  # five of the close ones are alike
+    wide = Matches(np.arange(60), landmarks, chances)
+    assert _beyond_chance(index, pixels, camera, wide, T) == pytest.approx(nats(5, 0.15))
+
+
+def test_colours_are_those_of_the_picture_and_of_the_landmarks_that_agree(point_room: Any, room_map: Map) -> None:
+    rng = np.random.default_rng(5)
+    coloured = replace(room_map, colours=rng.integers(0, 255, (len(room_map), 3), dtype=np.uint8))
+    seen = point_room.see(Pose(room_map.T_map_camera[20]), 3, 1.0)
+    query = Query(seen, point_room.camera, Dof.FREE)
+    plain, verified = (Localizer(one).candidate(query) for one in (room_map, coloured))
+    assert plain is not None
+    assert verified is not None
+    assert np.isnan(plain[0].support.colours)
+    assert np.isnan(verified[0].support.colours)  # of the picture nothing is known
+    right = np.full((len(seen), 3), 7, dtype=np.uint8)
+    right[verified[0].matches.detections] = coloured.colours[verified[0].matches.landmarks]
+    for colours, least, most in ((right, 0.9, 1.0), (rng.permutation(right), -0.3, 0.3)):
+        found = Localizer(coloured).candidate(replace(query, features=replace(seen, colours=colours)))
+        assert found is not None
+        assert least < found[0].support.colours < most

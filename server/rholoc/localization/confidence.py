@@ -1,67 +1,133 @@
 """Confidence: the probability that a pose is within 10 cm and 5°.
 
-A logistic in what verification found (:mod:`rholoc.localization.support`): what the picture says for the pose, in how
-many of its parts, which share of the landmarks that it should show it does, how many matches of a wider search agree,
-and how many chance alone would find; and how well the curvature fixes the position. What rivals the pose has is counted
-apart (:mod:`rholoc.localization.rivals`), and so is another focal length (:mod:`rholoc.localization.focal`).
+That is the probability that it is the right place, times that of being that exact there. Of the former, a logistic in
+what verification found (:mod:`rholoc.localization.support`): which share of the landmarks that it should show a picture
+shows, how surely they are not there by chance, in how many of its parts, how many matches chance alone would find, and
+how well the matches' colours agree; where colours are not known, another one without them. Of the latter, a logistic in
+how well the curvature fixes the position. What rivals the pose has is counted apart
+(:mod:`rholoc.localization.rivals`), and so is another focal length (:mod:`rholoc.localization.focal`).
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.special import expit
 
-from rholoc.features import Metric
+from rholoc.features import Metric, get_extractor
 from rholoc.geometry import FloatArray
+from rholoc.localization.support import Support
 from rholoc.localization.verification import Verified
 
-# Intercept and weights, fitted by benchmarks/calibrate_confidence.py.
-_LOGISTIC = {
-    Metric.HAMMING: np.array([-6.9, 1.3, 0.5, 0.45, 1.65, -1.05, -1.2]),
-    Metric.EUCLIDEAN: np.array([-5.95, 1.4, 0.9, 0.95, 1.25, -2.25, -0.1]),
-}
-_REFERENCE_SIGMA_M = 0.2
+_REFERENCE_SIGMA_M = 0.1
+_TELLING_OCTAVES = (-2.0, 1.0)  # of the sigma over the reference: beyond that it says no more
 
 MIN_CONFIDENCE = 0.5
 """Poses of lower confidence are not given out: what is as likely wrong as right helps nobody."""
 
 
-def confidence_inputs(verified: Sequence[Verified], covariance: FloatArray) -> FloatArray:
-    """The six numbers (6,) that the logistic weighs, of frames verified together and the covariance (6, 6) asked for.
+@dataclass(frozen=True)
+class Grounds:
+    """What confidence weighs.
 
-    log₂ of what speaks for the pose (nats), of the share of landmarks found, of the matches that agree beyond chance in
-    a wider search, of the parts of the picture that bear it out, and of the matches that chance would find; and log₂ of
-    the position's greatest sigma over 20 cm where it is more.
+    Attributes:
+        place: (4,) log₂ of the share of landmarks found, of the nats by which they are more than chance puts there, of
+            the parts of the picture that bear the pose out, and of the matches that chance would find.
+        colours: how well colours agree, 0 by chance, 1 at best; NaN where they are not known.
+        sigma: log₂ of the position's greatest sigma over 10 cm, from -2 to 1.
     """
+
+    place: tuple[float, float, float, float]
+    colours: float
+    sigma: float
+
+    @property
+    def has_colours(self) -> bool:
+        """Whether colours are known."""
+        return not math.isnan(self.colours)
+
+
+@dataclass(frozen=True)
+class Weights:
+    """What each of the grounds weighs, intercepts first.
+
+    Attributes:
+        by_colours: (6,) of the place and the colours.
+        without: (5,) of the place, where colours are not known.
+        exact: (2,) of the sigma.
+    """
+
+    by_colours: tuple[float, ...]
+    without: tuple[float, ...]
+    exact: tuple[float, ...]
+
+
+# Fitted by benchmarks/calibrate_confidence.py, the extractors of each metric together, but for those that find so much
+# alike that the others' weights do not hold.
+_BY_METRIC = {
+    Metric.HAMMING: Weights((-0.14, 1.05, 0.22, 1.5, -0.73, 3.88), (-1.02, 1.15, 0.51, 2.07, -0.82), (3.15, -1.95)),
+    Metric.EUCLIDEAN: Weights((-1.47, 0.93, 0.6, 0.99, -1.42, 7.9), (-1.67, 1.21, 1.19, 1.7, -1.52), (2.89, -2.02)),
+}
+_OWN = {
+    "lab": Weights((-3.73, 0.15, 0.0, 1.49, -0.61, 5.93), (-2.41, 0.58, 0.29, 1.86, -0.5), (2.64, -2.48)),
+    "xfeat": Weights((0.95, 1.31, 0.0, 0.35, -0.93, 8.18), (3.45, 1.9, 0.38, 0.93, -1.14), (0.47, -1.54)),
+}
+
+
+def has_own_weights(extractor: str) -> bool:
+    """Whether an extractor, by its name, is fitted apart from the others of its metric."""
+    return extractor in _OWN
+
+
+def weights_for(extractor: str) -> Weights:
+    """What the grounds weigh for features of an extractor, by its name."""
+    return _OWN.get(extractor) or _BY_METRIC[get_extractor(extractor).metric]
+
+
+def grounds_of(verified: Sequence[Verified], covariance: FloatArray) -> Grounds:
+    """What confidence weighs, of frames verified together and the covariance (6, 6) of the one asked for."""
     supports = [one.support for one in verified]
     found, expected = sum(one.found for one in supports), sum(one.expected for one in supports)
     sigma_m = math.sqrt(max(float(np.linalg.eigvalsh(covariance[:3, :3])[-1]), 1e-12))
-    return np.array(
-        [
-            math.log2(1 + sum(one.seen for one in supports)),
-            math.log2((1 + found) / (1 + expected)),
-            math.log2(1 + sum(one.beyond_chance for one in supports)),
-            math.log2(1 + sum(one.parts for one in supports)),
-            math.log2(1 + sum(one.by_chance for one in verified)),
-            max(math.log2(sigma_m / _REFERENCE_SIGMA_M), 0.0),
-        ]
+    place = (
+        math.log2((1 + found) / (1 + expected)),
+        math.log2(1 + sum(one.beyond_chance for one in supports)),
+        math.log2(1 + sum(one.parts for one in supports)),
+        math.log2(1 + sum(one.by_chance for one in verified)),
     )
+    octaves = math.log2(sigma_m / _REFERENCE_SIGMA_M)
+    return Grounds(place, _mean_colours(supports), float(np.clip(octaves, *_TELLING_OCTAVES)))
 
 
-def confidence_of(verified: Verified, metric: Metric) -> float:
-    """0..1, the probability that the pose is within 10 cm and 5°, for descriptors of one metric."""
-    return joint_confidence((verified,), verified.covariance, metric)
+def confidence_of(verified: Verified, weights: Weights) -> float:
+    """0..1, the probability that the pose is within 10 cm and 5°."""
+    return joint_confidence((verified,), verified.covariance, weights)
 
 
-def joint_confidence(verified: Sequence[Verified], covariance: FloatArray, metric: Metric) -> float:
+def joint_confidence(verified: Sequence[Verified], covariance: FloatArray, weights: Weights) -> float:
     """As :func:`confidence_of`, of frames verified together; ``covariance`` (6, 6) is of the one asked for."""
-    return logistic(confidence_inputs(verified, covariance), metric)
+    return probability(grounds_of(verified, covariance), weights)
 
 
-def logistic(inputs: FloatArray, metric: Metric) -> float:
-    """0..1, what the numbers of :func:`confidence_inputs` come to."""
-    intercept, *weights = _LOGISTIC[metric]
-    return float(expit(intercept + np.dot(weights, inputs)))
+def probability(grounds: Grounds, weights: Weights) -> float:
+    """0..1, what they come to."""
+    if grounds.has_colours:
+        place = _logistic((*grounds.place, grounds.colours), weights.by_colours)
+    else:
+        place = _logistic(grounds.place, weights.without)
+    return place * _logistic((grounds.sigma,), weights.exact)
+
+
+def _logistic(inputs: tuple[float, ...], weights: tuple[float, ...]) -> float:
+    intercept, *slopes = weights
+    return float(expit(intercept + np.dot(slopes, inputs)))
+
+
+def _mean_colours(supports: Sequence[Support]) -> float:
+    """How well colours agree in the frames where they are known, by what each shows of the map."""
+    known = [one for one in supports if not math.isnan(one.colours)]
+    found = sum(one.found for one in known)
+    return sum(one.found * one.colours for one in known) / found if found else math.nan

@@ -15,7 +15,7 @@ from rholoc.errors import InvalidDescriptors
 from rholoc.features import Extractor, FeatureSet, get_extractor
 from rholoc.geometry import UP, Camera, FloatArray, IntArray, Pose, angles_between, pose_distances
 from rholoc.localization.ascent import Optimum, ascend, upright
-from rholoc.localization.confidence import MIN_CONFIDENCE, confidence_of
+from rholoc.localization.confidence import MIN_CONFIDENCE, confidence_of, weights_for
 from rholoc.localization.diagnosis import TOO_LITTLE_TIME, Cause, Diagnosis, diagnose_picture, wrong_camera
 from rholoc.localization.focal import FocalEstimate, check_focal, focal_seed, verify_with_focal
 from rholoc.localization.map_index import MapIndex
@@ -191,6 +191,7 @@ class Localizer:
         self.min_confidence = min_confidence
         self.options = options or SearchOptions()
         self.index = index or MapIndex(map_)
+        self.weights = weights_for(map_.info.features)
 
     @property
     def extractor(self) -> Extractor:
@@ -444,7 +445,7 @@ class Localizer:
         return self._candidate(verified, query, check_focal(self.index, query, verified, matches))
 
     def _candidate(self, verified: Verified, query: Query, focal: FocalEstimate) -> _Found:
-        recognized = confidence_of(verified, self.index.metric)
+        recognized = confidence_of(verified, self.weights)
         near_prior = _near_prior(verified.optimum.T_map_camera, query.prior)
         return _Found(verified, query.camera, focal, recognized * focal.belief, near_prior, recognized)
 

@@ -289,7 +289,7 @@ class _Joint:
                 )
             )
         covariances = joint_covariances([one.evidence for one in verified], [one.optimum for one in verified], links)
-        return _Candidate(verified, covariances, joint_confidence(verified, covariances[0], self.index.metric))
+        return _Candidate(verified, covariances, joint_confidence(verified, covariances[0], self.localizer.weights))
 
     def _answer(self, best: _Candidate | None, reason: Reason, matched: int) -> JointLocalization:
         timings_ms = {"match": 1e3 * (time.perf_counter() - self.started)}
@@ -327,10 +327,9 @@ def _verified(
     by_chance: FloatArray,
     wide: Matches,
 ) -> Verified:
-    pixels = frame.features.pixels
-    support = support_of(index, pixels, frame.camera, matches, evidence, optimum, by_chance, wide)
+    support = support_of(index, frame, matches, evidence, optimum, by_chance, wide)
     chance = float(by_chance.sum())
-    return Verified(optimum, matches, evidence, pixels[matches.detections], chance, wide, support)
+    return Verified(optimum, matches, evidence, frame.features.pixels[matches.detections], chance, wide, support)
 
 
 def _plane(rays: FloatArray) -> FloatArray:

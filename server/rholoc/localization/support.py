@@ -16,8 +16,10 @@ import numpy as np
 from rholoc.density import Evidence
 from rholoc.geometry import Camera, FloatArray, IntArray
 from rholoc.localization.ascent import Optimum
+from rholoc.localization.colours import colour_agreement
 from rholoc.localization.map_index import MapIndex
 from rholoc.localization.matches import Matches
+from rholoc.localization.types import Query
 
 _CELLS_ACROSS = 8
 _CELL_NATS = 10.0  # the most that a cell can say
@@ -27,6 +29,8 @@ _VIEWS_ALIKE = 10
 _FEWEST_EXPECTED, _FEWEST_DETECTED = 2, 3  # landmarks, features of a cell that can contradict
 _HIGHEST_RATE = 0.9
 _CLOSE_PX, _AROUND_PX = 4.0, 14.0  # of where landmarks should be
+_LIKENESSES = np.array([0.95, 0.9, 0.8, 0.65, 0.5, 0.35, 0.2, 0.0])  # the least chance of being true, by descriptors
+_LEAST_BY_CHANCE = 0.15  # matches: where none is around, that much is allowed for
 
 
 @dataclass(frozen=True)
@@ -38,9 +42,11 @@ class Support:
         missing: nats, what the cells say against it where landmarks should be and other things are.
         found: how many landmarks are where views from hereabouts saw them.
         expected: how many of them should be: as many as those views saw, or as the picture has features for.
-        beyond_chance: how many matches of a wider search are close to their landmarks, beyond those that chance put
+        beyond_chance: nats, how surely more matches of a wider search are close to their landmarks than chance puts
             there, by how many it put around.
         parts: how many cells say enough for it by themselves.
+        colours: how well the matches' colours are those of their landmarks, 0 by chance, 1 at best; NaN where they
+            are not known. See :func:`rholoc.localization.colours.colour_agreement`.
     """
 
     seen: float
@@ -49,6 +55,7 @@ class Support:
     expected: float = 0.0
     beyond_chance: float = 0.0
     parts: float = 0.0
+    colours: float = np.nan
 
     @property
     def net(self) -> float:
@@ -63,8 +70,7 @@ class Support:
 
 def support_of(
     index: MapIndex,
-    pixels: FloatArray,
-    camera: Camera,
+    query: Query,
     found: Matches,
     evidence: Evidence,
     optimum: Optimum,
@@ -75,24 +81,25 @@ def support_of(
 
     Args:
         index: of the map.
-        pixels: (N, 2) of all features of the picture.
-        camera: that took it.
+        query: the picture, of N features.
         found: the matches that the optimum rests on.
         evidence: what they say.
         optimum: the pose.
         by_chance: (N,) how probably each feature matches something there by chance.
         wide: the matches of a wider search.
     """
+    pixels, camera = query.features.pixels, query.camera
     agreeing = np.flatnonzero(optimum.density > 0)
     if len(agreeing) == 0:
         return Support(0.0, 0.0)
+    detections, landmarks = found.detections[agreeing], found.landmarks[agreeing]
     grid = _Grid.of(camera)
     gains = np.log1p(optimum.density[agreeing] / evidence.epsilon[agreeing])
-    gained = grid.sums(pixels[found.detections[agreeing]], gains)
+    gained = grid.sums(pixels[detections], gains)
     said = gained - _CHANCE_NATS * grid.sums(pixels, by_chance)
-    shown, should_be = _expected(index, found.landmarks[agreeing], camera, optimum.T_map_camera)
+    shown, should_be = _expected(index, landmarks, camera, optimum.T_map_camera)
     expected = grid.sums(should_be)
-    is_found = np.isin(shown, found.landmarks[agreeing])
+    is_found = np.isin(shown, landmarks)
     seen = grid.sums(should_be[is_found])
     empty = (seen == 0) & (expected >= _FEWEST_EXPECTED) & (grid.sums(pixels) >= _FEWEST_DETECTED)
     rate = min(float(seen.sum()) / max(float(expected[seen > 0].sum()), 1.0), _HIGHEST_RATE)
@@ -104,19 +111,34 @@ def support_of(
         float(min(len(shown), len(pixels))),
         _beyond_chance(index, pixels, camera, wide, optimum.T_map_camera),
         float((gained > _PART_NATS).sum()),
+        _colour_agreement(index, query, detections, landmarks),
     )
 
 
 def _beyond_chance(
     index: MapIndex, pixels: FloatArray, camera: Camera, wide: Matches, T_map_camera: FloatArray
 ) -> float:
-    """How many more matches are close to their landmarks than those a little farther off make it likely by chance."""
+    """How surely more matches are close to their landmarks than those a little farther off make it likely by chance.
+
+    Nats, by Chernoff's bound of the Poisson distribution's tail, among matches as alike as makes it surest: those of
+    chance are less alike than true ones, but how alike true ones are depends on light and distance.
+    """
     T = T_map_camera
     shown = camera.project((index.landmarks[wide.landmarks] - T[:3, 3]) @ T[:3, :3])
     off_px = np.linalg.norm(shown - pixels[wide.detections], axis=1)
-    close, around = (off_px < _CLOSE_PX).sum(), (off_px < _AROUND_PX).sum()
-    by_chance = (around - close) * _CLOSE_PX**2 / (_AROUND_PX**2 - _CLOSE_PX**2)
-    return float(max(close - by_chance, 0.0))
+    alike = wide.chances >= _LIKENESSES[:, None]
+    close, around = (off_px < _CLOSE_PX), (off_px < _AROUND_PX)
+    by_chance = _LEAST_BY_CHANCE + (alike & around & ~close).sum(axis=1) * _CLOSE_PX**2 / (_AROUND_PX**2 - _CLOSE_PX**2)
+    count = np.maximum((alike & close).sum(axis=1), by_chance)
+    return float((count * np.log(count / by_chance) - (count - by_chance)).max())
+
+
+def _colour_agreement(index: MapIndex, query: Query, detections: IntArray, landmarks: IntArray) -> float:
+    """How well the colours of detections (M,) are those of their landmarks (M,)."""
+    shown, known = query.colours, index.map.colours
+    if shown is None or known is None:
+        return np.nan
+    return colour_agreement(shown[detections], known[landmarks])
 
 
 def _expected(

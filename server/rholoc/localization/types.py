@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import Enum, StrEnum
+from functools import cached_property
 from typing import Any
 
 from rholoc.features import Extractor, FeatureSet
@@ -65,7 +66,7 @@ class Query:
             than 10° are not considered; in a map that is not known to be upright it says nothing.
         deadline_s: seconds that the answer may take, or None.
         intrinsics: whether the camera's focal length is known.
-        image: the picture itself, (H, W, 3) BGR, for the diagnosis of a refusal; or None.
+        image: the picture itself, (H, W, 3) BGR, for the diagnosis of a refusal and the features' colours; or None.
         more_features: finds more of them, and is asked where ``features`` do not suffice; None: those are all.
     """
 
@@ -85,6 +86,13 @@ class Query:
         quick = extractor.quick
         more = None if quick is extractor else lambda: extractor.extract(image)
         return cls(quick.extract(image), camera, image=image, more_features=more, **others)
+
+    @cached_property
+    def colours(self) -> ByteArray | None:
+        """(N, 3) uint8, red, green and blue of the picture at each feature; None where they are not known."""
+        if self.features.colours is not None or self.image is None or self.image.ndim != 3:
+            return self.features.colours
+        return self.features.coloured(self.image).colours
 
 
 @dataclass(frozen=True, eq=False)

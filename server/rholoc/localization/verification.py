@@ -124,7 +124,7 @@ def verify(
     evidence = evidence_of(index, matches, rays, query.camera)
     optimum = ascend(densities, evidence, T, (narrow_px, FINAL_TOLERANCE_PX), dof)
     optimum = settle(index, matches, evidence, optimum, dof)
-    pixels = query.features.pixels
-    support = support_of(index, pixels, query.camera, matches, evidence, optimum, by_chance, wide)
+    support = support_of(index, query, matches, evidence, optimum, by_chance, wide)
     chance = float(by_chance.sum())
-    return Verified(optimum, matches, evidence, pixels[matches.detections], chance, wide, support, focal_free)
+    pixels = query.features.pixels[matches.detections]
+    return Verified(optimum, matches, evidence, pixels, chance, wide, support, focal_free)
