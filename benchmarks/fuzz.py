@@ -136,7 +136,7 @@ class Operations:
         import schemathesis
         from schemathesis.checks import CHECKS as KNOWN
 
-        logging.disable(logging.INFO)
+        logging.disable(logging.WARNING)
         schemathesis.serializer.alias("application/offset+octet-stream", "application/octet-stream")
         self._schema = schemathesis.openapi.from_dict(document)
         self._seed = seed

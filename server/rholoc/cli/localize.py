@@ -15,7 +15,8 @@ import typer
 
 from rholoc.cli import options
 from rholoc.cli.console import frame_progress, print_figures, print_json, print_notice
-from rholoc.errors import InvalidCamera, InvalidInput
+from rholoc.cli.targets import check_target
+from rholoc.errors import InvalidCamera
 
 if TYPE_CHECKING:
     import rholoc_client
@@ -57,8 +58,7 @@ def localize(
     from rholoc.recordings import read_recording
 
     degrees_of_freedom = options.dof(dof)
-    if not out.parent.is_dir():
-        raise InvalidInput(f"There is no folder {out.parent} to write the trajectory to.", "Create it first.")
+    check_target(out, "the trajectory")
     map_ = load_map(map_file)
     known = Intrinsics.UNKNOWN if camera == Intrinsics.UNKNOWN else Intrinsics.GIVEN
     given = None if known is Intrinsics.UNKNOWN else options.named_camera(camera)

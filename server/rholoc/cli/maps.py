@@ -16,6 +16,7 @@ from rholoc.cli import options
 from rholoc.cli.console import output, print_error, print_figures, print_json, print_notice, stage_progress
 from rholoc.cli.correcting import app as correct
 from rholoc.cli.density import density
+from rholoc.cli.targets import check_target
 from rholoc.errors import InvalidInput, RholocError
 
 if TYPE_CHECKING:
@@ -60,9 +61,7 @@ def build(
     """Build a map from one or more recordings of a place."""
     if len(recordings) > 1 and (waypoints or frames or camera):
         raise typer.BadParameter("--frames, --camera and --waypoints speak of one recording; give just one.")
-    target = out or Path(f"{recordings[0].resolve().stem}.rho")
-    if not target.parent.is_dir():
-        raise InvalidInput(f"There is no folder {target.parent} to write the map to.", "Create it first.")
+    target = check_target(out or Path(f"{recordings[0].resolve().stem}.rho"), "the map")
     from rholoc.mapping import DEFAULT_FEATURES, BuildOptions, build_map
     from rholoc.maps import DensityKind, save_map
     from rholoc.recordings import read_recording

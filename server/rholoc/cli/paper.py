@@ -9,7 +9,8 @@ import typer
 
 from rholoc.cli import options
 from rholoc.cli.console import frame_progress, print_figures, print_json, print_notice, stage_progress
-from rholoc.errors import InvalidCamera, InvalidInput
+from rholoc.cli.targets import check_target
+from rholoc.errors import InvalidCamera
 
 if TYPE_CHECKING:
     from rholoc.geometry import Camera as GeometryCamera
@@ -51,7 +52,7 @@ def observations(
 
     method = options.choice(PoseMethod, poses, "--poses")
     target = out or Path(f"{recording.resolve().stem}-observations.csv")
-    _check_folder(target)
+    check_target(target, "the result")
     with stage_progress() as progress:
         read = read_recording(recording, options.named_camera(camera), frames, waypoints)
         table, used = observe_recording(read, features, method, progress)
@@ -105,7 +106,7 @@ def fit(
     from rholoc.maps import DensityKind, save_map
 
     form = options.choice(DensityKind, density, "--density")
-    _check_folder(out)
+    check_target(out, "the result")
     used = _camera(table, camera, size)
     read = read_observations(table)
     with stage_progress() as progress:
@@ -156,7 +157,7 @@ def localize(
     from rholoc.recordings import read_recording
 
     degrees_of_freedom = options.dof(dof)
-    _check_folder(out)
+    check_target(out, "the result")
     map_ = load_map(map_file)
     recording = read_recording(source, camera=options.named_camera(camera), frames=frames)
     used = recording_camera(recording, map_.info)
@@ -246,11 +247,6 @@ def _frames(table: ObservationTable) -> int:
     import numpy as np
 
     return len(np.unique(np.column_stack([table.positions, table.headings]), axis=0))
-
-
-def _check_folder(target: Path) -> None:
-    if not target.parent.is_dir():
-        raise InvalidInput(f"There is no folder {target.parent} to write to.", "Create it first.")
 
 
 def _print(title: str, figures: dict[str, object], as_json: bool) -> None:

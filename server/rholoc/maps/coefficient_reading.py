@@ -90,7 +90,8 @@ def read_coefficient_table(path: Path, called: str = "") -> Map:
                 shared = of_map
                 _add(name, count, header, values, features)
     except UnicodeDecodeError as error:
-        raise InvalidMap(f"{name} is not a text file.", _HINT) from error
+        hint = "A .rho file needs no import: use it as it is." if path.suffix == ".rho" else _HINT
+        raise InvalidMap(f"{name} is not a map as CSV.", hint) from error
     except OSError as error:
         raise InvalidMap(f"{name} cannot be read: {error.strerror}.") from error
     if shared is None:

@@ -1,0 +1,23 @@
+"""Whether a file can be written, asked before the work whose result it is to hold."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from rholoc.errors import InvalidInput
+
+
+def check_target(path: Path, what: str) -> Path:
+    """The path, if a file for ``what`` can be written there.
+
+    Raises:
+        InvalidInput: its folder does not exist or is not writable, or it is a folder itself.
+    """
+    if not path.parent.is_dir():
+        raise InvalidInput(f"There is no folder {path.parent} to write {what} to.", "Create it first.")
+    if path.is_dir():
+        raise InvalidInput(f"{path} is a folder.", f"Name a file to write {what} to, in it or elsewhere.")
+    if not os.access(path.parent, os.W_OK):
+        raise InvalidInput(f"The folder {path.parent} cannot be written to.", "Choose another, or allow it.")
+    return path
