@@ -84,3 +84,18 @@ def drawn(svg):
         else:
             x, y = (values[0], values[1]) if command == "M" else (x + values[0], y + values[1])
     return cv2.resize(picture, None, fx=6, fy=6, interpolation=cv2.INTER_NEAREST)
+
+
+def test_an_expired_key_that_another_request_removes_at_the_same_moment_is_no_error(locked, store, monkeypatch):
+    asking = store.create("asks beside another", Scope.MAP)
+    store.create("handed-expired", Scope.READ, lifetime_s=-1.0)
+    read = KeyStore.keys
+
+    def removed_meanwhile(self):
+        found = read(self)
+        if any(key.name == "handed-expired" for key in found):
+            self.revoke("handed-expired")
+        return found
+
+    monkeypatch.setattr(KeyStore, "keys", removed_meanwhile)
+    assert ask(locked, asking, json={}).status_code == 201

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import secrets
 import time
+from contextlib import suppress
 from dataclasses import asdict
 from typing import Any
 
@@ -117,7 +118,8 @@ def _hand_on(store: KeyStore, wanted: KeyIn, lifetime_s: float, by: ApiKey | Non
     handed = [key for key in all_keys if key.name.startswith(HANDED_PREFIX)]
     for key in handed:
         if key.expired:
-            store.revoke(key.name)
+            with suppress(NotFound):  # another request has done so
+                store.revoke(key.name)
     if sum(not key.expired for key in handed) >= _MAX_HANDED:
         raise Busy("Too many temporary keys exist at the moment.", "Revoke some, or wait until they expire.")
     name = HANDED_PREFIX + secrets.token_hex(_NAME_BYTES)
