@@ -58,6 +58,7 @@ from rholoc.service.keys import KeyStore, Scope
 
 BATCH = 20  # cases of one route in a row
 MADE_UP = 5  # of them by schemathesis
+STREAMS = 100  # in a row: there is one such route
 AT_ONCE = 4
 TIMEOUT_S = 60.0
 HEALTH_EVERY_S = 0.05
@@ -156,7 +157,7 @@ class Operations:
 
         cases: list[Any] = []
 
-        @seed(hash((self._seed, label, number)))
+        @seed(random.Random(f"{self._seed} {label} {number}").getrandbits(32))
         @settings(
             max_examples=count,
             deadline=None,
@@ -222,7 +223,7 @@ class Fuzzer:
 
     def _batch(self, label: str, number: int, world: World) -> Iterator[Coroutine[Any, Any, None]]:
         if label == TRACK:
-            for place in range(BATCH):
+            for place in range(STREAMS):
                 yield self._stream(random.Random(f"{self._seed} {label} {number} {place}"))
             return
         for case in self._operations.made_up(label, MADE_UP, number):
