@@ -55,7 +55,7 @@ def test_it_rises_with_what_is_found_and_falls_with_chance_and_uncertainty(featu
         confidences("found", (0, 3, 10, 30, 100, 199)),
         confidences("beyond_chance", (0, 3, 10, 30, 100)),
         confidences("parts", (0, 3, 10, 30)),
-        confidences("colours", (-0.3, 0.0, 0.4, 0.8)),
+        confidences("colours", (0.6, 0.7, 0.8, 0.9)),
     ]
     falling = [confidences("by_chance", (0, 3, 10, 30, 100, 300)), confidences("sigma_m", (0.026, 0.05, 0.1, 0.19))]
     for some, sign in [(one, 1) for one in rising] + [(one, -1) for one in falling]:
@@ -116,6 +116,8 @@ def test_it_is_the_probability_of_the_place_times_that_of_being_exact_there() ->
     assert probability(Grounds(place, 0.5, 1.2), weights) == pytest.approx(by_colours * exact)
     without = expit(0.5 - 0.15 + 0.5 + 1.05 - 1.8)
     assert probability(Grounds(place, np.nan, 1.2), weights) == pytest.approx(without * exact)
+    surely_not = expit(0.5 - 0.15 + 0.5 + 1.05 - 1.8 - np.log(2))
+    assert probability(Grounds(place, -9.0, 1.2), weights) == pytest.approx(surely_not * exact)
     assert probability(Grounds((0, 1e300, 0, 0), np.nan, -2.0), weights) == pytest.approx(expit(1.75))
     assert probability(Grounds((0, 0, 0, 1e300), np.nan, -2.0), weights) == 0.0
 

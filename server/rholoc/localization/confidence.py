@@ -3,8 +3,9 @@
 That is the probability that it is the right place, times that of being that exact there. Of the former, a logistic in
 what verification found (:mod:`rholoc.localization.support`): which share of the landmarks that it should show a picture
 shows, how surely they are not there by chance, in how many of its parts, how many matches chance alone would find, and
-how well the matches' colours agree; where colours are not known, another one without them. Of the latter, a logistic in
-how well the curvature fixes the position. What rivals the pose has is counted apart
+how well the matches' colours agree; where colours are not known, another one without them. A light that the map has not
+seen may change what is bright and what is dark, so that colours that disagree do no more than halve the odds. Of the
+latter, a logistic in how well the curvature fixes the position. What rivals the pose has is counted apart
 (:mod:`rholoc.localization.rivals`), and so is another focal length (:mod:`rholoc.localization.focal`).
 """
 
@@ -23,6 +24,7 @@ from rholoc.localization.support import Support
 from rholoc.localization.verification import Verified
 
 _REFERENCE_SIGMA_M = 0.1
+_MOST_AGAINST = math.log(2)  # of the log odds: what colours that disagree cost
 _TELLING_OCTAVES = (-2.0, 1.0)  # of the sigma over the reference: beyond that it says no more
 
 MIN_CONFIDENCE = 0.5
@@ -68,12 +70,12 @@ class Weights:
 # Fitted by benchmarks/calibrate_confidence.py, the extractors of each metric together, but for those that find so much
 # alike that the others' weights do not hold.
 _BY_METRIC = {
-    Metric.HAMMING: Weights((-0.14, 1.05, 0.22, 1.5, -0.73, 3.88), (-1.02, 1.15, 0.51, 2.07, -0.82), (3.15, -1.95)),
-    Metric.EUCLIDEAN: Weights((-1.47, 0.93, 0.6, 0.99, -1.42, 7.9), (-1.67, 1.21, 1.19, 1.7, -1.52), (2.89, -2.02)),
+    Metric.HAMMING: Weights((-0.5, 1.09, 0.26, 1.74, -0.79, 3.87), (-1.02, 1.15, 0.51, 2.07, -0.82), (3.15, -1.95)),
+    Metric.EUCLIDEAN: Weights((-1.07, 1.11, 0.94, 1.23, -1.58, 4.02), (-1.67, 1.21, 1.19, 1.7, -1.52), (2.89, -2.02)),
 }
 _OWN = {
-    "lab": Weights((-3.73, 0.15, 0.0, 1.49, -0.61, 5.93), (-2.41, 0.58, 0.29, 1.86, -0.5), (2.64, -2.48)),
-    "xfeat": Weights((0.95, 1.31, 0.0, 0.35, -0.93, 8.18), (3.45, 1.9, 0.38, 0.93, -1.14), (0.47, -1.54)),
+    "lab": Weights((-1.25, 0.52, 0.09, 1.18, -0.57, 4.87), (-2.41, 0.58, 0.29, 1.86, -0.5), (2.64, -2.48)),
+    "xfeat": Weights((3.49, 1.75, 0.05, 0.56, -1.15, 4.95), (3.45, 1.9, 0.38, 0.93, -1.14), (0.47, -1.54)),
 }
 
 
@@ -114,16 +116,20 @@ def joint_confidence(verified: Sequence[Verified], covariance: FloatArray, weigh
 
 def probability(grounds: Grounds, weights: Weights) -> float:
     """0..1, what they come to."""
-    if grounds.has_colours:
-        place = _logistic((*grounds.place, grounds.colours), weights.by_colours)
-    else:
-        place = _logistic(grounds.place, weights.without)
-    return place * _logistic((grounds.sigma,), weights.exact)
+    return float(expit(_place_logit(grounds, weights)) * expit(_weighed((grounds.sigma,), weights.exact)))
 
 
-def _logistic(inputs: tuple[float, ...], weights: tuple[float, ...]) -> float:
+def _place_logit(grounds: Grounds, weights: Weights) -> float:
+    """Of the probability that it is the right place."""
+    without = _weighed(grounds.place, weights.without)
+    if not grounds.has_colours:
+        return without
+    return max(_weighed((*grounds.place, grounds.colours), weights.by_colours), without - _MOST_AGAINST)
+
+
+def _weighed(inputs: tuple[float, ...], weights: tuple[float, ...]) -> float:
     intercept, *slopes = weights
-    return float(expit(intercept + np.dot(slopes, inputs)))
+    return float(intercept + np.dot(slopes, inputs))
 
 
 def _mean_colours(supports: Sequence[Support]) -> float:
