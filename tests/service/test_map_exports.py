@@ -62,6 +62,29 @@ def test_the_files_hold_the_map(hall, tmp_path):
     assert set(features) == {"3", "5", "6"}
 
 
+@pytest.mark.parametrize(
+    ("asked", "status", "span"),
+    [
+        ("bytes=0-3", 206, slice(0, 4)),
+        ("Bytes = 2-", 206, slice(2, None)),
+        ("bytes=-5", 206, slice(-5, None)),
+        ("bytes=0-99999999999", 206, slice(None)),
+        ("bytes=5-2", 200, slice(None)),
+        ("bytes=-", 200, slice(None)),
+        ("bytes=a-b", 200, slice(None)),
+        ("bytes=0-" + "9" * 5000, 200, slice(None)),
+        ("lines=0-3", 200, slice(None)),
+        ("nothing", 200, slice(None)),
+        ("", 200, slice(None)),
+    ],
+)
+def test_a_part_of_the_file_is_sent_and_all_of_it_where_the_part_is_not_understood(hall, asked, status, span):
+    url = f"{hall[0]}/download?format=rho"
+    answer = httpx.get(url, headers={"Range": asked})
+    assert answer.status_code == status
+    assert answer.content == httpx.get(url).content[span]
+
+
 def test_reports_are_pictures_too(hall):
     answer = httpx.get(f"{hall[0]}/report.png", timeout=120)
     assert answer.headers["Content-Type"] == "image/png"

@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import os
+import re
 from pathlib import Path
 
 from starlette.responses import FileResponse
 from starlette.types import Receive, Scope, Send
 
+_SPAN = re.compile(r"\s*(?:(\d{1,18})-(\d{1,18})?|-\d{1,18})\s*")
+
 
 class OpenedFile(FileResponse):
     """A file as it was when it was opened: its length, its content and its tag are of one version.
+
+    A ``Range`` that is not understood is ignored (RFC 9110, section 14.2), and all of it sent.
 
     Raises:
         FileNotFoundError: the file does not exist.
@@ -29,7 +34,19 @@ class OpenedFile(FileResponse):
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Send the file, and close it."""
+        headers = [
+            (name, value) for name, value in scope["headers"] if name != b"range" or _is_range(value.decode("latin-1"))
+        ]
         try:
-            await super().__call__(scope, receive, send)
+            await super().__call__({**scope, "headers": headers}, receive, send)
         finally:
             os.close(self._descriptor)
+
+
+def _is_range(value: str) -> bool:
+    """Whether a ``Range`` is of bytes, each span of it from a first to no earlier a last one."""
+    unit, _, spans = value.partition("=")
+    found = [_SPAN.fullmatch(span) for span in spans.split(",")]
+    return unit.strip().lower() == "bytes" and all(
+        span is not None and (span[1] is None or span[2] is None or int(span[1]) <= int(span[2])) for span in found
+    )
