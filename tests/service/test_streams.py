@@ -52,11 +52,9 @@ def test_odometry_is_placed_in_the_map_once_a_picture_was_answered(service, pict
         answered = heard(socket)
         assert answered["answer"]["localized"]
         assert answered["answers"] == 1
-        frame(socket, 1.2, picture_world.png(), odometry=HERE)  # a second answer that agrees settles it
-        answered = heard(socket)
         assert answered["status"] == "tracking"
         np.testing.assert_allclose(answered["pose"]["position"], picture_world.pose.position, atol=0.02)
-        moved = frame(socket, 1.3, odometry={**HERE, "position": [0.1, 0, 0]})
+        moved = frame(socket, 0.2, odometry={**HERE, "position": [0.1, 0, 0]})
         T = np.array(answered["pose"]["T_map_camera"])
         np.testing.assert_allclose(moved["pose"]["position"], T[:3, 3] + 0.1 * T[:3, 0], atol=0.02)
         np.testing.assert_allclose(moved["T_map_odom"], T, atol=0.02)

@@ -22,7 +22,7 @@ from rholoc.geometry import (
 from rholoc.localization import Dof, Localizer, Prior, Query
 from rholoc.progress import ProgressListener, Stage, silent
 
-LEARNING_CONFIDENCE = 0.8  # required of a frame that a map learns from
+LEARNING_CONFIDENCE = 0.7  # required of a frame that a map learns from: surely of the right place, if not to 20 cm
 _PROBES = 12  # frames, spread over all, by which a recording of another place is recognized at once
 MIN_FOUND = 5
 _MIN_SHARE = 0.1
