@@ -171,9 +171,7 @@ function unplaced(job) {
 
 /** A choice of how soon a job's turn comes, which takes effect at once. */
 function priorityField(job) {
-  const options = PRIORITIES.map((one) =>
-    h("option", { value: one, selected: one === job.priority }, translated(one)),
-  );
+  const options = PRIORITIES.map((one) => h("option", { value: one, selected: one === job.priority }, translated(one)));
   const select = h("select", { "aria-label": t`Priority` }, options);
   select.addEventListener("change", async () => {
     try {

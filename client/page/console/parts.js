@@ -75,7 +75,7 @@ export function empty(title, text, ...actions) {
 }
 
 /** A job's state as a badge; a map that was published and cannot be trusted is no success. */
-export function stateBadge({ state, warnings, trusted }) {
+export function stateBadge({ state, trusted }) {
   if (trusted === false) return h("span", { class: "badge bad" }, t`published, not trusted`);
   return h("span", { class: ["badge", STATES[state]] }, translated(state));
 }
