@@ -44,6 +44,7 @@ def test_it_works_restarts_and_stops(tmp_path: Path) -> None:
     assert not worker.running
 
 
+@pytest.mark.slow
 def test_it_ends_with_a_killed_server(tmp_path: Path) -> None:
     server = subprocess.Popen(
         [sys.executable, "-c", _SERVER, str(tmp_path), str(tmp_path / "maps")], stdout=subprocess.PIPE

@@ -53,7 +53,12 @@ def test_a_recording_becomes_a_published_map(busy_site: Site) -> None:
 @pytest.mark.parametrize(
     ("content", "code", "message"),
     [
-        (b"bug at poses", "internal", "An unexpected ZeroDivisionError stopped the job: something"),
+        pytest.param(
+            b"bug at poses",
+            "internal",
+            "An unexpected ZeroDivisionError stopped the job: something",
+            marks=pytest.mark.slow,
+        ),
         (b"crash at poses", "internal", "The mapping process ended unexpectedly (signal 9)."),
     ],
 )
@@ -70,6 +75,7 @@ def test_a_failing_job_says_why_and_keeps_the_recording(
     assert name not in MapLibrary(busy_site.maps_dir).names()
 
 
+@pytest.mark.slow
 def test_a_failed_job_can_be_retried(busy_site: Site) -> None:
     job = busy_site.submit(b"unreadable at read", "retried")
     failed = busy_site.wait_for(job, JobState.FAILED, JobState.PUBLISHED)
@@ -101,6 +107,7 @@ def test_a_running_job_is_cancelled_within_two_seconds(busy_site: Site, point: s
     assert name not in MapLibrary(busy_site.maps_dir).names()
 
 
+@pytest.mark.slow
 def test_a_worker_that_was_taken_for_dead_takes_jobs_again(busy_site: Site) -> None:
     """While the database was gone it could not tell that it lives; another forgot it and removed its queue."""
     engine = open_database(busy_site.data_dir)
@@ -242,5 +249,6 @@ run_worker(Path(sys.argv[1]) / "data", Path(sys.argv[1]) / "maps", stop=Stop())
 """
 
 
+@pytest.mark.slow
 def test_a_signal_that_comes_as_the_worker_begins_to_wait_stops_it(tmp_path: Path) -> None:
     subprocess.run([sys.executable, "-c", _SIGNALLED_ON_THE_WAY, str(tmp_path)], check=True, timeout=200)

@@ -145,7 +145,9 @@ def test_bad_tables_replace_nothing(hall, damage):
         pytest.param({"format": "csv", "degree": 9}, "invalid_input", marks=pytest.mark.slow),
         ({"format": "csv", "degree": "two"}, "invalid_request"),
         ({"format": "surfaces", "features": "all"}, "invalid_input"),
-        ({"format": "surfaces", "features": "0:999999999"}, "invalid_input"),  # by a process, too
+        pytest.param(  # by a process, too
+            {"format": "surfaces", "features": "0:999999999"}, "invalid_input", marks=pytest.mark.slow
+        ),
     ],
 )
 def test_exports_without_sense_are_refused(hall, params, code):

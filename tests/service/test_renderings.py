@@ -42,6 +42,7 @@ def test_a_rendering_is_made_once_and_again_when_the_map_changes(tmp_path, libra
     asyncio.run(scenario())
 
 
+@pytest.mark.slow
 def test_a_process_that_is_killed_is_started_again(tmp_path, library):
     async def scenario() -> None:
         renderings = Renderings(tmp_path / "kept", library)
