@@ -151,8 +151,7 @@ def doubts_asked(named: NamedRoom, features: str, kept: Path) -> Iterator[Case]:
     others = list(strangers(named.recording, STRANGERS, kept))
     rng = np.random.default_rng(0)
     for number, (truth, image) in enumerate(room.pictures()):
-        found = extractor.extract(image)
-        found = found.coloured(image)
+        found = extractor.extract(image).coloured(image)
         some = found.take(np.sort(rng.choice(len(found), int(len(found) * FEWER), replace=False)))
         yield case(Kind.FEWER, localizer, Query(some, camera), truth)
         if number % SELDOM:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -12,6 +11,7 @@ from pathlib import Path
 from rholoc.errors import Conflict, InvalidMap, UnknownMap
 from rholoc.mapping import SearchedPair, add_links, map_state, search_links
 from rholoc.maps import MapLibrary, SiteLibrary, load_info
+from rholoc.maps.files import replace_file
 from rholoc.progress import ProgressListener
 from rholoc.reports import report_from_json, report_to_json
 
@@ -55,7 +55,7 @@ def write_links(maps_dir: Path, site_name: str, file: Path, progress: ProgressLi
         pairs.append(pair)
         if pair.names not in kept:
             kept[pair.names] = pair
-            _write(unfinished, [*kept.values()])
+            _write(unfinished, list(kept.values()))
     _write(file, pairs)
 
 
@@ -101,6 +101,4 @@ def _read(file: Path) -> Sequence[SearchedPair]:
 
 
 def _write(file: Path, pairs: Sequence[SearchedPair]) -> None:
-    partial = file.with_name(f"{os.getpid()}-{file.name}")
-    partial.write_text(json.dumps(report_to_json(_Search(tuple(pairs)))), encoding="utf-8")
-    partial.replace(file)
+    replace_file(file, json.dumps(report_to_json(_Search(tuple(pairs)))).encode())

@@ -11,12 +11,12 @@ import numpy as np
 from scipy.stats import rankdata
 
 from rholoc.geometry import ByteArray, FloatArray
+from rholoc.maps.map import UNKNOWN_GREY
 
 _FEWEST = 4
 _MOST = 300  # matches that are compared with each other
 _RIDGE = 1 / 3  # on the slopes, of ranks from -1/2 to 1/2
 _SHRINK = 6.0  # matches: of so few that agree, half is taken for chance
-_UNKNOWN = 128  # of red, green and blue: what maps have for landmarks whose colour they do not know
 
 
 def colour_agreement(shown: ByteArray | None, known: ByteArray | None) -> float:
@@ -34,7 +34,7 @@ def colour_agreement(shown: ByteArray | None, known: ByteArray | None) -> float:
     """
     if shown is None or known is None:
         return np.nan
-    rows = np.flatnonzero((known != _UNKNOWN).any(axis=1))
+    rows = np.flatnonzero((known != UNKNOWN_GREY).any(axis=1))
     if len(rows) < _FEWEST:
         return np.nan
     rows = rows[np.linspace(0, len(rows) - 1, min(len(rows), _MOST)).astype(np.int64)]

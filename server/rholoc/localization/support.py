@@ -45,8 +45,8 @@ class Support:
         beyond_chance: nats, how surely more matches of a wider search are close to their landmarks than chance puts
             there, by how many it put around.
         parts: how many cells say enough for it by themselves.
-        colours: how well the matches' colours are those of their landmarks, 0 by chance, 1 at best; NaN where they
-            are not known. See :func:`rholoc.localization.colours.colour_agreement`.
+        colours: how well the matches' lightness follows from the colours of their landmarks, 0 by chance, 1 at best;
+            NaN where they are not known. See :func:`rholoc.localization.colours.colour_agreement`.
     """
 
     seen: float

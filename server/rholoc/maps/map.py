@@ -13,7 +13,7 @@ from rholoc.maps.cloud import Cloud
 from rholoc.maps.info import MapInfo
 from rholoc.maps.observations import Observations
 
-_GREY = 128
+UNKNOWN_GREY = 128  # the red, green and blue of landmarks whose colour is not known
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,7 +80,7 @@ class Map:
     @property
     def known_colours(self) -> ByteArray:
         """(F, 3) as ``colours``, all grey where there are none."""
-        return np.full((len(self), 3), _GREY, dtype=np.uint8) if self.colours is None else self.colours
+        return np.full((len(self), 3), UNKNOWN_GREY, dtype=np.uint8) if self.colours is None else self.colours
 
     @property
     def known_pictures(self) -> tuple[bytes, ...]:
