@@ -29,11 +29,13 @@ from rholoc.maps import (
     save_map,
     unpacked_pixels,
 )
+from rholoc.maps.cloud import Cloud
 from rholoc.maps.info import info_from_json, info_to_json
-from rholoc.maps.rho_file import _checksum
+from rholoc.maps.rho_file import _INDICES, _checksum
 from rholoc.maps.validation import ARRAY_NAMES
 from rholoc.reports import MapReport
 
+_CLOUD = Cloud(np.zeros((3, 3), np.float32), np.zeros((3, 3), np.uint8), np.array([0, 1, 1], np.int32))
 _SHARED_FOLDER = settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None, max_examples=150)
 
 
@@ -148,9 +150,42 @@ def test_what_is_saved_twice_is_the_same_file(whole_map: Map, tmp_path: Path) ->
     assert_same_map(load_map(tmp_path / "twice.rho"), once)
 
 
+def test_files_of_the_first_version_load(whole_map: Map, tmp_path: Path) -> None:
+    path = tmp_path / "first.rho"
+    save_map(replace(whole_map, cloud=_CLOUD), path)
+    wide = {name: array.astype(np.int32) for name, array in _arrays(path).items() if name in _INDICES}
+    assert len(wide) == len(_INDICES)
+    _rewrite(path, wide, format_version="1")
+    first = load_map(path)
+    assert_same_map(first, whole_map)
+    np.testing.assert_array_equal(first.cloud.sources, [0, 1, 1])
+
+
+@pytest.mark.parametrize(("count", "kind"), [(256, np.uint8), (257, np.uint16), (65536, np.uint16), (65537, np.int32)])
+def test_indices_take_no_more_bytes_than_they_need(make_map, tmp_path: Path, count: int, kind: type) -> None:
+    path = tmp_path / "room.rho"
+    small = make_map(features=20, views=3)
+    longer = np.arange(count) % 20
+    many = replace(
+        small,
+        **{name: getattr(small, name)[longer] for name in ("channels", "landmarks", "covariances")},
+        descriptors=small.descriptors[:1],
+        descriptor_features=np.array([count - 1], np.int32),
+    )
+    save_map(many, path)
+    assert _arrays(path)["descriptor_features"].dtype == kind
+    assert_same_map(load_map(path), many)
+
+
 @pytest.mark.parametrize(
     ("name", "array"),
     [
+        ("view_features", np.full(160, 255, np.uint8)),
+        ("view_features", np.full(160, -1, np.int32)),
+        ("view_features", np.full(160, 2**40, np.uint64)),
+        ("view_features", np.zeros((160, 1), np.uint8)),
+        ("descriptor_features", np.zeros(3, np.uint16)),
+        ("view_offsets", np.array([0, 20, 10, 60, 80, 100, 120, 140, 160], np.uint8)),
         ("extras/tensor_degree", np.array(7, np.int32)),
         ("extras/tensor_coefficients", np.zeros((3, 6, 10, 27), np.float32)),
         ("extras/tensor_places", np.full((60, 3), np.nan, np.float32)),
@@ -286,8 +321,8 @@ def test_a_header_that_claims_a_huge_length_is_refused(tmp_path: Path) -> None:
 def test_a_later_version_is_refused_with_advice(room_map: Map, tmp_path: Path) -> None:
     path = tmp_path / "later.rho"
     save_map(room_map, path)
-    _rewrite(path, format_version="2")
-    with pytest.raises(InvalidMap, match="version 2") as caught:
+    _rewrite(path, format_version="3")
+    with pytest.raises(InvalidMap, match="version 3") as caught:
         load_map(path)
     assert "Update" in caught.value.hint
 
@@ -355,10 +390,14 @@ def _metadata(path: Path) -> dict[str, str]:
         return file.metadata()
 
 
+def _arrays(path: Path) -> dict[str, np.ndarray]:
+    with safe_open(path, framework="numpy") as file:
+        return {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+
+
 def _rewrite(path: Path, changed: dict[str, np.ndarray | None] | None = None, **metadata: str) -> None:
     """The file with other arrays (None leaves one out) and a checksum that fits, or with other metadata."""
-    with safe_open(path, framework="numpy") as file:
-        kept, arrays = file.metadata(), {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+    kept, arrays = _metadata(path), _arrays(path)
     if changed is not None:
         arrays = {name: array for name, array in (arrays | changed).items() if array is not None}
         kept["checksum"] = _checksum(kept["info"], arrays)

@@ -30,7 +30,8 @@ from rholoc.maps.validation import validate_map
 
 SUFFIX = ".rho"
 FORMAT = "rholoc-map"
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
+_READ_VERSIONS = ("1", "2")  # 1 has all indices as int32
 
 _CHECKSUM_BYTES = 16
 _HINT = "Take another copy, or build the map again."
@@ -73,6 +74,15 @@ _OBSERVATIONS: dict[str, tuple[str, tuple[int | None, ...]]] = {
     "extras/view_sources": ("i4", (None,)),
     "extras/descriptor_sources": ("i4", (None,)),
 }
+# int32 in memory; in a file of the smallest type that holds them
+_INDICES = (
+    "descriptor_features",
+    "view_offsets",
+    "view_features",
+    "cloud_sources",
+    "extras/view_sources",
+    "extras/descriptor_sources",
+)
 Arrays = dict[str, NDArray[Any]]
 
 
@@ -130,7 +140,7 @@ def load_map(path: Path, called: str | None = None) -> Map:
     if metadata.get("checksum") != _checksum(info, arrays):
         raise InvalidMap(f"{called} is corrupt: its checksum does not match its content.", _HINT)
     try:
-        map_ = _unpacked(info_from_json(info), arrays)
+        map_ = _unpacked(info_from_json(info), _widened(arrays))
         validate_map(map_)
     except InvalidMap as error:
         raise InvalidMap(f"{called}: {error.message}", error.hint or _HINT) from error
@@ -156,9 +166,9 @@ def _check_format(called: str, metadata: Mapping[str, str]) -> None:
     if metadata.get("format") != FORMAT:
         raise InvalidMap(f"{called} is not a rholoc map.", "Give a .rho file.")
     version = metadata.get("format_version", "")
-    if version != str(FORMAT_VERSION):
+    if version not in _READ_VERSIONS:
         raise InvalidMap(
-            f"{called} has format version {version}; this rholoc reads {FORMAT_VERSION}.", "Update rholoc."
+            f"{called} has format version {version}; this rholoc reads up to {FORMAT_VERSION}.", "Update rholoc."
         )
 
 
@@ -204,7 +214,20 @@ def _packed(map_: Map) -> Arrays:
     for name, array in map_.densities.arrays().items():
         little_endian = array.dtype.newbyteorder("<")
         packed[_prefix(map_.info.density) + name] = np.asarray(array, dtype=little_endian, order="C")
-    return packed
+    return packed | {name: _narrowed(packed[name]) for name in _INDICES if name in packed}
+
+
+def _narrowed(indices: IntArray) -> IntArray:
+    """Indices, none of them negative, as the smallest of uint8, uint16 and int32 that holds them all."""
+    greatest = indices.max(initial=0)
+    fitting = (kind for kind in ("<u1", "<u2") if greatest <= np.iinfo(kind).max)
+    return indices.astype(next(fitting, "<i4"))
+
+
+def _widened(arrays: Arrays) -> Arrays:
+    """A file's arrays with those indices as int32 that were narrowed."""
+    narrow = (name for name in _INDICES if name in arrays and arrays[name].dtype in (np.uint8, np.uint16))
+    return arrays | {name: arrays[name].astype(np.int32) for name in narrow}
 
 
 def _prefix(kind: DensityKind) -> str:
