@@ -27,6 +27,7 @@ from rholoc.maps import (
     map_to_bytes,
     packed_pixels,
     save_map,
+    storable_patches,
     unpacked_pixels,
 )
 from rholoc.maps.cloud import Cloud
@@ -67,7 +68,8 @@ def test_an_empty_map_comes_back(make_map, tmp_path: Path) -> None:
 
 def test_every_array_of_a_map_is_stored() -> None:
     assert {field.name for field in fields(Map)} == {
-        *ARRAY_NAMES, "info", "observations", "view_covariances", "colours", "cloud", "pictures", "plan", "densities",
+        *ARRAY_NAMES, "info", "observations", "view_covariances", "colours", "patches", "cloud", "pictures", "plan",
+        "densities",
     }  # fmt: skip
 
 
@@ -79,6 +81,27 @@ def test_colours_come_back_and_files_without_them_load(room_map: Map, tmp_path: 
     assert load_map(tmp_path / "plain.rho").colours is None
     with pytest.raises(InvalidMap, match="colours"):
         save_map(replace(room_map, colours=colours[:-1]), tmp_path / "short.rho")
+
+
+def test_patches_come_back_and_files_without_them_load(room_map: Map, tmp_path: Path) -> None:
+    patches = np.random.default_rng(0).normal(0, 0.03, (len(room_map), 3)).astype(np.float32)
+    patches[3] = np.nan
+    patches = storable_patches(patches)
+    save_map(replace(room_map, patches=patches), tmp_path / "known.rho")
+    save_map(room_map, tmp_path / "plain.rho")
+    np.testing.assert_array_equal(load_map(tmp_path / "known.rho").patches, patches)
+    assert load_map(tmp_path / "plain.rho").patches is None
+    added_bytes = (tmp_path / "known.rho").stat().st_size - (tmp_path / "plain.rho").stat().st_size
+    assert added_bytes < 3 * len(room_map) + 100  # and what names the array
+
+
+@pytest.mark.parametrize("vector", [(0, 0, 0), (np.nan, 0, 1), (np.inf, 0, 0)])
+def test_a_patch_that_is_none_is_refused(room_map: Map, tmp_path: Path, vector: tuple[float, ...]) -> None:
+    patches = np.full((len(room_map), 3), 0.1, np.float32)
+    patches[5] = vector
+    for wrong in (patches, np.full((len(room_map) - 1, 3), 0.1, np.float32)):
+        with pytest.raises(InvalidMap, match="patches"):
+            save_map(replace(room_map, patches=wrong), tmp_path / "wrong.rho")
 
 
 def test_how_uncertain_views_are_comes_back(room_map: Map, tmp_path: Path) -> None:

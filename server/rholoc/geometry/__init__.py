@@ -11,6 +11,7 @@ from rholoc.geometry.alignment import (
 from rholoc.geometry.angles import angles_between, direction_angles, pose_distances, rotation_angles
 from rholoc.geometry.arrays import BoolArray, ByteArray, FloatArray, IntArray, ranges
 from rholoc.geometry.camera import Camera
+from rholoc.geometry.patches import mean_patches, patch_appearance, patch_vectors
 from rholoc.geometry.pose import Pose, is_rotation, pose_matrix, poses_from_rows, rotation_from_heading, rows_from_poses
 from rholoc.geometry.vectors import UP, basis_across, cross
 
@@ -31,6 +32,9 @@ __all__ = [
     "direction_angles",
     "is_rotation",
     "kabsch",
+    "mean_patches",
+    "patch_appearance",
+    "patch_vectors",
     "pose_distances",
     "pose_matrix",
     "posed_alignment",

@@ -5,10 +5,18 @@ from __future__ import annotations
 import numpy as np
 
 from rholoc.features import Metric
-from rholoc.geometry import ByteArray, IntArray, poses_from_rows, rows_from_poses
+from rholoc.geometry import (
+    ByteArray,
+    FloatArray,
+    IntArray,
+    mean_patches,
+    patch_vectors,
+    poses_from_rows,
+    rows_from_poses,
+)
 from rholoc.mapping.landmarks import Landmarks, representative_rows
 from rholoc.mapping.observations import Views
-from rholoc.maps import Map, MapInfo, Observations, packed_pixels, unpacked_pixels
+from rholoc.maps import Map, MapInfo, Observations, packed_pixels, storable_patches, unpacked_pixels
 
 DESCRIPTORS_PER_FEATURE = 2
 
@@ -16,7 +24,7 @@ DESCRIPTORS_PER_FEATURE = 2
 def assemble(info: MapInfo, views: Views, landmarks: Landmarks, view_sources: IntArray, metric: Metric) -> Map:
     """The map, of ``ray`` form, of landmarks that are all observed.
 
-    Pixels and poses are rounded as files keep them, so that a map read back learns as the one that was built.
+    Pixels, poses and patches are rounded as files keep them, so that a map read back learns as the one that was built.
     Every recording that saw a feature brings its own descriptors for it, so that each can be forgotten.
 
     Args:
@@ -49,6 +57,7 @@ def assemble(info: MapInfo, views: Views, landmarks: Landmarks, view_sources: In
             if views.features.colours is None
             else mean_colours(views.features.colours[observed], features, len(landmarks))
         ),
+        patches=_patches(views, landmarks),
         observation_views=of_view.astype(np.int32),
         observation_features=features.astype(np.int32),
         observations=Observations(
@@ -64,6 +73,18 @@ def mean_colours(seen: ByteArray, features: IntArray, count: int) -> ByteArray:
     sums = [np.bincount(features, weights=seen[:, channel], minlength=count) for channel in range(3)]
     counts = np.maximum(np.bincount(features, minlength=count), 1)
     return np.asarray(np.round(np.column_stack(sums) / counts[:, None]).astype(np.uint8))
+
+
+def _patches(views: Views, landmarks: Landmarks) -> FloatArray | None:
+    """The patch (F, 3) of each landmark, of all its observations; None where none says anything of it."""
+    features, vectors = views.features, np.full((len(landmarks.labels), 3), np.nan)
+    for k, camera in enumerate(views.cameras):
+        here = np.arange(views.offsets[k], views.offsets[k + 1])
+        rows = here[landmarks.labels[here] >= 0]
+        seen = landmarks.positions[landmarks.labels[rows]]
+        vectors[rows] = patch_vectors(camera, views.T_map_camera[k], seen, features.angles[rows], features.sizes[rows])
+    observed = landmarks.observed_rows
+    return storable_patches(mean_patches(vectors[observed], landmarks.labels[observed], len(landmarks)))
 
 
 def _descriptor_rows(

@@ -135,6 +135,7 @@ def _joined(a: Map, b: Map, same: IntArray) -> Map:
         landmarks=np.concatenate([a.landmarks, b.landmarks[new]]),
         covariances=np.concatenate([a.covariances, b.covariances[new]]),
         colours=_both_colours(a, b, new),
+        patches=_both_patches(a, b, same),
         descriptors=np.concatenate([a.descriptors, b.descriptors])[order],
         descriptor_features=owners[order].astype(np.int32),
         view_times=np.concatenate([a.view_times, b.view_times]),
@@ -150,6 +151,17 @@ def _joined(a: Map, b: Map, same: IntArray) -> Map:
             np.concatenate([of_a.descriptor_sources, of_b.descriptor_sources + shift])[order],
         ),
     )
+
+
+def _both_patches(a: Map, b: Map, same: IntArray) -> FloatArray | None:
+    """Of each feature the patch that ``a`` knows, else that of ``b``."""
+    if a.patches is None and b.patches is None:
+        return None
+    known, other = a.known_patches.copy(), b.known_patches
+    further = same >= 0
+    further[further] = np.isnan(known[same[further], 0])
+    known[same[further]] = other[further]
+    return np.concatenate([known, other[same < 0]])
 
 
 def _both_covariances(a: Map, b: Map) -> FloatArray | None:

@@ -122,6 +122,7 @@ def keep_features(map_: Map, kept: BoolArray) -> Map:
         landmarks=map_.landmarks[kept],
         covariances=map_.covariances[kept],
         colours=None if map_.colours is None else map_.colours[kept],
+        patches=None if map_.patches is None else map_.patches[kept],
         descriptors=map_.descriptors[described],
         descriptor_features=number[map_.descriptor_features[described]].astype(np.int32),
         observation_views=map_.observation_views[seen],

@@ -21,7 +21,7 @@ from rholoc.mapping.memory import with_landmarks
 from rholoc.mapping.registration import LEARNING_CONFIDENCE, align_to_found, find_frames
 from rholoc.mapping.uncertainty import moved_covariances, uncertainty_in
 from rholoc.mapping.versions import as_learned
-from rholoc.maps import DensityKind, Map, check_observations, source_cameras
+from rholoc.maps import DensityKind, Map, check_observations, moved_patches, source_cameras
 from rholoc.progress import ProgressListener, Stage, silent
 
 _MAX_LOCALIZED = 60
@@ -75,6 +75,7 @@ def moved_map(map_: Map, similarity: Similarity) -> Map:
     moved = replace(
         map_,
         T_map_camera=poses_from_rows(rows_from_poses(similarity.poses(map_.T_map_camera)).astype(np.float32)),
+        patches=moved_patches(map_.patches, similarity),
         cloud=map_.cloud.moved(similarity),
         view_covariances=(
             None if map_.view_covariances is None else moved_covariances(map_.view_covariances, similarity)

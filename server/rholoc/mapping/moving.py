@@ -10,7 +10,7 @@ from rholoc.density import FORMS
 from rholoc.errors import InvalidInput
 from rholoc.geometry import FloatArray, Similarity, poses_from_rows, rows_from_poses
 from rholoc.mapping.uncertainty import moved_covariances
-from rholoc.maps import Map, MapInfo, MapNames, validate_map
+from rholoc.maps import Map, MapInfo, MapNames, moved_patches, validate_map
 from rholoc.reports import HeldOutReport, InertialComparison, LearningReport, MapReport, TrajectoryReport
 
 _FARTHEST_M = 10_000.0  # from the origin: single precision still tells a millimetre there
@@ -42,6 +42,7 @@ def move_map(map_: Map, similarity: Similarity) -> Map:
         view_covariances=(
             None if map_.view_covariances is None else moved_covariances(map_.view_covariances, similarity)
         ),
+        patches=moved_patches(map_.patches, similarity),
         cloud=cloud,
         densities=densities,
     )

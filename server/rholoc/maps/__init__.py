@@ -34,6 +34,7 @@ from rholoc.maps.observations import (
     unpacked_pixels,
 )
 from rholoc.maps.part import MapPart, part_of
+from rholoc.maps.patches import moved_patches, packed_patches, storable_patches, unpacked_patches
 from rholoc.maps.rho_file import load_info, load_map, map_to_bytes, save_map
 from rholoc.maps.scene import cloud_to_bytes, map_to_scene
 from rholoc.maps.sites import (
@@ -121,7 +122,9 @@ __all__ = [
     "map_to_ply",
     "map_to_scene",
     "map_to_vtp",
+    "moved_patches",
     "observations_csv",
+    "packed_patches",
     "packed_pixels",
     "part_of",
     "points_near",
@@ -129,8 +132,10 @@ __all__ = [
     "read_trajectory_csv",
     "save_map",
     "source_cameras",
+    "storable_patches",
     "trajectory_csv",
     "trust_of",
+    "unpacked_patches",
     "unpacked_pixels",
     "validate_map",
     "view_trajectory",

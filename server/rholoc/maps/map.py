@@ -38,6 +38,9 @@ class Map:
         view_covariances: (K, 6, 6) float32 of the views' poses: x, y, z in metres, then a small rotation about the
             map's axes, from the left, in radians; NaN for views whose uncertainty is not known. None if no view's is.
         colours: (F, 3) uint8, red, green and blue of each landmark in the pictures; None if they are not known.
+        patches: (F, 3) float32, of each landmark a vector along the orientation of the patch that its descriptors
+            describe, in the map frame, as long as the patch's diameter, metres (:mod:`rholoc.geometry.patches`); NaN
+            where not known. None if no landmark's is known.
         cloud: further points of the room, for people to see.
         pictures: (K,) a small JPEG of each view, empty for views without one. None if no view has one.
         plan: the file of its floor plan, empty if it has none; ``info.plan`` describes it.
@@ -57,6 +60,7 @@ class Map:
     observations: Observations | None = None
     view_covariances: FloatArray | None = None
     colours: ByteArray | None = None
+    patches: FloatArray | None = None
     cloud: Cloud = Cloud()  # noqa: RUF009 - it is frozen
     pictures: tuple[bytes, ...] | None = None
     plan: bytes = b""
@@ -81,6 +85,11 @@ class Map:
     def known_colours(self) -> ByteArray:
         """(F, 3) as ``colours``, all grey where there are none."""
         return np.full((len(self), 3), UNKNOWN_GREY, dtype=np.uint8) if self.colours is None else self.colours
+
+    @property
+    def known_patches(self) -> FloatArray:
+        """(F, 3) as ``patches``, all NaN where there are none."""
+        return np.full((len(self), 3), np.nan, dtype=np.float32) if self.patches is None else self.patches
 
     @property
     def known_pictures(self) -> tuple[bytes, ...]:

@@ -39,6 +39,7 @@ def part_of(map_: Map, views: IntArray) -> MapPart:
         landmarks=map_.landmarks[features],
         covariances=map_.covariances[features],
         colours=None if map_.colours is None else map_.colours[features],
+        patches=None if map_.patches is None else map_.patches[features],
         descriptors=map_.descriptors[ranges(described, described_end)],
         descriptor_features=np.repeat(np.arange(len(features), dtype=np.int32), described_end - described),
         view_times=map_.view_times[views],

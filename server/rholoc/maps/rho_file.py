@@ -26,6 +26,7 @@ from rholoc.maps.files import replace_file
 from rholoc.maps.info import MapInfo, info_from_json, info_to_json
 from rholoc.maps.map import Map
 from rholoc.maps.observations import Observations, packed_pixels, source_cameras, unpacked_pixels
+from rholoc.maps.patches import packed_patches, unpacked_patches
 from rholoc.maps.validation import validate_map
 
 SUFFIX = ".rho"
@@ -56,6 +57,9 @@ _VIEW_COVARIANCES: dict[str, tuple[str, tuple[int | None, ...]]] = {
 }
 _COLOURS: dict[str, tuple[str, tuple[int | None, ...]]] = {
     "colours": ("u1", (None, 3)),  # red, green, blue; older files have none
+}
+_PATCHES: dict[str, tuple[str, tuple[int | None, ...]]] = {
+    "patches": ("i1", (None, 3)),  # as :mod:`rholoc.maps.patches` packs them; older files have none
 }
 _CLOUD: dict[str, tuple[str, tuple[int | None, ...]]] = {
     "cloud_positions": ("f4", (None, 3)),
@@ -189,6 +193,8 @@ def _packed(map_: Map) -> Arrays:
         arrays["view_covariances"] = map_.view_covariances[:, _UPPER_OF_POSE[0], _UPPER_OF_POSE[1]]
     if map_.colours is not None:
         arrays["colours"] = map_.colours
+    if map_.patches is not None:
+        arrays["patches"] = packed_patches(map_.patches)
     if len(map_.cloud):
         arrays |= {
             "cloud_positions": map_.cloud.positions,
@@ -209,7 +215,7 @@ def _packed(map_: Map) -> Arrays:
             "extras/view_sources": map_.observations.view_sources,
             "extras/descriptor_sources": map_.observations.descriptor_sources,
         }
-    kinds = _ARRAYS | _VIEW_COVARIANCES | _COLOURS | _CLOUD | _PICTURES | _PLAN | _OBSERVATIONS
+    kinds = _ARRAYS | _VIEW_COVARIANCES | _COLOURS | _PATCHES | _CLOUD | _PICTURES | _PLAN | _OBSERVATIONS
     packed = {name: np.asarray(array, dtype=f"<{kinds[name][0]}", order="C") for name, array in arrays.items()}
     for name, array in map_.densities.arrays().items():
         little_endian = array.dtype.newbyteorder("<")
@@ -257,6 +263,7 @@ def _unpacked(info: MapInfo, arrays: Arrays) -> Map:
         observation_features=arrays["view_features"],
         view_covariances=_unpacked_view_covariances(arrays),
         colours=arrays.get("colours"),
+        patches=_unpacked_patches(arrays),
         cloud=_unpacked_cloud(arrays),
         pictures=_unpacked_pictures(arrays, len(arrays["view_times"])),
         plan=_unpacked_plan(arrays),
@@ -286,6 +293,13 @@ def _unpacked_view_covariances(arrays: Arrays) -> FloatArray | None:
     covariances[:, _UPPER_OF_POSE[0], _UPPER_OF_POSE[1]] = rows
     covariances[:, _UPPER_OF_POSE[1], _UPPER_OF_POSE[0]] = rows
     return covariances
+
+
+def _unpacked_patches(arrays: Arrays) -> FloatArray | None:
+    if "patches" not in arrays:
+        return None
+    _check_arrays(arrays, _PATCHES)
+    return unpacked_patches(arrays["patches"])
 
 
 def _unpacked_cloud(arrays: Arrays) -> Cloud:

@@ -54,6 +54,8 @@ def validate_map(map_: Map) -> None:
     if map_.colours is not None:
         _check_array("colours", map_.colours, np.uint8, (None, 3))
         _check(len(map_.colours) == features, "colours and landmarks differ in number")
+    if map_.patches is not None:
+        _check(_all_patches(map_.patches, features), "its landmarks' patches are not valid")
     if len(map_.cloud):
         _check_cloud(map_)
     if map_.pictures is not None:
@@ -111,6 +113,14 @@ def _check_array(name: str, array: object, dtype: type[np.generic], shape: tuple
     _check(fits, f"{name} is not an array of {np.dtype(dtype).name} of the right shape")
     if isinstance(array, np.ndarray) and np.issubdtype(dtype, np.floating):
         _check(bool(np.isfinite(array).all()), f"{name} has values that are not finite")
+
+
+def _all_patches(patches: FloatArray, features: int) -> bool:
+    """Whether each is a vector with a length, or all NaN."""
+    if patches.shape != (features, 3) or patches.dtype != np.float32:
+        return False
+    known = patches[~np.isnan(patches).all(axis=1)]
+    return bool(np.isfinite(known).all() and known.any(axis=1).all())
 
 
 def _all_covariances(covariances: FloatArray, views: int) -> bool:

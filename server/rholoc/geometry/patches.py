@@ -1,0 +1,74 @@
+"""Patches: the orientation and size in space of what a descriptor describes.
+
+A detector measures in the image the orientation and the diameter of the patch that it describes (Lowe 2004). With the
+landmark's position that makes a vector in the map frame: across the camera's ray, along the orientation, and as long as
+the patch's diameter. From any other pose it foretells the orientation and size that the patch is detected with.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from rholoc.geometry.arrays import FloatArray, IntArray
+from rholoc.geometry.camera import Camera
+
+
+def patch_vectors(
+    camera: Camera, T_map_camera: FloatArray, landmarks: FloatArray, angles: FloatArray, sizes_px: FloatArray
+) -> FloatArray:
+    """What detections of landmarks say of their patches.
+
+    Args:
+        camera: that saw them; without its distortion.
+        T_map_camera: (4, 4) its pose.
+        landmarks: (N, 3) metres, map frame, where the detections are.
+        angles: (N,) radians, of the patches in the image, clockwise from +u; NaN where unknown.
+        sizes_px: (N,) the patches' diameters in the image; 0 where unknown.
+
+    Returns:
+        (N, 3) metres, map frame: perpendicular to the landmark's ray, projected along the angle, and as long as the
+        patch's diameter. NaN where either is not known, and behind the camera.
+    """
+    R, points = T_map_camera[:3, :3], _in_camera(T_map_camera, landmarks)
+    depth = points[:, 2]
+    rays = points / np.linalg.norm(points, axis=1, keepdims=True).clip(np.finfo(float).tiny)
+    along = np.column_stack([np.cos(angles) / camera.fx, np.sin(angles) / camera.fy, np.zeros(len(angles))])
+    along -= rays * np.sum(rays * along, axis=1, keepdims=True)
+    known = (depth > 0) & (sizes_px > 0) & np.isfinite(angles)
+    diameters_m = np.where(known, sizes_px * depth / camera.focal, np.nan)
+    return np.asarray(along * (diameters_m / np.linalg.norm(along, axis=1))[:, None] @ R.T)
+
+
+def patch_appearance(
+    camera: Camera, T_map_camera: FloatArray, landmarks: FloatArray, patches: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """How a camera sees the ``patches`` (N, 3) of ``landmarks`` (N, 3), both in the map frame, from a pose (4, 4).
+
+    Returns:
+        Their angles (N,) in the image, radians, clockwise from +u, and their diameters (N,), pixels; the camera's
+        distortion is left out. NaN where a patch is not known, and behind the camera.
+    """
+    points, along = _in_camera(T_map_camera, landmarks), patches @ T_map_camera[:3, :3]
+    depth = np.where((points[:, 2] > 0) & np.isfinite(along[:, 2]), points[:, 2], np.nan)
+    du, dv = (along[:, :2] - points[:, :2] * (along[:, 2] / depth)[:, None]).T
+    angles = np.arctan2(camera.fy * dv, camera.fx * du)
+    return np.asarray(angles), np.asarray(np.linalg.norm(along, axis=1) * camera.focal / depth)
+
+
+def mean_patches(vectors: FloatArray, features: IntArray, count: int) -> FloatArray:
+    """The patch (count, 3) of each feature, of the ``vectors`` (V, 3) that its observations say, NaN where not known.
+
+    Its direction is the mean of theirs and its length the geometric mean. NaN where none is known.
+    """
+    lengths = np.linalg.norm(vectors, axis=1)
+    known = np.isfinite(lengths) & (lengths > 0)
+    lengths, owners = lengths[known], features[known]
+    units = vectors[known] / lengths[:, None]
+    sums = np.column_stack([np.bincount(owners, units[:, axis], count) for axis in range(3)])
+    with np.errstate(invalid="ignore", divide="ignore"):
+        mean_log = np.bincount(owners, np.log(lengths), count) / np.bincount(owners, minlength=count)
+        return np.asarray(sums * (np.exp(mean_log) / np.linalg.norm(sums, axis=1))[:, None])
+
+
+def _in_camera(T_map_camera: FloatArray, landmarks: FloatArray) -> FloatArray:
+    return (landmarks.astype(np.float64) - T_map_camera[:3, 3]) @ T_map_camera[:3, :3]
