@@ -10,6 +10,7 @@ import time
 import uuid
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
@@ -21,7 +22,17 @@ import pytest
 import uvicorn
 
 from rholoc.features import FeatureSet, Metric, get_extractor
-from rholoc.geometry import ByteArray, Camera, FloatArray, Pose, poses_from_rows
+from rholoc.geometry import (
+    UP,
+    ByteArray,
+    Camera,
+    FloatArray,
+    Pose,
+    angles_between,
+    cross,
+    patch_appearance,
+    poses_from_rows,
+)
 from rholoc.mapping.assembly import assemble
 from rholoc.mapping.landmarks import select_stable, triangulate
 from rholoc.mapping.memory import with_landmarks
@@ -160,13 +171,25 @@ def looking(picture_world: PictureWorld) -> Callable[[int], Map]:
 
 @dataclass(frozen=True, eq=False)
 class PointRoom:
-    """Points on the walls of a room, each with a descriptor, and a camera that sees them with noise."""
+    """Points on the walls of a room, each with a descriptor, and a camera that sees them with noise.
+
+    The patch that a descriptor describes faces the middle of the room; its orientation and size follow from it.
+    """
 
     points: FloatArray
     descriptors: ByteArray
     camera: Camera
     noise_px: float = 0.5
     flipped_bits: int = 12
+
+    @cached_property
+    def patches(self) -> FloatArray:
+        """(N, 3) metres, see :class:`Map`."""
+        across = cross(np.broadcast_to(UP, self.points.shape), self.points)
+        across /= np.linalg.norm(across, axis=1, keepdims=True)
+        turn, size = self.descriptors[:, :2].T / 256
+        along = np.cos(2 * np.pi * turn)[:, None] * across + np.sin(2 * np.pi * turn)[:, None] * UP
+        return np.asarray(along * (0.05 + 0.15 * size)[:, None])
 
     def see(self, pose: Pose, seed: int, share: float = 0.7) -> FeatureSet:
         """What a camera at ``pose`` detects: the points in view, some missed, pixels and descriptors disturbed."""
@@ -176,13 +199,22 @@ class PointRoom:
         bits = np.unpackbits(self.descriptors[seen], axis=1)
         flips = rng.random(bits.shape) < self.flipped_bits / bits.shape[1]
         n = len(seen)
+        angles, sizes = patch_appearance(self.camera, pose.T_map_camera, self.points[seen], self.patches[seen])
         return FeatureSet(
             (pixels[seen] + rng.normal(size=(n, 2)) * self.noise_px).astype(np.float32),
             np.zeros(n, np.uint8),
             np.packbits(bits ^ flips, axis=1),
-            np.full(n, 31, np.float32),
-            np.zeros(n, np.float32),
+            (sizes * np.exp2(0.1 * rng.normal(size=n))).astype(np.float32),
+            (angles + 0.05 * rng.normal(size=n)).astype(np.float32),
         )
+
+    def patch_errors(self, map_: Map) -> tuple[FloatArray, FloatArray]:
+        """How far each patch that a map of this room knows is from the nearest point's: degrees and octaves (F,)."""
+        apart = np.linalg.norm(map_.landmarks[:, None].astype(float) - self.points, axis=2)
+        found, true = map_.known_patches.astype(float), self.patches[apart.argmin(axis=1)]
+        length, true_length = np.linalg.norm(found, axis=1), np.linalg.norm(true, axis=1)
+        turned = np.rad2deg(angles_between(found / length[:, None], true / true_length[:, None]))
+        return turned, np.abs(np.log2(length / true_length))
 
     def walk(self, count: int, sideways_m: float = 0.0) -> list[Pose]:
         """Upright poses along a curve through the room, turning as they go."""

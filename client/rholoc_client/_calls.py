@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import hashlib
 import json
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any, Generic, TypeVar
@@ -173,8 +174,13 @@ def _features(features: Features) -> dict[str, Any]:
     if features.sizes_px is not None:
         sent["sizes_px"] = [float(one) for one in features.sizes_px]
     if features.angles_deg is not None:
-        sent["angles_deg"] = [float(one) for one in features.angles_deg]
+        sent["angles_deg"] = [_number_or_none(one) for one in features.angles_deg]
     return sent
+
+
+def _number_or_none(value: float | None) -> float | None:
+    """JSON has no NaN."""
+    return None if value is None or math.isnan(value) else float(value)
 
 
 def localize_options(

@@ -163,8 +163,9 @@ class Features:
         pixels: u and v of each feature.
         descriptors: each feature's descriptor.
         channels: each feature's channel by number or name; None where the map has only one.
-        sizes_px: the diameter of each described patch, or None.
-        angles_deg: each patch's orientation in degrees clockwise from +u, or None.
+        sizes_px: the diameter of each described patch, 0 where unknown; None where all are.
+        angles_deg: each patch's orientation in degrees clockwise from +u, None or NaN where unknown; None where all
+            are.
     """
 
     width: int
@@ -173,7 +174,7 @@ class Features:
     descriptors: Sequence[bytes]
     channels: Sequence[int | str] | None = None
     sizes_px: Sequence[float] | None = None
-    angles_deg: Sequence[float] | None = None
+    angles_deg: Sequence[float | None] | None = None
 
 
 @dataclass(frozen=True)

@@ -82,6 +82,9 @@ def test_answers_move_by_exactly_the_transform_that_is_reported(kind, room, poin
     metres, radians = pose_distances(similarity.poses(before), after)
     assert metres.max() < 2e-5 * similarity.scale
     assert radians.max() < 2e-5
+    patches = similarity.scale * room.patches @ similarity.rotation.T
+    metres_off = np.linalg.norm(corrected.patches - patches, axis=1)
+    assert (metres_off < 0.06 * np.linalg.norm(patches, axis=1)).all()  # rounded as files keep them
     J = np.kron(np.diag([similarity.scale, 1.0]), similarity.rotation)
     np.testing.assert_allclose(spread_after, J @ spread @ J.T, rtol=0.02, atol=1e-9)
     np.testing.assert_allclose(

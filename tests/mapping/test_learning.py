@@ -145,13 +145,19 @@ def test_a_recording_registers_itself_and_the_map_grows(walks: Walks, tmp_path: 
     assert localized_share(updated, walks.room, nearby) >= localized_share(walks.map_, walks.room, nearby)
 
 
-def test_colours_grow_with_the_map_and_go_with_what_is_forgotten(walks: Walks) -> None:
+def test_colours_and_patches_grow_with_the_map(walks: Walks) -> None:
     blue = np.tile(np.array([10, 20, 200], np.uint8), (len(walks.map_), 1))
-    known = replace(walks.map_, colours=blue)
+    known = replace(walks.map_, colours=blue, patches=None)
     updated = update_map(known, walks.recording)
     assert updated.colours is not None
     assert updated.colours.shape == (len(updated), 3)
     np.testing.assert_array_equal(updated.colours[: len(known)], blue)
+    turned, octaves = walks.room.patch_errors(updated)
+    learned = ~np.isnan(turned)
+    assert learned[len(known) :].all()
+    assert 0.2 < learned[: len(known)].mean() < 1  # of those that the recording saw again
+    assert np.median(turned[learned]) < 10
+    assert np.median(octaves[learned]) < 0.2
     left = forget_recording(updated, "walk-2")
     np.testing.assert_array_equal(left.colours, blue)
     assert forget_recording(update_map(walks.map_, walks.recording), "first-id").colours is not None
@@ -254,6 +260,10 @@ def test_maps_that_overlap_are_merged_in_the_frame_of_the_first(walks: Walks) ->
     assert merged.info.id not in (walks.map_.info.id, other.info.id)
     assert off_the_points(merged, walks.room) < 0.03
     assert len(walks.map_) < len(merged) < len(walks.map_) + len(other) - 100  # what both know is one
+    turned, octaves = walks.room.patch_errors(merged)
+    assert np.percentile(turned, 95) < 30  # none of them NaN: all are known
+    assert np.percentile(octaves, 95) < 0.3
+    np.testing.assert_array_equal(merged.patches[: len(walks.map_)], walks.map_.patches)
     left = forget_recording(merged, "second")
     np.testing.assert_allclose(left.landmarks, walks.map_.landmarks, rtol=0, atol=1e-6)
     # what both learned counts once
@@ -286,3 +296,4 @@ def test_a_map_of_arbitrary_scale_takes_that_of_the_first(walks: Walks) -> None:
     loose = replace(other, info=replace(other.info, metric=False))
     merged = merge_maps(walks.map_, moved_map(loose, Similarity(0.4, TURN.rotation, TURN.translation)))
     assert off_the_points(merged, walks.room) < 0.03
+    assert np.percentile(walks.room.patch_errors(merged)[1], 95) < 0.3

@@ -98,6 +98,9 @@ def test_what_moved_is_forgotten_and_what_came_is_learned(
     still_known = np.isfinite(after.query(gone[known_before], distance_upper_bound=0.05)[0])
     assert still_known.mean() < 0.5
     assert np.isfinite(after.query(came, distance_upper_bound=0.05)[0]).mean() > 0.4
+    turned, octaves = changed_room.patch_errors(learned)
+    assert np.median(turned) < 10
+    assert np.median(octaves) < 0.2
     stays = point_room.points[~is_moved]
     stays = stays[np.isfinite(before.query(stays, distance_upper_bound=0.05)[0])]
     assert np.isfinite(after.query(stays, distance_upper_bound=0.05)[0]).mean() > 0.98

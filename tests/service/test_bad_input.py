@@ -199,6 +199,8 @@ def descriptor_set(n=N, **changes):
         {"channels": [99] * N},
         {"sizes_px": [1.0]},
         {"angles_deg": [1.0]},
+        {"sizes_px": [-1.0] * N},
+        {"angles_deg": [float("inf")] * N},
     ],
 )
 def test_descriptor_sets_without_sense(service, changes):

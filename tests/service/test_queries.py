@@ -83,3 +83,30 @@ def test_what_is_unknown_of_a_feature_is_marked_so():
     assert found.sizes.tolist() == [0]
     assert np.isnan(found.angles).all()
     assert found.descriptors.tolist() == [[15] * 32]
+
+
+def test_sizes_and_angles_that_are_not_known():
+    extractor = get_extractor("gray")
+    given = {"pixels": [(1.0, 2.0)] * 3, "descriptors": ["ab" * 32] * 3}
+    known = feature_set(FeaturesIn(**given, sizes_px=[31.0, 0.0, 5.0], angles_deg=[90.0, None, -45.0]), extractor, 10)
+    np.testing.assert_array_equal(known.sizes, [31, 0, 5])
+    np.testing.assert_allclose(known.angles, np.radians([90, np.nan, 315]), rtol=1e-6)
+    unknown = feature_set(FeaturesIn(**given), extractor, 10)
+    assert (unknown.sizes == 0).all()
+    assert np.isnan(unknown.angles).all()
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ({"sizes_px": [1.0]}, "1 sizes_px for 2 pixels"),
+        ({"sizes_px": [1.0, math.nan]}, "size is not a finite number"),
+        ({"sizes_px": [1.0, -1.0]}, "size is negative"),
+        ({"angles_deg": [1.0]}, "1 angles_deg for 2 pixels"),
+        ({"angles_deg": [1.0, math.inf]}, "angle is not a finite number"),
+    ],
+)
+def test_sizes_and_angles_without_sense(wrong, message):
+    given = FeaturesIn(pixels=[(1.0, 2.0)] * 2, descriptors=["ab" * 32] * 2, **wrong)
+    with pytest.raises(InvalidDescriptors, match=message):
+        feature_set(given, get_extractor("gray"), 10)

@@ -12,7 +12,7 @@ from scipy.sparse import coo_array
 from rholoc.errors import Conflict, InvalidInput
 from rholoc.features import FeatureSet
 from rholoc.features.matching import LIMITS
-from rholoc.geometry import Camera, IntArray, Similarity, poses_from_rows, rows_from_poses
+from rholoc.geometry import Camera, IntArray, Similarity, patch_appearance, poses_from_rows, rows_from_poses
 from rholoc.localization import Localizer
 from rholoc.mapping.fitting import ray_form
 from rholoc.mapping.joining import join, without_source
@@ -126,7 +126,8 @@ def _without_shared(map_: Map, shared: set[str | None]) -> Map:
 
 
 def remembered_frames(map_: Map) -> list[tuple[Camera, FeatureSet]]:
-    """What the map remembers of its views, as frames: the features seen, each with its first descriptor."""
+    """What the map remembers of its views, as frames: the features seen, each with its first descriptor, and its patch
+    as it looks from there."""
     observations = check_observations(map_, "The map")
     first = np.searchsorted(map_.descriptor_features, np.arange(len(map_)))
     cameras = source_cameras(map_)
@@ -134,13 +135,14 @@ def remembered_frames(map_: Map) -> list[tuple[Camera, FeatureSet]]:
     for k, source in enumerate(observations.view_sources):
         rows = slice(int(map_.view_offsets[k]), int(map_.view_offsets[k + 1]))
         features = map_.observation_features[rows]
-        unknown = np.zeros(len(features), dtype=np.float32)
+        patches = map_.known_patches[features]
+        angles, sizes = patch_appearance(cameras[source], map_.T_map_camera[k], map_.landmarks[features], patches)
         seen = FeatureSet(
             observations.pixels[rows].astype(np.float32),
             map_.channels[features],
             map_.descriptors[first[features]],
-            unknown,
-            np.full_like(unknown, np.nan),
+            np.nan_to_num(sizes).astype(np.float32),
+            angles.astype(np.float32),
         )
         frames.append((cameras[source], seen))
     return frames

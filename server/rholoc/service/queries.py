@@ -164,10 +164,7 @@ def feature_set(given: FeaturesIn, extractor: Extractor, max_features: int) -> F
     n = len(given.pixels)
     if n > max_features:
         raise InvalidDescriptors(f"{n} features; at most {max_features} are taken.", "Send the strongest ones.")
-    sizes = [0.0] * n if given.sizes_px is None else given.sizes_px
-    angles = [math.nan] * n if given.angles_deg is None else given.angles_deg
-    if not np.isfinite(np.asarray(sizes)).all():
-        raise InvalidDescriptors("A feature's size is not a finite number.", "Leave sizes_px out where unknown.")
+    sizes, angles = _sizes(given.sizes_px, n), _angles(given.angles_deg, n)
     descriptors = _descriptors(given.descriptors, n, extractor)
     if max(np.abs(given.pixels).max(initial=0.0), np.abs(sizes).max(initial=0.0)) > 1e6:
         raise InvalidDescriptors("A feature lies outside any image.", "Send pixels of the image.")
@@ -175,9 +172,37 @@ def feature_set(given: FeaturesIn, extractor: Extractor, max_features: int) -> F
         np.asarray(given.pixels, dtype=np.float32).reshape(-1, 2),
         _channels(given.channels, n, extractor),
         descriptors,
-        np.asarray(sizes, dtype=np.float32),
-        np.radians(np.asarray(angles, dtype=np.float64)).astype(np.float32),
+        sizes.astype(np.float32),
+        angles.astype(np.float32),
     )
+
+
+def _sizes(given: list[float] | None, n: int) -> FloatArray:
+    """(N,) pixels, 0 where unknown."""
+    if given is None:
+        return np.zeros(n)
+    if len(given) != n:
+        raise InvalidDescriptors(f"{len(given)} sizes_px for {n} pixels.", "Send one per feature, 0 where unknown.")
+    sizes = np.asarray(given, dtype=np.float64)
+    if not np.isfinite(sizes).all():
+        raise InvalidDescriptors("A feature's size is not a finite number.", "Send 0 in sizes_px where unknown.")
+    if (sizes < 0).any():
+        raise InvalidDescriptors("A feature's size is negative.", "Send its diameter in pixels, 0 where unknown.")
+    return sizes
+
+
+def _angles(given: list[float | None] | None, n: int) -> FloatArray:
+    """(N,) radians, NaN where unknown."""
+    if given is None:
+        return np.full(n, np.nan)
+    if len(given) != n:
+        raise InvalidDescriptors(
+            f"{len(given)} angles_deg for {n} pixels.", "Send one per feature, null where unknown."
+        )
+    angles = np.asarray(given, dtype=np.float64)  # None becomes NaN
+    if np.isinf(angles).any():
+        raise InvalidDescriptors("A feature's angle is not a finite number.", "Send null in angles_deg where unknown.")
+    return np.radians(angles % 360)
 
 
 def _descriptors(given: list[str] | str, n: int, extractor: Extractor) -> ByteArray:

@@ -222,10 +222,10 @@ class FeaturesIn(_In):
         + ". May be left out where the map has one channel only.",
     )
     sizes_px: Annotated[list[float], FirstError()] | None = Field(
-        default=None, description="the diameter of each described patch, px"
+        default=None, description="the diameter of each described patch, px; 0 where unknown"
     )
-    angles_deg: Annotated[list[float], FirstError()] | None = Field(
-        default=None, description="each patch's orientation, degrees clockwise from +u"
+    angles_deg: Annotated[list[float | None], FirstError()] | None = Field(
+        default=None, description="each patch's orientation, degrees clockwise from +u; null where unknown"
     )
 
 
