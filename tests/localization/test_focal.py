@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,7 @@ from rholoc.localization.ascent import ascend_with_focal, freed_focal
 from rholoc.localization.focal import (
     FocalEstimate,
     _belief,
+    _compared,
     _fits,
     _sensible,
     _spread,
@@ -27,7 +29,9 @@ from rholoc.localization.focal import (
 from rholoc.localization.matches import Matches
 from rholoc.localization.types import Dof
 from rholoc.localization.verification import evidence_of, verify
-from rholoc.maps import Map
+from rholoc.mapping.correcting import set_distance
+from rholoc.maps import Map, load_map
+from rholoc.recordings import read_image
 
 
 def corners(point_room: Any) -> list[Pose]:
@@ -161,7 +165,7 @@ def test_what_the_matches_say_of_a_given_focal_length(
         (1.0, np.exp(-0.015), 0.0, 0.6),
         (1.0, np.exp(0.018), 0.0, 0.2),
         (1.0, np.exp(0.06), 0.0, 0.0),
-        (1.0, np.exp(0.9 * np.hypot(0.03, 0.015)), 0.01, 0.8),
+        (1.0, np.exp(0.9 * np.hypot(0.03, 0.015)), 0.03, 0.8),
         (1.0, 2.0, np.inf, 1.0),
     ],
 )
@@ -171,23 +175,45 @@ def test_a_focal_length_is_doubted_where_it_does_harm_and_is_off(
     assert _belief(moved_m, scale, sigma) == pytest.approx(belief)
 
 
-@pytest.mark.parametrize(("more", "belief"), [(-1.0, 1.0), (1.0, 0.0)])
-def test_a_focal_length_is_doubted_only_where_another_explains_the_picture_better(
-    localizer: Localizer, point_room: Any, monkeypatch: pytest.MonkeyPatch, more: float, belief: float
+@pytest.mark.parametrize(
+    ("more", "known", "belief"), [(-0.01, 200, 1.0), (0.04, 200, 0.6), (0.04, 8, 1.0), (0.06, 8, 0.1)]
+)
+def test_a_focal_length_is_doubted_where_another_explains_more_than_shared_errors_would_or_is_known(
+    localizer: Localizer, point_room: Any, more: float, known: int, belief: float
 ) -> None:
-    truth, camera = corners(point_room)[0], point_room.camera.zoomed(0.85)
+    """By so much more, as a share of all, and by so many matches."""
+    truth, seen = corners(point_room)[0], point_room.see(corners(point_room)[0], 700)
+    cameras = (point_room.camera.zoomed(0.85), point_room.camera)
+    wrong, right = (
+        verify(localizer.index, Query(seen, camera), camera.rays(seen.pixels), truth.T_map_camera) for camera in cameras
+    )
+    assert wrong is not None
+    assert right is not None
+    some = np.arange(min(known, len(wrong.evidence)))
+    of_some = replace(wrong.optimum, density=wrong.optimum.density[some])
+    given = replace(wrong, evidence=wrong.evidence.take(some), optimum=of_some)
+    other = replace(right, optimum=replace(right.optimum, value=(1 + more) * wrong.optimum.value))
+    assert _compared(given, [(1 / 0.85, other)]) == pytest.approx(belief, abs=0.1)
+    lesser = replace(right, optimum=replace(right.optimum, value=0.5 * wrong.optimum.value))
+    assert _compared(given, [(1.0, lesser), (1 / 0.85, other)]) == pytest.approx(belief, abs=0.1)
+
+
+def test_a_focal_length_that_nothing_is_held_against_is_believed(localizer: Localizer, point_room: Any) -> None:
+    truth, camera = corners(point_room)[0], point_room.camera
     query = Query(point_room.see(truth, 700), camera)
     verified = verify(localizer.index, query, camera.rays(query.features.pixels), truth.T_map_camera)
     assert verified is not None
-    found = replace(verified, optimum=replace(verified.optimum, value=verified.optimum.value + more))
+    assert _compared(verified, []) == 1.0
 
-    def with_the_other(index: object, asked: Query, *_: object, focal_free: bool) -> object:
-        assert asked.camera.focal == pytest.approx(point_room.camera.focal, rel=0.02)
-        return found
 
-    monkeypatch.setattr(focal, "verify", with_the_other)
-    place = localizer.index.match_everywhere(query.features)
-    assert check_focal(localizer.index, query, verified, place).belief == pytest.approx(belief, abs=0.15)
+@pytest.mark.parametrize("length_m", [0.8, 0.9])  # numbers that end so that a wrong focal length explains a bit more
+def test_a_wall_does_not_speak_against_a_focal_length(length_m: float) -> None:
+    """One of the shipped map's queries: 298 matches, 5 mm off, and a tenth longer fits as well, from 25 cm behind."""
+    shipped = Path(__file__).resolve().parents[2] / "maps"
+    map_ = set_distance(load_map(shipped / "testsite.rho"), np.zeros(3), np.array([0.0, 1.0, 0.0]), length_m)
+    localizer = Localizer(map_)
+    picture = read_image(shipped / "queries" / "1.jpg")
+    assert localizer.localize(Query.of_picture(picture, localizer.extractor, map_.info.camera)).confidence > 0.8
 
 
 def test_a_focal_lengths_spread_is_thrice_its_curvatures_and_at_most_itself() -> None:
@@ -328,12 +354,16 @@ def test_a_focal_length_is_sought_ever_more_closely_until_it_stays(
     monkeypatch.setattr(focal, "ascend_with_focal", ascended)
     monkeypatch.setattr(index, "match_near", lambda *how: (radii_px.append(how[3]), match_near(*how))[1])
     check_focal(index, query, verified, matches)
-    rounds = len(climbs)
+    compared = climbs.count((5.0, 4.0))
+    rounds = len(climbs) - compared
     assert rounds in (2, 3)
-    assert climbs == [(40.0, 15.0, 5.0)] + [(14.0, 7.0, 4.0)] * (rounds - 1)
+    assert compared in (1, 2, 3)
+    assert climbs == [(40.0, 15.0, 5.0)] + [(14.0, 7.0, 4.0)] * (rounds - 1) + [(5.0, 4.0)] * compared
     verification_px = [14.0, 5.0]
-    assert radii_px == [14.0] * (rounds if changes[-1] >= 0.02 else rounds - 1) + verification_px
-    assert min(changes[:-1]) >= 0.02
+    assert radii_px == [14.0] * (rounds if changes[rounds - 1] >= 0.02 else rounds - 1) + verification_px * compared
+    assert min(changes[: rounds - 1]) >= 0.02
+    assert min(changes[rounds:-1], default=1) >= 0.003
+    assert compared == 3 or changes[-1] < 0.003
     for given in (climbs, changes, radii_px):
         given.clear()
     assert verify_with_focal(index, query, truth.T_map_camera, matches) is not None

@@ -8,13 +8,14 @@ matches bear on it: only a camera that explains the picture better than the one 
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from math import erf, sqrt
 
 import numpy as np
 
 from rholoc.geometry import Camera, FloatArray
-from rholoc.localization.ascent import ascend_with_focal, freed_focal
+from rholoc.localization.ascent import ascend_with_focal, freed_focal, information_at
 from rholoc.localization.map_index import MapIndex
 from rholoc.localization.matches import Matches
 from rholoc.localization.ransac import lo_ransac
@@ -23,10 +24,14 @@ from rholoc.localization.verification import ENOUGH_MATCHES, Verified, evidence_
 
 _WIDE_RADIUS_PX = 14.0
 _TOLERANCES_PX = (14.0, 7.0, 4.0)
+_LAST_TOLERANCES_PX = (5.0, 4.0)
 _FIRST_TOLERANCES_PX = (40.0, 15.0, 5.0)
 _ROUNDS = 3
 _SETTLED = 0.02  # of the focal length's logarithm: rounds that change less end
+_ALIKE = 0.003  # of the focal length's logarithm: nothing is gained by another round
+_SHARED_ERRORS = 0.05  # of the nats that a pose explains: what another may gain by errors that landmarks share
 _SIGMAS = 3.0  # measured on real recordings: the estimate's error against its curvature's
+_REGULAR = 1e-9  # 1/m² and 1/rad²: what makes any information invertible
 _OWN_SIGMA = 0.015  # what maps and calibrations differ by, as a share of the focal length
 _RIGHT_M = 0.1  # what confidence is about
 _HARMLESS_M = 0.05  # a pose that a free focal length would move by less is right either way
@@ -80,20 +85,55 @@ def check_focal(index: MapIndex, query: Query, verified: Verified, matches: Matc
         matches, _ = index.match_near(query.features, camera, T, _WIDE_RADIUS_PX)
     moved_m = float(np.linalg.norm(T[:3, 3] - verified.optimum.T_map_camera[:3, 3]))
     focal_px = query.camera.focal * total
-    belief = _belief(moved_m, total, sigma)
-    if belief < 1 and not _is_likelier(index, query, verified, total, T):
-        belief = 1.0
+    belief = _belief(moved_m, total, _SIGMAS * sigma)
+    if belief < 1:
+        belief = _compared(verified, _refocused(index, query, total, T))
     return FocalEstimate(focal_px, _spread(sigma) * focal_px, moved_m, belief)
 
 
-def _is_likelier(index: MapIndex, query: Query, verified: Verified, scale: float, T_map_camera: FloatArray) -> bool:
-    """Whether a focal length ``scale`` times as long, from a pose (4, 4), explains a picture better."""
-    if not _sensible(query.camera, scale):
-        return False
-    camera = query.camera.zoomed(scale)
-    rays = camera.rays(query.features.pixels)
-    found = verify(index, replace(query, camera=camera), rays, T_map_camera, focal_free=True)
-    return found is not None and found.optimum.value > verified.optimum.value
+def _refocused(
+    index: MapIndex, query: Query, scale: float, T_map_camera: FloatArray
+) -> Iterator[tuple[float, Verified]]:
+    """What cameras of about ``scale`` times the focal length see from about a pose (4, 4), each nearer to what fits."""
+    for _ in range(_ROUNDS):
+        if not _sensible(query.camera, scale):
+            return
+        camera = query.camera.zoomed(scale)
+        asked = replace(query, camera=camera)
+        found = verify(index, asked, camera.rays(query.features.pixels), T_map_camera, focal_free=True)
+        if found is None:
+            return
+        yield scale, found
+        optimum, change, _ = ascend_with_focal(
+            found.evidence, found.optimum.T_map_camera, _LAST_TOLERANCES_PX, query.dof
+        )
+        if abs(np.log(change)) < _ALIKE:
+            return
+        scale, T_map_camera = scale * change, optimum.T_map_camera
+
+
+def _compared(verified: Verified, others: Iterable[tuple[float, Verified]]) -> float:
+    """0..1, how surely the focal length of a verified pose does no harm, beside others' that may explain more.
+
+    A few matches at the density's edge can make a peak sharp that is wrong; and facing a wall, any focal length fits
+    about as well, from another distance. So the focal length is known no better than by either pose's matches, unless
+    the other explains much more: errors that the map's landmarks share gain a part of what there is to explain.
+    """
+    scale, best = max(others, key=lambda other: other[1].optimum.value, default=(1.0, verified))
+    gain = best.optimum.value - verified.optimum.value
+    if gain <= 0:
+        return 1.0
+    sigma = _known_to(best)
+    if gain < _SHARED_ERRORS * verified.optimum.value:
+        sigma = max(sigma, _known_to(verified))
+    moved_m = float(np.linalg.norm(best.optimum.T_map_camera[:3, 3] - verified.optimum.T_map_camera[:3, 3]))
+    return _belief(moved_m, scale, sigma)
+
+
+def _known_to(verified: Verified) -> float:
+    """One sigma of the focal length's logarithm, by all matches of a verified pose and the map's own errors."""
+    information = information_at(verified.evidence, verified.optimum, focal_free=True)
+    return float(np.sqrt(np.linalg.inv(information + _REGULAR * np.eye(7))[6, 6]))
 
 
 def _belief(moved_m: float, scale: float, sigma: float) -> float:
@@ -102,9 +142,9 @@ def _belief(moved_m: float, scale: float, sigma: float) -> float:
     Args:
         moved_m: how far the pose moves meanwhile, metres.
         scale: the focal length that fits best, as a multiple of the one in use.
-        sigma: one sigma of its logarithm, by the curvature alone.
+        sigma: one sigma of its logarithm.
     """
-    off = abs(float(np.log(scale))) / float(np.hypot(_SIGMAS * sigma, _OWN_SIGMA))
+    off = abs(float(np.log(scale))) / float(np.hypot(sigma, _OWN_SIGMA))
     harm = min(max(moved_m / _HARMLESS_M - 1, 0.0), 1.0)
     return 1 - harm * float(np.interp(off, _OFF_SIGMAS, _DOUBT))
 
