@@ -13,6 +13,7 @@ from rholoc.features import FeatureSet, Metric
 from rholoc.features.matching import LIMITS, descriptor_distances
 from rholoc.geometry import BoolArray, Camera, FloatArray, IntArray, pose_distances, ranges
 from rholoc.localization import Dof, Localizer, Query
+from rholoc.mapping.agreement import agreeing
 from rholoc.mapping.answered import AnsweredQuery
 from rholoc.mapping.assembly import assemble
 from rholoc.mapping.cutting import keep_views
@@ -24,8 +25,9 @@ from rholoc.mapping.memory import keep_features
 from rholoc.mapping.merging import remembered_frames
 from rholoc.mapping.observations import Views
 from rholoc.mapping.registration import LEARNING_CONFIDENCE
+from rholoc.mapping.sights import Looked, Sights
 from rholoc.mapping.uncertainty import storable_covariances
-from rholoc.mapping.vanishing import Looked, vanished
+from rholoc.mapping.vanishing import vanished
 from rholoc.mapping.versions import as_learned
 from rholoc.maps import Map, MapInfo, Source, check_observations
 from rholoc.progress import ProgressListener, Stage, silent
@@ -35,7 +37,9 @@ FEWEST_QUERIES = 30
 QUERY_POSES = "queries"  # where the poses of a source came from: from localizing queries
 
 _HELD_BACK_EVERY = 5
-_MAX_SIGMA_RATIO = 5.0  # of a pose that a map learns from, against the median of all
+_ROUNDS = 2  # of placing queries by what was learned from them, and learning again
+_MAX_SIGMA_RATIO = 5.0  # of a pose that says what is there, against the median of all
+_MAX_VIEW_SIGMA_RATIO = 3.0  # of one that becomes a view: what it is off, new landmarks are off
 _OCCASION_S = 600.0  # an asker's queries closer in time are of one occasion
 _FEWEST_OCCASIONS = 2
 _MOST_CAMERAS = 4
@@ -63,11 +67,13 @@ class _Placed:
 def learn_from_queries(map_: Map, queries: Sequence[AnsweredQuery], progress: ProgressListener = silent) -> Map:
     """The next version of a map: with views and landmarks of what was seen often, without what is no longer seen.
 
-    Every query is first localized anew, without a prior; only those that are sure of it teach anything. A landmark is
-    new that was seen from several places on several occasions. One is forgotten where many queries should have seen it
-    and did not (:func:`rholoc.mapping.vanishing.vanished`). A fifth of the queries is held back: they, whole and by
-    halves, and the views that the map remembers, have to be localized as well as before. What a map learns this way is
-    bounded by what it was built from.
+    Every query is first localized anew, without a prior; only those teach anything that are sure of it and rest on what
+    the others see as well (:func:`rholoc.mapping.agreement.agreeing`). A landmark is new that was seen from several
+    places on several occasions. One is forgotten where many queries should have seen it and did not
+    (:func:`rholoc.mapping.vanishing.vanished`). By what was learned queries are placed again, those too that were not
+    believed, and teach again. A fifth of the queries is held back: they, whole and by halves, and the views that the
+    map remembers, have to be localized as well as before. What a map learns this way is bounded by what it was built
+    from.
 
     Raises:
         InvalidInput: the map does not remember its observations.
@@ -82,23 +88,26 @@ def learn_from_queries(map_: Map, queries: Sequence[AnsweredQuery], progress: Pr
     localizer = Localizer(known, min_confidence=LEARNING_CONFIDENCE)
     queries = sorted(queries, key=lambda query: query.time_s)
     placed = _placed(localizer, queries, progress)
-    if len(placed) < FEWEST_QUERIES:
+    believed = _believed(localizer, placed)
+    if len(believed) < FEWEST_QUERIES:
         raise MappingFailed(
-            f"Only {len(placed)} of {len(queries)} queries are sure in the map as it is; at least {FEWEST_QUERIES} "
-            "are needed.",
+            f"Only {len(believed)} of {len(queries)} queries are sure in the map as it is and agree with the others; "
+            f"at least {FEWEST_QUERIES} are needed.",
             "The map is unchanged.",
         )
-    lesson = _lesson(localizer, placed, progress)
-    placed_again = placed
-    if lesson.new:  # what was hard to place by the old landmarks alone is easier by the new ones too
+    lesson = _lesson(localizer, believed, progress)
+    believed_again = believed
+    for _ in range(_ROUNDS):  # what was hard to place by the old landmarks alone is easier by the new ones too
+        if lesson.is_empty:
+            break
         better = Localizer(lesson.map_, min_confidence=LEARNING_CONFIDENCE)
-        placed_again = _placed(better, queries, progress)
-        lesson = _lesson(localizer, placed_again, progress)
-    if not lesson.gone.any() and not lesson.new:
+        believed_again = _believed(better, _placed(better, queries, progress))
+        lesson = _lesson(localizer, believed_again, progress)
+    if lesson.is_empty:
         raise MappingFailed("The queries show nothing new, and miss nothing.", "The map is unchanged.")
     after = _bounded(lesson.map_)
     learned = Localizer(after, min_confidence=LEARNING_CONFIDENCE)
-    held_back = [one for one in _uncontested(placed, placed_again) if _is_held_back(one.query)]
+    held_back = [one for one in _settled(placed, believed, believed_again) if _is_held_back(one.query)]
     questions, remembered = _questions(held_back), _remembered(known, lesson.gone)
     before_answers, after_answers = _answers(localizer, questions), _answers(learned, questions)
     progress(Stage.REPORT, 0.7, f"{len(held_back)} queries held back, asked before and after")
@@ -120,6 +129,7 @@ def learn_from_queries(map_: Map, queries: Sequence[AnsweredQuery], progress: Pr
             recall_after=after_answers.recall,
             median_before_m=before_answers.median_m,
             median_after_m=after_answers.median_m,
+            contradicted=len(placed) - len(believed),
         ),
     )
     return as_learned(map_, after, report, progress)
@@ -148,20 +158,45 @@ def _placed(localizer: Localizer, queries: Sequence[AnsweredQuery], progress: Pr
         if answer.pose is not None and answer.covariance is not None:
             found.append(_Placed(query, answer.pose.T_map_camera, answer.covariance, occasion))
         progress(Stage.POSES, (done + 1) / len(queries), f"{done + 1} of {len(queries)} queries localized anew")
-    sigmas_m = np.sqrt([np.trace(one.covariance[:3, :3]) for one in found])
-    exact = sigmas_m <= _MAX_SIGMA_RATIO * np.median(sigmas_m) if found else sigmas_m > 0
-    return [one for one, is_exact in zip(found, exact, strict=True) if is_exact]
+    return _exact(found, _MAX_SIGMA_RATIO)
 
 
-def _uncontested(placed: Sequence[_Placed], again: Sequence[_Placed]) -> list[_Placed]:
-    """The queries that are not placed elsewhere by a map that has learned: of those that are, by what has moved or by
-    what has not, nobody knows which map is right."""
-    elsewhere = {id(one.query): one.T_map_camera for one in again}
+def _exact(placed: Sequence[_Placed], ratio: float) -> list[_Placed]:
+    """Those whose position has a sigma of at most so many times the median."""
+    sigmas_m = np.sqrt([np.trace(one.covariance[:3, :3]) for one in placed])
+    most_m = ratio * np.median(sigmas_m) if len(placed) else np.inf
+    return [one for one, sigma_m in zip(placed, sigmas_m, strict=True) if sigma_m <= most_m]
+
+
+def _believed(localizer: Localizer, placed: Sequence[_Placed]) -> list[_Placed]:
+    """The queries whose places those that are not held back do not contradict."""
+    teaching = np.array([not _is_held_back(one.query) for one in placed], dtype=bool)
+    agree = agreeing(_sights(localizer, placed), teaching)
+    return [one for one, agrees in zip(placed, agree.tolist(), strict=True) if agrees]
+
+
+def _sights(localizer: Localizer, placed: Sequence[_Placed]) -> Sights:
+    """What queries should have seen of the localizer's map, and saw."""
+    looked = [Looked(one.query.camera, one.T_map_camera, one.query.features, one.occasion) for one in placed]
+    return Sights.of(localizer.index, looked, _is_recorded(localizer.map))
+
+
+def _settled(placed: Sequence[_Placed], believed: Sequence[_Placed], again: Sequence[_Placed]) -> list[_Placed]:
+    """The placed queries where they are believed to be, before a map has learned or, if not then, by what it learned.
+
+    Of those that are believed to be elsewhere then than before nobody knows which is right; they are left out.
+    """
+    before, after = ({id(one.query): one for one in some} for some in (believed, again))
     found = []
-    for one in placed:
-        apart_m, turned_rad = pose_distances(one.T_map_camera, elsewhere.get(id(one.query), one.T_map_camera))
-        if apart_m <= _WRONG_M and turned_rad <= _WRONG_RAD:
-            found.append(one)
+    for number in (id(one.query) for one in placed):
+        one, other = before.get(number), after.get(number)
+        if one is not None and other is not None:
+            apart_m, turned_rad = pose_distances(one.T_map_camera, other.T_map_camera)
+            if apart_m > _WRONG_M or turned_rad > _WRONG_RAD:
+                continue
+        settled = one or other
+        if settled is not None:
+            found.append(settled)
     return found
 
 
@@ -187,9 +222,9 @@ def _is_of_queries(info: MapInfo) -> BoolArray:
 
 
 def _fresh_views(known: Map, teaching: Sequence[_Placed]) -> list[_Placed]:
-    """The queries that become views: not views already, by the commonest cameras, spread over places."""
+    """The queries that become views: exact, not views already, by the commonest cameras, spread."""
     learned = set(known.view_times[~_is_recorded(known)].tolist())
-    new = [one for one in teaching if one.query.time_s not in learned]
+    new = [one for one in _exact(teaching, _MAX_VIEW_SIGMA_RATIO) if one.query.time_s not in learned]
     cameras = [one.query.camera for one in new]
     common = sorted(set(cameras), key=lambda camera: (-cameras.count(camera), astuple(camera)))[:_MOST_CAMERAS]
     new = [one for one in new if one.query.camera in common]
@@ -233,13 +268,17 @@ class _Lesson:
     seen_again: int
     new: int
 
+    @property
+    def is_empty(self) -> bool:
+        """Whether nothing came and nothing went."""
+        return not self.new and not self.gone.any()
+
 
 def _lesson(localizer: Localizer, placed: Sequence[_Placed], progress: ProgressListener) -> _Lesson:
     """The localizer's map without what is gone, and with queries that are not held back as views."""
     known = localizer.map
     teaching = [one for one in placed if not _is_held_back(one.query)]
-    looked = [Looked(one.query.camera, one.T_map_camera, one.query.features, one.occasion) for one in teaching]
-    gone = vanished(localizer.index, looked, _is_recorded(known))
+    gone = vanished(_sights(localizer, teaching))
     progress(Stage.OBSERVATIONS, 0.0, f"{int(gone.sum())} landmarks are no longer seen")
     left, fresh = keep_features(known, ~gone), _fresh_views(known, teaching)
     if not fresh:

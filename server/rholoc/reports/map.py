@@ -90,6 +90,7 @@ class QueriesReport:
     Attributes:
         kept: how many were kept for it.
         sure: how many of them it was sure of when it was asked anew.
+        contradicted: how many of those it did not believe at first: others do not see what they rest on.
         askers: how many asked them.
         occasions: on how many occasions.
         features_forgotten: how many features many of them should have seen and did not.
@@ -108,6 +109,7 @@ class QueriesReport:
     recall_after: float
     median_before_m: float
     median_after_m: float
+    contradicted: int = 0
 
 
 @dataclass(frozen=True)
