@@ -39,7 +39,7 @@ from rooms import ROOMS, NamedRoom
 WINDOW_WEIGHT = 0.2
 RIDGE = 0.3
 THRESHOLDS = (0.3, 0.4, 0.5, 0.6, 0.7)
-PLACE_SIGNS = (1, 1, 1, -1)  # which way the grounds of a place may speak
+PLACE_SIGNS = (1, 1, -1, -1)  # which way the grounds of a place may speak
 OUT_OF_TIME = 3
 
 
@@ -68,19 +68,21 @@ def fit(cases: list[Case]) -> Weights:
     """What the grounds weigh, by likelihood: of being at the right place, and of being exact there."""
     known = [case for case in cases if case.grounds is not None and case.kind is not Kind.FOCAL_OFF]
     grounds = [case.grounds for case in known if case.grounds is not None]
-    at_place = np.array([case.is_right_place for case in known])
+    at_place = np.array([case.is_right_place for case in known], dtype=bool)
     weight = np.array([weight_of(case) for case in known])
     place = np.array([one.place for one in grounds])
-    coloured = np.array([one.has_colours for one in grounds])
-    colours = np.array([one.colours for one in grounds])
-    by_colours = np.column_stack([place, colours])[coloured]
+    extras = np.array([[one.patches, one.colours] for one in grounds]).reshape(-1, 2)
     right = np.array([case.right for case in known])
     sigma = np.array([[one.sigma] for one in grounds])
-    return Weights(
-        logistic(by_colours, at_place[coloured], weight[coloured], (*PLACE_SIGNS, 1)),
-        logistic(place, at_place, weight, PLACE_SIGNS),
-        logistic(sigma[at_place], right[at_place], weight[at_place], (-1,)),
-    )
+
+    def by(*columns: int) -> tuple[float, ...]:
+        """Of the place and some of what is not always known, by the answers where it is."""
+        known = np.isfinite(extras[:, columns]).all(axis=1)
+        inputs = np.column_stack([place, extras[:, columns]])[known]
+        return logistic(inputs, at_place[known], weight[known], (*PLACE_SIGNS, *(1 for _ in columns)))
+
+    exact = logistic(sigma[at_place], right[at_place], weight[at_place], (-1,))
+    return Weights(place=by(), colours=by(1), patches=by(0), both=by(0, 1), exact=exact)
 
 
 def logistic(inputs: FloatArray, true: BoolArray, weight: FloatArray, signs: tuple[int, ...]) -> tuple[float, ...]:

@@ -1,12 +1,12 @@
 """Confidence: the probability that a pose is within 10 cm and 5°.
 
 That is the probability that it is the right place, times that of being that exact there. Of the former, a logistic in
-what verification found (:mod:`rholoc.localization.support`): which share of the landmarks that it should show a picture
-shows, how surely they are not there by chance, in how many of its parts, how many matches chance alone would find, and
-how well the matches' colours agree; where colours are not known, another one without them. A light that the map has not
-seen may change what is bright and what is dark, so that colours that disagree do no more than halve the odds. Of the
-latter, a logistic in how well the curvature fixes the position. What rivals the pose has is counted apart
-(:mod:`rholoc.localization.rivals`), and so is another focal length (:mod:`rholoc.localization.focal`).
+what verification found (:mod:`rholoc.localization.support`): how surely its matches are not where they are by chance,
+what they say for the pose, what speaks against it where other things are seen than should be, how many matches chance
+alone would find, and, where both sides know them, how well matches agree in orientation and size and in their colours.
+A light that the map has not seen may change what is bright and what is dark, so that colours that disagree do no more
+than halve the odds. Of the latter, a logistic in how well the curvature fixes the position. What rivals the pose has is
+counted apart (:mod:`rholoc.localization.rivals`), and so is another focal length (:mod:`rholoc.localization.focal`).
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ from rholoc.localization.verification import Verified
 _REFERENCE_SIGMA_M = 0.1
 _MOST_AGAINST = math.log(2)  # of the log odds: what colours that disagree cost
 _TELLING_OCTAVES = (-2.0, 1.0)  # of the sigma over the reference: beyond that it says no more
+_TELLING_PATCH_NATS = (-0.5, 1.2)
 
 MIN_CONFIDENCE = 0.5
 """Poses of lower confidence are not given out: what is as likely wrong as right helps nobody."""
@@ -36,14 +37,17 @@ class Grounds:
     """What confidence weighs.
 
     Attributes:
-        place: (4,) log₂ of the share of landmarks found, of the nats by which they are more than chance puts there, of
-            the parts of the picture that bear the pose out, and of the matches that chance would find.
+        place: (4,) log₂ of the nats a match by which more are there than chance puts there, at most one; and log₂, each
+            more by one, of the nats that matches say for the pose, of those that other things say against it, and of
+            the matches that chance would find.
         colours: how well colours agree, 0 by chance, 1 at best; NaN where they are not known.
+        patches: nats, what a match says by its orientation and size, from -½ to 1.2; NaN where they are not known.
         sigma: log₂ of the position's greatest sigma over 10 cm, from -2 to 1.
     """
 
     place: tuple[float, float, float, float]
     colours: float
+    patches: float
     sigma: float
 
     @property
@@ -51,31 +55,64 @@ class Grounds:
         """Whether colours are known."""
         return not math.isnan(self.colours)
 
+    @property
+    def has_patches(self) -> bool:
+        """Whether the orientations and sizes of matches are known."""
+        return not math.isnan(self.patches)
+
 
 @dataclass(frozen=True)
 class Weights:
     """What each of the grounds weighs, intercepts first.
 
     Attributes:
-        by_colours: (6,) of the place and the colours.
-        without: (5,) of the place, where colours are not known.
+        place: (5,) of the place alone, where neither colours nor patches are known.
+        colours: (6,) of the place and the colours.
+        patches: (6,) of the place and the patches; zeros for features that have neither orientation nor size.
+        both: (7,) of the place, the patches, and the colours.
         exact: (2,) of the sigma.
     """
 
-    by_colours: tuple[float, ...]
-    without: tuple[float, ...]
+    place: tuple[float, ...]
+    colours: tuple[float, ...]
+    patches: tuple[float, ...]
+    both: tuple[float, ...]
     exact: tuple[float, ...]
 
 
 # Fitted by benchmarks/calibrate_confidence.py, the extractors of each metric together, but for those that find so much
 # alike that the others' weights do not hold.
 _BY_METRIC = {
-    Metric.HAMMING: Weights((-0.5, 1.09, 0.26, 1.74, -0.79, 3.87), (-1.02, 1.15, 0.51, 2.07, -0.82), (3.15, -1.95)),
-    Metric.EUCLIDEAN: Weights((-1.07, 1.11, 0.94, 1.23, -1.58, 4.02), (-1.67, 1.21, 1.19, 1.7, -1.52), (2.89, -2.02)),
+    Metric.HAMMING: Weights(
+        place=(-10.34, 0.64, 2.62, -0.65, -0.42),
+        colours=(-8.83, 0.27, 2.08, -0.62, -0.5, 4.3),
+        patches=(-7.25, 0.0, 1.52, -0.65, -0.38, 2.95),
+        both=(-5.83, 0.0, 1.08, -0.6, -0.44, 2.58, 3.76),
+        exact=(3.15, -1.95),
+    ),
+    Metric.EUCLIDEAN: Weights(
+        place=(-10.8, 1.95, 2.93, -0.59, -0.84),
+        colours=(-8.9, 1.69, 2.31, -0.58, -0.97, 4.08),
+        patches=(-5.14, 1.42, 1.37, -0.79, -0.53, 3.31),
+        both=(-4.59, 1.36, 1.13, -0.76, -0.62, 3.02, 2.5),
+        exact=(2.89, -2.02),
+    ),
 }
 _OWN = {
-    "lab": Weights((-1.25, 0.52, 0.09, 1.18, -0.57, 4.87), (-2.41, 0.58, 0.29, 1.86, -0.5), (2.64, -2.48)),
-    "xfeat": Weights((3.49, 1.75, 0.05, 0.56, -1.15, 4.95), (3.45, 1.9, 0.38, 0.93, -1.14), (0.47, -1.54)),
+    "lab": Weights(
+        place=(-6.43, 0.39, 1.56, -0.48, -0.1),
+        colours=(-4.55, 0.24, 1.05, -0.39, -0.33, 4.44),
+        patches=(-5.36, 0.1, 1.23, -0.52, -0.16, 1.18),
+        both=(-4.05, 0.06, 0.89, -0.41, -0.36, 0.75, 4.08),
+        exact=(2.64, -2.48),
+    ),
+    "xfeat": Weights(
+        place=(-8.59, 0.44, 2.4, -0.75, -1.13),
+        colours=(-6.66, 0.0, 1.7, -0.89, -1.39, 5.91),
+        patches=(0.0,) * 6,
+        both=(0.0,) * 7,
+        exact=(0.47, -1.54),
+    ),
 }
 
 
@@ -92,16 +129,18 @@ def weights_for(extractor: str) -> Weights:
 def grounds_of(verified: Sequence[Verified], covariance: FloatArray) -> Grounds:
     """What confidence weighs, of frames verified together and the covariance (6, 6) of the one asked for."""
     supports = [one.support for one in verified]
-    found, expected = sum(one.found for one in supports), sum(one.expected for one in supports)
+    by_chance, inliers = sum(one.by_chance for one in verified), sum(one.inliers for one in verified)
     sigma_m = math.sqrt(max(float(np.linalg.eigvalsh(covariance[:3, :3])[-1]), 1e-12))
     place = (
-        math.log2((1 + found) / (1 + expected)),
-        math.log2(1 + sum(one.beyond_chance for one in supports)),
-        math.log2(1 + sum(one.parts for one in supports)),
-        math.log2(1 + sum(one.by_chance for one in verified)),
+        min(math.log2((1 + sum(one.beyond_chance for one in supports)) / (1 + inliers)), 0.0),
+        math.log2(1 + sum(one.seen for one in supports)),
+        math.log2(1 + sum(one.missing for one in supports)),
+        math.log2(1 + by_chance),
     )
     octaves = math.log2(sigma_m / _REFERENCE_SIGMA_M)
-    return Grounds(place, _mean_colours(supports), float(np.clip(octaves, *_TELLING_OCTAVES)))
+    colours = _mean_known(supports, [one.colours for one in supports])
+    patches = float(np.clip(_mean_known(supports, [one.patches for one in supports]), *_TELLING_PATCH_NATS))
+    return Grounds(place, colours, patches, float(np.clip(octaves, *_TELLING_OCTAVES)))
 
 
 def confidence_of(verified: Verified, weights: Weights) -> float:
@@ -121,10 +160,14 @@ def probability(grounds: Grounds, weights: Weights) -> float:
 
 def _place_logit(grounds: Grounds, weights: Weights) -> float:
     """Of the probability that it is the right place."""
-    without = _weighed(grounds.place, weights.without)
+    known: tuple[float, ...] = grounds.place
+    alone, by_colours = weights.place, weights.colours
+    if grounds.has_patches:
+        known, alone, by_colours = (*grounds.place, grounds.patches), weights.patches, weights.both
+    without = _weighed(known, alone)
     if not grounds.has_colours:
         return without
-    return max(_weighed((*grounds.place, grounds.colours), weights.by_colours), without - _MOST_AGAINST)
+    return max(_weighed((*known, grounds.colours), by_colours), without - _MOST_AGAINST)
 
 
 def _weighed(inputs: tuple[float, ...], weights: tuple[float, ...]) -> float:
@@ -132,8 +175,8 @@ def _weighed(inputs: tuple[float, ...], weights: tuple[float, ...]) -> float:
     return float(intercept + np.dot(slopes, inputs))
 
 
-def _mean_colours(supports: Sequence[Support]) -> float:
-    """How well colours agree in the frames where they are known, by what each shows of the map."""
-    known = [one for one in supports if not math.isnan(one.colours)]
-    found = sum(one.found for one in known)
-    return sum(one.found * one.colours for one in known) / found if found else math.nan
+def _mean_known(supports: Sequence[Support], values: Sequence[float]) -> float:
+    """The mean of the values that are known, by what each frame shows of the map."""
+    known = [(one.found, value) for one, value in zip(supports, values, strict=True) if not math.isnan(value)]
+    found = sum(weight for weight, _ in known)
+    return sum(weight * value for weight, value in known) / found if found else math.nan

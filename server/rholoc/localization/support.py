@@ -19,11 +19,11 @@ from rholoc.localization.ascent import Optimum
 from rholoc.localization.colours import colour_agreement
 from rholoc.localization.map_index import MapIndex
 from rholoc.localization.matches import Matches
+from rholoc.localization.patches import patch_agreement, patch_log_odds
 from rholoc.localization.types import Query
 
 _CELLS_ACROSS = 8
 _CELL_NATS = 10.0  # the most that a cell can say
-_PART_NATS = 3.0  # the least that makes it a part of the picture that bears a pose out
 _CHANCE_NATS = 1.5  # what a match by chance says, about
 _VIEWS_ALIKE = 10
 _FEWEST_EXPECTED, _FEWEST_DETECTED = 2, 3  # landmarks, features of a cell that can contradict
@@ -41,21 +41,20 @@ class Support:
         seen: nats, what its matches say for it, cell by cell.
         missing: nats, what the cells say against it where landmarks should be and other things are.
         found: how many landmarks are where views from hereabouts saw them.
-        expected: how many of them should be: as many as those views saw, or as the picture has features for.
         beyond_chance: nats, how surely more matches of a wider search are close to their landmarks than chance puts
             there, by how many it put around.
-        parts: how many cells say enough for it by themselves.
         colours: how well the matches' lightness follows from the colours of their landmarks, 0 by chance, 1 at best;
             NaN where they are not known. See :func:`rholoc.localization.colours.colour_agreement`.
+        patches: nats, how much a match speaks for the pose by its orientation and size, about -1 by chance, 2 at best;
+            NaN where they are not known. See :func:`rholoc.localization.patches.patch_agreement`.
     """
 
     seen: float
     missing: float
     found: float = 0.0
-    expected: float = 0.0
     beyond_chance: float = 0.0
-    parts: float = 0.0
     colours: float = np.nan
+    patches: float = np.nan
 
     @property
     def net(self) -> float:
@@ -95,8 +94,7 @@ def support_of(
     detections, landmarks = found.detections[agreeing], found.landmarks[agreeing]
     grid = _Grid.of(camera)
     gains = np.log1p(optimum.density[agreeing] / evidence.epsilon[agreeing])
-    gained = grid.sums(pixels[detections], gains)
-    said = gained - _CHANCE_NATS * grid.sums(pixels, by_chance)
+    said = grid.sums(pixels[detections], gains) - _CHANCE_NATS * grid.sums(pixels, by_chance)
     shown, should_be = _expected(index, landmarks, camera, optimum.T_map_camera)
     expected = grid.sums(should_be)
     is_found = np.isin(shown, landmarks)
@@ -108,10 +106,9 @@ def support_of(
         float(np.clip(said, 0, _CELL_NATS).sum()),
         float(np.minimum(against, _CELL_NATS).sum()),
         float(is_found.sum()),
-        float(min(len(shown), len(pixels))),
         _beyond_chance(index, pixels, camera, wide, optimum.T_map_camera),
-        float((gained > _PART_NATS).sum()),
         _colour_agreement(index, query, detections, landmarks),
+        patch_agreement(patch_log_odds(index.map, query.features, camera, optimum.T_map_camera, detections, landmarks)),
     )
 
 
