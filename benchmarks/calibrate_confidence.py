@@ -39,7 +39,7 @@ from rooms import ROOMS, NamedRoom
 WINDOW_WEIGHT = 0.2
 RIDGE = 0.3
 THRESHOLDS = (0.3, 0.4, 0.5, 0.6, 0.7)
-PLACE_SIGNS = (1, 1, -1, -1)  # which way the grounds of a place may speak
+PLACE_SIGNS = (1, 1, -1, -1, 1)  # which way the grounds of a place may speak
 OUT_OF_TIME = 3
 
 

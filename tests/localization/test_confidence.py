@@ -38,10 +38,11 @@ def _verified(
     sigma_m: float = 0.01,
     found: float = 49.0,
     inliers: int = 60,
+    expected: float = 199.0,
     colours: float = np.nan,
     patches: float = np.nan,
 ) -> Any:
-    support = Support(seen, missing, found, beyond_chance, colours, patches)
+    support = Support(seen, missing, found, expected, beyond_chance, colours, patches)
     return SimpleNamespace(support=support, by_chance=by_chance, covariance=_covariance(sigma_m), inliers=inliers)
 
 
@@ -58,6 +59,7 @@ def test_it_rises_with_what_is_found_and_falls_with_chance_and_uncertainty(
 
     rising = [
         confidences("seen", (0, 3, 10, 30, 100, 300)),
+        confidences("found", (0, 3, 10, 30, 100, 199)),
         confidences("colours", (0.6, 0.7, 0.8, 0.9)),
         confidences("patches", (-0.4, 0.0, 0.6, 1.1)),
     ]
@@ -75,22 +77,29 @@ def test_it_rises_with_what_is_found_and_falls_with_chance_and_uncertainty(
 
 
 def test_what_it_weighs_is_in_octaves_and_sigmas_far_from_10_cm_say_no_more() -> None:
-    one = _verified(4.0, 1.0, 1.0, 3.0, found=19.0, inliers=10, colours=0.2, patches=0.9)
-    other = _verified(3.0, 2.0, 4.0, 4.0, found=29.0, inliers=12, colours=0.7)
+    one = _verified(4.0, 1.0, 1.0, 3.0, found=19.0, expected=39.0, inliers=10, colours=0.2, patches=0.9)
+    other = _verified(3.0, 2.0, 4.0, 4.0, found=29.0, expected=57.0, inliers=12, colours=0.7)
     grounds = [
-        ([_verified(31.0, 7.0, 3.0, 15.0, inliers=15)], 0.2, (-2, 5, 3, 4), np.nan, np.nan, 1),
-        ([_verified(1.0, 0.0, 99.0, 0.0, inliers=7, colours=0.4)], 0.05, (0, 1, 0, 0), 0.4, np.nan, -1),
-        ([_verified(0.0, 0.0, 0.0, 0.0, inliers=0)], 0.001, (0, 0, 0, 0), np.nan, np.nan, -2),
-        ([one, other], 4.0, (np.log2(6 / 23), 3, 2, 3), (19 * 0.2 + 29 * 0.7) / 48, 0.9, 1),
+        ([_verified(31.0, 7.0, 3.0, 15.0, inliers=15)], 0.2, (-2, 5, 3, 4, -2), np.nan, np.nan, 1),
+        ([_verified(1.0, 0.0, 99.0, 0.0, inliers=7, colours=0.4)], 0.05, (0, 1, 0, 0, -2), 0.4, np.nan, -1),
+        ([_verified(0.0, 0.0, 0.0, 0.0, inliers=0)], 0.001, (0, 0, 0, 0, -2), np.nan, np.nan, -2),
+        ([one, other], 4.0, (np.log2(6 / 23), 3, 2, 3, np.log2(49 / 97)), (19 * 0.2 + 29 * 0.7) / 48, 0.9, 1),
         (
             [_verified(3.0, 1.0, 19.0, 7.0, inliers=39, patches=3.0)],
             0.1,
-            (-1, 2, 1, 3),
+            (-1, 2, 1, 3, -2),
             np.nan,
             1.2,
             0,
         ),
-        ([_verified(3.0, 0.0, 0.0, 0.0, found=0.0, inliers=0, colours=0.5)], 0.1, (0, 2, 0, 0), np.nan, np.nan, 0),
+        (
+            [_verified(3.0, 0.0, 0.0, 0.0, found=0.0, expected=63.0, inliers=0, colours=0.5)],
+            0.1,
+            (0, 2, 0, 0, -6),
+            np.nan,
+            np.nan,
+            0,
+        ),
     ]
     for verified, sigma_m, place, colours, patches, sigma in grounds:
         found = grounds_of(verified, _covariance(sigma_m))
@@ -131,14 +140,14 @@ def _among_clutter(seen: FeatureSet, seed: int, count: int = 300) -> FeatureSet:
 
 def test_it_is_the_probability_of_the_place_times_that_of_being_exact_there() -> None:
     weights = Weights(
-        place=(0.5, 1.5, 2.5, 3.5, -4.5),
-        colours=(1.0, 2.0, 3.0, 4.0, -5.0, 6.0),
-        patches=(0.6, 1.5, 2.5, 3.5, -4.5, 0.7),
-        both=(1.1, 2.0, 3.0, 4.0, -5.0, 0.8, 6.0),
+        place=(0.5, 1.5, 2.5, 3.5, -4.5, 0.0),
+        colours=(1.0, 2.0, 3.0, 4.0, -5.0, 0.0, 6.0),
+        patches=(0.6, 1.5, 2.5, 3.5, -4.5, 0.0, 0.7),
+        both=(1.1, 2.0, 3.0, 4.0, -5.0, 0.0, 0.8, 6.0),
         exact=(0.25, -0.75),
     )
     exact = expit(0.25 - 0.75 * 1.2)
-    place = (-0.1, 0.2, 0.3, 0.4)
+    place = (-0.1, 0.2, 0.3, 0.4, 9.0)
     by_colours = 1.0 - 0.2 + 0.6 + 1.2 - 2.0 + 3.0
     assert probability(Grounds(place, 0.5, np.nan, 1.2), weights) == pytest.approx(expit(by_colours) * exact)
     both = by_colours + 0.1 + 0.8 * 2.5
@@ -150,8 +159,8 @@ def test_it_is_the_probability_of_the_place_times_that_of_being_exact_there() ->
     for patches, alone in ((np.nan, without), (-1.5, by_patches)):
         surely_not = expit(alone - np.log(2))
         assert probability(Grounds(place, -9.0, patches, 1.2), weights) == pytest.approx(surely_not * exact)
-    assert probability(Grounds((0, 1e300, 0, 0), np.nan, np.nan, -2.0), weights) == pytest.approx(expit(1.75))
-    assert probability(Grounds((0, 0, 0, 1e300), np.nan, np.nan, -2.0), weights) == 0.0
+    assert probability(Grounds((0, 1e300, 0, 0, 0), np.nan, np.nan, -2.0), weights) == pytest.approx(expit(1.75))
+    assert probability(Grounds((0, 0, 0, 1e300, 0), np.nan, np.nan, -2.0), weights) == 0.0
 
 
 @pytest.mark.parametrize("features", ["gray", "sift48"])

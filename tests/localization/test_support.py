@@ -116,6 +116,7 @@ def test_what_should_be_in_a_cell_and_is_not_counts_where_something_else_is(
     assert support.missing == pytest.approx(missing)
     assert (missing > 20) == (crowd == 3)
     assert support.found == matched.sum()
+    assert support.expected == min(expected.sum(), len(pixels))
     assert support.beyond_chance == pytest.approx(count * np.log(count / 0.15) - (count - 0.15))
     assert np.isnan(support.colours)
 

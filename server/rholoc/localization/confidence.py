@@ -3,10 +3,11 @@
 That is the probability that it is the right place, times that of being that exact there. Of the former, a logistic in
 what verification found (:mod:`rholoc.localization.support`): how surely its matches are not where they are by chance,
 what they say for the pose, what speaks against it where other things are seen than should be, how many matches chance
-alone would find, and, where both sides know them, how well matches agree in orientation and size and in their colours.
-A light that the map has not seen may change what is bright and what is dark, so that colours that disagree do no more
-than halve the odds. Of the latter, a logistic in how well the curvature fixes the position. What rivals the pose has is
-counted apart (:mod:`rholoc.localization.rivals`), and so is another focal length (:mod:`rholoc.localization.focal`).
+alone would find, which share of the landmarks there is found, and, where both sides know them, how well matches agree
+in orientation and size and in their colours. A light that the map has not seen may change what is bright and what is
+dark, so that colours that disagree do no more than halve the odds. Of the latter, a logistic in how well the curvature
+fixes the position. What rivals the pose has is counted apart (:mod:`rholoc.localization.rivals`), and so is another
+focal length (:mod:`rholoc.localization.focal`).
 """
 
 from __future__ import annotations
@@ -37,15 +38,15 @@ class Grounds:
     """What confidence weighs.
 
     Attributes:
-        place: (4,) log₂ of the nats a match by which more are there than chance puts there, at most one; and log₂, each
+        place: (5,) log₂ of the nats a match by which more are there than chance puts there, at most one; log₂, each
             more by one, of the nats that matches say for the pose, of those that other things say against it, and of
-            the matches that chance would find.
+            the matches that chance would find; and log₂ of the share of landmarks found.
         colours: how well colours agree, 0 by chance, 1 at best; NaN where they are not known.
         patches: nats, what a match says by its orientation and size, from -½ to 1.2; NaN where they are not known.
         sigma: log₂ of the position's greatest sigma over 10 cm, from -2 to 1.
     """
 
-    place: tuple[float, float, float, float]
+    place: tuple[float, float, float, float, float]
     colours: float
     patches: float
     sigma: float
@@ -66,10 +67,10 @@ class Weights:
     """What each of the grounds weighs, intercepts first.
 
     Attributes:
-        place: (5,) of the place alone, where neither colours nor patches are known.
-        colours: (6,) of the place and the colours.
-        patches: (6,) of the place and the patches; zeros for features that have neither orientation nor size.
-        both: (7,) of the place, the patches, and the colours.
+        place: (6,) of the place alone, where neither colours nor patches are known.
+        colours: (7,) of the place and the colours.
+        patches: (7,) of the place and the patches; zeros for features that have neither orientation nor size.
+        both: (8,) of the place, the patches, and the colours.
         exact: (2,) of the sigma.
     """
 
@@ -84,33 +85,33 @@ class Weights:
 # alike that the others' weights do not hold.
 _BY_METRIC = {
     Metric.HAMMING: Weights(
-        place=(-10.34, 0.64, 2.62, -0.65, -0.42),
-        colours=(-8.83, 0.27, 2.08, -0.62, -0.5, 4.3),
-        patches=(-7.25, 0.0, 1.52, -0.65, -0.38, 2.95),
-        both=(-5.83, 0.0, 1.08, -0.6, -0.44, 2.58, 3.76),
+        place=(-4.37, 0.42, 1.95, -0.4, -0.46, 0.89),
+        colours=(-3.37, 0.15, 1.48, -0.42, -0.53, 0.81, 4.01),
+        patches=(-1.89, 0.0, 1.02, -0.43, -0.45, 0.85, 2.68),
+        both=(-1.58, 0.0, 0.75, -0.42, -0.49, 0.71, 2.36, 3.14),
         exact=(3.15, -1.95),
     ),
     Metric.EUCLIDEAN: Weights(
-        place=(-10.8, 1.95, 2.93, -0.59, -0.84),
-        colours=(-8.9, 1.69, 2.31, -0.58, -0.97, 4.08),
-        patches=(-5.14, 1.42, 1.37, -0.79, -0.53, 3.31),
-        both=(-4.59, 1.36, 1.13, -0.76, -0.62, 3.02, 2.5),
+        place=(-4.84, 1.67, 2.28, -0.25, -0.87, 1.1),
+        colours=(-3.98, 1.46, 1.83, -0.29, -0.99, 0.95, 3.52),
+        patches=(-1.2, 1.23, 1.01, -0.55, -0.59, 0.81, 3.07),
+        both=(-1.08, 1.18, 0.85, -0.55, -0.66, 0.73, 2.86, 2.03),
         exact=(2.89, -2.02),
     ),
 }
 _OWN = {
     "lab": Weights(
-        place=(-6.43, 0.39, 1.56, -0.48, -0.1),
-        colours=(-4.55, 0.24, 1.05, -0.39, -0.33, 4.44),
-        patches=(-5.36, 0.1, 1.23, -0.52, -0.16, 1.18),
-        both=(-4.05, 0.06, 0.89, -0.41, -0.36, 0.75, 4.08),
+        place=(-4.81, 0.31, 1.38, -0.43, -0.13, 0.27),
+        colours=(-3.35, 0.17, 0.93, -0.34, -0.35, 0.22, 4.4),
+        patches=(-4.97, 0.1, 1.2, -0.51, -0.17, 0.08, 1.1),
+        both=(-3.57, 0.05, 0.86, -0.39, -0.37, 0.1, 0.64, 4.11),
         exact=(2.64, -2.48),
     ),
     "xfeat": Weights(
-        place=(-8.59, 0.44, 2.4, -0.75, -1.13),
-        colours=(-6.66, 0.0, 1.7, -0.89, -1.39, 5.91),
-        patches=(0.0,) * 6,
-        both=(0.0,) * 7,
+        place=(1.28, 0.29, 1.34, -0.75, -1.12, 1.57),
+        colours=(1.64, 0.0, 0.87, -0.85, -1.31, 1.34, 5.18),
+        patches=(0.0,) * 7,
+        both=(0.0,) * 8,
         exact=(0.47, -1.54),
     ),
 }
@@ -129,6 +130,7 @@ def weights_for(extractor: str) -> Weights:
 def grounds_of(verified: Sequence[Verified], covariance: FloatArray) -> Grounds:
     """What confidence weighs, of frames verified together and the covariance (6, 6) of the one asked for."""
     supports = [one.support for one in verified]
+    found, expected = sum(one.found for one in supports), sum(one.expected for one in supports)
     by_chance, inliers = sum(one.by_chance for one in verified), sum(one.inliers for one in verified)
     sigma_m = math.sqrt(max(float(np.linalg.eigvalsh(covariance[:3, :3])[-1]), 1e-12))
     place = (
@@ -136,6 +138,7 @@ def grounds_of(verified: Sequence[Verified], covariance: FloatArray) -> Grounds:
         math.log2(1 + sum(one.seen for one in supports)),
         math.log2(1 + sum(one.missing for one in supports)),
         math.log2(1 + by_chance),
+        math.log2((1 + found) / (1 + expected)),
     )
     octaves = math.log2(sigma_m / _REFERENCE_SIGMA_M)
     colours = _mean_known(supports, [one.colours for one in supports])

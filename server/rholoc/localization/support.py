@@ -41,6 +41,7 @@ class Support:
         seen: nats, what its matches say for it, cell by cell.
         missing: nats, what the cells say against it where landmarks should be and other things are.
         found: how many landmarks are where views from hereabouts saw them.
+        expected: how many of them should be: as many as those views saw, or as the picture has features for.
         beyond_chance: nats, how surely more matches of a wider search are close to their landmarks than chance puts
             there, by how many it put around.
         colours: how well the matches' lightness follows from the colours of their landmarks, 0 by chance, 1 at best;
@@ -52,6 +53,7 @@ class Support:
     seen: float
     missing: float
     found: float = 0.0
+    expected: float = 0.0
     beyond_chance: float = 0.0
     colours: float = np.nan
     patches: float = np.nan
@@ -106,6 +108,7 @@ def support_of(
         float(np.clip(said, 0, _CELL_NATS).sum()),
         float(np.minimum(against, _CELL_NATS).sum()),
         float(is_found.sum()),
+        float(min(len(shown), len(pixels))),
         _beyond_chance(index, pixels, camera, wide, optimum.T_map_camera),
         _colour_agreement(index, query, detections, landmarks),
         patch_agreement(patch_log_odds(index.map, query.features, camera, optimum.T_map_camera, detections, landmarks)),
