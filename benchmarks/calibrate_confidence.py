@@ -77,9 +77,9 @@ def fit(cases: list[Case]) -> Weights:
 
     def by(*columns: int) -> tuple[float, ...]:
         """Of the place and some of what is not always known, by the answers where it is."""
-        known = np.isfinite(extras[:, columns]).all(axis=1)
-        inputs = np.column_stack([place, extras[:, columns]])[known]
-        return logistic(inputs, at_place[known], weight[known], (*PLACE_SIGNS, *(1 for _ in columns)))
+        told = np.isfinite(extras[:, columns]).all(axis=1)
+        inputs = np.column_stack([place, extras[:, columns]])[told]
+        return logistic(inputs, at_place[told], weight[told], (*PLACE_SIGNS, *(1 for _ in columns)))
 
     exact = logistic(sigma[at_place], right[at_place], weight[at_place], (-1,))
     return Weights(place=by(), colours=by(1), patches=by(0), both=by(0, 1), exact=exact)

@@ -34,8 +34,8 @@ def patched(room_map: Map, point_room: Any) -> Map:
     return replace(room_map, patches=patches)
 
 
-def seen_from_view(map_: Map, point_room: Any, rolled_rad: float = 0.0) -> tuple[FeatureSet, Matches]:
-    """All that a view saw, as it saw it but for a roll of the camera, each matched with its landmark."""
+def seen_from_view(map_: Map, point_room: Any) -> tuple[FeatureSet, Matches]:
+    """All that a view saw, as it saw it, each matched with its landmark."""
     first, last = map_.view_offsets[VIEW : VIEW + 2]
     rows = map_.observation_features[first:last].astype(np.int64)
     T, camera = map_.T_map_camera[VIEW], point_room.camera
@@ -43,8 +43,7 @@ def seen_from_view(map_: Map, point_room: Any, rolled_rad: float = 0.0) -> tuple
     angles, sizes_px = patch_appearance(camera, T, landmarks, map_.known_patches[rows])
     pixels = camera.project((landmarks - T[:3, 3]) @ T[:3, :3]).astype(np.float32)
     nothing = np.zeros((len(rows), 32), np.uint8)
-    angles = (angles + rolled_rad).astype(np.float32)
-    features = FeatureSet(pixels, nothing[:, 0], nothing, sizes_px.astype(np.float32), angles)
+    features = FeatureSet(pixels, nothing[:, 0], nothing, sizes_px.astype(np.float32), angles.astype(np.float32))
     return features, Matches(np.arange(len(rows)), rows, np.full(len(rows), 0.5))
 
 

@@ -143,7 +143,7 @@ def ascend_with_focal(
             if np.abs(step).max() < (_NEARLY_SETTLED if tolerance_px == tolerances_px[-1] else _ROUGHLY_SETTLED):
                 break
     optimum = optimum_at(RayDensities(), evidence.refocused(scale), T, tolerances_px[-1])
-    sigma = float(np.sqrt(np.linalg.inv(curvature + 1e-9 * np.eye(7))[6, 6]))
+    sigma = focal_sigma(curvature)
     return optimum, scale, sigma
 
 
@@ -229,6 +229,11 @@ def information_at(evidence: Evidence, optimum: Optimum, focal_free: bool = Fals
         J = np.concatenate([J, _by_focal(agreeing, optimum.T_map_camera)[:, :, None]], axis=2)
     weighted = J / (variance * _SYSTEMATIC**2)[:, None, None]
     return np.asarray(np.einsum("mrp,mrq->pq", weighted, J))
+
+
+def focal_sigma(information: FloatArray) -> float:
+    """One sigma of the focal length's logarithm, of an information (7, 7) that has it last."""
+    return float(np.sqrt(np.linalg.inv(information + 1e-9 * np.eye(7))[6, 6]))
 
 
 def upright(T_map_camera: FloatArray) -> FloatArray:

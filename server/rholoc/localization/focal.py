@@ -15,7 +15,7 @@ from math import erf, sqrt
 import numpy as np
 
 from rholoc.geometry import Camera, FloatArray
-from rholoc.localization.ascent import ascend_with_focal, freed_focal, information_at
+from rholoc.localization.ascent import ascend_with_focal, focal_sigma, freed_focal, information_at
 from rholoc.localization.map_index import MapIndex
 from rholoc.localization.matches import Matches
 from rholoc.localization.ransac import lo_ransac
@@ -31,7 +31,6 @@ _SETTLED = 0.02  # of the focal length's logarithm: rounds that change less end
 _ALIKE = 0.003  # of the focal length's logarithm: nothing is gained by another round
 _SHARED_ERRORS = 0.05  # of the nats that a pose explains: what another may gain by errors that landmarks share
 _SIGMAS = 3.0  # measured on real recordings: the estimate's error against its curvature's
-_REGULAR = 1e-9  # 1/m² and 1/rad²: what makes any information invertible
 _OWN_SIGMA = 0.015  # what maps and calibrations differ by, as a share of the focal length
 _RIGHT_M = 0.1  # what confidence is about
 _HARMLESS_M = 0.05  # a pose that a free focal length would move by less is right either way
@@ -132,8 +131,7 @@ def _compared(verified: Verified, others: Iterable[tuple[float, Verified]]) -> f
 
 def _known_to(verified: Verified) -> float:
     """One sigma of the focal length's logarithm, by all matches of a verified pose and the map's own errors."""
-    information = information_at(verified.evidence, verified.optimum, focal_free=True)
-    return float(np.sqrt(np.linalg.inv(information + _REGULAR * np.eye(7))[6, 6]))
+    return focal_sigma(information_at(verified.evidence, verified.optimum, focal_free=True))
 
 
 def _belief(moved_m: float, scale: float, sigma: float) -> float:

@@ -130,13 +130,14 @@ def remembered_frames(map_: Map) -> list[tuple[Camera, FeatureSet]]:
     as it looks from there."""
     observations = check_observations(map_, "The map")
     first = np.searchsorted(map_.descriptor_features, np.arange(len(map_)))
-    cameras = source_cameras(map_)
+    cameras, patches = source_cameras(map_), map_.known_patches
     frames = []
     for k, source in enumerate(observations.view_sources):
         rows = slice(int(map_.view_offsets[k]), int(map_.view_offsets[k + 1]))
         features = map_.observation_features[rows]
-        patches = map_.known_patches[features]
-        angles, sizes = patch_appearance(cameras[source], map_.T_map_camera[k], map_.landmarks[features], patches)
+        angles, sizes = patch_appearance(
+            cameras[source], map_.T_map_camera[k], map_.landmarks[features], patches[features]
+        )
         seen = FeatureSet(
             observations.pixels[rows].astype(np.float32),
             map_.channels[features],

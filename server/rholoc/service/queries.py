@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import binascii
 import math
+from collections.abc import Sized
 from dataclasses import dataclass
 from typing import Any
 
@@ -177,12 +178,16 @@ def feature_set(given: FeaturesIn, extractor: Extractor, max_features: int) -> F
     )
 
 
+def _check_one_each(given: Sized, n: int, named: str, hint: str) -> None:
+    if len(given) != n:
+        raise InvalidDescriptors(f"{len(given)} {named} for {n} pixels.", hint)
+
+
 def _sizes(given: list[float] | None, n: int) -> FloatArray:
     """(N,) pixels, 0 where unknown."""
     if given is None:
         return np.zeros(n)
-    if len(given) != n:
-        raise InvalidDescriptors(f"{len(given)} sizes_px for {n} pixels.", "Send one per feature, 0 where unknown.")
+    _check_one_each(given, n, "sizes_px", "Send one per feature, 0 where unknown.")
     sizes = np.asarray(given, dtype=np.float64)
     if not np.isfinite(sizes).all():
         raise InvalidDescriptors("A feature's size is not a finite number.", "Send 0 in sizes_px where unknown.")
@@ -195,10 +200,7 @@ def _angles(given: list[float | None] | None, n: int) -> FloatArray:
     """(N,) radians, NaN where unknown."""
     if given is None:
         return np.full(n, np.nan)
-    if len(given) != n:
-        raise InvalidDescriptors(
-            f"{len(given)} angles_deg for {n} pixels.", "Send one per feature, null where unknown."
-        )
+    _check_one_each(given, n, "angles_deg", "Send one per feature, null where unknown.")
     angles = np.asarray(given, dtype=np.float64)  # None becomes NaN
     if np.isinf(angles).any():
         raise InvalidDescriptors("A feature's angle is not a finite number.", "Send null in angles_deg where unknown.")
@@ -219,8 +221,7 @@ def _descriptors(given: list[str] | str, n: int, extractor: Extractor) -> ByteAr
         wrong = next((row for row in given if len(row) != 2 * length), None)
         if wrong is not None:
             raise InvalidDescriptors(f"A descriptor has {len(wrong) / 2:g} bytes.", hint)
-        if len(given) != n:
-            raise InvalidDescriptors(f"{len(given)} descriptors for {n} pixels.", hint)
+        _check_one_each(given, n, "descriptors", hint)
         try:
             blob = bytes.fromhex("".join(given))
         except ValueError as error:
@@ -237,8 +238,7 @@ def _channels(given: list[int | str] | None, n: int, extractor: Extractor) -> By
         if len(extractor.channels) != 1:
             raise InvalidDescriptors("The features have no channels.", hint)
         return np.full(n, extractor.channels[0], dtype=np.uint8)
-    if len(given) != n:
-        raise InvalidDescriptors(f"{len(given)} channels for {n} pixels.", hint)
+    _check_one_each(given, n, "channels", hint)
     known: dict[Any, int] = {channel.name: channel.value for channel in extractor.channels}
     known |= {channel.value: channel.value for channel in extractor.channels}
     strange = next((channel for channel in given if channel not in known), None)
