@@ -4,9 +4,9 @@
         [--room "kitchen, hard" ...] [--plot reliability.png]
 
 Every kind of features in every room of benchmarks/rooms.py. What is asked of a room's map: frames of the room, whole
-and with an eighth of their features (frames that are easy say nothing about doubt), and as if by a camera whose focal
-length is a tenth off; pictures of all other rooms, which are all wrong; and windows of a frame, over a seventh of
-its area, in a picture of another room: a thing that looks alike, of less weight.
+and with an eighth of their features (frames that are easy say nothing about doubt); and pictures of all other rooms,
+which are all wrong. To these confidence is fitted. Besides, frames as if by a camera whose focal length is a tenth off;
+and windows of a frame, over a seventh of its area, in a picture of another room: a thing that looks alike.
 
 Answers are kept in the cache, room by room, until the code that gives them changes; after ``--minutes`` of processor
 time the command ends and says what is missing, and asking again goes on there. With all at hand it prints, of features
@@ -36,7 +36,7 @@ from rholoc.geometry import BoolArray, FloatArray
 from rholoc.localization.confidence import MIN_CONFIDENCE, Weights, has_own_weights, probability
 from rooms import ROOMS, NamedRoom
 
-WINDOW_WEIGHT = 0.2
+NOT_FITTED = (Kind.FOCAL_OFF, Kind.WINDOW)
 RIDGE = 0.3
 THRESHOLDS = (0.3, 0.4, 0.5, 0.6, 0.7)
 PLACE_SIGNS = (1, 1, -1, -1, 1)  # which way the grounds of a place may speak
@@ -54,11 +54,6 @@ def all_answered(
 # -- fitting and checking --------------------------------------------------------------------------------------------
 
 
-def weight_of(case: Case) -> float:
-    """How much a case counts in the fit."""
-    return WINDOW_WEIGHT if case.kind is Kind.WINDOW else 1.0
-
-
 def group_of(features: str) -> str:
     """The extractors that are fitted together: those of a metric, but for those that have weights of their own."""
     return features if has_own_weights(features) else str(get_extractor(features).metric)
@@ -66,10 +61,9 @@ def group_of(features: str) -> str:
 
 def fit(cases: list[Case]) -> Weights:
     """What the grounds weigh, by likelihood: of being at the right place, and of being exact there."""
-    known = [case for case in cases if case.grounds is not None and case.kind is not Kind.FOCAL_OFF]
+    known = [case for case in cases if case.grounds is not None and case.kind not in NOT_FITTED]
     grounds = [case.grounds for case in known if case.grounds is not None]
     at_place = np.array([case.is_right_place for case in known], dtype=bool)
-    weight = np.array([weight_of(case) for case in known])
     place = np.array([one.place for one in grounds])
     extras = np.array([[one.patches, one.colours] for one in grounds]).reshape(-1, 2)
     right = np.array([case.right for case in known])
@@ -78,14 +72,16 @@ def fit(cases: list[Case]) -> Weights:
     def by(*columns: int) -> tuple[float, ...]:
         """Of the place and some of what is not always known, by the answers where it is."""
         told = np.isfinite(extras[:, columns]).all(axis=1)
+        if not told.any():
+            return ()
         inputs = np.column_stack([place, extras[:, columns]])[told]
-        return logistic(inputs, at_place[told], weight[told], (*PLACE_SIGNS, *(1 for _ in columns)))
+        return logistic(inputs, at_place[told], (*PLACE_SIGNS, *(1 for _ in columns)))
 
-    exact = logistic(sigma[at_place], right[at_place], weight[at_place], (-1,))
+    exact = logistic(sigma[at_place], right[at_place], (-1,))
     return Weights(place=by(), colours=by(1), patches=by(0), both=by(0, 1), exact=exact)
 
 
-def logistic(inputs: FloatArray, true: BoolArray, weight: FloatArray, signs: tuple[int, ...]) -> tuple[float, ...]:
+def logistic(inputs: FloatArray, true: BoolArray, signs: tuple[int, ...]) -> tuple[float, ...]:
     """Intercept and slopes of a logistic in inputs (N, D), with a little ridge on what standardized ones weigh.
 
     Args:
@@ -97,7 +93,7 @@ def logistic(inputs: FloatArray, true: BoolArray, weight: FloatArray, signs: tup
     X = np.column_stack([np.ones(len(inputs)), (inputs - mean) / spread])
     sign = np.where(true, 1.0, -1.0)
     found = minimize(
-        lambda w: (weight * np.logaddexp(0, -sign * (X @ w))).sum() + RIDGE * (w[1:] @ w[1:]),
+        lambda w: np.logaddexp(0, -sign * (X @ w)).sum() + RIDGE * (w[1:] @ w[1:]),
         np.zeros(X.shape[1]),
         bounds=[(None, None), *((0, None) if one > 0 else (None, 0) for one in signs)],
     )
@@ -158,7 +154,7 @@ class Bin:
 
 def reliability(judged: list[Judged]) -> list[Bin]:
     """The answers in each tenth of confidence that has some."""
-    confidence, right = of(judged, lambda case: case.kind not in (Kind.WINDOW, Kind.FOCAL_OFF))
+    confidence, right = of(judged, lambda case: case.kind not in NOT_FITTED)
     bins = []
     for low in np.arange(10) / 10:
         inside = (confidence >= low) & ((confidence < low + 0.1) | (low > 0.85))

@@ -163,6 +163,16 @@ def test_it_is_the_probability_of_the_place_times_that_of_being_exact_there() ->
     assert probability(Grounds((0, 0, 0, 1e300, 0), np.nan, np.nan, -2.0), weights) == 0.0
 
 
+@pytest.mark.parametrize("colours", [np.nan, 0.5])
+def test_features_that_are_neither_turned_nor_sized_go_without_patches_even_where_a_map_has_some(
+    colours: float,
+) -> None:
+    weights = weights_for("xfeat")
+    said = [confidence_of(_verified(colours=colours, patches=patches), weights) for patches in (np.nan, -0.4, 1.1)]
+    assert said[0] > MIN_CONFIDENCE
+    assert said == [said[0]] * 3
+
+
 @pytest.mark.parametrize("features", ["gray", "sift48"])
 def test_where_colours_agree_it_is_surer_than_where_they_are_unknown_and_where_they_do_not_less(features: str) -> None:
     agreeing, unknown, other = (

@@ -69,16 +69,16 @@ class Weights:
     Attributes:
         place: (6,) of the place alone, where neither colours nor patches are known.
         colours: (7,) of the place and the colours.
-        patches: (7,) of the place and the patches; zeros for features that have neither orientation nor size.
-        both: (8,) of the place, the patches, and the colours.
         exact: (2,) of the sigma.
+        patches: (7,) of the place and the patches; none for features that have neither orientation nor size.
+        both: (8,) of the place, the patches, and the colours; likewise.
     """
 
     place: tuple[float, ...]
     colours: tuple[float, ...]
-    patches: tuple[float, ...]
-    both: tuple[float, ...]
     exact: tuple[float, ...]
+    patches: tuple[float, ...] = ()
+    both: tuple[float, ...] = ()
 
 
 # Fitted by benchmarks/calibrate_confidence.py, the extractors of each metric together, but for those that find so much
@@ -110,8 +110,6 @@ _OWN = {
     "xfeat": Weights(
         place=(1.28, 0.29, 1.34, -0.75, -1.12, 1.57),
         colours=(1.64, 0.0, 0.87, -0.85, -1.31, 1.34, 5.18),
-        patches=(0.0,) * 7,
-        both=(0.0,) * 8,
         exact=(0.47, -1.54),
     ),
 }
@@ -165,7 +163,7 @@ def _place_logit(grounds: Grounds, weights: Weights) -> float:
     """Of the probability that it is the right place."""
     known: tuple[float, ...] = grounds.place
     alone, by_colours = weights.place, weights.colours
-    if grounds.has_patches:
+    if grounds.has_patches and weights.patches:
         known, alone, by_colours = (*grounds.place, grounds.patches), weights.patches, weights.both
     without = _weighed(known, alone)
     if not grounds.has_colours:
