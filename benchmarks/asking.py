@@ -83,12 +83,9 @@ class Case:
 
     def is_within(self, limit_m: float, limit_rad: float) -> bool:
         """Whether the pose is no farther off."""
-        return (
-            self.off_m is not None
-            and self.turned_rad is not None
-            and self.off_m < limit_m
-            and self.turned_rad < limit_rad
-        )
+        if self.off_m is None or self.turned_rad is None:
+            return False
+        return bool(self.off_m < limit_m and self.turned_rad < limit_rad)
 
     @classmethod
     def read(cls, stored: dict) -> Case:  # type: ignore[type-arg]

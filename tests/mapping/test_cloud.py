@@ -16,7 +16,6 @@ from rholoc.geometry import Similarity
 from rholoc.mapping import forget_recording, levelled, merge_maps, remove_region, remove_views
 from rholoc.mapping.cloud import cloud_of
 from rholoc.mapping.landmarks import triangulate
-from rholoc.mapping.merging import moved_map
 from rholoc.mapping.moving import move_map
 from rholoc.mapping.observations import Views, link_observations
 from rholoc.maps import Cloud, Map, load_map, map_to_bytes, save_map
@@ -102,7 +101,7 @@ def test_they_are_cut_with_the_map(room: Map) -> None:
 
 def test_they_are_merged_and_forgotten_with_their_recording(room: Map, point_room: Any) -> None:
     other = decorated(point_room.map_of(point_room.walk(30, 0.2), "second"), seed=1)
-    merged = merge_maps(room, moved_map(other, Similarity(1.0, np.eye(3), np.array([0.5, 0.0, 0.0]))))
+    merged = merge_maps(room, move_map(other, Similarity(1.0, np.eye(3), np.array([0.5, 0.0, 0.0]))))
     np.testing.assert_array_equal(merged.cloud.sources, np.repeat([0, 1], 100))
     np.testing.assert_allclose(merged.cloud.positions[100:], other.cloud.positions, atol=0.02)
     assert merged.pictures is not None

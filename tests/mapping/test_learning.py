@@ -19,7 +19,7 @@ from rholoc.geometry import ByteArray, FloatArray, IntArray, Pose, Similarity
 from rholoc.localization import Dof, Localizer, Query
 from rholoc.mapping import forget_recording, learning, merge_maps, update_map
 from rholoc.mapping.fitting import fit_densities
-from rholoc.mapping.merging import moved_map
+from rholoc.mapping.moving import move_map
 from rholoc.maps import DensityKind, Map, check_observations, load_map, save_map
 from rholoc.maps.validation import ARRAY_NAMES
 from rholoc.recordings import GivenPoses, Recording
@@ -254,7 +254,7 @@ def test_a_name_that_several_recordings_have_is_not_enough(walks: Walks) -> None
 
 
 def test_maps_that_overlap_are_merged_in_the_frame_of_the_first(walks: Walks) -> None:
-    other = moved_map(walks.room.map_of(walks.poses, "second"), TURN)
+    other = move_map(walks.room.map_of(walks.poses, "second"), TURN)
     merged = merge_maps(walks.map_, other)
     assert [source.name for source in merged.info.sources] == ["first", "second"]
     assert merged.info.id not in (walks.map_.info.id, other.info.id)
@@ -267,7 +267,7 @@ def test_maps_that_overlap_are_merged_in_the_frame_of_the_first(walks: Walks) ->
     left = forget_recording(merged, "second")
     np.testing.assert_allclose(left.landmarks, walks.map_.landmarks, rtol=0, atol=1e-6)
     # what both learned counts once
-    again = merge_maps(merged, moved_map(merged_with_third(walks, other), TURN))
+    again = merge_maps(merged, move_map(merged_with_third(walks, other), TURN))
     assert [source.name for source in again.info.sources] == ["first", "second", "third"]
 
 
@@ -282,7 +282,7 @@ def test_merging_refuses_what_does_not_fit(walks: Walks, another_room: Any) -> N
         merge_maps(walks.map_, elsewhere)
     other = walks.room.map_of(walks.poses, "second")
     with pytest.raises(MappingFailed, match=r"disagree: \d+ cm"):
-        merge_maps(walks.map_, moved_map(other, Similarity(1.5, np.eye(3), np.zeros(3))))
+        merge_maps(walks.map_, move_map(other, Similarity(1.5, np.eye(3), np.zeros(3))))
     with pytest.raises(Conflict, match="all that the second does"):
         merge_maps(walks.map_, walks.map_)
     with pytest.raises(InvalidInput, match="different features, gray and lab"):
@@ -294,6 +294,6 @@ def test_merging_refuses_what_does_not_fit(walks: Walks, another_room: Any) -> N
 def test_a_map_of_arbitrary_scale_takes_that_of_the_first(walks: Walks) -> None:
     other = walks.room.map_of(walks.poses, "second")
     loose = replace(other, info=replace(other.info, metric=False))
-    merged = merge_maps(walks.map_, moved_map(loose, Similarity(0.4, TURN.rotation, TURN.translation)))
+    merged = merge_maps(walks.map_, move_map(loose, Similarity(0.4, TURN.rotation, TURN.translation)))
     assert off_the_points(merged, walks.room) < 0.03
     assert np.percentile(walks.room.patch_errors(merged)[1], 95) < 0.3

@@ -17,7 +17,7 @@ from rholoc.mapping.assembly import assemble
 from rholoc.mapping.joining import join, without_source
 from rholoc.mapping.landmarks import Landmarks
 from rholoc.mapping.memory import with_landmarks
-from rholoc.mapping.merging import moved_map
+from rholoc.mapping.moving import move_map
 from rholoc.mapping.observations import Views
 from rholoc.maps import DensityKind, Map, MapInfo, Source, packed_pixels, unpacked_pixels
 
@@ -173,7 +173,7 @@ def test_a_moved_map_has_moved_landmarks_and_rotated_information() -> None:
     similarity = Similarity(
         1.0, Rotation.from_euler("zyx", [40, 5, -3], degrees=True).as_matrix(), np.array([3, -2, 1])
     )
-    moved = moved_map(map_, similarity)
+    moved = move_map(map_, similarity)
     np.testing.assert_allclose(moved.landmarks, similarity.points(map_.landmarks.astype(np.float64)), atol=2e-5)
     for before, after in zip(map_.covariances, moved.covariances, strict=True):
         turned = similarity.rotation @ before @ similarity.rotation.T

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from rholoc.errors import InvalidInput, MappingFailed
 from rholoc.geometry import FloatArray, Pose, Similarity, pose_distances, pose_matrix
 from rholoc.mapping import find_link, pose_in_site, solve_site, with_link
-from rholoc.mapping.merging import moved_map
+from rholoc.mapping.moving import move_map
 from rholoc.maps import FramePose, LinkOrigin, MapNames, MapWaypoint, NamedPoint, Site, SiteLink, SiteMap
 
 
@@ -105,7 +105,7 @@ def halves(point_room):
     turn = Rotation.from_euler("z", 40, degrees=True).as_matrix()
     T = pose_matrix(turn, np.array([3.0, -2.0, 0.5]))
     inverse = np.linalg.inv(T)
-    return first, moved_map(second, Similarity(1.0, inverse[:3, :3], inverse[:3, 3])), T
+    return first, move_map(second, Similarity(1.0, inverse[:3, :3], inverse[:3, 3])), T
 
 
 def with_points(map_, points: dict[str, FloatArray], measured: bool):

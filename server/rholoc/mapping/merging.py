@@ -12,16 +12,16 @@ from scipy.sparse import coo_array
 from rholoc.errors import Conflict, InvalidInput
 from rholoc.features import FeatureSet
 from rholoc.features.matching import LIMITS
-from rholoc.geometry import Camera, IntArray, Similarity, patch_appearance, poses_from_rows, rows_from_poses
+from rholoc.geometry import Camera, IntArray, patch_appearance
 from rholoc.localization import Localizer
 from rholoc.mapping.fitting import ray_form
 from rholoc.mapping.joining import join, without_source
 from rholoc.mapping.learning import alignment_report
-from rholoc.mapping.memory import with_landmarks
+from rholoc.mapping.moving import move_map
 from rholoc.mapping.registration import LEARNING_CONFIDENCE, align_to_found, find_frames
-from rholoc.mapping.uncertainty import moved_covariances, uncertainty_in
+from rholoc.mapping.uncertainty import uncertainty_in
 from rholoc.mapping.versions import as_learned
-from rholoc.maps import DensityKind, Map, check_observations, moved_patches, source_cameras
+from rholoc.maps import DensityKind, Map, check_observations, source_cameras
 from rholoc.progress import ProgressListener, Stage, silent
 
 _MAX_LOCALIZED = 60
@@ -53,7 +53,7 @@ def merge_maps(a: Map, b: Map, progress: ProgressListener = silent) -> Map:
     tried = np.unique(np.linspace(0, len(frames) - 1, _MAX_LOCALIZED).round().astype(np.int64))
     found = find_frames(localizer, frames, tried, "The second map", progress)
     alignment = align_to_found(own, found, a.info.metric and b.info.metric, "The second map")
-    moved = _placed_in(localizer.map, moved_map(b, alignment.similarity))
+    moved = _placed_in(localizer.map, move_map(b, alignment.similarity))
     same = _same_features(localizer, moved, progress)
     merged = join(localizer.map, moved, same)
     progress(Stage.DENSITIES, 1.0, f"{len(merged)} features, {int((same >= 0).sum())} of them in both maps")
@@ -68,27 +68,6 @@ def merge_maps(a: Map, b: Map, progress: ProgressListener = silent) -> Map:
     created = datetime.now(UTC).isoformat(timespec="seconds")
     version = max(a.info.version, b.info.version) + 1
     return replace(merged, info=replace(merged.info, id=uuid.uuid4().hex, version=version, created=created))
-
-
-def moved_map(map_: Map, similarity: Similarity) -> Map:
-    """A map, of ``ray`` form, in another frame: Λ becomes R Λ Rᵀ, as its observations are turned with it."""
-    moved = replace(
-        map_,
-        T_map_camera=poses_from_rows(rows_from_poses(similarity.poses(map_.T_map_camera)).astype(np.float32)),
-        patches=moved_patches(map_.patches, similarity),
-        cloud=map_.cloud.moved(similarity),
-        view_covariances=(
-            None if map_.view_covariances is None else moved_covariances(map_.view_covariances, similarity)
-        ),
-        info=replace(
-            map_.info,
-            waypoints=tuple(
-                replace(waypoint, position=tuple(similarity.points(np.array([waypoint.position]))[0].tolist()))
-                for waypoint in map_.info.waypoints
-            ),
-        ),
-    )
-    return with_landmarks(moved)
 
 
 def _placed_in(a: Map, b: Map) -> Map:
