@@ -28,6 +28,7 @@ import cv2
 import numpy as np
 from matplotlib.figure import Figure
 from scipy.optimize import minimize
+from scipy.special import log_expit
 
 from asking import Answered, Case, Kind, answers_of
 from measuring import print_table
@@ -37,7 +38,7 @@ from rholoc.localization.confidence import MIN_CONFIDENCE, Weights, has_own_weig
 from rooms import ROOMS, NamedRoom
 
 NOT_FITTED = (Kind.FOCAL_OFF, Kind.WINDOW)
-RIDGE = 0.3
+RIDGE = 0.5
 THRESHOLDS = (0.3, 0.4, 0.5, 0.6, 0.7)
 PLACE_SIGNS = (1, 1, -1, -1, 1)  # which way the grounds of a place may speak
 OUT_OF_TIME = 3
@@ -67,6 +68,7 @@ def fit(cases: list[Case]) -> Weights:
     place = np.array([one.place for one in grounds])
     extras = np.array([[one.patches, one.colours] for one in grounds]).reshape(-1, 2)
     right = np.array([case.right for case in known])
+    factor = np.clip([case.factor for case in known], 1e-6, 1.0)
     sigma = np.array([[one.sigma] for one in grounds])
 
     def by(*columns: int) -> tuple[float, ...]:
@@ -75,28 +77,32 @@ def fit(cases: list[Case]) -> Weights:
         if not told.any():
             return ()
         inputs = np.column_stack([place, extras[:, columns]])[told]
-        return logistic(inputs, at_place[told], (*PLACE_SIGNS, *(1 for _ in columns)))
+        return logistic(inputs, at_place[told], factor[told], (*PLACE_SIGNS, *(1 for _ in columns)))
 
-    exact = logistic(sigma[at_place], right[at_place], (-1,))
+    exact = logistic(sigma[at_place], right[at_place], np.ones(at_place.sum()), (-1,))
     return Weights(place=by(), colours=by(1), patches=by(0), both=by(0, 1), exact=exact)
 
 
-def logistic(inputs: FloatArray, true: BoolArray, signs: tuple[int, ...]) -> tuple[float, ...]:
+def logistic(inputs: FloatArray, true: BoolArray, factor: FloatArray, signs: tuple[int, ...]) -> tuple[float, ...]:
     """Intercept and slopes of a logistic in inputs (N, D), with a little ridge on what standardized ones weigh.
 
     Args:
+        factor: (N,) what else the probability is multiplied by; what lowers it so need not be said twice.
         signs: which way each input may speak: 1 for, -1 against.
     """
     if not len(inputs):
         return (0.0,) * (len(signs) + 1)
     mean, spread = inputs.mean(axis=0), inputs.std(axis=0) + 1e-9
     X = np.column_stack([np.ones(len(inputs)), (inputs - mean) / spread])
-    sign = np.where(true, 1.0, -1.0)
-    found = minimize(
-        lambda w: np.logaddexp(0, -sign * (X @ w)).sum() + RIDGE * (w[1:] @ w[1:]),
-        np.zeros(X.shape[1]),
-        bounds=[(None, None), *((0, None) if one > 0 else (None, 0) for one in signs)],
-    )
+    with np.errstate(divide="ignore"):
+        without = np.log1p(-factor)
+
+    def loss(w: FloatArray) -> float:
+        false = np.logaddexp(without, np.log(factor) + log_expit(-(X @ w)))
+        return float(RIDGE * (w[1:] @ w[1:]) - np.where(true, log_expit(X @ w), false).sum())
+
+    bounds = [(None, None), *((0, None) if one > 0 else (None, 0) for one in signs)]
+    found = minimize(loss, np.zeros(X.shape[1]), bounds=bounds)
     slopes = found.x[1:] / spread
     return (float(found.x[0] - slopes @ mean), *slopes.tolist())
 
