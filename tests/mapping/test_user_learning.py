@@ -124,6 +124,7 @@ def test_the_changed_room_is_found_again(room_map: Map, learned: Map, changed_ro
     assert recall(learned, changed_room, poses) > 0.8
 
 
+@pytest.mark.slow
 def test_a_query_becomes_a_view_once(learned: Map, queries: list[AnsweredQuery]) -> None:
     try:
         again = learn_from_queries(learned, queries[::2])
@@ -197,6 +198,7 @@ def test_a_query_held_back_is_where_it_is_believed_to_be(queries: list[AnsweredQ
     assert [(one.query, one.T_map_camera[0, 3]) for one in settled] == [(same, 0.0), (misled, 2.0), (doubted, 0.0)]
 
 
+@pytest.mark.slow
 def test_an_hour_of_one_asker_teaches_nothing_new(room_map: Map, changed_room: Any) -> None:
     queries = [replace(one, asker="one") for one in asked(room_map, changed_room, apart_s=5.0)]
     with pytest.raises(MappingFailed, match="nothing new"):
