@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -65,8 +66,8 @@ def found(
     return _Found(verified, camera, focal, confidence, near_prior, confidence if recognized is None else recognized)
 
 
-def search(*candidates: _Found) -> _Search:
-    query: Any = None
+def search(*candidates: _Found, prior: Prior | None = None) -> _Search:
+    query: Any = SimpleNamespace(prior=prior)
     begun = _Search(query, _Stopwatch(None))
     for candidate in candidates:
         begun.add(candidate)
@@ -117,6 +118,38 @@ def test_a_search_is_over_once_a_place_is_recognized_wherever_it_is() -> None:
     assert not search(found(0.95, recognized=0.89)).is_over(0.9)
     assert search(found(0.2, recognized=0.9)).is_over(0.9)
     assert search(found(0.5), found(0.2, near_prior=False, recognized=0.9)).is_over(0.9)
+
+
+def test_only_what_lies_where_a_prior_expects_it_is_as_expected() -> None:
+    prior = Prior(Pose(np.eye(4)))
+    assert search(found(0.5), prior=prior).is_as_expected(0.5)
+    assert search(found(0.2, recognized=0.5), prior=prior).is_as_expected(0.5)
+    assert not search(found(0.49), prior=prior).is_as_expected(0.5)
+    assert not search(found(0.5)).is_as_expected(0.5)
+    assert not search(found(0.8, near_prior=False), prior=prior).is_as_expected(0.5)
+    assert not search(prior=prior).is_as_expected(0.5)
+
+
+@pytest.mark.parametrize(("confidence", "places"), [(0.5, 1), (0.4, 9)])
+def test_a_pose_that_may_be_given_out_where_it_was_expected_is_answered_with_without_a_look_elsewhere(
+    localizer: Localizer, point_room: Any, monkeypatch: pytest.MonkeyPatch, confidence: float, places: int
+) -> None:
+    truth = point_room.walk(9)[4]
+    query = Query(point_room.see(truth, 8), point_room.camera)
+    looked, closely, look, look_closely = [], [], localizer._look, localizer._look_closely
+    monkeypatch.setattr(module, "confidence_of", lambda *_: confidence)
+    monkeypatch.setattr(localizer, "_look", lambda place, *how: (looked.append(place), look(place, *how))[1])
+    monkeypatch.setattr(
+        localizer, "_look_closely", lambda place, *how: (closely.append(place), look_closely(place, *how))[1]
+    )
+    localizer._search(query, _Stopwatch(None))
+    assert len(looked) == localizer.options.places  # nothing was expected
+    looked.clear()
+    closely.clear()
+    found = localizer._search(replace(query, prior=Prior(truth, 0.5, 0.3)), _Stopwatch(None))
+    assert (len(looked), len(closely)) == (places, places)
+    assert found.best is not None
+    assert found.best.near_prior
 
 
 def test_a_candidate_is_as_sure_as_it_is_better_than_its_best_rival() -> None:

@@ -48,6 +48,8 @@ class SearchOptions:
         seeds: the best of them that are ascended from.
         seed_tolerances_px: the tolerances of that ascent, narrowing.
         conclusive: the confidence at which the search stops.
+        expected: the confidence at which it stops once the place that a prior names was looked at closely: that of a
+            pose that may be given out.
     """
 
     places: int = 8
@@ -58,6 +60,7 @@ class SearchOptions:
     seeds: int = 2
     seed_tolerances_px: tuple[float, ...] = (24.0, 12.0, 6.0)
     conclusive: float = 0.9
+    expected: float = MIN_CONFIDENCE
 
 
 @dataclass
@@ -144,6 +147,10 @@ class _Search:
     def is_over(self, conclusive: float) -> bool:
         """Whether a candidate is so sure that nothing further need be looked at."""
         return any(found is not None and found.recognized >= conclusive for found in (self.best, self.elsewhere))
+
+    def is_as_expected(self, enough: float) -> bool:
+        """Whether a candidate lies where a prior expects it, and is that sure."""
+        return self.query.prior is not None and self.best is not None and self.best.recognized >= enough
 
     def outcome(self, conclusive: float) -> _Found | None:
         """The candidate to answer with: one that contradicts the prior only where it is sure and the other is not."""
@@ -285,6 +292,8 @@ class Localizer:
                 search.add(found)
                 if search.is_over(self.options.conclusive):
                     return
+            if search.is_as_expected(self.options.expected):
+                return
 
     def _look_for_rivals(self, search: _Search, rays: FloatArray) -> None:
         """Look for other poses that the picture may show as well as the best; a prior has settled that before."""
