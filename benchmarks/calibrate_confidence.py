@@ -9,11 +9,12 @@ which are all wrong. To these confidence is fitted. Besides, frames as if by a c
 and windows of a frame, over a seventh of its area, in a picture of another room: a thing that looks alike.
 
 Answers are kept in the cache, room by room, until the code that gives them changes; after ``--minutes`` of processor
-time the command ends and says what is missing, and asking again goes on there. With all at hand it prints, of features
-that are fitted together: the weights that fit best; then, by weights fitted to all recordings but the one that is asked
-about, how reliable confidence is, and for each kind of features and each recording how many pictures of other rooms
-are refused, how many good answers are kept, and how many of the answers given are wrong; whole frames and those with
-an eighth of their features apart. Simulated rooms are built alike: other ones are the hardest pictures of other rooms.
+time the command ends and says what is missing, and asking again goes on there. With all at hand it prints, of each
+kind of features: the weights that fit best; then, by weights fitted to all recordings but the one that is asked
+about, for several thresholds and each recording how many pictures of other rooms are refused, how many good answers are
+kept, and how many of the answers given are wrong; whole frames and those with an eighth of their features apart. In the
+end it prints, side by side, these figures and how reliable confidence is. Simulated rooms are built alike: other ones
+are the hardest pictures of other rooms.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ import argparse
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
+from itertools import pairwise
 from pathlib import Path
 
 import cv2
@@ -32,13 +34,16 @@ from scipy.special import log_expit
 
 from asking import Answered, Case, Kind, answers_of
 from measuring import print_table
-from rholoc.features import extractor_names, get_extractor
+from rholoc.features import extractor_names
 from rholoc.geometry import BoolArray, FloatArray
-from rholoc.localization.confidence import MIN_CONFIDENCE, Weights, has_own_weights, probability
+from rholoc.localization.confidence import MIN_CONFIDENCE, Grounds, Weights, probability
 from rooms import ROOMS, NamedRoom
 
 NOT_FITTED = (Kind.FOCAL_OFF, Kind.WINDOW)
-RIDGE = 0.5
+LESS_EXACT = ("xfeat",)  # than their sigma says: fitted apart
+RIDGE = 0.7
+LEAST_SLOPE = 0.05  # of a standardized input: each has a say
+BINS = (0.0, 0.1, 0.3, 0.5, 0.7, 0.9, 1.1)  # of confidence
 THRESHOLDS = (0.3, 0.4, 0.5, 0.6, 0.7)
 PLACE_SIGNS = (1, 1, -1, -1, 1)  # which way the grounds of a place may speak
 OUT_OF_TIME = 3
@@ -55,21 +60,16 @@ def all_answered(
 # -- fitting and checking --------------------------------------------------------------------------------------------
 
 
-def group_of(features: str) -> str:
-    """The extractors that are fitted together: those of a metric, but for those that have weights of their own."""
-    return features if has_own_weights(features) else str(get_extractor(features).metric)
+def fit(answered: list[Answered], everything: list[Answered]) -> Weights:
+    """What the grounds weigh, by likelihood: of being at the right place, and of being exact there.
 
-
-def fit(cases: list[Case]) -> Weights:
-    """What the grounds weigh, by likelihood: of being at the right place, and of being exact there."""
-    known = [case for case in cases if case.grounds is not None and case.kind not in NOT_FITTED]
-    grounds = [case.grounds for case in known if case.grounds is not None]
-    at_place = np.array([case.is_right_place for case in known], dtype=bool)
+    The place by one kind of features alone; how exact a pose is of a given sigma by ``everything`` that is as exact.
+    """
+    cases, grounds = fitted_to(answered)
+    at_place = np.array([case.is_right_place for case in cases], dtype=bool)
     place = np.array([one.place for one in grounds])
     extras = np.array([[one.patches, one.colours] for one in grounds]).reshape(-1, 2)
-    right = np.array([case.right for case in known])
-    factor = np.clip([case.factor for case in known], 1e-6, 1.0)
-    sigma = np.array([[one.sigma] for one in grounds])
+    factor = np.clip([case.factor for case in cases], 1e-6, 1.0)
 
     def by(*columns: int) -> tuple[float, ...]:
         """Of the place and some of what is not always known, by the answers where it is."""
@@ -79,8 +79,22 @@ def fit(cases: list[Case]) -> Weights:
         inputs = np.column_stack([place, extras[:, columns]])[told]
         return logistic(inputs, at_place[told], factor[told], (*PLACE_SIGNS, *(1 for _ in columns)))
 
-    exact = logistic(sigma[at_place], right[at_place], np.ones(at_place.sum()), (-1,))
-    return Weights(place=by(), colours=by(1), patches=by(0), both=by(0, 1), exact=exact)
+    alike = [one for one in everything if (one.features in LESS_EXACT) == (answered[0].features in LESS_EXACT)]
+    return Weights(place=by(), colours=by(1), patches=by(0), both=by(0, 1), exact=fit_exact(alike))
+
+
+def fit_exact(answered: list[Answered]) -> tuple[float, ...]:
+    """What the sigma says of being exact at the right place."""
+    cases, grounds = fitted_to(answered)
+    at_place = np.array([case.is_right_place for case in cases], dtype=bool)
+    sigma, right = np.array([[one.sigma] for one in grounds]), np.array([case.right for case in cases])
+    return logistic(sigma[at_place], right[at_place], np.ones(at_place.sum()), (-1,))
+
+
+def fitted_to(answered: list[Answered]) -> tuple[list[Case], list[Grounds]]:
+    """The answers that confidence is fitted to, and their grounds."""
+    cases = [case for one in answered for case in one.cases if case.grounds and case.kind not in NOT_FITTED]
+    return cases, [case.grounds for case in cases if case.grounds]
 
 
 def logistic(inputs: FloatArray, true: BoolArray, factor: FloatArray, signs: tuple[int, ...]) -> tuple[float, ...]:
@@ -101,7 +115,7 @@ def logistic(inputs: FloatArray, true: BoolArray, factor: FloatArray, signs: tup
         false = np.logaddexp(without, np.log(factor) + log_expit(-(X @ w)))
         return float(RIDGE * (w[1:] @ w[1:]) - np.where(true, log_expit(X @ w), false).sum())
 
-    bounds = [(None, None), *((0, None) if one > 0 else (None, 0) for one in signs)]
+    bounds = [(None, None), *((LEAST_SLOPE, None) if one > 0 else (None, -LEAST_SLOPE) for one in signs)]
     found = minimize(loss, np.zeros(X.shape[1]), bounds=bounds)
     slopes = found.x[1:] / spread
     return (float(found.x[0] - slopes @ mean), *slopes.tolist())
@@ -123,11 +137,12 @@ class Judged:
     confidence: FloatArray
 
 
-def held_back(answered: list[Answered]) -> list[Judged]:
-    """All answers, the recordings in turn held back."""
+def held_back(answered: list[Answered], everything: list[Answered]) -> list[Judged]:
+    """All answers by one kind of features, the recordings in turn held back."""
     judged = []
     for recording in sorted({one.recording for one in answered}):
-        weights = fit([case for one in answered if one.recording != recording for case in one.cases])
+        others = [[one for one in some if one.recording != recording] for some in (answered, everything)]
+        weights = fit(others[0], others[1])
         judged += [
             Judged(one.features, recording, one.room, one.cases, confidence_by(weights, one.cases))
             for one in answered
@@ -159,19 +174,19 @@ class Bin:
 
 
 def reliability(judged: list[Judged]) -> list[Bin]:
-    """The answers in each tenth of confidence that has some."""
+    """The answers of about the same confidence, where there are some."""
     confidence, right = of(judged, lambda case: case.kind not in NOT_FITTED)
     bins = []
-    for low in np.arange(10) / 10:
-        inside = (confidence >= low) & ((confidence < low + 0.1) | (low > 0.85))
+    for low, high in pairwise(BINS):
+        inside = (confidence >= low) & (confidence < high)
         if inside.any():
-            name = f"{low:.1f}–{low + 0.1:.1f}"
+            name = f"{low:.1f}–{min(high, 1):.1f}"
             bins.append(Bin(name, int(inside.sum()), float(confidence[inside].mean()), float(right[inside].mean())))
     return bins
 
 
 def reliability_table(judged: list[Judged]) -> list[dict[str, str]]:
-    """A row a tenth of confidence, a column a kind of features: the share that is right, and of how many."""
+    """A row for each bin of confidence, a column a kind of features: the share that is right, and of how many."""
     rows = {one.name: {"confidence": one.name, "says": f"{one.says:.2f}"} for one in reliability(judged)}
     for name in dict.fromkeys(one.features for one in judged):
         for one in reliability([some for some in judged if some.features == name]):
@@ -203,16 +218,13 @@ def figures(judged: list[Judged], threshold: float) -> dict[str, str]:
     }
 
 
-def show(answered: list[Answered]) -> list[Judged]:
-    """Print all that is known of kinds of features whose descriptors are compared alike."""
-    weights = fit([case for one in answered for case in one.cases])
+def show(answered: list[Answered], everything: list[Answered]) -> list[Judged]:
+    """Print all that is known of one kind of features."""
+    weights = fit(answered, everything)
     for name, values in asdict(weights).items():
         print(f"  {name} that fits all best: {np.round(values, 2).tolist()}")
-    judged = held_back(answered)
-    print_table(reliability_table(judged), ["confidence", "says", *dict.fromkeys(one.features for one in judged)])
+    judged = held_back(answered, everything)
     rows = [{"": f"threshold {threshold}"} | figures(judged, threshold) for threshold in THRESHOLDS]
-    for name in dict.fromkeys(one.features for one in judged):
-        rows.append({"": name} | figures([one for one in judged if one.features == name], MIN_CONFIDENCE))
     for recording in dict.fromkeys(one.recording for one in judged):
         chosen = [one for one in judged if one.recording == recording]
         rows.append({"": recording} | figures(chosen, MIN_CONFIDENCE))
@@ -225,10 +237,10 @@ def plot(fitted: dict[str, list[Judged]], path: Path) -> None:
     figure = Figure(figsize=(5, 5), layout="constrained")
     axes = figure.add_subplot()
     axes.plot([0, 1], [0, 1], color="0.7", label="perfect")
-    for group, judged in fitted.items():
+    for name, judged in fitted.items():
         bins = reliability(judged)
         sizes = [20 + 10 * one.answers**0.5 for one in bins]
-        axes.scatter([one.says for one in bins], [one.right for one in bins], s=sizes, label=group)
+        axes.scatter([one.says for one in bins], [one.right for one in bins], s=sizes, label=name)
     axes.set(xlabel="confidence", ylabel="share within 10 cm and 5°", xlim=(0, 1), ylim=(0, 1.02), aspect="equal")
     axes.set_title("Reliability on recordings not fitted to")
     axes.legend(loc="upper left")
@@ -250,9 +262,15 @@ def main() -> None:
         args.features.split(","), rooms, args.cache, lambda: time.process_time() > 60 * args.minutes
     )
     fitted = {}
-    for group in sorted({group_of(one.features) for one in answered}):
-        print(group)
-        fitted[group] = show([one for one in answered if group_of(one.features) == group])
+    for name in sorted({one.features for one in answered}):
+        print(name)
+        fitted[name] = show([one for one in answered if one.features == name], answered)
+    if fitted:
+        rows = [{"": name} | figures(judged, MIN_CONFIDENCE) for name, judged in fitted.items()]
+        print_table(rows, list(rows[0]))
+        print_table(
+            reliability_table([one for some in fitted.values() for one in some]), ["confidence", "says", *fitted]
+        )
     if args.plot and fitted:
         plot(fitted, args.plot)
     if missing:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.special import expit
 
-from rholoc.features import FeatureSet
+from rholoc.features import FeatureSet, extractor_names
 from rholoc.geometry import FloatArray
 from rholoc.localization import MIN_CONFIDENCE, Dof, Localizer, Query
 from rholoc.localization.confidence import (
@@ -46,7 +46,7 @@ def _verified(
     return SimpleNamespace(support=support, by_chance=by_chance, covariance=_covariance(sigma_m), inliers=inliers)
 
 
-@pytest.mark.parametrize("features", ["gray", "sift48"])
+@pytest.mark.parametrize("features", [name for name in extractor_names() if name != "xfeat"])
 @pytest.mark.parametrize("colours", [np.nan, 0.5])
 @pytest.mark.parametrize("patches", [np.nan, 0.5])
 def test_it_rises_with_what_is_found_and_falls_with_chance_and_uncertainty(
@@ -59,7 +59,7 @@ def test_it_rises_with_what_is_found_and_falls_with_chance_and_uncertainty(
 
     rising = [
         confidences("seen", (0, 3, 10, 30, 100, 300)),
-        confidences("found", (0, 3, 10, 30, 100, 199)),
+        confidences("found", (1, 3, 10, 30, 100, 199)),
         confidences("colours", (0.6, 0.7, 0.8, 0.9)),
         confidences("patches", (-0.4, 0.0, 0.6, 1.1)),
     ]

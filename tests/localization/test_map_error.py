@@ -138,7 +138,7 @@ def test_answers_know_that_the_map_may_be_displaced(room_map: Map, point_room: A
         carried = carried_covariances(spread[None], np.zeros((1, 3)), answer.pose.position)[0]
         assert answer.expected_error_m == pytest.approx(np.sqrt(np.trace(carried[:3, :3])), rel=0.01)
     assert 0.9 <= np.mean(inside) <= 0.99
-    assert np.mean(confidences) == pytest.approx(np.mean(right), abs=0.1)  # of a frame's own error they are careful
+    assert np.mean(confidences) == pytest.approx(np.mean(right), abs=0.11)  # of a frame's own error they are careful
 
 
 def test_an_answer_in_an_untrusted_map_is_less_sure_but_comes(room_map: Map, point_room: Any) -> None:
