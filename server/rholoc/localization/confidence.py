@@ -127,9 +127,9 @@ _FITTED = {
         both=(-1.1, 2.11, 0.61, -0.21, -0.62, 0.56, 3.07, 2.94),
     ),
     "xfeat": Weights(
-        place=(1.28, 0.29, 1.34, -0.75, -1.12, 1.57),
-        colours=(1.64, 0.0, 0.87, -0.85, -1.31, 1.34, 5.18),
-        exact=(0.47, -1.54),
+        place=(2.76, 0.79, 1.08, -0.83, -0.67, 1.46),
+        colours=(2.12, 0.43, 0.62, -0.84, -0.87, 1.27, 6.56),
+        exact=(1.1, -1.77),
     ),
 }
 _MOST_LIKE = {Metric.HAMMING: "lab3", Metric.EUCLIDEAN: "sift48"}  # of extractors that nothing was fitted to
