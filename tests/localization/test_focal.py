@@ -208,7 +208,7 @@ def test_a_focal_length_that_nothing_is_held_against_is_believed(localizer: Loca
 
 @pytest.mark.parametrize("length_m", [0.8, 0.9])  # numbers that end so that a wrong focal length explains a bit more
 def test_a_wall_does_not_speak_against_a_focal_length(length_m: float) -> None:
-    """A query of a map once shipped: 298 matches, 5 mm off, and a tenth longer fits as well, from 25 cm behind."""
+    """A query of a map that was once shipped: 298 matches, 5 mm off, and a tenth longer fits as well, from 25 cm behind."""
     earlier = Path(__file__).resolve().parents[1] / "maps" / "earlier"
     map_ = set_distance(load_map(earlier / "testsite.rho"), np.zeros(3), np.array([0.0, 1.0, 0.0]), length_m)
     localizer = Localizer(map_)
