@@ -35,7 +35,7 @@ import poselib
 
 import trial_features
 from asking import Answered, Case, Kind, answers_of, code_digest
-from measuring import SHARED_DATA, print_table
+from measuring import SHARED_DATA, jpeg_of, print_table
 from rholoc.evaluation.lighting_pairs import compare_lighting_pairs
 from rholoc.features import extractor_names, get_extractor
 from rholoc.features.matching import LIMITS, mutual_matches
@@ -56,7 +56,6 @@ MEANS = {
     "across a walk's halves": tuple(one.name for one in ROOMS if one.name.endswith("half mapped")),
 }
 EPIPOLAR_PX = 2.0
-JPEG_QUALITY = 92
 OUT_OF_TIME = 3
 
 
@@ -85,7 +84,7 @@ def cost(features: str, kept: Path) -> Cost:
     localizer = Localizer(map_)
     whole_ms, extract_ms = [], []
     for _, image in room.pictures():
-        jpeg = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1].tobytes()
+        jpeg = jpeg_of(image)
         start = time.thread_time()
         query = Query.of_picture(decode_image(jpeg), localizer.extractor, camera)
         extract_ms.append(1e3 * (time.thread_time() - start))

@@ -19,14 +19,14 @@ import tempfile
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
 import httpx
 import numpy as np
-from scipy.spatial.transform import Rotation
 
+from prior_kinds import OFF, PriorKind, pose_off
+from rholoc.geometry import Pose
 from rholoc.recordings import read_recording
 
 START_SECONDS = 60
@@ -68,30 +68,15 @@ def start(folder: Path, port: int) -> subprocess.Popen[bytes]:
     raise SystemExit("The service did not start.")
 
 
-class PriorKind(StrEnum):
-    """The prior that each request carries."""
-
-    NONE = "no prior"
-    NEAR = "prior 10 cm and 4° off"
-    ROUGH = "prior 40 cm and 15° off"
-    WRONG = "prior 5 m and 90° off"
-
-
-_OFF = {PriorKind.NEAR: (0.1, 4.0), PriorKind.ROUGH: (0.4, 15.0), PriorKind.WRONG: (5.0, 90.0)}  # metres, degrees
-
-
 def prior_fields(kind: PriorKind, pose: dict[str, Any] | None, rng: np.random.Generator) -> dict[str, str]:
     """A prior off a pose in a random direction, as query parameters."""
-    if kind is PriorKind.NONE or pose is None:
+    known = None if pose is None else Pose.from_quaternion(pose["position"], pose["quaternion_xyzw"])
+    prior = None if known is None else pose_off(known, kind, rng)
+    if prior is None:
         return {}
-    off_m, off_deg = _OFF[kind]
-    shift, axis = rng.normal(size=(2, 3))
-    position = np.array(pose["position"]) + off_m * shift / np.linalg.norm(shift)
-    turn = Rotation.from_rotvec(np.radians(off_deg) * axis / np.linalg.norm(axis))
-    turned = turn * Rotation.from_quat(pose["quaternion_xyzw"])
     return {
-        "prior_position": ",".join(f"{x:.4f}" for x in position),
-        "prior_quaternion_xyzw": ",".join(f"{x:.6f}" for x in turned.as_quat()),
+        "prior_position": ",".join(f"{x:.4f}" for x in prior.position),
+        "prior_quaternion_xyzw": ",".join(f"{x:.6f}" for x in prior.quaternion_xyzw),
     }
 
 
@@ -173,7 +158,7 @@ def main() -> None:
             plain = post_frames(port, service.pid, files, fields)
             runs = {PriorKind.NONE: plain}
             if args.priors:
-                runs |= {kind: post_frames(port, service.pid, files, fields, kind, plain.poses) for kind in _OFF}
+                runs |= {kind: post_frames(port, service.pid, files, fields, kind, plain.poses) for kind in OFF}
         finally:
             service.terminate()
             service.wait(20)

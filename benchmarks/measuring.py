@@ -12,11 +12,12 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation, Slerp
 
-from rholoc.geometry import FloatArray, align_poses, aligning_rotation, umeyama
+from rholoc.geometry import ByteArray, FloatArray, align_poses, aligning_rotation, umeyama
 from rholoc.recordings import Imu
 
 SHARED_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
@@ -275,6 +276,11 @@ def flat(figures: dict[str, Any], prefix: str = "") -> dict[str, Any]:
         else:
             found[prefix + name] = value
     return found
+
+
+def jpeg_of(image: ByteArray, quality: int = 92) -> bytes:
+    """An image (H, W) or (H, W, 3) as a camera would send it."""
+    return cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, quality])[1].tobytes()
 
 
 def print_figures(title: str, figures: dict[str, Any]) -> None:

@@ -14,15 +14,15 @@ import argparse
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from enum import StrEnum
 from pathlib import Path
 
 import cv2
 import numpy as np
-from scipy.spatial.transform import Rotation
 
-from measuring import print_table
-from rholoc.geometry import FloatArray, Pose, pose_distances, pose_matrix
+from asking import RIGHT_M, RIGHT_RAD
+from measuring import jpeg_of, print_table
+from prior_kinds import PriorKind, pose_off
+from rholoc.geometry import Pose, pose_distances
 from rholoc.localization import Localizer, Prior, Query
 from rholoc.recordings import decode_image
 from rooms import ROOMS, WIDE, NamedRoom, map_of
@@ -35,20 +35,6 @@ DEFAULT_ROOMS = (
     "bedroom, near end asked",
     "bedroom, far end asked",
 )
-RIGHT_M, RIGHT_RAD = 0.10, np.deg2rad(5.0)
-JPEG_QUALITY = 92
-
-
-class Asked(StrEnum):
-    """What a frame is asked with."""
-
-    ALONE = "no prior"
-    NEAR = "10 cm, 4° off"
-    ROUGH = "40 cm, 15° off"
-    WRONG = "5 m, 90° off"
-
-
-OFF = {Asked.NEAR: (0.10, 4.0), Asked.ROUGH: (0.40, 15.0), Asked.WRONG: (5.0, 90.0)}
 
 
 @dataclass(frozen=True)
@@ -70,17 +56,7 @@ class Answer:
         return self.off_m < RIGHT_M and self.turned_rad < RIGHT_RAD
 
 
-def prior_off(truth: FloatArray, asked: Asked, rng: np.random.Generator) -> Prior | None:
-    """A prior that is off a pose (4, 4) in random directions."""
-    if asked not in OFF:
-        return None
-    off_m, turned_deg = OFF[asked]
-    apart, axis = (direction / np.linalg.norm(direction) for direction in rng.normal(size=(2, 3)))
-    turn = Rotation.from_rotvec(np.deg2rad(turned_deg) * axis).as_matrix()
-    return Prior(Pose(pose_matrix(turn @ truth[:3, :3], truth[:3, 3] + off_m * apart)))
-
-
-def ask(named: NamedRoom, features: str, every: int, kept: Path) -> Iterator[tuple[Asked, Answer]]:
+def ask(named: NamedRoom, features: str, every: int, kept: Path) -> Iterator[tuple[PriorKind, Answer]]:
     """A room's frames, each asked in every way, one after the other."""
     room, rng = named.make(kept), np.random.default_rng(0)
     localizer, camera = Localizer(map_of(named, room.mapped, features, kept)), room.asked.camera
@@ -88,9 +64,10 @@ def ask(named: NamedRoom, features: str, every: int, kept: Path) -> Iterator[tup
     for number, (truth, image) in enumerate(room.pictures()):
         if number % every:
             continue
-        jpeg = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1].tobytes()
-        for asked in Asked:
-            prior, start = prior_off(truth, asked, rng), time.thread_time()
+        jpeg = jpeg_of(image)
+        for asked in PriorKind:
+            expected = pose_off(Pose(truth), asked, rng)
+            prior, start = None if expected is None else Prior(expected), time.thread_time()
             query = Query.of_picture(decode_image(jpeg), localizer.extractor, camera)
             pose = localizer.localize(replace(query, prior=prior)).pose
             cpu_ms = 1e3 * (time.thread_time() - start)
@@ -98,7 +75,7 @@ def ask(named: NamedRoom, features: str, every: int, kept: Path) -> Iterator[tup
             yield asked, Answer(cpu_ms, float(off[0]), float(off[1]))
 
 
-def row(name: str, asked: Asked, answers: list[Answer], alone_ms: float) -> dict[str, str]:
+def row(name: str, asked: PriorKind, answers: list[Answer], alone_ms: float) -> dict[str, str]:
     """A line of the table."""
     given = [one for one in answers if one.is_given]
     mean_ms = np.mean([one.cpu_ms for one in answers])
@@ -123,10 +100,10 @@ def main() -> None:
     parser.add_argument("--every", type=int, default=1, help="only every n-th frame")
     args = parser.parse_args()
     cv2.setNumThreads(1)
-    rows, everywhere = [], {asked: list[Answer]() for asked in Asked}
+    rows, everywhere = [], {asked: list[Answer]() for asked in PriorKind}
     chosen = args.rooms.split(";")
     for named in (one for one in (*ROOMS, *WIDE) if one.name in chosen):
-        answers = {asked: list[Answer]() for asked in Asked}
+        answers = {asked: list[Answer]() for asked in PriorKind}
         for asked, answer in ask(named, args.features, args.every, args.cache):
             answers[asked].append(answer)
             everywhere[asked].append(answer)
@@ -134,9 +111,9 @@ def main() -> None:
     print_table(rows + table_of("all", everywhere), list(rows[0]))
 
 
-def table_of(name: str, answers: dict[Asked, list[Answer]]) -> list[dict[str, str]]:
+def table_of(name: str, answers: dict[PriorKind, list[Answer]]) -> list[dict[str, str]]:
     """The lines of one room."""
-    alone_ms = float(np.mean([one.cpu_ms for one in answers[Asked.ALONE]]))
+    alone_ms = float(np.mean([one.cpu_ms for one in answers[PriorKind.NONE]]))
     return [row(name, asked, some, alone_ms) for asked, some in answers.items()]
 
 
