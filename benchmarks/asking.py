@@ -5,7 +5,7 @@ are easy say nothing about doubt); some as if by a camera whose focal length is 
 rooms, which are all wrong; and windows of a frame, over a seventh of its area, in a picture of another room: a thing
 that looks alike.
 
-Every pose found is kept, however doubtful, with what its confidence is made of; so answers are asked for again only
+Every pose found is kept, however doubtful, with its confidence features; so answers are asked for again only
 where the code that finds poses or its inputs has changed, not where the confidence's weights have.
 """
 
@@ -26,8 +26,15 @@ import rholoc
 from rholoc.errors import MappingFailed
 from rholoc.features import FeatureSet, get_extractor
 from rholoc.geometry import Camera, FloatArray, pose_distances
-from rholoc.localization import Localizer, Query
-from rholoc.localization.confidence import Grounds, confidence_of, grounds_of, probability, weights_for
+from rholoc.localization import NO_BELIEF, Belief, Localizer, Query
+from rholoc.localization.confidence import (
+    WEIGHTS,
+    ConfidenceFeatures,
+    Weights,
+    belief_by,
+    belief_of,
+    confidence_features,
+)
 from rooms import ROOMS, NamedRoom, Room, map_of, strangers
 
 FEWER = 1 / 8  # of a frame's features
@@ -58,23 +65,26 @@ class Case:
 
     Attributes:
         kind: what was asked.
-        grounds: what confidence weighs; None where no pose was found.
-        factor: 0..1, by how much rivals and the focal length lower what comes of it.
+        features: the confidence features; None where no pose was found.
+        factor: 0..1, by how much rivals and the focal length lower ``recognized``.
         off_m: how far off the pose is; None in another room, or where there is none.
         turned_rad: by how much it is turned, likewise.
         right: whether it is within 10 cm and 5°.
     """
 
     kind: Kind
-    grounds: Grounds | None
+    features: ConfidenceFeatures | None
     factor: float
     off_m: float | None
     turned_rad: float | None
     right: bool
 
-    def confidence(self, features: str) -> float:
-        """0..1, as it is today; 0 where no pose was found."""
-        return 0.0 if self.grounds is None else self.factor * probability(self.grounds, weights_for(features))
+    def belief(self, weights: Weights = WEIGHTS) -> Belief:
+        """How surely the pose is right by some weights; not at all where none was found."""
+        if self.features is None:
+            return NO_BELIEF
+        alone = belief_by(self.features, weights)
+        return Belief(self.factor * alone.recognized, alone.exact)
 
     @property
     def is_right_place(self) -> bool:
@@ -90,12 +100,9 @@ class Case:
     @classmethod
     def read(cls, stored: dict) -> Case:  # type: ignore[type-arg]
         """One that was kept."""
-        grounds = (
-            None
-            if stored["grounds"] is None
-            else Grounds(**(stored["grounds"] | {"place": tuple(stored["grounds"]["place"])}))
-        )
-        return cls(**(stored | {"kind": Kind(stored["kind"]), "grounds": grounds}))
+        kept = stored["features"]
+        features = None if kept is None else ConfidenceFeatures(**(kept | {"place": tuple(kept["place"])}))
+        return cls(**(stored | {"kind": Kind(stored["kind"]), "features": features}))
 
 
 UNANSWERED = Case(Kind.WHOLE, None, 0.0, None, None, False)
@@ -116,15 +123,15 @@ def case(kind: Kind, localizer: Localizer, query: Query, truth: FloatArray | Non
     found = localizer.candidate(query)
     if found is None:
         return Case(kind, None, 0.0, None, None, False)
-    verified, confidence = found
-    grounds = grounds_of((verified,), verified.covariance)
-    alone = confidence_of(verified, localizer.weights)
-    factor = confidence / alone if alone > 0 else 0.0
+    verified, belief = found
+    features = confidence_features((verified,), verified.covariance)
+    alone = belief_of(verified).recognized
+    factor = belief.recognized / alone if alone > 0 else 0.0
     if truth is None:
-        return Case(kind, grounds, factor, None, None, False)
+        return Case(kind, features, factor, None, None, False)
     off_m, turned_rad = pose_distances(verified.optimum.T_map_camera, truth)
     right = bool(off_m < RIGHT_M and turned_rad < RIGHT_RAD and kind is not Kind.WINDOW)
-    return Case(kind, grounds, factor, float(off_m), float(turned_rad), right)
+    return Case(kind, features, factor, float(off_m), float(turned_rad), right)
 
 
 def frames_asked(named: NamedRoom, features: str, kept: Path) -> Iterator[Case]:
@@ -165,7 +172,7 @@ def doubts_asked(named: NamedRoom, features: str, kept: Path) -> Iterator[Case]:
 def _opened(named: NamedRoom, features: str, kept: Path) -> tuple[Room, Camera, Localizer]:
     room = named.make(kept)
     assert room.asked.camera is not None
-    localizer = Localizer(map_of(named, room.mapped, features, kept), min_confidence=DOUBTFUL)
+    localizer = Localizer(map_of(named, room.mapped, features, kept), min_recognized=DOUBTFUL)
     return room, room.asked.camera, localizer
 
 
@@ -204,7 +211,7 @@ def answers_of(
 @cache
 def code_digest(features: str) -> str:
     """A name for the code that finds poses by one kind of features: what was found by other code is asked again."""
-    digest = hashlib.sha256(inspect.getsource(grounds_of).encode())
+    digest = hashlib.sha256(inspect.getsource(confidence_features).encode())
     root = Path(rholoc.__file__).parent
     files = [file for package in _PACKAGES for file in sorted((root / package).rglob("*.py"))]
     own = Path(inspect.getfile(type(get_extractor(features))))

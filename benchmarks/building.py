@@ -99,8 +99,8 @@ def mapped(folder: Path) -> tuple[Map | None, dict[str, Any]]:
     if map_ is None:
         return None, figures
     report = report_to_json(map_.info.report)["trajectories"][0]
-    placed = map_.view_times
-    views = position_errors(map_.T_map_camera, nearest_truth(folder, placed))
+    placed = map_.views.times
+    views = position_errors(map_.views.T_map_camera, nearest_truth(folder, placed))
     figures |= {
         "placed": f"{report['frames']}/{report.get('keyframes', '?')}",
         **coverage(recording.frames.times, placed),
@@ -168,7 +168,7 @@ def reliability(confidence: FloatArray, right: BoolArray) -> dict[str, str]:
 
 def seen_alike(map_: Map, T_map_camera: FloatArray) -> BoolArray:
     """Which cameras (N, 4, 4) stand and look about as one of the map's views did: what others see, no feature joins."""
-    views = map_.T_map_camera
+    views = map_.views.T_map_camera
     near = np.linalg.norm(views[None, :, :3, 3] - T_map_camera[:, None, :3, 3], axis=2) < ALIKE_M
     ahead = np.einsum("ni,vi->nv", T_map_camera[:, :3, 2], views[:, :3, 2]) > np.cos(np.radians(ALIKE_DEG))
     return np.asarray((near & ahead).any(axis=1))

@@ -10,7 +10,7 @@ and windows of a frame, over a seventh of its area, in a picture of another room
 
 Answers are kept in the cache, room by room, until the code that gives them changes; after ``--minutes`` of processor
 time the command ends and says what is missing, and asking again goes on there. With all at hand it prints, of each
-kind of features: the weights that fit best; then, by weights fitted to all recordings but the one that is asked
+kind of features, by weights fitted to all kinds together and to all recordings but the one that is asked
 about, for several thresholds and each recording how many pictures of other rooms are refused, how many good answers are
 kept, and how many of the answers given are wrong; whole frames and those with an eighth of their features apart. In the
 end it prints, side by side, these figures and how reliable confidence is. Simulated rooms are built alike: other ones
@@ -36,7 +36,7 @@ from asking import Answered, Case, Kind, answers_of
 from measuring import print_table
 from rholoc.features import extractor_names
 from rholoc.geometry import BoolArray, FloatArray
-from rholoc.localization.confidence import MIN_CONFIDENCE, Grounds, Weights, probability
+from rholoc.localization.confidence import MIN_RECOGNIZED, Weights
 from rooms import ROOMS, NamedRoom
 
 NOT_FITTED = (Kind.FOCAL_OFF, Kind.WINDOW)
@@ -45,7 +45,6 @@ RIDGE = 0.7
 LEAST_SLOPE = 0.05  # of a standardized input: each has a say
 BINS = (0.0, 0.1, 0.3, 0.5, 0.7, 0.9, 1.1)  # of confidence
 THRESHOLDS = (0.3, 0.4, 0.5, 0.6, 0.7)
-PLACE_SIGNS = (1, 1, -1, -1, 1)  # which way the grounds of a place may speak
 OUT_OF_TIME = 3
 
 
@@ -60,41 +59,26 @@ def all_answered(
 # -- fitting and checking --------------------------------------------------------------------------------------------
 
 
-def fit(answered: list[Answered], everything: list[Answered]) -> Weights:
-    """What the grounds weigh, by likelihood: of being at the right place, and of being exact there.
-
-    The place by one kind of features alone; how exact a pose is of a given sigma by ``everything`` that is as exact.
-    """
-    cases, grounds = fitted_to(answered)
+def fit(answered: list[Answered]) -> Weights:
+    """The likeliest weights of being at the right place and of being exact there, the same for all extractors."""
+    cases = [case for one in answered for case in one.cases if case.features and case.kind not in NOT_FITTED]
+    features = [case.features for case in cases if case.features]
     at_place = np.array([case.is_right_place for case in cases], dtype=bool)
-    place = np.array([one.place for one in grounds])
-    extras = np.array([[one.patches, one.colours] for one in grounds]).reshape(-1, 2)
+    place = np.array([one.place for one in features])
+    extras = np.array([[one.patches, one.colours] for one in features]).reshape(-1, 2)
     factor = np.clip([case.factor for case in cases], 1e-6, 1.0)
 
     def by(*columns: int) -> tuple[float, ...]:
-        """Of the place and some of what is not always known, by the answers where it is."""
+        """By the place and some of what is not always known, to the answers where it is."""
         told = np.isfinite(extras[:, columns]).all(axis=1)
-        if not told.any():
-            return ()
         inputs = np.column_stack([place, extras[:, columns]])[told]
-        return logistic(inputs, at_place[told], factor[told], (*PLACE_SIGNS, *(1 for _ in columns)))
+        return logistic(inputs, at_place[told], factor[told], (1,) * inputs.shape[1])
 
-    alike = [one for one in everything if (one.features in LESS_EXACT) == (answered[0].features in LESS_EXACT)]
-    return Weights(place=by(), colours=by(1), patches=by(0), both=by(0, 1), exact=fit_exact(alike))
-
-
-def fit_exact(answered: list[Answered]) -> tuple[float, ...]:
-    """What the sigma says of being exact at the right place."""
-    cases, grounds = fitted_to(answered)
-    at_place = np.array([case.is_right_place for case in cases], dtype=bool)
-    sigma, right = np.array([[one.sigma] for one in grounds]), np.array([case.right for case in cases])
-    return logistic(sigma[at_place], right[at_place], np.ones(at_place.sum()), (-1,))
-
-
-def fitted_to(answered: list[Answered]) -> tuple[list[Case], list[Grounds]]:
-    """The answers that confidence is fitted to, and their grounds."""
-    cases = [case for one in answered for case in one.cases if case.grounds and case.kind not in NOT_FITTED]
-    return cases, [case.grounds for case in cases if case.grounds]
+    named = [one.features for one in answered for case in one.cases if case.features and case.kind not in NOT_FITTED]
+    exact_of = at_place & ~np.isin(named, LESS_EXACT)
+    sigma, right = np.array([[one.sigma] for one in features]), np.array([case.right for case in cases])
+    exact = logistic(sigma[exact_of], right[exact_of], np.ones(exact_of.sum()), (-1,))
+    return Weights(place=by(), colours=by(1), patches=by(0), both=by(0, 1), exact=exact)
 
 
 def logistic(inputs: FloatArray, true: BoolArray, factor: FloatArray, signs: tuple[int, ...]) -> tuple[float, ...]:
@@ -121,42 +105,46 @@ def logistic(inputs: FloatArray, true: BoolArray, factor: FloatArray, signs: tup
     return (float(found.x[0] - slopes @ mean), *slopes.tolist())
 
 
-def confidence_by(weights: Weights, cases: list[Case]) -> FloatArray:
-    """Each case's confidence (N,)."""
-    return np.array([0.0 if one.grounds is None else one.factor * probability(one.grounds, weights) for one in cases])
+def beliefs_by(weights: Weights, cases: list[Case]) -> tuple[FloatArray, FloatArray]:
+    """Each case's ``recognized`` (N,) and ``confidence`` (N,)."""
+    beliefs = [case.belief(weights) for case in cases]
+    return np.array([one.recognized for one in beliefs]), np.array([one.confidence for one in beliefs])
 
 
 @dataclass(frozen=True)
 class Judged:
-    """Answers and their confidence (N,) by weights that were fitted without their recording."""
+    """Answers, their ``recognized`` (N,) and ``confidence`` (N,) by weights fitted without their recording."""
 
     features: str
     recording: str
     room: str
     cases: list[Case]
+    recognized: FloatArray
     confidence: FloatArray
 
 
-def held_back(answered: list[Answered], everything: list[Answered]) -> list[Judged]:
-    """All answers by one kind of features, the recordings in turn held back."""
+def held_back(answered: list[Answered]) -> list[Judged]:
+    """All answers, the recordings in turn held back."""
     judged = []
     for recording in sorted({one.recording for one in answered}):
-        others = [[one for one in some if one.recording != recording] for some in (answered, everything)]
-        weights = fit(others[0], others[1])
+        weights = fit([one for one in answered if one.recording != recording])
         judged += [
-            Judged(one.features, recording, one.room, one.cases, confidence_by(weights, one.cases))
+            Judged(one.features, recording, one.room, one.cases, *beliefs_by(weights, one.cases))
             for one in answered
             if one.recording == recording
         ]
     return judged
 
 
-def of(judged: list[Judged], chosen: Callable[[Case], bool]) -> tuple[FloatArray, BoolArray]:
-    """Confidence (N,) and whether right (N,) of chosen cases."""
+def of(judged: list[Judged], chosen: Callable[[Case], bool], exact: bool = False) -> tuple[FloatArray, BoolArray]:
+    """``recognized`` (N,) of chosen cases and whether their place is right (N,).
+
+    Or, if ``exact``, ``confidence`` and whether they are within 10 cm and 5°.
+    """
     pairs = [
-        (said, case.right)
+        (said, case.right if exact else case.is_right_place)
         for one in judged
-        for case, said in zip(one.cases, one.confidence, strict=True)
+        for case, said in zip(one.cases, one.confidence if exact else one.recognized, strict=True)
         if chosen(case)
     ]
     said, right = zip(*pairs, strict=True) if pairs else ((), ())
@@ -165,7 +153,7 @@ def of(judged: list[Judged], chosen: Callable[[Case], bool]) -> tuple[FloatArray
 
 @dataclass(frozen=True)
 class Bin:
-    """Answers of about the same confidence: how many, the mean confidence, the share that is right."""
+    """Answers of about the same probability: how many, its mean, the share that is right."""
 
     name: str
     answers: int
@@ -173,9 +161,9 @@ class Bin:
     right: float
 
 
-def reliability(judged: list[Judged]) -> list[Bin]:
-    """The answers of about the same confidence, where there are some."""
-    confidence, right = of(judged, lambda case: case.kind not in NOT_FITTED)
+def reliability(judged: list[Judged], exact: bool) -> list[Bin]:
+    """The answers of about the same ``recognized``, or ``confidence`` if ``exact``, where there are some."""
+    confidence, right = of(judged, lambda case: case.kind not in NOT_FITTED, exact)
     bins = []
     for low, high in pairwise(BINS):
         inside = (confidence >= low) & (confidence < high)
@@ -185,11 +173,12 @@ def reliability(judged: list[Judged]) -> list[Bin]:
     return bins
 
 
-def reliability_table(judged: list[Judged]) -> list[dict[str, str]]:
-    """A row for each bin of confidence, a column a kind of features: the share that is right, and of how many."""
-    rows = {one.name: {"confidence": one.name, "says": f"{one.says:.2f}"} for one in reliability(judged)}
+def reliability_table(judged: list[Judged], exact: bool) -> list[dict[str, str]]:
+    """A row for each bin of probability, a column a kind of features: the share that is right, and of how many."""
+    said = "confidence" if exact else "recognized"
+    rows = {one.name: {said: one.name, "says": f"{one.says:.2f}"} for one in reliability(judged, exact)}
     for name in dict.fromkeys(one.features for one in judged):
-        for one in reliability([some for some in judged if some.features == name]):
+        for one in reliability([some for some in judged if some.features == name], exact):
             rows[one.name][name] = f"{one.right:.2f} of {one.answers}"
     return list(rows.values())
 
@@ -209,6 +198,7 @@ def figures(judged: list[Judged], threshold: float) -> dict[str, str]:
 
     return {
         "other rooms refused": share(lambda case: case.kind is Kind.OTHER_ROOM, given=False),
+        "right places kept": share(lambda case: case.kind is Kind.WHOLE and case.is_right_place),
         "good answers kept": share(lambda case: case.kind is Kind.WHOLE and case.right),
         "wrong of given": wrong(Kind.WHOLE),
         "an eighth: kept": share(lambda case: case.kind is Kind.FEWER and case.right),
@@ -218,18 +208,21 @@ def figures(judged: list[Judged], threshold: float) -> dict[str, str]:
     }
 
 
-def show(answered: list[Answered], everything: list[Answered]) -> list[Judged]:
+def log_score(judged: list[Judged]) -> float:
+    """The mean logarithmic loss of ``recognized``, nats."""
+    said, right = of(judged, lambda case: case.kind not in NOT_FITTED)
+    said = np.clip(said, 1e-4, 1 - 1e-4)
+    return float(-np.where(right, np.log(said), np.log(1 - said)).mean())
+
+
+def show(judged: list[Judged]) -> None:
     """Print all that is known of one kind of features."""
-    weights = fit(answered, everything)
-    for name, values in asdict(weights).items():
-        print(f"  {name} that fits all best: {np.round(values, 2).tolist()}")
-    judged = held_back(answered, everything)
+    print(f"  log score: {log_score(judged):.4f}")
     rows = [{"": f"threshold {threshold}"} | figures(judged, threshold) for threshold in THRESHOLDS]
     for recording in dict.fromkeys(one.recording for one in judged):
         chosen = [one for one in judged if one.recording == recording]
-        rows.append({"": recording} | figures(chosen, MIN_CONFIDENCE))
+        rows.append({"": recording} | figures(chosen, MIN_RECOGNIZED))
     print_table(rows, list(rows[0]))
-    return judged
 
 
 def plot(fitted: dict[str, list[Judged]], path: Path) -> None:
@@ -238,7 +231,7 @@ def plot(fitted: dict[str, list[Judged]], path: Path) -> None:
     axes = figure.add_subplot()
     axes.plot([0, 1], [0, 1], color="0.7", label="perfect")
     for name, judged in fitted.items():
-        bins = reliability(judged)
+        bins = reliability(judged, exact=True)
         sizes = [20 + 10 * one.answers**0.5 for one in bins]
         axes.scatter([one.says for one in bins], [one.right for one in bins], s=sizes, label=name)
     axes.set(xlabel="confidence", ylabel="share within 10 cm and 5°", xlim=(0, 1), ylim=(0, 1.02), aspect="equal")
@@ -261,16 +254,20 @@ def main() -> None:
     answered, missing = all_answered(
         args.features.split(","), rooms, args.cache, lambda: time.process_time() > 60 * args.minutes
     )
-    fitted = {}
-    for name in sorted({one.features for one in answered}):
-        print(name)
-        fitted[name] = show([one for one in answered if one.features == name], answered)
-    if fitted:
-        rows = [{"": name} | figures(judged, MIN_CONFIDENCE) for name, judged in fitted.items()]
+    fitted: dict[str, list[Judged]] = {}
+    if answered:
+        for name, values in asdict(fit(answered)).items():
+            print(f"{name} that fits all best: {np.round(values, 2).tolist()}")
+        for one in held_back(answered):
+            fitted.setdefault(one.features, []).append(one)
+        for name, judged in fitted.items():
+            print(name)
+            show(judged)
+        rows = [{"": name} | figures(judged, MIN_RECOGNIZED) for name, judged in fitted.items()]
         print_table(rows, list(rows[0]))
-        print_table(
-            reliability_table([one for some in fitted.values() for one in some]), ["confidence", "says", *fitted]
-        )
+        every = [one for some in fitted.values() for one in some]
+        for exact, said in ((False, "recognized"), (True, "confidence")):
+            print_table(reliability_table(every, exact), [said, "says", *fitted])
     if args.plot and fitted:
         plot(fitted, args.plot)
     if missing:

@@ -36,7 +36,7 @@ from rholoc.evaluation import PoseErrors, evaluate, read_frame_poses, trajectory
 from rholoc.features import FeatureSet
 from rholoc.features.extractors._orb import OrbExtractor
 from rholoc.features.extractors._sift import SiftExtractor
-from rholoc.geometry import ByteArray, FloatArray, umeyama
+from rholoc.geometry import UP, ByteArray, FloatArray, angles_between, umeyama
 from rholoc.localization import Localization, Localizer, Query
 from rholoc.mapping import BuildOptions, build_map
 from rholoc.maps import Map, expected_error_m, load_map, save_map, trust_of
@@ -199,13 +199,13 @@ def localize(map_: Map, recording: Recording) -> list[Localization]:
 
 def errors_of_views(map_: Map, times: FloatArray, T_map_camera: FloatArray) -> FloatArray:
     """By how much (K, 3) metres the map's own views are off from where the camera truly was."""
-    rows = np.abs(times - map_.view_times[:, None]).argmin(axis=1)
-    return np.asarray(map_.view_positions - T_map_camera[rows, :3, 3])
+    rows = np.abs(times - map_.views.times[:, None]).argmin(axis=1)
+    return np.asarray(map_.views.positions - T_map_camera[rows, :3, 3])
 
 
 def views_covered(map_: Map, off_m: FloatArray) -> float | None:
     """The share of the map's views whose true position lies inside the 95 % ellipsoid of their own covariance."""
-    spread = map_.known_view_covariances[:, :3, :3].astype(np.float64)
+    spread = map_.views.known_covariances[:, :3, :3].astype(np.float64)
     known = np.isfinite(spread[:, 0, 0])
     if not known.any():
         return None
@@ -282,7 +282,7 @@ def figures_against(found: Trajectory, truth: FloatArray, aligned: bool) -> dict
         own = turn.apply(own - own.mean(axis=0)) + true.mean(axis=0)
     return {
         "scale_error_percent": 100 * (1 / umeyama(own, true).scale - 1),
-        "vertical_error_deg": float(np.degrees(np.arccos(np.clip(turn.as_matrix()[2, 2], -1, 1)))),
+        "vertical_error_deg": float(np.degrees(angles_between(turn.as_matrix()[2], UP))),
         "median_cm": float(100 * np.median(np.linalg.norm(own - true, axis=1))),
     }
 

@@ -16,6 +16,10 @@ and 2°, the median error, and the processor time after the place is known. The 
 - shown, and not missing: the poses of all the rows above, each matched again about itself (``verify``), of which the
   one is taken that its matches say most for; and the one for which they say most after what the place should show and
   does not is subtracted.
+- re-matched: LO-RANSAC's pose, then matches with all landmarks within 14 px of where it expects them, refined, and
+  again within 5 px: refined by density (``verify``), and by least squares with Cauchy's loss on the same matches.
+- from the voted view: the same two, from the pose of the view that most matches speak for instead of LO-RANSAC's; each
+  first refines by its own loss on the mutual matches, from 80 px down.
 - rholoc: the localizer as it is, which looks in further places.
 
 Then, for the queries that the rows differ in or all fail in, how much there is to find: landmarks that the true pose
@@ -34,16 +38,17 @@ import cv2
 import numpy as np
 
 from rholoc.density import Evidence, RayDensities
+from rholoc.density.ray import RayOffsets
 from rholoc.evaluation.baselines import refine_by_density
 from rholoc.features.matching import LIMITS
 from rholoc.geometry import Camera, FloatArray, IntArray, pose_distances
 from rholoc.localization import Dof, Localizer, Query
-from rholoc.localization.ascent import ascend, moved
+from rholoc.localization.ascent import ascend, end_of_climb, moved
 from rholoc.localization.map_index import MapIndex
 from rholoc.localization.matches import Matches, NearestLandmarks
 from rholoc.localization.ransac import lo_ransac
 from rholoc.localization.seeds import minimal_samples, vote_for_places
-from rholoc.localization.verification import FINAL_TOLERANCE_PX, Verified, evidence_of, settle, verify
+from rholoc.localization.verification import FINAL_TOLERANCE_PX, SEARCH_RADII_PX, Verified, evidence_of, settle, verify
 from rholoc.mapping import DEFAULT_FEATURES, BuildOptions, build_map
 from rholoc.recordings import read_recording
 from rholoc.trajectory import PoseMethod
@@ -54,21 +59,36 @@ RANSAC_PX, ASCENT_PX = 8.0, (24.0, 12.0, 6.0, FINAL_TOLERANCE_PX)
 NARROW_PX = (RANSAC_PX, FINAL_TOLERANCE_PX)
 SEEDS, VIEWS_EACH, ITERATIONS = 8, 10, 3
 NEAR_PX = 5.0
+FEWEST_MATCHES, SETTLED = 6, 1e-5  # to refine by; metres or radians: steps that end a refinement
 LIMITS_M_DEG = ((0.05, 5.0), (0.02, 2.0))
 FALSE_DENSITY = 0.1  # as of matches that have one landmark each
 MOST_CHANCE = 0.95
 RANSAC, DENSITY, MIXTURE = "LO-RANSAC, {:,} samples", "density", "several landmarks"
 SEEDED, NARROW, SEEDED_MIXTURE = "LO-RANSAC, density", "LO-RANSAC, density, narrow", "LO-RANSAC, several landmarks"
+REMATCHED_DENSITY, REMATCHED_CAUCHY = "LO-RANSAC, re-matched, density", "LO-RANSAC, re-matched, Cauchy"
+VOTED_DENSITY, VOTED_CAUCHY = "voted view, re-matched, density", "voted view, re-matched, Cauchy"
+VOTED_PX = (80.0, 40.0, 24.0, 12.0)  # on the way from a view's pose to where matches are looked for again
+CAUCHY_SHARE = 0.25  # of a tolerance: the scale of Cauchy's loss there
+CAUCHY_ITERATIONS = 10
 SHOWN, NOT_MISSING, WHOLE = "all, by what is shown", "all, by that and what is missing", "rholoc, whole"
 
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """A query, the place it is looked for in, and what its features are most like there."""
+    """A query, the place it is looked for in, and what its features are most like there.
+
+    Attributes:
+        query: the picture's features and camera.
+        rays: (N, 3) of its features, camera frame.
+        nearest: the landmarks of the place that each feature is most like.
+        T_map_view: (4, 4) the pose of the view that stands for the place.
+        truth: (4, 4) the true pose.
+    """
 
     query: Query
     rays: FloatArray
     nearest: NearestLandmarks
+    T_map_view: FloatArray
     truth: FloatArray
 
     @property
@@ -144,7 +164,8 @@ def frame_of(localizer: Localizer, picture: FloatArray, camera: Camera, truth: F
     if not places:
         return None
     nearest = index.nearest_within(query.features, places[0].landmarks)
-    return Frame(query, camera.rays(query.features.pixels), nearest, truth)
+    T_map_view = index.map.views.T_map_camera[places[0].view]
+    return Frame(query, camera.rays(query.features.pixels), nearest, T_map_view, truth)
 
 
 def ransac_pose(index: MapIndex, frame: Frame, samples: int) -> FloatArray | None:
@@ -169,6 +190,56 @@ def narrow_pose(index: MapIndex, frame: Frame, T_map_camera: FloatArray) -> Floa
     evidence = evidence_of(index, matches, frame.rays, frame.query.camera)
     optimum = ascend(index.map.densities, evidence, T_map_camera, NARROW_PX, Dof.FREE)
     return settle(index, matches, evidence, optimum, Dof.FREE).T_map_camera
+
+
+def cauchy_pose(evidence: Evidence, T_map_camera: FloatArray, tolerances_px: tuple[float, ...]) -> FloatArray:
+    """The pose (4, 4) of least squares with Cauchy's loss on reprojection errors, its scale narrowing."""
+    T = T_map_camera
+    for tolerance_px in tolerances_px:
+        for _ in range(CAUCHY_ITERATIONS):
+            offsets = RayOffsets.of(evidence, T)
+            along = np.einsum("mi,mi->m", (evidence.landmarks - T[:3, 3]) @ T[:3, :3], evidence.rays)
+            in_front = along > 0
+            px_per_m = (evidence.focal_px / np.maximum(along, 1e-3))[:, None]
+            residuals = offsets.offset * px_per_m
+            J = offsets.jacobian * px_per_m[:, :, None]
+            scale_px = CAUCHY_SHARE * tolerance_px
+            weight = in_front / (1 + (residuals**2).sum(axis=1) / scale_px**2)
+            curvature = np.einsum("m,mrp,mrq->pq", weight, J, J)
+            damped = curvature + (1e-6 * np.trace(curvature) / 6 + 1e-12) * np.eye(6)
+            step = -np.linalg.solve(damped, np.einsum("m,mrp,mr->p", weight, J, residuals))
+            T = moved(T, step / max(np.linalg.norm(step[:3]) / 0.5, np.linalg.norm(step[3:]) / 0.3, 1.0))
+            if np.abs(step).max() < SETTLED:
+                break
+    return T
+
+
+def rematched_by_cauchy(index: MapIndex, frame: Frame, T_map_camera: FloatArray) -> FloatArray | None:
+    """As :func:`verify` matches and refines a pose (4, 4), with Cauchy's loss in place of the density."""
+    T, (wide_px, narrow_px) = T_map_camera, SEARCH_RADII_PX
+    for radius_px, tolerances_px in (
+        (wide_px, (wide_px, wide_px / 2, FINAL_TOLERANCE_PX)),
+        (narrow_px, (narrow_px, FINAL_TOLERANCE_PX)),
+    ):
+        matches, _ = index.match_near(frame.query.features, frame.query.camera, T, radius_px)
+        if len(matches) < FEWEST_MATCHES:
+            return None
+        T = cauchy_pose(evidence_of(index, matches, frame.rays, frame.query.camera), T, tolerances_px)
+    return T
+
+
+def rematched_by_density(index: MapIndex, frame: Frame, T_map_camera: FloatArray) -> FloatArray | None:
+    verified = verify(index, frame.query, frame.rays, T_map_camera)
+    return None if verified is None else verified.optimum.T_map_camera
+
+
+def voted_pose(index: MapIndex, frame: Frame, by_density: bool) -> FloatArray | None:
+    """From the pose of the view that most matches speak for, by one loss all the way."""
+    evidence = evidence_of(index, frame.mutual, frame.rays, frame.query.camera)
+    if by_density:
+        T = end_of_climb(index.map.densities, evidence, frame.T_map_view, VOTED_PX, Dof.FREE, CAUCHY_ITERATIONS)
+        return rematched_by_density(index, frame, T)
+    return rematched_by_cauchy(index, frame, cauchy_pose(evidence, frame.T_map_view, VOTED_PX))
 
 
 def hard_value(evidence: Evidence, T: FloatArray) -> float:
@@ -213,6 +284,10 @@ def answers(localizer: Localizer, frame: Frame, samples: int) -> Iterator[Row]:
         seed_s,
     )
     yield timed(NARROW, lambda: None if seed is None else narrow_pose(index, frame, seed), seed_s)
+    yield timed(REMATCHED_DENSITY, lambda: None if seed is None else rematched_by_density(index, frame, seed), seed_s)
+    yield timed(REMATCHED_CAUCHY, lambda: None if seed is None else rematched_by_cauchy(index, frame, seed), seed_s)
+    yield timed(VOTED_DENSITY, lambda: voted_pose(index, frame, by_density=True))
+    yield timed(VOTED_CAUCHY, lambda: voted_pose(index, frame, by_density=False))
     yield timed(MIXTURE, lambda: mixture_pose(index, frame, samples))
     yield timed(SEEDED_MIXTURE, lambda: None if seed is None else Mixture.of(index, frame).ascended(seed), seed_s)
     ends = (SEEDED, DENSITY, MIXTURE, SEEDED_MIXTURE)
@@ -353,7 +428,7 @@ def main() -> None:
     for frames in args.maps.split(","):
         map_ = build_map([read_recording(args.folder, args.camera, frames)], options)
         print(
-            f"\nMap of frames {frames}, {args.features}: {len(map_)} landmarks, {len(map_.view_times)} views",
+            f"\nMap of frames {frames}, {args.features}: {len(map_)} landmarks, {len(map_.views)} views",
             flush=True,
         )
         table(Localizer(map_), args.folder, args.camera, args.queries, args.samples)

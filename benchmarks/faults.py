@@ -8,8 +8,11 @@ its own, on 127.0.0.1. In each run, while cameras ask for poses, two writers cor
 uploaded in pieces to whichever server answers, one fault happens at a random moment:
 
 - a server, a worker or PostgreSQL is killed (-9), or a worker at a stage of the job; PostgreSQL is restarted;
+- PostgreSQL or the storage is silent for some seconds: connections stay open, and nothing answers;
 - the storage is gone, slow, answers 503, or breaks off in the middle of objects, for some seconds;
-- the disk of a server is full for some seconds.
+- the disk of a server is full for some seconds, or when a server starts.
+
+While a part is silent, and on a full disk, /healthz of both servers has to answer.
 
 When it is over, everything has to be as if it had not happened: the recording's map is published once and is the same
 at both servers; each correction that was confirmed is a version of its own; all answers were poses of a published
@@ -50,7 +53,6 @@ from fake_pipeline import KILL_POINTS
 
 from failing_storage import FailingStorage, StorageFault
 from postgres_server import PostgresServer
-from rholoc.jobs.table import RELEASE
 
 TESTS = Path(__file__).resolve().parents[1] / "tests"
 SHIPPED = Path(__file__).resolve().parents[1] / "maps"
@@ -71,11 +73,20 @@ class Fault(StrEnum):
     KILL_AT_STAGE = "worker killed at a stage"
     KILL_DATABASE = "PostgreSQL killed"
     RESTART_DATABASE = "PostgreSQL restarted"
+    DATABASE_SILENT = "PostgreSQL silent"
+    STORAGE_SILENT = "storage silent"
     STORAGE_GONE = "storage gone"
     STORAGE_SLOW = "storage slow"
     STORAGE_UNAVAILABLE = "storage answers 503"
     STORAGE_TRUNCATES = "storage truncates"
     FULL_DISK = "disk full"
+    FULL_DISK_AT_START = "disk full when a server starts"
+
+
+ON_FULL_DISK = frozenset({Fault.FULL_DISK, Fault.FULL_DISK_AT_START})
+STAYS_ALIVE = ON_FULL_DISK | {Fault.DATABASE_SILENT, Fault.STORAGE_SILENT}
+HEALTH_WITHIN_S = 2.0  # workers, PostgreSQL and S3 compute on the same cores
+STARTS_WITHIN_S = 60.0
 
 
 class Program:
@@ -142,7 +153,7 @@ class Deployment:
             home = folder / f"worker-{number}"
             home.mkdir()
             folders = [str(home / "data"), str(home / "maps"), str(self._control)]
-            capacity = [str(RELEASE), "1", "inf"]
+            capacity = ["1", "inf"]
             command = [sys.executable, pipeline, *folders, *capacity, *urls.values()]
             self.workers.append(Program(command, environment, folder / f"worker-{number}.log"))
 
@@ -299,12 +310,24 @@ def happening(fault: Fault, deployment: Deployment, choices: random.Random) -> I
             deployment.database.stop()
         yield
         deployment.database.start()
-    elif fault is Fault.FULL_DISK:
-        ballast = choices.choice(deployment.disks) / "ballast"
-        with suppress(OSError), ballast.open("wb") as file:
-            while True:
-                file.write(bytes(2**20))
-                file.flush()
+    elif fault is Fault.DATABASE_SILENT:
+        deployment.database.silence()
+        yield
+        deployment.database.resume()
+    elif fault in ON_FULL_DISK:
+        number = choices.randrange(len(deployment.disks))
+        ballast = deployment.disks[number] / "ballast"
+        with suppress(OSError), ballast.open("wb", buffering=0) as file:
+            for size in (2**20, 2**12, 1):
+                with suppress(OSError):
+                    while True:
+                        file.write(bytes(size))
+        if fault is Fault.FULL_DISK_AT_START:
+            deployment.servers[number].kill()
+            deployment.servers[number].keep()
+            end_s = time.monotonic() + STARTS_WITHIN_S
+            while time.monotonic() < end_s and asked("GET", f"{deployment.servers[number].url}/healthz") is None:
+                time.sleep(0.2)
         yield
         ballast.unlink()
     else:
@@ -316,7 +339,7 @@ def happening(fault: Fault, deployment: Deployment, choices: random.Random) -> I
 def run_once(deployment: Deployment, fault: Fault, seed: int, pictures: Sequence[bytes], longest_s: float) -> Run:
     """One run, whose fault lasts no longer than that, and all that is wrong after it."""
     choices, name = random.Random(seed), f"walk-{seed}"
-    run = Run(not_now=NOT_NOW | {DISK_FULL} if fault is Fault.FULL_DISK else NOT_NOW)
+    run = Run(not_now=NOT_NOW | {DISK_FULL} if fault in ON_FULL_DISK else NOT_NOW)
     content = b"\0\0\0\x18ftypmp42 a walk" + b"." * 4000
     if fault is Fault.KILL_AT_STAGE:
         content = b"\0\0\0\x18ftypmp42 kill at " + f"{choices.choice(KILL_POINTS)},".encode() + b"." * 4000
@@ -334,6 +357,8 @@ def run_once(deployment: Deployment, fault: Fault, seed: int, pictures: Sequence
     time.sleep(choices.uniform(0, 3))
     if fault is not Fault.KILL_AT_STAGE:
         with happening(fault, deployment, choices):
+            if fault in STAYS_ALIVE:
+                run.problems += unhealthy(deployment)
             time.sleep(choices.uniform(0.5, longest_s))
     if not deployment.wait_until_ready():
         run.problems.append("It did not recover.")
@@ -343,6 +368,18 @@ def run_once(deployment: Deployment, fault: Fault, seed: int, pictures: Sequence
         thread.join(PATIENCE_S)
     run.problems += outcome(deployment, run, name, jobs[0] if jobs else None, before)
     return run
+
+
+def unhealthy(deployment: Deployment) -> list[str]:
+    """The servers whose /healthz does not answer in time."""
+    found = []
+    for server in deployment.servers:
+        begun_s = time.monotonic()
+        answer = asked("GET", f"{server.url}/healthz")
+        took_s = time.monotonic() - begun_s
+        if answer is None or not answer.is_success or took_s > HEALTH_WITHIN_S:
+            found.append(f"/healthz took {took_s:.1f} s meanwhile.")
+    return found
 
 
 def outcome(deployment: Deployment, run: Run, name: str, job: str | None, before: int) -> list[str]:
@@ -411,7 +448,7 @@ def main() -> None:
                 raise SystemExit("The deployment did not start.")
             content = (SHIPPED / f"{MAP}.rho").read_bytes()
             httpx.put(f"{deployment.servers[0].url}/v1/maps/{MAP}", content=content, timeout=60).raise_for_status()
-            faults = [fault for fault in args.only or Fault if fault is not Fault.FULL_DISK or deployment.disks]
+            faults = [fault for fault in args.only or Fault if fault not in ON_FULL_DISK or deployment.disks]
             for seed in range(args.seed, args.seed + args.runs):
                 if time.monotonic() > end_s:
                     break

@@ -16,7 +16,7 @@ number of matches that agree with the pair's epipolar geometry, each coloured pi
 the other place (../shared/data/coloured_lights).
 
 Cells are kept in the cache until the code that they depend on changes. After ``--minutes`` of processor time the
-command ends; asking again goes on there. Features of benchmarks/trial_features.py are tried beside rholoc's own.
+command ends; asking again goes on there.
 """
 
 from __future__ import annotations
@@ -33,13 +33,12 @@ import cv2
 import numpy as np
 import poselib
 
-import trial_features
 from asking import Answered, Case, Kind, answers_of, code_digest
 from measuring import SHARED_DATA, jpeg_of, print_table
 from rholoc.evaluation.lighting_pairs import compare_lighting_pairs
 from rholoc.features import extractor_names, get_extractor
 from rholoc.features.matching import LIMITS, mutual_matches
-from rholoc.localization import MIN_CONFIDENCE, Localizer, Query
+from rholoc.localization import MIN_RECOGNIZED, Localizer, Query
 from rholoc.maps import map_to_bytes
 from rholoc.recordings import decode_image, read_image
 from rooms import ROOMS, WIDE, map_of, nearest_views
@@ -121,7 +120,7 @@ class Answers:
     @classmethod
     def of_frames(cls, frames: Sequence[Case], features: str, near_m: float) -> Answers:
         """What frames are answered with by one kind of features, at the confidence that is asked of an answer."""
-        given = [case for case in frames if case.confidence(features) >= MIN_CONFIDENCE]
+        given = [case for case in frames if case.belief().recognized >= MIN_RECOGNIZED]
         return cls(
             len(frames),
             sum(case.is_within(near_m, NEAR_RAD) for case in given),
@@ -254,7 +253,6 @@ def main() -> None:
     parser.add_argument("--json", type=Path, help="where to write the figures")
     args = parser.parse_args()
     cv2.setNumThreads(1)
-    trial_features.install()
     features = args.features.split(";") if args.features else extractor_names()
     table = measure(features, args.cache, lambda: time.process_time() > 60 * args.minutes)
     print_table(shown(table), ["", *table])

@@ -42,6 +42,7 @@ from rholoc.density.tensor import fit_tensors
 from rholoc.errors import RholocError
 from rholoc.evaluation.reading import read_frame_poses
 from rholoc.exports import ExportFormat, export_map
+from rholoc.jobs import Stores
 from rholoc.mapping.table_reading import read_observations
 from rholoc.maps import (
     CameraLibrary,
@@ -166,7 +167,9 @@ def readers() -> list[Reader]:
         library = MapLibrary(folder / "maps")
         library.put("room", tiny_map())
         library.put("tensors", _tensor_map())
-        back_up(folder / "a.backup", folder / "maps", folder / "empty")
+        stores = Stores(folder / "maps", folder / "empty")
+        back_up(folder / "a.backup", stores)
+        stores.close()
         return [
             *found,
             Reader("recording images", _images(own), _use_recording),

@@ -17,6 +17,7 @@ JSON, JPEG, BINARY = "application/json", "image/jpeg", "application/octet-stream
 MAP, SITE, CAMERA = "testsite", "campus", "phone"
 TUS = {"Tus-Resumable": "1.0.0"}
 POSE = {"position": [1.0, 0.5, 0.0], "quaternion_xyzw": [0.0, 0.0, 0.6, 0.8]}
+NO_STREAM = "0" * 32  # streams end with the request that opened them
 SAME = {"position": [0.0, 0.0, 0.0], "quaternion_xyzw": [0.0, 0.0, 0.0, 1.0]}
 INTRINSICS = {"width": 640, "height": 480, "fx": 520.0, "fy": 520.0, "cx": 320.0, "cy": 240.0}
 UPLOAD_BYTES = 100
@@ -286,6 +287,9 @@ def good_requests(world: World) -> dict[str, list[Request]]:
         "GET /v1/keys/{name}": [request("GET", f"/v1/keys/{world.key}")],
         "PUT /v1/keys/{name}/limits": [request("PUT", f"/v1/keys/{world.key}/limits", keyed["limits"])],
         "DELETE /v1/keys/{name}": [request("DELETE", f"/v1/keys/{world.key}")],
+        "GET /v1/streams": [request("GET", "/v1/streams")],
+        "DELETE /v1/streams/{stream}": [request("DELETE", f"/v1/streams/{NO_STREAM}")],
+        "GET /v1/uploads": [request("GET", "/v1/uploads")],
         "POST /v1/qr": [request("POST", "/v1/qr", {"text": "https://maps.example/record"})],
         "GET /v1/audit": [request("GET", "/v1/audit", limit=10)],
         "GET /healthz": [request("GET", "/healthz")],

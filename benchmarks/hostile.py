@@ -2,13 +2,14 @@
 
     python benchmarks/hostile.py [--seconds 4] [--attackers 2] [--rounds 3] [--only NAME] [--json]
 
-Starts `rholoc serve` on the shipped map and asks for poses one after the other, for so many seconds alone and then for
-as many beside each attack: a few processes that send the same thing again and again. Prints for each the slowest
-/healthz of twenty a second, the ratio of the median times of honest frames beside the attack and alone just before it,
-the most memory that the server's processes held together, and what the attack was answered.
+Starts `rholoc serve`, which requires keys, on the shipped map, and asks for poses one after the other, for so many
+seconds alone and then for as many beside each attack: a few processes with keys of their own that send the same thing
+again and again. Prints for each the slowest /healthz of twenty a second, the ratio of the median times of honest frames
+beside the attack and alone just before it, the most memory that the server's processes held together, and what the
+attack was answered; at the end, how long streams go on whose key is revoked.
 
 The exit status is 1, and the standard error says which, where a bound was missed in each of three rounds: /healthz
-within a second, honest frames within twice their time and none refused, all processes within 2 GiB, none answered
+within half a second, honest frames within twice their time and none refused, all processes within 2 GiB, none answered
 `internal` or broken off. Several rounds, because times depend on what else the machine does; stop other work on it.
 """
 
@@ -31,7 +32,7 @@ import time
 import zipfile
 from collections import Counter
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -43,6 +44,7 @@ from PIL import Image
 
 from rholoc.cli.server_process import RunningServer, running_server
 from rholoc.service import Settings
+from rholoc.service.keys import KeyStore, Scope
 
 MAPS = Path(__file__).parents[1] / "maps"
 JPEG = {"Content-Type": "image/jpeg"}
@@ -53,9 +55,15 @@ HEALTH_EVERY_S = 0.05
 MEMORY_EVERY_S = 0.2
 TIMEOUT_S = 60.0
 DRIBBLERS = 50
+STREAMS = 300
+STALLED = 300
+TENSORS = 1_300_000
+STRANGERS = 4
 ATTACKERS_NICE = 5
+MOST_ATTACKERS = 8
 
-MOST_HEALTH_MS = 1000
+MOST_HEALTH_MS = 500
+MOST_REVOCATION_S = 1.0
 MOST_FRAME_RATIO = 2.0
 MOST_MEMORY_MIB = 2048
 FORK = multiprocessing.get_context("fork")
@@ -149,6 +157,25 @@ def rho_with(info: dict[str, object]) -> bytes:
     return struct.pack("<Q", len(header)) + header.encode()
 
 
+def endless_tensors(count: int) -> bytes:
+    """A file whose header describes very many empty arrays."""
+    header = b"{" + b",".join(b'"%d":{"dtype":"U8","shape":[0],"data_offsets":[0,0]}' % n for n in range(count)) + b"}"
+    return struct.pack("<Q", len(header)) + header
+
+
+def another_room() -> bytes:
+    """A picture full of features that no map knows."""
+    rng = np.random.default_rng(1)
+    layers = [
+        Image.fromarray(rng.integers(0, 255, (480 // k, 640 // k), np.uint8)).resize((640, 480)) for k in (4, 8, 16)
+    ]
+    pixels = np.mean([np.asarray(layer) for layer in layers], axis=0)
+    pixels = np.clip(128 + 2.0 * (pixels - 128), 0, 255).astype(np.uint8)
+    file = io.BytesIO()
+    Image.fromarray(pixels).convert("RGB").save(file, "JPEG", quality=92)
+    return file.getvalue()
+
+
 def post(path: str, content: bytes, headers: dict[str, str]) -> Attack:
     """An attack that posts the same again and again."""
     return lambda client: client.post(path, content=content, headers=headers)
@@ -165,6 +192,7 @@ def attacks(url: str) -> dict[str, Attack]:
         "features": {"pixels": [[1.5, 2.5]] * n, "descriptors": ["00" * 32] * n, "channels": [0] * n},
     }
     scans, large = progressive_jpeg(8160, 6120, 1000), progressive_jpeg(4000, 3000, 20)
+    tensors, stranger = endless_tensors(TENSORS), another_room()
     noisy, text = noise(3200, 2400, "JPEG"), b"P3 3000 3000 255 " + b"9 " * 15_000_000
     archive = many_entries(100_000)
     boundary = b"x" * 20
@@ -186,6 +214,23 @@ def attacks(url: str) -> dict[str, Attack]:
             for connection in connections:
                 connection.close()
         return None
+
+    def held(head: str, count: int) -> Attack:
+        """An attack that opens so many connections with one key, sends a head on each, and holds them."""
+
+        def hold(client: httpx.Client) -> Answer:
+            text = head + f"Host: {address.netloc}\r\nAuthorization: {client.headers['Authorization']}\r\n\r\n"
+            connections = []
+            with suppress(OSError):
+                for _ in range(count):
+                    connections.append(socket.create_connection((address.hostname, address.port), 5))
+                    connections[-1].sendall(text.encode())
+            time.sleep(3)
+            for connection in connections:
+                connection.close()
+            return None
+
+        return hold
 
     def abandon(client: httpx.Client) -> Answer:
         with suppress(httpx.TimeoutException):
@@ -219,18 +264,61 @@ def attacks(url: str) -> dict[str, Attack]:
         "exports given up": abandon,
         "made-up methods": methods,
         "maps replaced": replace,
+        "endless tensors": lambda client: client.put("/v1/maps/endless", content=tensors),
+        "streams of one key": held("GET /v1/maps/testsite/live HTTP/1.1\r\n", STREAMS),
+        "bodies that stall": held(
+            f"POST {LOCALIZE} HTTP/1.1\r\nContent-Type: image/jpeg\r\nContent-Length: 99999\r\n", STALLED
+        ),
+        "frames of another room": post(LOCALIZE, stranger, JPEG),
     }
 
 
+@dataclass(frozen=True)
+class Keyed:
+    """A service, and the keys of who asks it."""
+
+    server: RunningServer
+    honest: str
+    attackers: tuple[str, ...]
+
+
 @contextmanager
-def shipped_service() -> Iterator[RunningServer]:
-    """A service of its own, with the shipped map."""
+def shipped_service() -> Iterator[Keyed]:
+    """A service of its own, with the shipped map, which requires keys."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         (folder / "maps").mkdir()
         (folder / "maps" / "testsite.rho").write_bytes((MAPS / "testsite.rho").read_bytes())
+        store = KeyStore(folder / "data")
+        honest = store.create("honest", Scope.ADMIN)
+        attackers = tuple(store.create(f"attacker {number}", Scope.ADMIN) for number in range(MOST_ATTACKERS))
+        os.environ.update(RHOLOC_KEYS="always", RHOLOC_LIVE="true")
         with running_server(folder / "maps", folder / "data", folder / "log") as server:
-            yield server
+            yield Keyed(server, honest, attackers)
+
+
+def revocation_s(keyed: Keyed) -> float:
+    """How long the streams of a key and of one that it handed on go on after it is revoked [s]."""
+    url, admin = keyed.server.url, bearer(keyed.honest)
+    lent = httpx.post(f"{url}/v1/keys", json={"scope": "map"}, headers=admin).json()
+    below = httpx.post(f"{url}/v1/keys", json={"scope": "read"}, headers=bearer(lent["key"])).json()
+    with ExitStack() as stack:
+        live = f"{url}/v1/maps/testsite/live"
+        streams = [
+            stack.enter_context(httpx.stream("GET", live, headers=bearer(one["key"]), timeout=TIMEOUT_S))
+            for one in (lent, below)
+        ]
+        begun_s = time.monotonic()
+        httpx.delete(f"{url}/v1/keys/{lent['name']}", headers=admin).raise_for_status()
+        for stream in streams:
+            for _ in stream.iter_raw():
+                pass
+        return time.monotonic() - begun_s
+
+
+def bearer(key: str) -> dict[str, str]:
+    """The header that a key is sent in."""
+    return {"Authorization": f"Bearer {key}"}
 
 
 def main() -> int:
@@ -242,15 +330,20 @@ def main() -> int:
     parser.add_argument("--only", help="the name of one attack")
     parser.add_argument("--json", action="store_true", help="print the figures as JSON")
     options = parser.parse_args()
-    with shipped_service() as server:
+    with shipped_service() as keyed:
         found = []
-        for one in measured(server.url, options):
+        for one in measured(keyed, options):
             found.append(one)
             if not options.json:
                 print(row(one), flush=True)
+        took_s = revocation_s(keyed)
+        if not options.json:
+            print(f"streams of a key that is revoked end after {took_s:.2f} s")
     if options.json:
         print(json.dumps([{**asdict(one), "missed": one.missed()} for one in found], indent=2))
     missed = [f"{one.attack}: {bound}" for one in found for bound in one.missed()]
+    if took_s > MOST_REVOCATION_S:
+        missed.append(f"revocation: streams went on for {took_s:.1f} s")
     for line in missed:
         print(f"missed: {line}", file=sys.stderr)
     return 1 if missed else 0
@@ -263,19 +356,23 @@ def row(one: Outcome) -> str:
     return f"{one.attack:26} {costs}{one.memory_mib:5.0f} MiB  {answers}"
 
 
-def measured(url: str, options: argparse.Namespace) -> Iterator[Outcome]:
+def measured(keyed: Keyed, options: argparse.Namespace) -> Iterator[Outcome]:
     """The outcome of each attack, as it is found; of none first."""
+    url = keyed.server.url
     picture = sorted((MAPS / "queries").glob("*.jpg"))[0].read_bytes()
     chosen = {name: one for name, one in attacks(url).items() if options.only in (None, name)}
-    with httpx.Client(base_url=url, timeout=TIMEOUT_S) as honest:
+    with httpx.Client(base_url=url, timeout=TIMEOUT_S, headers=bearer(keyed.honest)) as honest:
 
         def frames(seconds: float) -> Frames:
             took_s, refused, last_s = [], 0, time.monotonic() + seconds
             while time.monotonic() < last_s or not took_s:
                 start = time.perf_counter()
-                answer = honest.post(f"{LOCALIZE}?deadline_ms=30000", content=picture, headers=JPEG)
+                try:
+                    answer = honest.post(f"{LOCALIZE}?deadline_ms=30000", content=picture, headers=JPEG)
+                    refused += not answer.is_success
+                except httpx.TransportError:
+                    refused += 1
                 took_s.append(time.perf_counter() - start)
-                refused += not answer.is_success
             return Frames(took_s, refused)
 
         frames(1)  # the map is loaded
@@ -283,12 +380,12 @@ def measured(url: str, options: argparse.Namespace) -> Iterator[Outcome]:
             rounds: list[Outcome] = []
             while len(rounds) < options.rounds and (not rounds or rounds[-1].missed()):
                 alone = frames(options.seconds)
-                rounds.append(beside(url, name, attack, frames, alone, options))
+                rounds.append(beside(keyed, name, attack, frames, alone, options))
             yield rounds[-1] if not rounds[-1].missed() else rounds[0]
 
 
 def beside(
-    url: str,
+    keyed: Keyed,
     name: str,
     attack: Attack | None,
     frames: Callable[[float], Frames],
@@ -297,7 +394,8 @@ def beside(
 ) -> Outcome:
     """The outcome of one attack. Each attacker is a process, for the server competes with them and frames do not."""
     stop, said = FORK.Event(), FORK.SimpleQueue()
-    attackers = [FORK.Process(target=repeat, args=(url, attack, stop, said)) for _ in range(options.attackers)]
+    url, count = keyed.server.url, STRANGERS if name == "frames of another room" else options.attackers
+    attackers = [FORK.Process(target=repeat, args=(url, key, attack, stop, said)) for key in keyed.attackers[:count]]
     watcher = FORK.Process(target=watch, args=(url, stop, said))
     chosen = [watcher] if attack is None else [watcher, *attackers]
     for process in chosen:
@@ -322,11 +420,11 @@ def beside(
     )
 
 
-def repeat(url: str, attack: Attack, stop: Any, said: Any) -> None:
+def repeat(url: str, key: str, attack: Attack, stop: Any, said: Any) -> None:
     """One attacker: the same again and again; says how often it was answered how."""
     os.nice(ATTACKERS_NICE)  # what it computes it would compute on its own machine
     answers: Counter[str] = Counter()
-    with httpx.Client(base_url=url, timeout=TIMEOUT_S) as client:
+    with httpx.Client(base_url=url, timeout=TIMEOUT_S, headers=bearer(key)) as client:
         while not stop.is_set():
             try:
                 answer = attack(client)
@@ -347,10 +445,13 @@ def watch(url: str, stop: Any, said: Any) -> None:
     """Ask whether the server lives, and look how much memory it holds; says the worst of both."""
     slowest_s = memory = 0.0
     looked_s = -math.inf
-    with httpx.Client(base_url=url, timeout=TIMEOUT_S) as client:
+    with suppress(KeyboardInterrupt):
         while not stop.wait(HEALTH_EVERY_S):
-            start = time.perf_counter()
-            fine = client.get("/healthz").is_success
+            start, fine = time.perf_counter(), False
+            with suppress(httpx.TransportError):
+                fine = httpx.get(
+                    f"{url}/healthz", timeout=TIMEOUT_S
+                ).is_success  # on a connection of its own, as probes
             slowest_s = max(slowest_s, time.perf_counter() - start if fine else math.inf)
             if start - looked_s > MEMORY_EVERY_S:
                 memory, looked_s = max(memory, server_memory_mib(url)), start

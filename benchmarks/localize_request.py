@@ -1,10 +1,10 @@
 """How long one /localize request takes on one core, stage by stage.
 
-    python benchmarks/localize_request.py MAP.rho FRAMES --camera fx,fy,cx,cy --frames 200:400 [--priors]
+    python benchmarks/localize_request.py MAP.rho FRAMES --camera fx,fy,cx,cy --frames 200:400
 
 Starts the service, pinned to one core, on 127.0.0.1, posts the frames as they are one after another, and prints what a
-request costs it in CPU, and the median and the 90th percentile of each stage on the clock; with ``--priors`` again,
-with priors off by a little, by more, and wholly. Ends by itself.
+request costs it in CPU, and the median and the 90th percentile of each stage on the clock. Ends by
+itself.
 """
 
 from __future__ import annotations
@@ -17,7 +17,6 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -25,8 +24,6 @@ from typing import Any
 import httpx
 import numpy as np
 
-from prior_kinds import OFF, PriorKind, pose_off
-from rholoc.geometry import Pose
 from rholoc.recordings import read_recording
 
 START_SECONDS = 60
@@ -68,18 +65,6 @@ def start(folder: Path, port: int) -> subprocess.Popen[bytes]:
     raise SystemExit("The service did not start.")
 
 
-def prior_fields(kind: PriorKind, pose: dict[str, Any] | None, rng: np.random.Generator) -> dict[str, str]:
-    """A prior off a pose in a random direction, as query parameters."""
-    known = None if pose is None else Pose.from_quaternion(pose["position"], pose["quaternion_xyzw"])
-    prior = None if known is None else pose_off(known, kind, rng)
-    if prior is None:
-        return {}
-    return {
-        "prior_position": ",".join(f"{x:.4f}" for x in prior.position),
-        "prior_quaternion_xyzw": ",".join(f"{x:.6f}" for x in prior.quaternion_xyzw),
-    }
-
-
 @dataclass
 class Answers:
     """What a run of requests was answered: CPU milliseconds a request, milliseconds by stage, and the poses."""
@@ -100,19 +85,16 @@ def post_frames(
     pid: int,
     files: list[Path],
     fields: dict[str, str],
-    kind: PriorKind = PriorKind.NONE,
-    known: Sequence[dict[str, Any] | None] = (),
 ) -> Answers:
-    """One request a frame, with a prior near the known pose; ``round trip`` is what the caller sees."""
-    answers, rng = Answers(), np.random.default_rng(0)
+    """One request a frame; ``round trip`` is what the caller sees."""
+    answers = Answers()
     before_s = cpu_seconds(pid)
     with httpx.Client(base_url=f"http://127.0.0.1:{port}", timeout=30) as client:
-        for number, file in enumerate(files):
+        for file in files:
             content = file.read_bytes()
-            parameters = fields | prior_fields(kind, known[number] if known else None, rng)
             begun = time.perf_counter()
             answer = client.post(
-                "/v1/maps/bench/localize", params=parameters, content=content, headers={"Content-Type": "image/jpeg"}
+                "/v1/maps/bench/localize", params=fields, content=content, headers={"Content-Type": "image/jpeg"}
             )
             elapsed_ms = 1e3 * (time.perf_counter() - begun)
             answer.raise_for_status()
@@ -124,14 +106,6 @@ def post_frames(
     return answers
 
 
-def apart_cm(a: Answers, b: Answers) -> str:
-    """How far the poses of two runs are apart, and how many one has that the other lacks."""
-    pairs = list(zip(a.poses, b.poses, strict=True))
-    both = [np.linalg.norm(np.subtract(p["position"], q["position"])) for p, q in pairs if p and q]
-    lost = sum(p is not None and q is None for p, q in pairs)
-    return f"median {100 * np.median(both):.2f} cm, worst {100 * np.max(both):.2f} cm, {lost} lost" if both else "none"
-
-
 def main() -> None:
     """Run the benchmark."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -140,7 +114,6 @@ def main() -> None:
     parser.add_argument("--camera", required=True)
     parser.add_argument("--frames")
     parser.add_argument("--dof", default="auto")
-    parser.add_argument("--priors", action="store_true", help="again with priors, near, rough and wrong")
     parser.add_argument("--every", type=int, default=4)
     args = parser.parse_args()
     recording = read_recording(args.frames_folder, frames=args.frames)
@@ -155,21 +128,15 @@ def main() -> None:
         service = start(folder, port)
         try:
             post_frames(port, service.pid, files[:2], fields)  # the first request builds the map's index
-            plain = post_frames(port, service.pid, files, fields)
-            runs = {PriorKind.NONE: plain}
-            if args.priors:
-                runs |= {kind: post_frames(port, service.pid, files, fields, kind, plain.poses) for kind in OFF}
+            answers = post_frames(port, service.pid, files, fields)
         finally:
             service.terminate()
             service.wait(20)
-    for kind, answers in runs.items():
-        print(f"{len(files)} requests, one core, {kind}; {sum(p is not None for p in answers.poses)} localized")
-        if kind is not PriorKind.NONE:
-            print(f"  against no prior: {apart_cm(plain, answers)}")
-        print(f"  CPU of the service: {answers.cpu_ms:.1f} ms a request")
-        print(f"{'stage':12}{'median ms':>12}{'90 % ms':>12}")
-        for stage, values in answers.spent.items():
-            print(f"{stage:12}{np.median(values):12.1f}{np.percentile(values, 90):12.1f}")
+    print(f"{len(files)} requests, one core; {sum(p is not None for p in answers.poses)} localized")
+    print(f"  CPU of the service: {answers.cpu_ms:.1f} ms a request")
+    print(f"{'stage':12}{'median ms':>12}{'90 % ms':>12}")
+    for stage, values in answers.spent.items():
+        print(f"{stage:12}{np.median(values):12.1f}{np.percentile(values, 90):12.1f}")
 
 
 if __name__ == "__main__":

@@ -54,7 +54,7 @@ def main() -> None:
         estimated = localized(map_, images, second)
         _write_queries({row: images[row] for row in choose_queries(estimated, second)}, second)
         points = [(point.name, np.asarray(point.position)) for point in map_.info.waypoints]
-        save_figure(plot_top_view(estimated, second.T_map_camera, map_.landmarks, points), PICTURE)
+        save_figure(plot_top_view(estimated, second.T_map_camera, map_.landmarks.positions, points), PICTURE)
     print(f"maps/testsite.rho: {size_bytes} bytes, {len(map_)} landmarks")
 
 

@@ -40,7 +40,7 @@ import numpy as np
 from measuring import print_table, resident_mb
 from rholoc.features import get_extractor
 from rholoc.localization import VECTORS_FILE, MapFinder
-from rholoc.maps import Map, MapLibrary, load_map, map_to_bytes, part_of
+from rholoc.maps import Map, MapLibrary, load_map, map_to_bytes, part_of, without_memory
 from rholoc.recordings import read_recording
 from rholoc.service.localize import FrameFeatures, Stopwatch, localize_frame
 from rholoc.service.localizers import Localizers
@@ -90,7 +90,7 @@ def alike(originals: dict[str, Map], map_: Map) -> list[Map]:
 
 def pieces_of(map_: Map) -> np.ndarray:
     """(L,) the number of the piece that each landmark belongs to: those that lie side by side."""
-    points = np.ascontiguousarray(map_.landmarks, dtype=np.float32)
+    points = np.ascontiguousarray(map_.landmarks.positions, dtype=np.float32)
     kmeans = faiss.Kmeans(3, max(1, len(points) // PIECE_LANDMARKS), niter=10, seed=0, min_points_per_centroid=1)
     kmeans.train(points)
     return np.asarray(kmeans.assign(points)[1])
@@ -100,7 +100,7 @@ def furniture(maps: Sequence[Map]) -> list[np.ndarray]:
     """(N, B) the first descriptor of each landmark of a piece, of all pieces of some maps."""
     found = []
     for map_ in maps:
-        first = map_.descriptors[np.searchsorted(map_.descriptor_features, np.arange(len(map_)))]
+        first = map_.descriptors.values[np.searchsorted(map_.descriptors.features, np.arange(len(map_)))]
         numbers = pieces_of(map_)
         found += [first[numbers == number] for number in np.unique(numbers)]
     return found
@@ -109,24 +109,27 @@ def furniture(maps: Sequence[Map]) -> list[np.ndarray]:
 def copied(map_: Map, number: int, views: int, pieces: np.ndarray, pool: Sequence[np.ndarray]) -> Map:
     """A room that is laid out as that of a map, and looks otherwise."""
     rng = np.random.default_rng(number)
-    kept = np.unique(np.linspace(0, len(map_.view_times) - 1, min(views, len(map_.view_times))).astype(np.int64))
-    descriptors = map_.descriptors[np.searchsorted(map_.descriptor_features, np.arange(len(map_)))]
+    kept = np.unique(np.linspace(0, len(map_.views) - 1, min(views, len(map_.views.times))).astype(np.int64))
+    descriptors = map_.descriptors.values[np.searchsorted(map_.descriptors.features, np.arange(len(map_)))]
     for piece in np.unique(pieces):
         rows, look = np.flatnonzero(pieces == piece), pool[rng.integers(len(pool))]
         descriptors[rows] = look[rng.permutation(max(len(rows), len(look)))[: len(rows)] % len(look)]
-    looks = replace(map_, descriptors=descriptors, descriptor_features=np.arange(len(map_), dtype=np.int32))
+    looks = replace(
+        map_, descriptors=replace(map_.descriptors, values=descriptors, features=np.arange(len(map_), dtype=np.int32))
+    )
     part = part_of(looks, kept).map
     shift = np.array([COPY_PITCH_M * number, 0.0, 0.0])
-    T_map_camera = part.T_map_camera.copy()
+    T_map_camera = part.views.T_map_camera.copy()
     T_map_camera[:, :3, 3] += shift
-    return replace(
-        part,
-        info=replace(part.info, id=uuid4().hex),
-        landmarks=(part.landmarks + shift).astype(np.float32),
-        T_map_camera=T_map_camera,
-        observations=None,
-        colours=None,
-        pictures=None,
+    return without_memory(
+        replace(
+            part,
+            info=replace(part.info, id=uuid4().hex),
+            landmarks=replace(
+                part.landmarks, positions=(part.landmarks.positions + shift).astype(np.float32), colours=None
+            ),
+            views=replace(part.views, T_map_camera=T_map_camera, pictures=None),
+        )
     )
 
 
@@ -171,7 +174,7 @@ def started(folder: Path) -> dict[str, Any]:
 def answered(folder: Path, asked: Sequence[Asked]) -> dict[str, Any]:
     """Ask, the maps being named and not."""
     settings, library = Settings(maps_dir=folder), MapLibrary(folder, cache_bytes=2**29)
-    localizers = Localizers(library, settings.min_confidence)
+    localizers = Localizers(library, settings.min_recognized)
     finder = MapFinder(library, folder / VECTORS_FILE)
     finder.refresh()
     everywhere = MapChoice(finder.present, named=False, finder=finder, is_all=True)

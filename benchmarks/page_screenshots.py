@@ -28,7 +28,7 @@ from fastapi import FastAPI
 from playwright.sync_api import Browser, Page, sync_playwright
 
 from rholoc.jobs import RecordingStore
-from rholoc.jobs.recording_notes import note_recording
+from rholoc.jobs.recording_notes import notes_of
 from rholoc.mapping import BuildOptions, build_map, set_labels, set_names
 from rholoc.maps import Map, MapLabels, MapNames, NamedArea, NamedPoint, save_map
 from rholoc.recordings import Recording, read_recording
@@ -159,13 +159,13 @@ def fill(url: str, folder: Path, walk: Recording) -> tuple[str, str]:
     video = {"file": ("walk.mp4", (folder / "walk" / "video.mp4").read_bytes())}
     answer = httpx.post(f"{url}/v1/recordings", files=video, data={"map": "stairs"}, timeout=60)
     given = answer.raise_for_status().json()
-    note_recording(RecordingStore(folder / "data").folder(given["recording"]), walk)
+    RecordingStore(folder / "data").note(given["recording"], notes_of(walk))
     return given["recording"], given["job"]["id"]
 
 
 def lay_plan(url: str, map_: Map) -> None:
     """Keep a floor plan with the map: the walls of a room around its landmarks, and a door."""
-    low, high = np.quantile(map_.landmarks[:, :2], [0.02, 0.98], axis=0)
+    low, high = np.quantile(map_.landmarks.positions[:, :2], [0.02, 0.98], axis=0)
     width, height = np.ceil((high - low) / PLAN_M_PER_PX).astype(int).tolist()
     plan = np.full((height, width, 3), 255, np.uint8)
     cv2.rectangle(plan, (4, 4), (width - 5, height - 5), (40, 40, 40), 8)

@@ -83,7 +83,7 @@ def peak_offsets_px(map_: Map, T_map_camera: FloatArray, camera: Camera) -> Floa
     densities, found = map_.densities, [np.zeros(0)]
     if not isinstance(densities, TensorDensities):
         return found[0]
-    landmarks = map_.landmarks.astype(np.float64)
+    landmarks = map_.landmarks.positions.astype(np.float64)
     for T in T_map_camera:
         features, rows = densities.choose(np.arange(len(map_)), T)
         seen = (landmarks[features] - T[:3, 3]) @ T[:3, :3]

@@ -38,7 +38,7 @@ from measuring import (
 )
 from rholoc.errors import RholocError
 from rholoc.evaluation import trajectory_errors
-from rholoc.geometry import ByteArray, FloatArray, IntArray
+from rholoc.geometry import UP, ByteArray, FloatArray, IntArray, angles_between
 from rholoc.localization import Dof, Localizer, Query
 from rholoc.mapping import BuildOptions, build_map
 from rholoc.recordings import FrameSource, Recording, Waypoint, read_recording
@@ -71,6 +71,10 @@ class SpoiledFrames:
     @property
     def times(self) -> FloatArray:
         return self.source.times
+
+    @property
+    def timed(self) -> bool:
+        return self.source.timed
 
     @property
     def numbers(self) -> np.ndarray:
@@ -166,7 +170,7 @@ def against_whole(half: Trajectory, whole: Trajectory) -> dict[str, Any]:
     ups = {}
     if exact.sum() >= 3:  # the vertical as each of the two sees it in the same cameras
         up = np.einsum("nij,nj->ni", T_whole[exact, :3, :3], T_half[exact, 2, :3])
-        ups["vertical_apart_deg"] = rounded(np.degrees(np.arccos(np.clip(np.median(up[:, 2]), -1, 1))))
+        ups["vertical_apart_deg"] = rounded(np.degrees(np.median(angles_between(up, UP))))
     return {"scale_of_whole": rounded(1 / scale_between(T_half, T_whole), 4), **ups}
 
 

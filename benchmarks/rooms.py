@@ -243,33 +243,43 @@ def nearest_views(named: NamedRoom, kept: Path) -> FloatArray:
     camera, poses, map_ = room.asked.camera, room.asked.poses, map_of(named, room.mapped, SHOWN_BY, kept)
     assert camera is not None
     assert poses is not None
-    owners, seen_from = map_.observation_features, map_.view_positions[map_.observation_views]
-    landmarks = map_.landmarks.astype(np.float64)
+    owners, seen_from = map_.observations.features, map_.views.positions[map_.observations.views]
+    landmarks = map_.landmarks.positions.astype(np.float64)
     nearest_m = []
     for T in poses.T_map_camera[poses.known]:
         position, heading = T[:3, 3], T[:3, 2]
         inside = camera.contains(camera.project((landmarks - position) @ T[:3, :3]))
         turned = angles_between(seen_from - landmarks[owners], position - landmarks[owners])
         shown = np.unique(owners[inside[owners] & (turned < SHOWN_RAD)])
-        alike = angles_between(map_.view_headings, heading) < ALIKE_RAD
-        apart_m = np.linalg.norm(map_.view_positions - position, axis=1)[alike]
+        alike = angles_between(map_.views.headings, heading) < ALIKE_RAD
+        apart_m = np.linalg.norm(map_.views.positions - position, axis=1)[alike]
         nearest_m.append(apart_m.min(initial=np.inf) if len(shown) >= FEWEST_SHOWN else np.nan)
     return np.array(nearest_m)
 
 
 def strangers(recording: str, each: int, kept: Path) -> Iterator[tuple[np.ndarray, Camera]]:
     """Pictures of all recordings but one, about ``each`` of every one, as by a camera of a usual focal length."""
-    for path in _stranger_paths(kept):
-        if path[0] != recording:
-            yield from _pictures(path[1], each)
+    for name, path in (*_real_paths(), *_simulated_paths(kept)):
+        if name != recording:
+            yield from _pictures(path, each)
 
 
-def _stranger_paths(kept: Path) -> Iterator[tuple[str, Path]]:
+def real_strangers(recording: str, each: int) -> Iterator[tuple[np.ndarray, Camera]]:
+    """As :func:`strangers`, but only of real recordings."""
+    for name, path in _real_paths():
+        if name != recording:
+            yield from _pictures(path, each)
+
+
+def _real_paths() -> Iterator[tuple[str, Path]]:
     for name in ("redkitchen", "bedroom_night", "android_livingroom", "coloured_lights", "euroc_v101"):
         yield name, SHARED_DATA / name
     for scene in sorted((SHARED_DATA / "lighting_pairs").iterdir()):
         if scene.is_dir():
             yield "lighting_pairs", scene
+
+
+def _simulated_paths(kept: Path) -> Iterator[tuple[str, Path]]:
     yield "building", simulated(kept, 2, BUILDING_ASKED_FPS, site=Site.BUILDING).path
     for seed in ROOM_SEEDS:
         yield f"room {seed}", simulated(kept, 2, ROOM_FPS, seed).path

@@ -35,7 +35,18 @@ import numpy as np
 from rholoc.features import FeatureSet, get_extractor
 from rholoc.geometry import Camera, FloatArray, Pose
 from rholoc.localization import Dof, Localizer, Query, localizer_of
-from rholoc.maps import DensityKind, Map, MapInfo, load_map, save_map
+from rholoc.maps import (
+    DensityKind,
+    Map,
+    MapDescriptors,
+    MapInfo,
+    MapLandmarks,
+    MapObservations,
+    MapViews,
+    load_map,
+    save_map,
+    without_memory,
+)
 from rholoc.recordings import read_recording
 
 CAMERA = Camera(640, 480, 520.0, 520.0, 319.5, 239.5)
@@ -110,15 +121,19 @@ def building(rooms: int) -> Map:
     info = MapInfo("0" * 32, 1, DensityKind.RAY, "gray", True, True, "2026-01-01T00:00:00+00:00", CAMERA)
     return Map(
         info=info,
-        channels=np.zeros(n, np.uint8),
-        landmarks=points.astype(np.float32),
-        covariances=covariances,
-        descriptors=rng.integers(0, 256, (n, 32), dtype=np.uint8),
-        descriptor_features=np.arange(n, dtype=np.int32),
-        view_times=np.arange(len(poses), dtype=np.float64),
-        T_map_camera=np.array([pose.T_map_camera for pose in poses]),
-        observation_views=np.repeat(np.arange(len(poses)), [*map(len, seen)]).astype(np.int32),
-        observation_features=np.concatenate(seen).astype(np.int32),
+        landmarks=MapLandmarks(
+            channels=np.zeros(n, np.uint8), positions=points.astype(np.float32), covariances=covariances
+        ),
+        descriptors=MapDescriptors(
+            values=rng.integers(0, 256, (n, 32), dtype=np.uint8), features=np.arange(n, dtype=np.int32)
+        ),
+        views=MapViews(
+            times=np.arange(len(poses), dtype=np.float64), T_map_camera=np.array([pose.T_map_camera for pose in poses])
+        ),
+        observations=MapObservations(
+            views=np.repeat(np.arange(len(poses)), [*map(len, seen)]).astype(np.int32),
+            features=np.concatenate(seen).astype(np.int32),
+        ),
     )
 
 
@@ -131,19 +146,31 @@ def side_by_side(maps: Sequence[Map], landmarks: int) -> Map:
         if sum(map(len, parts)) >= landmarks:
             break
     first_feature = np.cumsum([0, *map(len, parts)])
-    first_view = np.cumsum([0, *(len(part.view_times) for part in parts)])
+    first_view = np.cumsum([0, *(len(part.views) for part in parts)])
     return replace(
         parts[0],
-        channels=np.concatenate([part.channels for part in parts]),
-        landmarks=np.concatenate([part.landmarks for part in parts]),
-        covariances=np.concatenate([part.covariances for part in parts]),
-        descriptors=np.concatenate([part.descriptors for part in parts]),
-        descriptor_features=numbered([part.descriptor_features for part in parts], first_feature),
-        view_times=np.arange(first_view[-1], dtype=np.float64),
-        T_map_camera=np.concatenate([part.T_map_camera for part in parts]),
-        observation_views=numbered([part.observation_views for part in parts], first_view),
-        observation_features=numbered([part.observation_features for part in parts], first_feature),
-        view_covariances=np.concatenate([part.known_view_covariances for part in parts]),
+        landmarks=replace(
+            parts[0].landmarks,
+            channels=np.concatenate([part.landmarks.channels for part in parts]),
+            positions=np.concatenate([part.landmarks.positions for part in parts]),
+            covariances=np.concatenate([part.landmarks.covariances for part in parts]),
+        ),
+        descriptors=replace(
+            parts[0].descriptors,
+            values=np.concatenate([part.descriptors.values for part in parts]),
+            features=numbered([part.descriptors.features for part in parts], first_feature),
+        ),
+        views=replace(
+            parts[0].views,
+            times=np.arange(first_view[-1], dtype=np.float64),
+            T_map_camera=np.concatenate([part.views.T_map_camera for part in parts]),
+            covariances=np.concatenate([part.views.known_covariances for part in parts]),
+        ),
+        observations=replace(
+            parts[0].observations,
+            views=numbered([part.observations.views for part in parts], first_view),
+            features=numbered([part.observations.features for part in parts], first_feature),
+        ),
     )
 
 
@@ -155,17 +182,19 @@ def numbered(parts: Sequence[np.ndarray], first: np.ndarray) -> np.ndarray:
 def shifted(map_: Map, number: int, rng: np.random.Generator | None) -> Map:
     """A map some way along x; with ``rng``, of a place that looks otherwise."""
     shift = np.array([COPY_PITCH_M * number, 0.0, 0.0])
-    T_map_camera = map_.T_map_camera.copy()
+    T_map_camera = map_.views.T_map_camera.copy()
     T_map_camera[:, :3, 3] += shift
-    size = map_.descriptors.shape[1]
+    size = map_.descriptors.values.shape[1]
     order = np.arange(size) if rng is None else rng.permutation(size)
-    return replace(
-        map_,
-        landmarks=(map_.landmarks + shift).astype(np.float32),
-        T_map_camera=T_map_camera,
-        descriptors=map_.descriptors[:, order],
-        observations=None,
-        colours=None,
+    return without_memory(
+        replace(
+            map_,
+            landmarks=replace(
+                map_.landmarks, positions=(map_.landmarks.positions + shift).astype(np.float32), colours=None
+            ),
+            views=replace(map_.views, T_map_camera=T_map_camera),
+            descriptors=replace(map_.descriptors, values=map_.descriptors.values[:, order]),
+        )
     )
 
 
@@ -174,10 +203,10 @@ def shifted(map_: Map, number: int, rng: np.random.Generator | None) -> Map:
 
 def query(map_: Map, truth: Pose, rng: np.random.Generator) -> FeatureSet:
     """What a camera at ``truth`` detects: landmarks in view, disturbed, and as many detections that match nothing."""
-    near = np.flatnonzero(np.linalg.norm(map_.landmarks - truth.position, axis=1) < ROOM_PITCH_M / 2)
-    pixels = CAMERA.project((map_.landmarks[near] - truth.position) @ truth.R_map_camera)
+    near = np.flatnonzero(np.linalg.norm(map_.landmarks.positions - truth.position, axis=1) < ROOM_PITCH_M / 2)
+    pixels = CAMERA.project((map_.landmarks.positions[near] - truth.position) @ truth.R_map_camera)
     inside = CAMERA.contains(pixels)
-    bits = np.unpackbits(map_.descriptors[near[inside]], axis=1)
+    bits = np.unpackbits(map_.descriptors.values[near[inside]], axis=1)
     descriptors = np.packbits(bits ^ (rng.random(bits.shape) < FLIPPED_BITS / 256), axis=1)
     stray = 1000 - int(inside.sum())
     every = np.concatenate([pixels[inside] + rng.normal(size=(int(inside.sum()), 2)), rng.uniform(0, 480, (stray, 2))])
@@ -194,7 +223,7 @@ def beside(view: np.ndarray) -> Pose:
 def synthetic_queries(map_: Map) -> list[Asked]:
     """Beside some of the views of a synthetic map."""
     rng = np.random.default_rng(5)
-    chosen = map_.T_map_camera[:: max(1, len(map_.view_times) // QUERIES)][:QUERIES]
+    chosen = map_.views.T_map_camera[:: max(1, len(map_.views) // QUERIES)][:QUERIES]
     truths = [beside(pose) for pose in chosen]
     return [Asked(Query(query(map_, truth, rng), CAMERA, Dof.FREE), truth.T_map_camera) for truth in truths]
 
@@ -234,7 +263,7 @@ def measured(path: Path, asked: list[Asked], everywhere: bool) -> Figures:
         right += answer.pose is not None and bool(np.linalg.norm(answer.pose.position - one.truth[:3, 3]) < RIGHT_M)
     return Figures(
         len(map_),
-        len(map_.view_times),
+        len(map_.views),
         path.stat().st_size / 1e6,
         resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
         first_s,

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from rholoc.geometry import FloatArray, pose_distances
+from rholoc.geometry import FloatArray, angles_between, pose_distances
 from rholoc.localization import Localizer, Query, SeveralFrames, localize_together
 from rholoc.maps import load_map
 from rholoc.recordings import Recording, read_recording
@@ -37,7 +37,7 @@ def over_a_metre(T: FloatArray, first: int) -> list[int]:
 def beside(T: FloatArray, first: int) -> list[int]:
     """Rows of a frame and the nearest that looks far aside; the frame alone where there is none."""
     apart_m = np.linalg.norm(T[:, :3, 3] - T[first, :3, 3], axis=1)
-    turned = np.arccos(np.clip(T[:, :3, 2] @ T[first, :3, 2], -1, 1))
+    turned = angles_between(T[:, :3, 2], T[first, :3, 2])
     fit = np.flatnonzero((turned > APART_RAD) & (apart_m < BESIDE_M))
     return [first] if len(fit) == 0 else [first, int(fit[np.argmin(apart_m[fit])])]
 

@@ -37,7 +37,18 @@ from rholoc.mapping.assembly import assemble
 from rholoc.mapping.landmarks import select_stable, triangulate
 from rholoc.mapping.memory import with_landmarks
 from rholoc.mapping.observations import Views, link_observations
-from rholoc.maps import DensityKind, Map, MapInfo, MapWaypoint, Source, map_to_bytes
+from rholoc.maps import (
+    DensityKind,
+    Map,
+    MapDescriptors,
+    MapInfo,
+    MapLandmarks,
+    MapObservations,
+    MapViews,
+    MapWaypoint,
+    Source,
+    map_to_bytes,
+)
 from rholoc.reports import HeldOutReport, MapReport
 
 if TYPE_CHECKING:
@@ -132,17 +143,19 @@ def picture_world() -> PictureWorld:
     )
     map_ = Map(
         info=info,
-        channels=features.channels,
-        landmarks=landmarks.astype(np.float32),
-        covariances=covariances,
-        descriptors=features.descriptors,
-        descriptor_features=np.arange(n, dtype=np.int32),
-        view_times=np.arange(views, dtype=np.float64),
-        T_map_camera=poses_from_rows(
-            np.column_stack([positions, np.tile(pose.quaternion_xyzw, (views, 1))]).astype(np.float32)
+        landmarks=MapLandmarks(
+            channels=features.channels, positions=landmarks.astype(np.float32), covariances=covariances
         ),
-        observation_views=np.repeat(np.arange(views, dtype=np.int32), n),
-        observation_features=np.tile(np.arange(n, dtype=np.int32), views),
+        descriptors=MapDescriptors(values=features.descriptors, features=np.arange(n, dtype=np.int32)),
+        views=MapViews(
+            times=np.arange(views, dtype=np.float64),
+            T_map_camera=poses_from_rows(
+                np.column_stack([positions, np.tile(pose.quaternion_xyzw, (views, 1))]).astype(np.float32)
+            ),
+        ),
+        observations=MapObservations(
+            views=np.repeat(np.arange(views, dtype=np.int32), n), features=np.tile(np.arange(n, dtype=np.int32), views)
+        ),
     )
     return PictureWorld(image, camera, pose, map_)
 
@@ -151,20 +164,31 @@ def picture_world() -> PictureWorld:
 def looking(picture_world: PictureWorld) -> Callable[[int], Map]:
     """Small maps of rooms that look different, by number."""
     whole, some = picture_world.map_, 200
-    views = np.arange(len(whole.view_times), dtype=np.int32)
+    views = np.arange(len(whole.views), dtype=np.int32)
     small = replace(
         whole,
-        channels=whole.channels[:some],
-        landmarks=whole.landmarks[:some],
-        covariances=whole.covariances[:some],
-        descriptor_features=whole.descriptor_features[:some],
-        observation_views=np.repeat(views, some),
-        observation_features=np.tile(np.arange(some, dtype=np.int32), len(views)),
+        landmarks=replace(
+            whole.landmarks,
+            channels=whole.landmarks.channels[:some],
+            positions=whole.landmarks.positions[:some],
+            covariances=whole.landmarks.covariances[:some],
+        ),
+        descriptors=replace(whole.descriptors, features=whole.descriptors.features[:some]),
+        observations=replace(
+            whole.observations,
+            views=np.repeat(views, some),
+            features=np.tile(np.arange(some, dtype=np.int32), len(views)),
+        ),
     )
 
     def room(number: int) -> Map:
-        shape = (some, whole.descriptors.shape[1])
-        return replace(small, descriptors=np.random.default_rng(number).integers(0, 256, shape, np.uint8))
+        shape = (some, whole.descriptors.values.shape[1])
+        return replace(
+            small,
+            descriptors=replace(
+                small.descriptors, values=np.random.default_rng(number).integers(0, 256, shape, np.uint8)
+            ),
+        )
 
     return room
 
@@ -210,8 +234,8 @@ class PointRoom:
 
     def patch_errors(self, map_: Map) -> tuple[FloatArray, FloatArray]:
         """How far each patch that a map of this room knows is from the nearest point's: degrees and octaves (F,)."""
-        apart = np.linalg.norm(map_.landmarks[:, None].astype(float) - self.points, axis=2)
-        found, true = map_.known_patches.astype(float), self.patches[apart.argmin(axis=1)]
+        apart = np.linalg.norm(map_.landmarks.positions[:, None].astype(float) - self.points, axis=2)
+        found, true = map_.landmarks.known_patches.astype(float), self.patches[apart.argmin(axis=1)]
         length, true_length = np.linalg.norm(found, axis=1), np.linalg.norm(true, axis=1)
         turned = np.rad2deg(angles_between(found / length[:, None], true / true_length[:, None]))
         return turned, np.abs(np.log2(length / true_length))

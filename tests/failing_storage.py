@@ -17,6 +17,7 @@ class StorageFault(StrEnum):
     """How it fails."""
 
     GONE = "gone"  # connections are closed without an answer
+    SILENT = "silent"  # there is no answer until the fault is over
     SLOW = "slow"  # answers come a second late
     UNAVAILABLE = "unavailable"  # 503
     TRUNCATES = "truncates"  # objects break off half-way
@@ -37,6 +38,8 @@ class FailingStorage:
                 if storage.fault is StorageFault.GONE:
                     self.close_connection = True
                     return
+                while storage.fault is StorageFault.SILENT:
+                    time.sleep(0.05)
                 if storage.fault is StorageFault.SLOW:
                     time.sleep(_SLOW_S)
                 if storage.fault is StorageFault.UNAVAILABLE:

@@ -13,6 +13,7 @@ from rholoc.jobs import QueryStore
 from rholoc.localization import Dof, Localizer, Query
 from rholoc.mapping import AnsweredQuery
 from rholoc.maps import Map
+from rholoc.storage import ObjectStorage
 
 LATELY_S = 4e9
 """Seconds since the epoch, later than now for long. Which queries are held back for a test goes by their times, and so
@@ -40,7 +41,7 @@ def a_query(x: float = 0.0, heading_deg: float = 0.0, time_s: float = 1e9, asker
 
 def keep_queries(data_dir: Path, map_: Map, room: Any, newest_s: float, count: int = 40) -> int:
     """Keep what a map answered cameras beside the walk through a room of points; returns how many it was sure of."""
-    store, localizer = QueryStore(data_dir), Localizer(map_)
+    store, localizer = QueryStore(ObjectStorage(data_dir)), Localizer(map_)
     for number, pose in enumerate(room.walk(2 * count, sideways_m=0.1)[:count]):
         features = room.see(pose, 700 + number)
         answer = localizer.localize(Query(features, room.camera, Dof.FREE))

@@ -8,7 +8,8 @@ import shutil
 import signal
 import subprocess
 import tempfile
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import pytest
@@ -60,12 +61,32 @@ class PostgresServer:
 
     def kill(self) -> None:
         """Kill all its processes, as a machine does that goes down."""
+        self._signal_all(signal.SIGKILL)
+        self._server.wait(30)
+
+    def silence(self) -> None:
+        """Stop all its processes where they are: connections stay open, and nothing answers."""
+        self._signal_all(signal.SIGSTOP)
+
+    def resume(self) -> None:
+        """Let it answer again."""
+        self._signal_all(signal.SIGCONT)
+
+    @contextmanager
+    def silent(self) -> Iterator[None]:
+        """Silence it for the block."""
+        self.silence()
+        try:
+            yield
+        finally:
+            self.resume()
+
+    def _signal_all(self, number: signal.Signals) -> None:
         (pid,) = (int(line) for line in (self._cluster / "postmaster.pid").read_text().split("\n")[:1])
         children = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
         for one in [pid, *map(int, children)]:
             with suppress(ProcessLookupError):
-                os.kill(one, signal.SIGKILL)
-        self._server.wait(30)
+                os.kill(one, number)
 
     def create_database(self, name: str) -> str:
         """Make a database; returns its URL."""

@@ -6,7 +6,15 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-TIMEOUT_S = 120.0  # only a stuck test takes so long, or a busy machine
+# A sitecustomize.py by which the worker of a server dies as soon as it is started, as if by a fault of native code.
+BREAKS_WORKERS = """
+import os, sys
+if sys.orig_argv[1:3] == ["-m", "rholoc.jobs"]:
+    sys.stderr.write("its library is broken\\n")
+    sys.stderr.flush()
+    os.abort()
+"""
+TIMEOUT_S = 240.0  # only a stuck test takes so long, or a busy machine
 
 
 def until(condition: Callable[[], bool], timeout_s: float = TIMEOUT_S) -> None:

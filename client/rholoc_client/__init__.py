@@ -43,6 +43,7 @@ from rholoc_client.errors import (
     MethodNotAllowed,
     NotFound,
     NotInstalled,
+    PreconditionFailed,
     QuotaExceeded,
     RequestTimeout,
     RholocClientError,
@@ -64,6 +65,7 @@ from rholoc_client.errors import (
     WaitTimedOut,
 )
 from rholoc_client.models import (
+    Alternative,
     Camera,
     CameraProfile,
     Features,
@@ -96,6 +98,7 @@ if TYPE_CHECKING:
     )
 
 __all__ = [
+    "Alternative",
     "AsyncClient",
     "AsyncTracker",
     "Busy",
@@ -141,6 +144,7 @@ __all__ = [
     "OnEarth",
     "Place",
     "Pose",
+    "PreconditionFailed",
     "Prior",
     "QuotaExceeded",
     "RequestTimeout",

@@ -42,6 +42,10 @@ Standing = tuple[int, str | None]  # of an upload: how many bytes the service ha
 Outcome = httpx.Response | httpx.TransportError
 Maps = str | Sequence[str] | OfSite | NearPlace | None  # one map, several, a site's, those near a place, or all
 
+NOT_FOUND, PRECONDITION_FAILED = 404, 412
+_MINUTES_S = 600.0
+_DRAWING_S = 120.0
+_PIECE_S = 60.0  # of an upload; the last one is answered once the recording is safe on disk
 _TUS = {"Tus-Resumable": "1.0.0"}
 
 
@@ -50,6 +54,7 @@ class Call(Generic[T]):
     """One request and how to read its answer.
 
     ``idempotent``: sending it twice does no harm. ``answers``: error statuses that are answers all the same.
+    ``work_s``: how long the service may work before it answers, beyond the client's own timeout [s].
     """
 
     method: str
@@ -57,6 +62,7 @@ class Call(Generic[T]):
     read: Callable[[httpx.Response], T]
     idempotent: bool = True
     answers: frozenset[int] = frozenset()
+    work_s: float = 0.0
     params: Mapping[str, Any] = field(default_factory=dict)
     headers: Mapping[str, str] = field(default_factory=dict)
     content: bytes | None = None
@@ -72,7 +78,8 @@ def result_of(call: Call[T], outcome: Outcome) -> T:
         InvalidAnswer: the answer is not this service's.
     """
     if isinstance(outcome, httpx.TransportError):
-        raise ConnectionFailed(f"{outcome.request.url} did not answer: {str(outcome) or type(outcome).__name__}.")
+        why = str(outcome) or type(outcome).__name__
+        raise ConnectionFailed(f"{outcome.request.url} did not answer: {why}.") from outcome
     if outcome.is_error and outcome.status_code not in call.answers:
         raise _error(outcome)
     try:
@@ -99,7 +106,8 @@ def localize_image(maps: Maps, image: ImageLike, options: Mapping[str, Any]) -> 
         "image": ("image", content, media_type),
         "request": ("request.json", json.dumps(options).encode(), "application/json"),
     }
-    return Call("POST", _localize_path(maps), _localization, params=_several(maps), files=files)
+    work_s = _work_s(options.get("deadline_ms"))
+    return Call("POST", _localize_path(maps), _localization, work_s=work_s, params=_several(maps), files=files)
 
 
 def localize_features(maps: Maps, features: Features, options: Mapping[str, Any]) -> Call[Localization]:
@@ -110,6 +118,7 @@ def localize_features(maps: Maps, features: Features, options: Mapping[str, Any]
         "POST",
         _localize_path(maps),
         _localization,
+        work_s=_work_s(options.get("deadline_ms")),
         params=_several(maps),
         headers={"Content-Type": "application/json"},
         content=json.dumps(body).encode(),
@@ -138,6 +147,8 @@ def localize_frames(
     sigma_m: float | None,
     sigma_deg: float | None,
     deadline_ms: float | None,
+    max_sigma_m: float | None = None,
+    max_sigma_deg: float | None = None,
 ) -> Call[Localization]:
     """Localize several frames together."""
     files: dict[str, Any] = {}
@@ -154,14 +165,19 @@ def localize_frames(
         placed = {"position": frame.position, "quaternion_xyzw": frame.quaternion_xyzw}
         sent.append({**_without_none(own), **placed})
     options = {"camera": _chosen(camera), "dof": dof, "deadline_ms": deadline_ms}
-    uncertainty = {"sigma_m": sigma_m, "sigma_deg": sigma_deg}
+    uncertainty = {
+        "sigma_m": sigma_m,
+        "sigma_deg": sigma_deg,
+        "max_sigma_m": max_sigma_m,
+        "max_sigma_deg": max_sigma_deg,
+    }
     body = json.dumps({**_without_none({**options, **uncertainty}), "frames": sent}).encode()
-    path, params = _localize_path(maps), _several(maps)
+    path, params, work_s = _localize_path(maps), _several(maps), _work_s(deadline_ms)
     if not files:
         headers = {"Content-Type": "application/json"}
-        return Call("POST", path, _localization, params=params, headers=headers, content=body)
+        return Call("POST", path, _localization, work_s=work_s, params=params, headers=headers, content=body)
     files["request"] = ("request.json", body, "application/json")
-    return Call("POST", path, _localization, params=params, files=files)
+    return Call("POST", path, _localization, work_s=work_s, params=params, files=files)
 
 
 def _features(features: Features) -> dict[str, Any]:
@@ -191,6 +207,8 @@ def localize_options(
     deadline_ms: float | None,
     intrinsics: str | None = None,
     with_matches: bool = False,
+    max_sigma_m: float | None = None,
+    max_sigma_deg: float | None = None,
 ) -> dict[str, Any]:
     """The options of a localization as the service takes them, without those that are None."""
     given = {
@@ -201,6 +219,8 @@ def localize_options(
         "deadline_ms": deadline_ms,
         "intrinsics": intrinsics,
         "with_matches": with_matches or None,
+        "max_sigma_m": max_sigma_m,
+        "max_sigma_deg": max_sigma_deg,
     }
     return _without_none(given)
 
@@ -222,24 +242,45 @@ def map_report(name: str) -> Call[dict[str, Any]]:
 
 def map_preview(name: str) -> Call[bytes]:
     """A map from above, as PNG."""
-    return Call("GET", f"{_map_path(name)}/preview.png", lambda response: response.content)
+    return Call("GET", f"{_map_path(name)}/preview.png", lambda response: response.content, work_s=_DRAWING_S)
 
 
-def upload_map(name: str, content: bytes) -> Call[MapSummary]:
-    """Put a map under a name."""
-    return Call("PUT", _map_path(name), _map, headers={"Content-Type": "application/octet-stream"}, content=content)
+def upload_map(name: str, content: bytes, condition: Mapping[str, str]) -> Call[MapSummary]:
+    """Put a map under a name, if it meets a condition: HTTP's ``If-Match`` or ``If-None-Match``, or none."""
+    headers = {"Content-Type": "application/octet-stream", **condition}
+    return Call("PUT", _map_path(name), _map, idempotent=False, work_s=_MINUTES_S, headers=headers, content=content)
+
+
+def stored_map(name: str) -> Call[tuple[bytes | None, dict[str, str]]]:
+    """A map's file, None if there is none, and the condition that this is still so, empty if it cannot be said."""
+
+    def read(response: httpx.Response) -> tuple[bytes | None, dict[str, str]]:
+        if response.status_code == NOT_FOUND:
+            return None, {"If-None-Match": "*"}
+        etag = response.headers.get("ETag")
+        return response.content, {} if etag is None else {"If-Match": etag}
+
+    return Call("GET", f"{_map_path(name)}/download", read, answers=frozenset({NOT_FOUND}))
 
 
 def map_report_picture(name: str) -> Call[bytes]:
     """A map's own quality report, as PNG."""
-    return Call("GET", f"{_map_path(name)}/report.png", lambda response: response.content)
+    return Call("GET", f"{_map_path(name)}/report.png", lambda response: response.content, work_s=_DRAWING_S)
 
 
 def download_map(name: str, format: str, degree: int | None, features: Sequence[int] | None) -> Call[bytes]:
     """A map's file."""
     chosen = None if features is None else ",".join(map(str, features))
     params = _without_none({"format": format, "degree": degree, "features": chosen})
-    return Call("GET", f"{_map_path(name)}/download", lambda response: response.content, params=params)
+    made = params != {"format": "rho"}
+    return Call(
+        "GET",
+        f"{_map_path(name)}/download",
+        lambda response: response.content,
+        idempotent=not made,
+        work_s=_MINUTES_S if made else 0.0,
+        params=params,
+    )
 
 
 def rename_map(name: str, new_name: str) -> Call[MapSummary]:
@@ -266,17 +307,17 @@ def learn_from_users(name: str) -> Call[Job]:
 
 def merge_maps(name: str, other: str, into: str) -> Call[MapSummary]:
     """Merge another map into a map's frame."""
-    return _post(f"{_map_path(name)}/merge", {"other": other, "into": into}, _map)
+    return _post(f"{_map_path(name)}/merge", {"other": other, "into": into}, _map, _MINUTES_S)
 
 
 def forget_recording(name: str, source: str) -> Call[MapSummary]:
     """Take a recording out of a map."""
-    return _post(f"{_map_path(name)}/forget", {"source": source}, _map)
+    return _post(f"{_map_path(name)}/forget", {"source": source}, _map, _MINUTES_S)
 
 
 def correct_map(name: str, correction: Mapping[str, Any]) -> Call[MapSummary]:
     """Correct a map."""
-    return _post(f"{_map_path(name)}/corrections", dict(correction), _map)
+    return _post(f"{_map_path(name)}/corrections", dict(correction), _map, _MINUTES_S)
 
 
 def restore_map(name: str, number: int) -> Call[MapSummary]:
@@ -325,8 +366,7 @@ def put_site(name: str, document: Mapping[str, Any]) -> Call[Site]:
 
 def find_site_link(name: str, first: str, second: str) -> Call[Site]:
     """Find the pose between two maps of a site."""
-    headers, content = {"Content-Type": "application/json"}, json.dumps({"first": first, "second": second}).encode()
-    return Call("POST", f"{_site_path(name)}/links", _site, headers=headers, content=content)
+    return _post(f"{_site_path(name)}/links", {"first": first, "second": second}, _site, _MINUTES_S)
 
 
 def place_site(name: str) -> Call[Job]:
@@ -363,7 +403,8 @@ def continue_upload(recording: str, offset: int, piece: bytes) -> Call[Standing]
         "Upload-Checksum": f"sha256 {_base64(hashlib.sha256(piece).digest())}",
         "Content-Type": "application/offset+octet-stream",
     }
-    return Call("PATCH", _recording_path(recording), _standing, idempotent=False, headers=headers, content=piece)
+    path = _recording_path(recording)
+    return Call("PATCH", path, _standing, idempotent=False, work_s=_PIECE_S, headers=headers, content=piece)
 
 
 def upload_standing(recording: str) -> Call[Standing]:
@@ -415,9 +456,13 @@ def _base64(data: bytes) -> str:
     return base64.b64encode(data).decode("ascii")
 
 
-def _post(path: str, body: Mapping[str, Any], read: Callable[[httpx.Response], T]) -> Call[T]:
-    headers = {"Content-Type": "application/json"}
-    return Call("POST", path, read, idempotent=False, headers=headers, content=json.dumps(body).encode())
+def _post(path: str, body: Mapping[str, Any], read: Callable[[httpx.Response], T], work_s: float = 0.0) -> Call[T]:
+    headers, content = {"Content-Type": "application/json"}, json.dumps(body).encode()
+    return Call("POST", path, read, idempotent=False, work_s=work_s, headers=headers, content=content)
+
+
+def _work_s(deadline_ms: float | None) -> float:
+    return 0.0 if deadline_ms is None else deadline_ms / 1000
 
 
 def _localization(response: httpx.Response) -> Localization:

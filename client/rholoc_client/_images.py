@@ -30,7 +30,7 @@ class ImageArray(Protocol):
         ...
 
 
-ImageLike: TypeAlias = bytes | Path | ImageArray
+ImageLike: TypeAlias = bytes | str | Path | ImageArray  # a text is a path
 
 _PNG = b"\x89PNG\r\n\x1a\n"
 _JPEG = b"\xff\xd8\xff"
@@ -44,8 +44,8 @@ def encoded(image: ImageLike) -> tuple[bytes, str]:
         ValueError: an array that is not a picture.
         OSError: the file cannot be read.
     """
-    if isinstance(image, Path):
-        image = image.read_bytes()
+    if isinstance(image, str | Path):
+        image = Path(image).read_bytes()
     if isinstance(image, bytes):
         return image, "image/png" if image.startswith(_PNG) else "image/jpeg"
     return png(image), "image/png"

@@ -1,4 +1,4 @@
-"""Uploads of recordings, piece by piece, so that a broken connection costs one piece at most."""
+"""Uploads over a line that breaks: recordings piece by piece, and maps that replace the map before them once."""
 
 from __future__ import annotations
 
@@ -10,9 +10,29 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from rholoc_client._calls import Call, begin_upload, continue_upload, get_job, upload_standing
-from rholoc_client.errors import ChecksumMismatch, Conflict, ConnectionFailed, InvalidAnswer, InvalidRecording
-from rholoc_client.models import Job
+import httpx
+
+from rholoc_client._calls import (
+    PRECONDITION_FAILED,
+    Call,
+    begin_upload,
+    continue_upload,
+    get_job,
+    get_map,
+    stored_map,
+    upload_map,
+    upload_standing,
+)
+from rholoc_client._retry import may_repeat
+from rholoc_client.errors import (
+    ChecksumMismatch,
+    Conflict,
+    ConnectionFailed,
+    InvalidAnswer,
+    InvalidRecording,
+    ServiceError,
+)
+from rholoc_client.models import Job, MapSummary
 
 UploadProgress = Callable[[int, int], None]  # bytes that the service has, total bytes
 
@@ -59,8 +79,47 @@ def upload_steps(
     return job
 
 
+def map_upload_steps(name: str, content: bytes, retries: int) -> Generator[Call[Any], Any, MapSummary]:
+    """The calls that put a map under a name, as :func:`upload_steps` has them.
+
+    A lost answer does not say whether the map has arrived: the stored file does, and the map is only sent again on the
+    condition that this file is still the one that was looked at. The service stores a CSV as another file, so a CSV is
+    not sent again.
+
+    Args:
+        name: the map's.
+        content: its file.
+        retries: how often an answer may be lost.
+
+    Returns:
+        The map as the service describes it.
+    """
+    condition: dict[str, str] = {}
+    for attempts_left in range(retries, -1, -1):
+        try:
+            summary: MapSummary = yield upload_map(name, content, condition)
+            return summary
+        except ServiceError as error:
+            if error.status != PRECONDITION_FAILED or not attempts_left:
+                raise
+        except ConnectionFailed as failure:
+            lost = isinstance(failure.__cause__, httpx.TransportError) and not may_repeat(failure.__cause__, False)
+            if not (lost and attempts_left and _is_rho(content)):
+                raise
+        stored, condition = yield stored_map(name)
+        if stored == content:
+            break
+    arrived: MapSummary = yield get_map(name)
+    return arrived
+
+
+def _is_rho(content: bytes) -> bool:
+    """Whether a map's file is a ``.rho``: eight bytes, then JSON."""
+    return content[8:9] == b"{"
+
+
 @contextmanager
-def opened_recording(path: Path, waypoints: Path | None = None) -> Iterator[tuple[str, BinaryIO]]:
+def opened_recording(path: Path | str, waypoints: Path | str | None = None) -> Iterator[tuple[str, BinaryIO]]:
     """A recording as one file: a video or a ZIP file as it is; a folder, or a video with its waypoints, packed.
 
     Yields:
@@ -70,6 +129,8 @@ def opened_recording(path: Path, waypoints: Path | None = None) -> Iterator[tupl
         InvalidRecording: waypoints cannot be added to a ZIP file.
         OSError: the path cannot be read.
     """
+    path = Path(path)
+    waypoints = None if waypoints is None else Path(waypoints)
     if path.suffix.lower() == ".zip" and waypoints is not None:
         raise InvalidRecording("Waypoints were given beside a ZIP file.", f"Put {_WAYPOINTS_FILE} into the ZIP file.")
     with ExitStack() as stack:

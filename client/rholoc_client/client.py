@@ -15,7 +15,7 @@ from rholoc_client import _calls
 from rholoc_client._calls import Call, Maps, Outcome, localize_options, result_of
 from rholoc_client._images import ImageLike
 from rholoc_client._retry import Attempts, Backoff
-from rholoc_client._uploads import UploadProgress, opened_recording, upload_steps
+from rholoc_client._uploads import UploadProgress, map_upload_steps, opened_recording, upload_steps
 from rholoc_client.errors import JobFailed, RholocClientError, WaitTimedOut
 from rholoc_client.models import (
     Camera,
@@ -34,9 +34,6 @@ from rholoc_client.models import (
 T = TypeVar("T")
 JobProgress = Callable[[Job], None]
 
-_UPLOAD_TIMEOUT_S = 600.0
-_PIECE_TIMEOUT_S = 60.0  # of an upload; the last one is answered once the recording is safe on disk
-
 
 class Client:
     """The service, for programs that block on its answers. Safe to share between threads; use it in a ``with``.
@@ -44,7 +41,8 @@ class Client:
     Args:
         base_url: where the service is, ``http://host:port``.
         api_key: sent as a bearer token, where the service requires one.
-        timeout_s: how long to wait for a connection, and for each piece of an answer.
+        timeout_s: how long to wait for a connection, and for each piece of an answer; for an answer that the service
+            works on, so much longer than a request's ``deadline_ms``, or than the minutes that the work may take.
         retries: how often to ask again when the service is busy, or when the connection failed and asking twice
             does no harm; with exponential back-off, jitter, and the service's ``Retry-After``.
         transport: an httpx transport to use instead of the network.
@@ -57,7 +55,7 @@ class Client:
         self,
         base_url: str,
         api_key: str | None = None,
-        timeout_s: float = 10.0,
+        timeout_s: float | None = 10.0,
         retries: int = 4,
         transport: httpx.BaseTransport | None = None,
     ) -> None:
@@ -86,6 +84,8 @@ class Client:
         dof: int | str | None = None,
         gravity: Vector3 | None = None,
         deadline_ms: float | None = None,
+        max_sigma_m: float | None = None,
+        max_sigma_deg: float | None = None,
         intrinsics: str | None = None,
         with_matches: bool = False,
     ) -> Localization:
@@ -94,17 +94,22 @@ class Client:
         Args:
             maps: a map's name; or several names, :class:`OfSite`, :class:`NearPlace`, or None for all: the most
                 confident answer is returned.
-            image: a JPEG or PNG as bytes or as a path, or an array (H, W, 3) BGR or (H, W) grey of uint8.
+            image: a JPEG or PNG as bytes or by its path, or an array (H, W, 3) BGR or (H, W) grey of uint8.
             camera: the picture's intrinsics, or a stored camera's name; None: the map's own, where they fit.
             prior: where the pose is expected.
             dof: "auto" (the service's default: 6, roll being improbable where the map's own views were upright), 5 (the
                 camera does not roll) or 6.
             gravity: the direction of gravity (down) in the camera frame.
             deadline_ms: how long the service may take.
+            max_sigma_m: the position's greatest standard deviation along any axis that is of use to you; a pose that is
+                less exact is withheld.
+            max_sigma_deg: the rotation's, likewise.
             intrinsics: "unknown" if the camera is not known; the answer's ``camera`` is then the estimated one.
             with_matches: whether the answer's ``agreeing`` lists the matches that agree with the pose.
         """
-        options = localize_options(camera, prior, dof, gravity, deadline_ms, intrinsics, with_matches)
+        options = localize_options(
+            camera, prior, dof, gravity, deadline_ms, intrinsics, with_matches, max_sigma_m, max_sigma_deg
+        )
         return self._send(_calls.localize_image(maps, image, options))
 
     def localize_together(
@@ -117,6 +122,8 @@ class Client:
         sigma_m: float | None = None,
         sigma_deg: float | None = None,
         deadline_ms: float | None = None,
+        max_sigma_m: float | None = None,
+        max_sigma_deg: float | None = None,
     ) -> Localization:
         """Where several frames were taken, whose poses relative to each other are known: one answer for all.
 
@@ -129,8 +136,15 @@ class Client:
             sigma_m: one sigma of a frame's position as its predecessor sees it; None: 5 mm, a rig's.
             sigma_deg: one sigma of its rotation in degrees; None: 0.2.
             deadline_ms: how long the service may take.
+            max_sigma_m: the position's greatest standard deviation along any axis that is of use to you; a pose that is
+                less exact is withheld.
+            max_sigma_deg: the rotation's, likewise.
         """
-        return self._send(_calls.localize_frames(maps, frames, camera, dof, sigma_m, sigma_deg, deadline_ms))
+        return self._send(
+            _calls.localize_frames(
+                maps, frames, camera, dof, sigma_m, sigma_deg, deadline_ms, max_sigma_m, max_sigma_deg
+            )
+        )
 
     def places(self, maps: str | Sequence[str] | None, image: ImageLike, *, limit: int = 10) -> list[Place]:
         """Which views a picture resembles most, the best match first; without a pose, and faster than with one.
@@ -152,11 +166,15 @@ class Client:
         dof: int | str | None = None,
         gravity: Vector3 | None = None,
         deadline_ms: float | None = None,
+        max_sigma_m: float | None = None,
+        max_sigma_deg: float | None = None,
         intrinsics: str | None = None,
         with_matches: bool = False,
     ) -> Localization:
         """Where a picture was taken, from its features alone. Arguments as of :meth:`localize`."""
-        options = localize_options(camera, prior, dof, gravity, deadline_ms, intrinsics, with_matches)
+        options = localize_options(
+            camera, prior, dof, gravity, deadline_ms, intrinsics, with_matches, max_sigma_m, max_sigma_deg
+        )
         return self._send(_calls.localize_features(maps, features, options))
 
     def maps(self) -> list[MapSummary]:
@@ -179,9 +197,17 @@ class Client:
         """The map from above, as PNG."""
         return self._send(_calls.map_preview(name))
 
-    def upload_map(self, name: str, source: Path | bytes) -> MapSummary:
-        """Publish a ``.rho`` file, or a map as CSV, under a name, replacing any map of that name."""
-        return self._send(_calls.upload_map(name, _content(source)))
+    def upload_map(self, name: str, source: Path | str | bytes) -> MapSummary:
+        """Publish a map under a name, replacing any map of that name.
+
+        If the answer is lost, the client looks whether a ``.rho`` file arrived, and sends it again if it did not. A
+        CSV is sent once.
+
+        Args:
+            name: the map's.
+            source: a ``.rho`` file or a map as CSV: its path, or its content as bytes.
+        """
+        return self._run(map_upload_steps(name, _content(source), self._backoff.retries))
 
     def download_map(
         self, name: str, format: str = "rho", *, degree: int | None = None, features: Sequence[int] | None = None
@@ -221,7 +247,7 @@ class Client:
 
     def merge_maps(self, name: str, other: str, into: str) -> MapSummary:
         """Merge ``other`` into the frame of the map ``name``; the merged map is published as ``into``."""
-        return self._send(_calls.merge_maps(name, other, into), _UPLOAD_TIMEOUT_S)
+        return self._send(_calls.merge_maps(name, other, into))
 
     def forget_recording(self, name: str, source: str) -> MapSummary:
         """Take out of a map what it learned from a recording, named by its id or name in the map's sources."""
@@ -232,7 +258,7 @@ class Client:
 
         The service's ``/docs`` has all kinds. The answer is the map's next version.
         """
-        return self._send(_calls.correct_map(name, correction), _UPLOAD_TIMEOUT_S)
+        return self._send(_calls.correct_map(name, correction))
 
     def restore_map(self, name: str, number: int = 1) -> MapSummary:
         """Put a map that was replaced back in its place; 1 is the one that was replaced last."""
@@ -287,7 +313,7 @@ class Client:
 
     def upload_recording(
         self,
-        path: Path,
+        path: Path | str,
         map_name: str,
         *,
         kind: str | None = None,
@@ -295,7 +321,7 @@ class Client:
         density: str | None = None,
         poses: str | None = None,
         camera: Camera | str | None = None,
-        waypoints: Path | None = None,
+        waypoints: Path | str | None = None,
         priority: str | None = None,
         progress: UploadProgress | None = None,
     ) -> Job:
@@ -367,7 +393,7 @@ class Client:
             call = next(steps)
             while True:
                 try:
-                    answer = self._send(call, _PIECE_TIMEOUT_S)
+                    answer = self._send(call)
                 except RholocClientError as error:
                     call = steps.throw(error)
                 else:
@@ -376,18 +402,18 @@ class Client:
             result: T = ended.value
             return result
 
-    def _send(self, call: Call[T], timeout_s: float | None = None) -> T:
+    def _send(self, call: Call[T]) -> T:
         attempts = Attempts(self._backoff, call)
         while True:
-            outcome = self._attempt(call, timeout_s)
+            outcome = self._attempt(call)
             wait_s = attempts.wait_s(outcome)
             if wait_s is None:
                 return result_of(call, outcome)
             time.sleep(wait_s)
 
-    def _attempt(self, call: Call[T], timeout_s: float | None) -> Outcome:
+    def _attempt(self, call: Call[T]) -> Outcome:
         try:
-            return self._http.send(_request(self._http, call, timeout_s))
+            return self._http.send(_request(self._http, call))
         except httpx.TransportError as error:
             return error
 
@@ -399,7 +425,7 @@ class AsyncClient:
         self,
         base_url: str,
         api_key: str | None = None,
-        timeout_s: float = 10.0,
+        timeout_s: float | None = 10.0,
         retries: int = 4,
         transport: httpx.AsyncBaseTransport | None = None,
     ) -> None:
@@ -430,11 +456,15 @@ class AsyncClient:
         dof: int | str | None = None,
         gravity: Vector3 | None = None,
         deadline_ms: float | None = None,
+        max_sigma_m: float | None = None,
+        max_sigma_deg: float | None = None,
         intrinsics: str | None = None,
         with_matches: bool = False,
     ) -> Localization:
         """As :meth:`Client.localize`."""
-        options = localize_options(camera, prior, dof, gravity, deadline_ms, intrinsics, with_matches)
+        options = localize_options(
+            camera, prior, dof, gravity, deadline_ms, intrinsics, with_matches, max_sigma_m, max_sigma_deg
+        )
         return await self._send(_calls.localize_image(maps, image, options))
 
     async def localize_together(
@@ -447,9 +477,15 @@ class AsyncClient:
         sigma_m: float | None = None,
         sigma_deg: float | None = None,
         deadline_ms: float | None = None,
+        max_sigma_m: float | None = None,
+        max_sigma_deg: float | None = None,
     ) -> Localization:
         """As :meth:`Client.localize_together`."""
-        return await self._send(_calls.localize_frames(maps, frames, camera, dof, sigma_m, sigma_deg, deadline_ms))
+        return await self._send(
+            _calls.localize_frames(
+                maps, frames, camera, dof, sigma_m, sigma_deg, deadline_ms, max_sigma_m, max_sigma_deg
+            )
+        )
 
     async def places(self, maps: str | Sequence[str] | None, image: ImageLike, *, limit: int = 10) -> list[Place]:
         """As :meth:`Client.places`."""
@@ -465,11 +501,15 @@ class AsyncClient:
         dof: int | str | None = None,
         gravity: Vector3 | None = None,
         deadline_ms: float | None = None,
+        max_sigma_m: float | None = None,
+        max_sigma_deg: float | None = None,
         intrinsics: str | None = None,
         with_matches: bool = False,
     ) -> Localization:
         """As :meth:`Client.localize_descriptors`."""
-        options = localize_options(camera, prior, dof, gravity, deadline_ms, intrinsics, with_matches)
+        options = localize_options(
+            camera, prior, dof, gravity, deadline_ms, intrinsics, with_matches, max_sigma_m, max_sigma_deg
+        )
         return await self._send(_calls.localize_features(maps, features, options))
 
     async def maps(self) -> list[MapSummary]:
@@ -492,9 +532,9 @@ class AsyncClient:
         """As :meth:`Client.map_preview`."""
         return await self._send(_calls.map_preview(name))
 
-    async def upload_map(self, name: str, source: Path | bytes) -> MapSummary:
+    async def upload_map(self, name: str, source: Path | str | bytes) -> MapSummary:
         """As :meth:`Client.upload_map`."""
-        return await self._send(_calls.upload_map(name, _content(source)))
+        return await self._run(map_upload_steps(name, _content(source), self._backoff.retries))
 
     async def download_map(
         self, name: str, format: str = "rho", *, degree: int | None = None, features: Sequence[int] | None = None
@@ -526,7 +566,7 @@ class AsyncClient:
 
     async def merge_maps(self, name: str, other: str, into: str) -> MapSummary:
         """Merge ``other`` into the frame of the map ``name``; the merged map is published as ``into``."""
-        return await self._send(_calls.merge_maps(name, other, into), _UPLOAD_TIMEOUT_S)
+        return await self._send(_calls.merge_maps(name, other, into))
 
     async def forget_recording(self, name: str, source: str) -> MapSummary:
         """Take out of a map what it learned from a recording, named by its id or name in the map's sources."""
@@ -534,7 +574,7 @@ class AsyncClient:
 
     async def correct_map(self, name: str, correction: Mapping[str, Any]) -> MapSummary:
         """As :meth:`Client.correct_map`."""
-        return await self._send(_calls.correct_map(name, correction), _UPLOAD_TIMEOUT_S)
+        return await self._send(_calls.correct_map(name, correction))
 
     async def restore_map(self, name: str, number: int = 1) -> MapSummary:
         """As :meth:`Client.restore_map`."""
@@ -588,7 +628,7 @@ class AsyncClient:
 
     async def upload_recording(
         self,
-        path: Path,
+        path: Path | str,
         map_name: str,
         *,
         kind: str | None = None,
@@ -596,7 +636,7 @@ class AsyncClient:
         density: str | None = None,
         poses: str | None = None,
         camera: Camera | str | None = None,
-        waypoints: Path | None = None,
+        waypoints: Path | str | None = None,
         priority: str | None = None,
         progress: UploadProgress | None = None,
     ) -> Job:
@@ -652,7 +692,7 @@ class AsyncClient:
             call = next(steps)
             while True:
                 try:
-                    answer = await self._send(call, _PIECE_TIMEOUT_S)
+                    answer = await self._send(call)
                 except RholocClientError as error:
                     call = steps.throw(error)
                 else:
@@ -661,18 +701,18 @@ class AsyncClient:
             result: T = ended.value
             return result
 
-    async def _send(self, call: Call[T], timeout_s: float | None = None) -> T:
+    async def _send(self, call: Call[T]) -> T:
         attempts = Attempts(self._backoff, call)
         while True:
-            outcome = await self._attempt(call, timeout_s)
+            outcome = await self._attempt(call)
             wait_s = attempts.wait_s(outcome)
             if wait_s is None:
                 return result_of(call, outcome)
             await asyncio.sleep(wait_s)
 
-    async def _attempt(self, call: Call[T], timeout_s: float | None) -> Outcome:
+    async def _attempt(self, call: Call[T]) -> Outcome:
         try:
-            return await self._http.send(_request(self._http, call, timeout_s))
+            return await self._http.send(_request(self._http, call))
         except httpx.TransportError as error:
             return error
 
@@ -681,7 +721,9 @@ def _headers(api_key: str | None) -> dict[str, str]:
     return {} if api_key is None else {"Authorization": f"Bearer {api_key}"}
 
 
-def _request(http: httpx.Client | httpx.AsyncClient, call: Call[T], timeout_s: float | None) -> httpx.Request:
+def _request(http: httpx.Client | httpx.AsyncClient, call: Call[T]) -> httpx.Request:
+    own = http.timeout
+    read_s = None if own.read is None else own.read + call.work_s
     return http.build_request(
         call.method,
         call.path,
@@ -689,12 +731,12 @@ def _request(http: httpx.Client | httpx.AsyncClient, call: Call[T], timeout_s: f
         headers=call.headers,
         content=call.content,
         files=call.files,
-        timeout=httpx.USE_CLIENT_DEFAULT if timeout_s is None else timeout_s,
+        timeout=httpx.Timeout(connect=own.connect, read=read_s, write=own.write, pool=own.pool),
     )
 
 
-def _content(source: Path | bytes) -> bytes:
-    return source.read_bytes() if isinstance(source, Path) else source
+def _content(source: Path | str | bytes) -> bytes:
+    return source if isinstance(source, bytes) else Path(source).read_bytes()
 
 
 def _recording_fields(

@@ -34,6 +34,7 @@
         ├── CrossSite               a page of another site sent the request
         ├── MethodNotAllowed
         ├── Conflict                the request contradicts the present state
+        ├── PreconditionFailed      what is to be replaced was changed meanwhile
         ├── MappingFailed           no trustworthy map could be made from a recording
         ├── Cancelled               the work was cancelled
         ├── TooLarge                the upload exceeds the service's limit
@@ -247,6 +248,12 @@ class Conflict(ServiceError):
     """The request contradicts the present state."""
 
     code = "conflict"
+
+
+class PreconditionFailed(ServiceError):
+    """What is to be replaced was changed meanwhile."""
+
+    code = "precondition_failed"
 
 
 class MappingFailed(ServiceError):

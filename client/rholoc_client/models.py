@@ -247,6 +247,21 @@ class Matches:
 
 
 @dataclass(frozen=True)
+class Alternative:
+    """Another pose that the frame may have been taken from.
+
+    Attributes:
+        weight: 0..1, the probability that it is of the right place.
+        pose: the pose.
+        covariance: 6×6, as of :class:`Localization`; None where it is unbounded.
+    """
+
+    weight: float
+    pose: Pose
+    covariance: tuple[tuple[float, ...], ...] | None
+
+
+@dataclass(frozen=True)
 class Localization:
     """The answer for one frame.
 
@@ -256,7 +271,9 @@ class Localization:
         pose: the pose, or None.
         covariance: 6×6, of the position in metres and a small rotation about the map's axes in degrees, or None. The
             map's own uncertainty is part of it.
-        confidence: 0..1, the probability that the pose is within 10 cm and 5° of the truth.
+        recognized: 0..1, the probability that the pose is of the right place: within 50 cm and 20° of the truth.
+            ``localized`` goes by it.
+        confidence: 0..1, the probability that the pose is within 10 cm and 5° of the truth; at most ``recognized``.
         matches, inliers: how many matches there were, and how many of them agree with the pose.
         map, map_id, map_version: the map that answered.
         scale: "metric", or "arbitrary" where the map's unit of length is not the metre.
@@ -273,12 +290,14 @@ class Localization:
         areas: the named areas of the map that the camera is in, the smallest first.
         near: its named points within 2 m of the camera, the nearest first.
         site: the pose in the frame of the map's site; None where it belongs to none.
+        alternatives: at most four other poses that the frame may have been taken from, the likeliest first.
     """
 
     localized: bool
     reason: str | None
     pose: Pose | None
     covariance: tuple[tuple[float, ...], ...] | None
+    recognized: float
     confidence: float
     matches: int
     inliers: int
@@ -298,6 +317,7 @@ class Localization:
     areas: tuple[str, ...] = ()
     near: tuple[str, ...] = ()
     site: SitePose | None = None
+    alternatives: tuple[Alternative, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -367,7 +387,7 @@ class Job:
         attempts: how many workers have taken it up.
         priority: how soon its turn comes: high, normal or low.
         memory_bytes: about how much memory it needs; None until its recording was read.
-        obstacle: why no worker can take it: "no_worker", "memory" or "release"; None where one can.
+        obstacle: why no worker can take it: "no_worker", "worker_fails" or "memory"; None where one can.
         kind: build, update, learn, or place the maps of a site.
         site: the site whose maps it places; None where it makes a map.
     """
@@ -425,7 +445,8 @@ def parse_localization(answer: Mapping[str, Any]) -> Localization:
         localized=answer["localized"],
         reason=answer["reason"],
         pose=None if answer["pose"] is None else parse_pose(answer["pose"]),
-        covariance=None if covariance is None else tuple(tuple(row) for row in covariance),
+        covariance=_matrix(covariance),
+        recognized=answer["recognized"],
         confidence=answer["confidence"],
         matches=answer["matches"],
         inliers=answer["inliers"],
@@ -448,7 +469,15 @@ def parse_localization(answer: Mapping[str, Any]) -> Localization:
         areas=tuple(answer.get("areas", ())),
         near=tuple(answer.get("near", ())),
         site=_site_pose(answer.get("site")),
+        alternatives=tuple(
+            Alternative(one["weight"], parse_pose(one["pose"]), _matrix(one["covariance"]))
+            for one in answer["alternatives"]
+        ),
     )
+
+
+def _matrix(rows: Sequence[Sequence[float]] | None) -> tuple[tuple[float, ...], ...] | None:
+    return None if rows is None else tuple(tuple(row) for row in rows)
 
 
 def _site_pose(answer: Mapping[str, Any] | None) -> SitePose | None:

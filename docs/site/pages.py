@@ -28,6 +28,7 @@ PAGES = (
     "docs/howto.md",
     "docs/library.md",
     "docs/method.md",
+    "docs/experiments.md",
     "docs/page.md",
     "docs/paper.md",
 )

@@ -40,9 +40,6 @@ def configure_process_logs() -> None:
             ],
         )
     )
-    root, dbos = logging.getLogger(), logging.getLogger("dbos")
+    root = logging.getLogger()
     root.setLevel(logging.INFO)
-    dbos.setLevel(logging.WARNING)
-    for logger in (root, dbos):
-        logger.handlers = [handler]
-    dbos.propagate = False
+    root.handlers = [handler]

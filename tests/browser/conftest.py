@@ -21,11 +21,13 @@ from rholoc.geometry import ByteArray
 
 sys.path.insert(0, str(Path(__file__).parent))  # for walking_phone
 
+PATIENCE_MS = 120_000  # only a stuck page takes so long, or a busy machine
+
 
 @pytest.fixture(scope="module")
 def playwright() -> Iterator[Playwright]:
     """Playwright itself, gone with the module: its event loop would be in others' way. Slow pages are waited for."""
-    expect.set_options(timeout=30_000)
+    expect.set_options(timeout=PATIENCE_MS)
     with sync_playwright() as playwright:
         yield playwright
 
@@ -184,7 +186,7 @@ def _opened(
 ) -> Iterator[Page]:
     context = browser.new_context(**{"viewport": {"width": 1280, "height": 850}, **options})
     page = context.new_page()
-    page.set_default_timeout(20_000)
+    page.set_default_timeout(PATIENCE_MS)
     complaints: list[str] = []
     page.on("console", lambda message: message.type in ("error", "warning") and complaints.append(message.text))
     page.on("pageerror", lambda error: complaints.append(str(error)))

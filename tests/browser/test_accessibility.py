@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import cv2
 import httpx
 import pytest
@@ -9,7 +11,7 @@ from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import Page, expect
 
 from rholoc.jobs import RecordingStore
-from rholoc.jobs.recording_notes import note_recording
+from rholoc.jobs.recording_notes import notes_of
 from rholoc.recordings import MemoryFrames, Recording, Waypoint
 
 DESK, ZOOMED, PHONE = (
@@ -55,10 +57,10 @@ def addresses(service, picture_world):
     assert httpx.put(f"{service.url}/v1/cameras/pixel", json=camera).is_success
     walk = {"file": ("walk.mp4", b"\0\0\0\x18ftypmp42" + b"\0" * 5000)}
     job = httpx.post(f"{service.url}/v1/recordings", files=walk, data={"map": "hall"}).json()
-    folder = RecordingStore(service.settings.data_dir).folder(job["recording"])
     frames = MemoryFrames([cv2.resize(picture_world.image, (160, 120))] * 75, 1.0)
     points = tuple(Waypoint(f"W{i}", 20.0 * i, (2.0 * i, i * i, 1.5)) for i in range(3))
-    note_recording(folder, Recording("walk", folder, frames, waypoints=points))
+    walk = Recording("walk", Path("walk"), frames, waypoints=points)
+    RecordingStore(service.settings.data_dir).note(job["recording"], notes_of(walk))
     return {
         where: f"{service.url}/{where.replace('JOB', job['job']['id']).replace('RECORDING', job['recording'])}"
         for where in PAGES

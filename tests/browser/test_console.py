@@ -15,7 +15,6 @@ from rholoc.service.guard import KeyPolicy
 from rholoc.service.keys import KeyStore, Scope
 
 HTML = "<img src=x onerror=\"document.title='taken over'\">"
-expect.set_options(timeout=20_000)
 
 
 @pytest.fixture(scope="module")
@@ -45,8 +44,8 @@ def test_nothing_moves_while_a_page_loads(desk_browser, named, where, opened, se
 def test_names_are_text(desk_browser, named, opened, settled):
     with opened(desk_browser, named.url, "maps/strange") as page:
         settled(page)
-        assert page.locator("main").get_by_text(HTML).count() == 3  # the source, the waypoint's row and its label
-        assert page.locator("main img[src=x]").count() == 0
+        expect(page.locator("main").get_by_text(HTML)).to_have_count(3)  # the source, the waypoint's row and its label
+        expect(page.locator("main img[src=x]")).to_have_count(0)
         assert page.title() == "strange – rholoc"
 
 
@@ -84,7 +83,7 @@ def test_a_map_that_was_deleted_while_it_was_open(desk_browser, named, picture_w
         assert httpx.delete(f"{named.url}/v1/maps/gone").is_success
         page.get_by_role("button", name="Rename").click()
         page.get_by_role("dialog").get_by_role("button", name="Rename").click()
-        expect(page.get_by_role("alert")).to_contain_text("There is no map")
+        expect(page.get_by_role("dialog").get_by_role("alert")).to_contain_text("There is no map")
         page.reload()
         expect(page.get_by_role("alert")).to_contain_text("There is no map")
         page.get_by_role("link", name="To the maps").click()

@@ -16,6 +16,7 @@ from playwright.sync_api import expect
 from kept_queries import a_query
 from rholoc.jobs import QueryStore
 from rholoc.maps import map_to_bytes
+from rholoc.storage import ObjectStorage
 
 LONG = "a-long-name-without-any-blank-in-it-that-goes-on-to-sixty-four-l"
 DISAGREE = (
@@ -52,7 +53,7 @@ def test_an_untrusted_map_says_so_first(desk_browser, running, opened, settled):
         assert all(top < one.bounding_box()["y"] for one in page.locator("main h2").all())
         expect(page.locator("main")).to_contain_text("agrees with itself")
         expect(page.locator("main")).to_contain_text("If the walk as a whole is bent, they do not show it.")
-        assert page.get_by_text("Median error").count() == 0
+        expect(page.get_by_text("Median error")).to_have_count(0)
         page.goto(f"{running.url}/#/maps")
         card = settled(page).locator("li.card", has=page.get_by_role("link", name="doubtful"))
         expect(card.locator(".badge").first).to_have_text("not trusted")
@@ -94,7 +95,7 @@ def test_a_job_whose_map_is_not_trusted_is_no_success(desk_browser, running, ope
         expect(page.get_by_role("alert")).to_contain_text(unplaced)
         expect(page.get_by_role("heading", level=1)).to_have_text("Site house")
         expect(page.locator(".stages li")).to_have_text(["received", "links", "published"])
-        assert page.get_by_role("link", name="To the map").count() == 0
+        expect(page.get_by_role("link", name="To the map")).to_have_count(0)
 
 
 def test_the_longest_name_fits_everywhere(desk_browser, running, opened, settled):
@@ -256,7 +257,9 @@ def test_pages_with_doubts_are_accessible_at_twice_the_size(desk_browser, runnin
 def test_the_room_has_the_colours_of_its_pictures_and_is_clicked(desk_browser, running, picture_world, opened, settled):
     map_ = picture_world.map_
     colours = np.tile(np.array([[230, 20, 160]], np.uint8), (len(map_), 1))
-    (running.settings.maps_dir / "coloured.rho").write_bytes(map_to_bytes(replace(map_, colours=colours)))
+    (running.settings.maps_dir / "coloured.rho").write_bytes(
+        map_to_bytes(replace(map_, landmarks=replace(map_.landmarks, colours=colours)))
+    )
 
     def painted(page) -> int:
         page.wait_for_timeout(300)
@@ -289,7 +292,9 @@ def test_a_landmark_that_is_clicked_shows_where_it_may_be_seen_from(
 ):
     map_ = picture_world.map_
     colours = np.tile(np.array([[230, 20, 160]], np.uint8), (len(map_), 1))
-    (running.settings.maps_dir / "clicked.rho").write_bytes(map_to_bytes(replace(map_, colours=colours)))
+    (running.settings.maps_dir / "clicked.rho").write_bytes(
+        map_to_bytes(replace(map_, landmarks=replace(map_.landmarks, colours=colours)))
+    )
 
     def pixels(page) -> np.ndarray:
         page.wait_for_timeout(300)
@@ -314,7 +319,9 @@ def test_a_map_says_what_it_learns_from_those_who_use_it(desk_browser, serve, pi
     learning = serve(learn=True)
     (learning.settings.maps_dir / "room.rho").write_bytes(picture_world.rho())
     for place in range(3):
-        QueryStore(learning.settings.data_dir).add(picture_world.map_.info.id, a_query(x=place, time_s=time.time()))
+        QueryStore(ObjectStorage(learning.settings.data_dir)).add(
+            picture_world.map_.info.id, a_query(x=place, time_s=time.time())
+        )
     with opened(desk_browser, learning.url, "maps/room") as page:
         said = settled(page).locator("section", has=page.get_by_role("heading", name="Learned from"))
         expect(said).to_contain_text("It learns from those who use it: 3 queries are kept. From 30 on it can learn.")

@@ -190,7 +190,7 @@ def test_a_server_that_restarts_in_mid_upload_gets_the_rest(serve, phone, wire):
     open_camera(page)
     move(page)
     record(page, 5.5)
-    assert page.get_by_role("region", name="Seconds that will fail").count() == 0
+    expect(page.get_by_role("region", name="Seconds that will fail")).to_have_count(0)
     line.cut_after(300_000)
     page.get_by_role("button", name="Send").click()
     expect(page.get_by_text("The server cannot be reached.")).to_be_visible()
@@ -342,7 +342,7 @@ def test_two_seconds_are_too_short_to_be_sent_and_are_deleted_only_after_asking(
     expect(page.get_by_role("link", name="Look at it")).to_have_count(0)
     page.reload()
     expect(page.get_by_role("heading", name="Record a walk")).to_be_visible()
-    assert page.get_by_role("link", name="Look at it").count() == 0
+    expect(page.get_by_role("link", name="Look at it")).to_have_count(0)
 
 
 @pytest.mark.slow

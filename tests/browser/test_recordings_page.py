@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import cv2
 import httpx
 import numpy as np
@@ -9,7 +11,7 @@ import pytest
 from playwright.sync_api import expect
 
 from rholoc.jobs import RecordingStore
-from rholoc.jobs.recording_notes import note_recording
+from rholoc.jobs.recording_notes import notes_of
 from rholoc.recordings import MemoryFrames, Recording, Waypoint
 
 PLACES = [(0.0, 0.0, 1.5), (2.0, 0.0, 1.5), (2.0, 3.5, 1.5)]
@@ -26,10 +28,10 @@ def stored(serve, picture_world):
     assert httpx.put(f"{running.url}/v1/maps/shed", content=picture_world.rho()).is_success
     video = {"file": ("walk.mp4", b"\0\0\0\x18ftypmp42" + b"\0" * 5000)}
     recording = httpx.post(f"{running.url}/v1/recordings", files=video, data={"map": "hall"}).json()["recording"]
-    folder = RecordingStore(running.settings.data_dir).folder(recording)
     frames = MemoryFrames([cv2.resize(picture_world.image, (160, 120))] * 75, 1.0)
     own = tuple(Waypoint(f"W{i}", 20.0 * i, place) for i, place in enumerate(PLACES))
-    note_recording(folder, Recording("walk", folder, frames, waypoints=own))
+    walk = Recording("walk", Path("walk"), frames, waypoints=own)
+    RecordingStore(running.settings.data_dir).note(recording, notes_of(walk))
     return running, recording
 
 

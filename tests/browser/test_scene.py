@@ -78,14 +78,14 @@ def leaning(serve, picture_world):
     running = serve(keep_pictures=True)
     turned = move_map(picture_world.map_, Similarity(1.0, np.diag([1.0, -1.0, -1.0]), np.zeros(3)))
     rng = np.random.default_rng(0)
-    positions = (turned.landmarks.mean(axis=0) + rng.normal(size=(4000, 3))).astype(np.float32)
+    positions = (turned.landmarks.positions.mean(axis=0) + rng.normal(size=(4000, 3))).astype(np.float32)
     picture = cv2.imencode(".jpg", np.full((90, 120, 3), 200, np.uint8))[1].tobytes()
     map_ = replace(
         turned,
         info=replace(turned.info, upright=False),
-        colours=np.zeros((len(turned), 3), np.uint8),
+        landmarks=replace(turned.landmarks, colours=np.zeros((len(turned), 3), np.uint8)),
+        views=replace(turned.views, pictures=(picture,) * 3 + (b"",)),
         cloud=Cloud(positions, np.tile(np.array([MAGENTA], np.uint8), (4000, 1)), np.zeros(4000, np.int32)),
-        pictures=(picture,) * 3 + (b"",),
     )
     assert httpx.put(f"{running.url}/v1/maps/leaning", content=map_to_bytes(map_)).status_code == 201
     return running

@@ -134,11 +134,12 @@ def test_no_answer_claims_to_be_certain(desk_browser, running, pictures, opened,
 
         def certain(route):
             answer = route.fetch().json()
-            route.fulfill(json={**answer, "confidence": 0.9996})
+            route.fulfill(json={**answer, "recognized": 0.9998, "confidence": 0.9996})
 
         page.route("**/localize*", certain)
         take(page, pictures / "frame.png")
         expect(page.locator(".answer")).to_contain_text("confidence over 99 %")
+        expect(page.locator(".answer")).to_contain_text("right place over 99 %")
 
 
 def test_all_maps_are_tried(desk_browser, running, pictures, opened, settled):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 from rholoc.maps import MapLibrary
@@ -32,6 +33,8 @@ def test_what_is_there_is_not_replaced(command: Run, tmp_path: Path, picture_wor
     MapLibrary(tmp_path / "maps").put("hall", picture_world.map_)
     here = ("--maps", tmp_path / "maps", "--data", tmp_path / "data")
     command("backup", tmp_path / "all.backup", *here)
+    other = replace(picture_world.map_, info=replace(picture_world.map_.info, version=9))
+    MapLibrary(tmp_path / "maps").put("hall", other)
     for again in ("backup", "restore"):
         status, _, said = command(again, tmp_path / "all.backup", *here)
         assert status == 1

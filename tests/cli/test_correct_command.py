@@ -42,8 +42,8 @@ def test_the_frame_moves_by_what_is_said(rholoc: Run, hall: Path, arguments: tup
     assert (status, err) == (0, "")
     done, after = json.loads(out), load_map(hall)
     assert (done["kind"], done["version"]) == (arguments[0], after.info.version)
-    expected = done["scale"] * before.landmarks @ np.array(done["rotation"]).T + done["translation"]
-    np.testing.assert_allclose(after.landmarks, expected, atol=1e-4)
+    expected = done["scale"] * before.landmarks.positions @ np.array(done["rotation"]).T + done["translation"]
+    np.testing.assert_allclose(after.landmarks.positions, expected, atol=1e-4)
 
 
 def test_parts_are_removed(rholoc: Run, hall: Path) -> None:
@@ -51,7 +51,7 @@ def test_parts_are_removed(rholoc: Run, hall: Path) -> None:
         "correct", "region", hall, "--outline", "0 -9, 9 -9, 9 9, 0 9", "--keep", "inside", "--top", 2
     )
     assert status == 0, err
-    left = load_map(hall).landmarks
+    left = load_map(hall).landmarks.positions
     assert (left[:, 0] >= 0).all()
     assert 1 < left[:, 2].max() <= 2
 

@@ -8,7 +8,9 @@ import subprocess
 import sys
 import time
 import uuid
+from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
 
 import pytest
 
@@ -16,6 +18,7 @@ from rholoc.cli import demo as demo_command
 from rholoc.evaluation import Evaluation
 from rholoc.simulation import PHONE_CAMERA, simulate_recording
 from rholoc_client import Camera, MapSummary
+from waiting import BREAKS_WORKERS
 
 _MARK = "RHOLOC_TEST_MARK"
 _ENDS_WITHIN_S = (
@@ -23,6 +26,7 @@ _ENDS_WITHIN_S = (
 )
 _KILLED_ENDS_WITHIN_S = 10.0
 _STARTS_WITHIN_S = 200.0
+_REPORTED_WITHIN_S = 30.0
 
 # The demo, but for its first walk, which is there already: rendering it takes longest.
 _DEMO = """
@@ -40,14 +44,14 @@ main()
 class Demo:
     """A running demo; every process that it starts inherits a mark in its environment."""
 
-    def __init__(self, folder: Path, walk: Path | None) -> None:
+    def __init__(self, folder: Path, walk: Path | None, environment: Mapping[str, str] = MappingProxyType({})) -> None:
         self._mark = f"{_MARK}={uuid.uuid4().hex}"
         self._errors = folder / "errors.txt"
         name, _, value = self._mark.partition("=")
         with self._errors.open("wb") as errors:
             self.process = subprocess.Popen(
                 [sys.executable, "-c", _DEMO, str(walk or ""), str(folder / "demo")],
-                env={**os.environ, name: value},
+                env={**os.environ, **environment, name: value},
                 stdout=subprocess.DEVNULL,
                 stderr=errors,
                 start_new_session=True,
@@ -124,6 +128,22 @@ def test_a_demo_that_is_stopped_leaves_no_process_behind(
         for pid in demo.processes():
             os.kill(pid, signal.SIGKILL)
         demo.process.wait()
+
+
+@pytest.mark.slow
+def test_a_demo_whose_worker_dies_again_and_again_ends_with_why(walk: Path, tmp_path: Path) -> None:
+    (tmp_path / "sitecustomize.py").write_text(BREAKS_WORKERS)
+    demo = Demo(tmp_path, walk, {"PYTHONPATH": str(tmp_path)})
+    try:
+        demo.reach("simulated walk-1")
+        assert demo.process.wait(_STARTS_WITHIN_S + _REPORTED_WITHIN_S) == 1
+    finally:
+        for pid in demo.processes():
+            os.kill(pid, signal.SIGKILL)
+        demo.process.wait()
+    (line,) = [line for line in demo.said.splitlines() if line.startswith("rholoc: ")]
+    assert "the worker died" in line
+    assert "its library is broken" in line
 
 
 def test_the_demo_says_what_the_map_expects_and_whether_it_is_trusted(

@@ -28,13 +28,13 @@ def hall(point_room: Any) -> Map:
 
 
 def _most_seen(map_: Map) -> int:
-    return int(np.argmax(np.bincount(map_.observation_features)))
+    return int(np.argmax(np.bincount(map_.observations.features)))
 
 
 @pytest.mark.parametrize("kind", list(DensityKind))
 def test_every_form_peaks_where_its_feature_appears(hall: Map, kind: DensityKind) -> None:
     map_, feature = fit_densities(hall, kind), _most_seen(hall)
-    views = hall.observation_views[hall.observation_features == feature]
+    views = hall.observations.views[hall.observations.features == feature]
     look = Look.of_view(map_, feature, int(views[len(views) // 2]))
     values, pixels = over_picture(map_, look, 60.0, 10.0)
     peak = pixels.reshape(-1, 2)[np.argmax(values)]
@@ -51,10 +51,10 @@ def test_every_form_peaks_where_its_feature_appears(hall: Map, kind: DensityKind
 
 def test_a_feature_may_be_seen_from_where_it_was(hall: Map) -> None:
     feature = _most_seen(hall)
-    view = int(hall.observation_views[hall.observation_features == feature][0])
-    grid = Grid.about(hall.view_positions[view], (0.1, 0.1, 0.0), 0.1)
+    view = int(hall.observations.views[hall.observations.features == feature][0])
+    grid = Grid.about(hall.views.positions[view], (0.1, 0.1, 0.0), 0.1)
     assert seen_from(hall, feature, grid)[0, 1, 1]
-    behind = 2 * hall.landmarks[feature] - hall.view_positions[view]
+    behind = 2 * hall.landmarks.positions[feature] - hall.views.positions[view]
     assert not seen_from(hall, feature, Grid.about(behind, (0.0, 0.0, 0.0), 0.1)).any()
 
 
@@ -92,14 +92,14 @@ def test_a_volume_opens_as_an_image(rholoc: Run, file: Path, hall: Map) -> None:
 @pytest.mark.parametrize("ending", [".gif", ".mp4"])
 def test_a_film_has_a_picture_for_every_view(rholoc: Run, file: Path, ending: str, tmp_path: Path) -> None:
     map_ = load_map(file)
-    feature = int(np.argmin(np.abs(np.bincount(map_.observation_features) - 3)))
+    feature = int(np.argmin(np.abs(np.bincount(map_.observations.features) - 3)))
     out = tmp_path / f"density{ending}"
     status, _, errors = rholoc("density", file, "--feature", feature, "-o", out)
     assert status == 0, errors
     film, count = cv2.VideoCapture(str(out)), 0
     while film.read()[0]:
         count += 1
-    assert count == np.bincount(map_.observation_features)[feature]
+    assert count == np.bincount(map_.observations.features)[feature]
 
 
 @pytest.mark.parametrize("ending", [".png", ".vti"])

@@ -44,8 +44,18 @@ def test_a_healthy_server_has_nothing_to_mend(healthy) -> None:
     assert list((healthy["data_dir"]).glob(".*.doctor")) == []
 
 
-def test_a_missing_folder_is_found(healthy, tmp_path: Path) -> None:
-    assert the_bad_one(found(healthy, "storage", maps_dir=tmp_path / "nowhere")).level is Level.ERROR
+def test_before_the_first_start_nothing_is_wrong(tmp_path: Path, command: Callable[..., tuple[int, str, str]]) -> None:
+    findings = examine(Settings(maps_dir=tmp_path / "maps", data_dir=tmp_path / "data" / "of-it"))
+    assert [finding for finding in findings if finding.level is Level.ERROR] == []
+    status, printed, _ = command("doctor", "--maps", tmp_path / "maps", "--data", tmp_path / "data")
+    assert status == 0
+    assert "the first start creates it" in printed
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_missing_folder_that_cannot_be_created_is_found(healthy, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("no folder")
+    assert the_bad_one(found(healthy, "storage", maps_dir=tmp_path / "file" / "maps")).level is Level.ERROR
 
 
 @pytest.mark.parametrize(("free", "level"), [(2**20, Level.ERROR), (2**30, Level.WARNING)])
@@ -139,6 +149,7 @@ def test_the_command_says_it_and_its_status_too(
     status, printed, _ = command("doctor", *folders)
     assert status == 0
     assert "ok       maps: 1 maps." in printed
-    status, printed, _ = command("doctor", "--maps", tmp_path / "nowhere", "--data", healthy["data_dir"], "--json")
+    (tmp_path / "file").write_text("no folder")
+    status, printed, _ = command("doctor", "--maps", tmp_path / "file", "--data", healthy["data_dir"], "--json")
     assert status == 1
     assert {"check", "level", "message", "hint"} == set(json.loads(printed)[0])

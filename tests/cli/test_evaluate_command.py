@@ -66,6 +66,18 @@ def test_failures_count_and_the_keys_are_those_promised(evaluate: Evaluate, tmp_
     assert figures["p90_cm"] is None
 
 
+def test_frames_that_were_perhaps_never_asked_are_pointed_out(evaluate: Evaluate, tmp_path: Path) -> None:
+    truth = write_poses(tmp_path / "poses.txt", walk(20), np.arange(20))
+    found = write_table(tmp_path / "found.csv", walk(20)[5:15:2], np.arange(5, 15, 2))
+    status, out, err = evaluate(found, truth, "--json")
+    assert status == 0
+    assert json.loads(out)["n"] == 20
+    assert "11 of the 20 frames lie before the first or after the last pose" in err
+    assert "--frames" in err
+    status, out, err = evaluate(found, truth, "--frames", "5:15:2", "--json")
+    assert (json.loads(out)["n"], err) == (5, "")
+
+
 @pytest.mark.parametrize("key", ["frame", "time", "table 6"])
 def test_every_format_of_truth_is_read(evaluate: Evaluate, tmp_path: Path, key: str) -> None:
     frames = np.arange(10)

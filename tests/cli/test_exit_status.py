@@ -140,7 +140,7 @@ def test_the_command_runs_as_a_module_and_says_what_it_can() -> None:
 
 
 def test_help_does_not_load_what_it_does_not_need() -> None:
-    heavy = ("pycolmap", "matplotlib", "fastapi", "dbos", "uvicorn", "faiss", "scipy", "cv2")
+    heavy = ("pycolmap", "matplotlib", "fastapi", "sqlalchemy", "uvicorn", "faiss", "scipy", "cv2")
     code = f"import rholoc.cli, sys; print([m for m in {heavy!r} if m in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"

@@ -35,6 +35,8 @@ def hall(point_room: Any) -> Map:
         ("ply", "hall.ply"),
         ("vtp", "hall.vtp"),
         ("surfaces", "hall-surfaces.vtp"),
+        ("colmap", "hall-colmap.zip"),
+        ("nerfstudio", "hall-transforms.json"),
         ("png", "hall.png"),
     ],
 )
@@ -51,9 +53,9 @@ def test_a_map_is_exported_beside_itself(rholoc: Run, file: Path, to: str, name:
 def test_the_exported_trajectory_is_that_of_the_views(rholoc: Run, file: Path, hall: Map) -> None:
     assert rholoc("export", file, "--to", "trajectory")[0] == 0
     table = read_trajectory_csv(file.with_name("hall-trajectory.csv"))
-    np.testing.assert_allclose(table.positions, hall.view_positions, atol=1e-5)
-    np.testing.assert_array_equal(table.times, hall.view_times)
-    assert table.inliers.sum() == len(hall.observation_features)
+    np.testing.assert_allclose(table.positions, hall.views.positions, atol=1e-5)
+    np.testing.assert_array_equal(table.times, hall.views.times)
+    assert table.inliers.sum() == len(hall.observations)
 
 
 @pytest.mark.parametrize("kind", [DensityKind.RAY, DensityKind.TENSOR])

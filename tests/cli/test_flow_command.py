@@ -12,6 +12,7 @@ import pytest
 
 from rholoc.maps import read_trajectory_csv
 from rholoc.pictures.flow import dense_png
+from rholoc.recordings import write_frames_csv
 from rholoc.simulation import simulate_recording
 from rholoc.trajectory.visual.dense_flow import DenseMethod, dense_flow
 
@@ -44,6 +45,7 @@ def test_tracks_and_fields_are_written(tmp_path: Path, command: Run) -> None:
     folder.mkdir()
     for frame in range(6):
         cv2.imwrite(str(folder / f"frame-{frame:06d}.png"), wide[20:260, 60 - 4 * frame : 380 - 4 * frame])
+    write_frames_csv(folder / "frames.csv", np.arange(6), np.arange(6) / 30)
     status, printed, errors = command("recording", "flow", folder, "-o", out, "--pictures", "2", "--fields", "--json")
     assert status == 0, errors
     figures = json.loads(printed)
@@ -53,6 +55,9 @@ def test_tracks_and_fields_are_written(tmp_path: Path, command: Run) -> None:
     assert figures["motion_a_frame_px"] == pytest.approx(4, abs=0.5)
     assert figures["dis_off_tracks_px"] < 0.5
     assert figures["farneback_off_tracks_px"] < 0.5
+    status, printed, errors = command("recording", "flow", folder, "-o", tmp_path / "without", "--pictures", "0")
+    assert status == 0, errors
+    assert "None" not in printed
     table = np.loadtxt(out / "tracks.csv", delimiter=",", skiprows=1)
     longest = table[table[:, 1] == np.bincount(table[:, 1].astype(int)).argmax()]
     assert np.allclose(np.diff(longest[:, 2]), 4, atol=0.5)
@@ -79,6 +84,7 @@ def test_odometry_stands_beside_the_truth(tmp_path: Path, command: Run) -> None:
     assert found["upright"]
     assert found["true_size"] == pytest.approx(1, abs=0.05)
     assert found["rms_m"] < 0.05
+    assert found["median_deg"] < 1.5
     assert found["drift_percent"] < 5
     assert (out / "odometry.png").stat().st_size > 10_000
     table = read_trajectory_csv(out / "odometry.csv")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -90,3 +91,13 @@ def test_a_job_that_waits_gets_another_priority(
     queue.close()
     run(monkeypatch, "job", "list", "--data", tmp_path)
     assert "waiting for a worker: none is running" in capsys.readouterr().out
+
+
+def test_a_database_that_cannot_be_used_is_one_line(
+    command: Callable[..., tuple[int, str, str]], tmp_path: Path
+) -> None:
+    (tmp_path / "jobs.sqlite").write_text("no database")
+    for asked in (["list"], ["prioritize", "0" * 32, "high"]):
+        status, _, said = command("job", *asked, "--data", tmp_path)
+        assert (status, said.count("\n")) == (1, 1)
+        assert "not a database of jobs" in said

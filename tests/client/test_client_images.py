@@ -26,6 +26,7 @@ def test_a_slice_of_an_array_is_an_array():
 def test_files_are_sent_as_they_are(tmp_path):
     (tmp_path / "a.jpg").write_bytes(b"\xff\xd8\xff123")
     assert encoded(tmp_path / "a.jpg") == (b"\xff\xd8\xff123", "image/jpeg")
+    assert encoded(str(tmp_path / "a.jpg")) == (b"\xff\xd8\xff123", "image/jpeg")
     assert encoded(b"\x89PNG\r\n\x1a\n123") == (b"\x89PNG\r\n\x1a\n123", "image/png")
 
 

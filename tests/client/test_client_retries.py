@@ -130,6 +130,39 @@ def test_what_was_never_sent_is_sent_again(slept):
     assert client(Script(httpx.ConnectError("refused"), busy(), job())).retry_job("1").map == "hall"
 
 
+def read_timeouts_s(script) -> list[float]:
+    return [request.extensions["timeout"]["read"] for request in script.requests]
+
+
+def test_an_answer_is_awaited_until_its_deadline(slept):
+    script = Script(httpx.Response(200, json={}), httpx.Response(200, json={}))
+    for deadline_ms in (None, 25_000):
+        with pytest.raises(InvalidAnswer):
+            client(script, timeout_s=3).localize("hall", b"jpeg", deadline_ms=deadline_ms)
+    assert read_timeouts_s(script) == [3, 28]
+    assert {request.extensions["timeout"]["connect"] for request in script.requests} == {3}
+    with pytest.raises(InvalidAnswer):
+        client(script := Script(httpx.Response(200, json={})), timeout_s=None).localize("hall", b"jpeg", deadline_ms=9)
+    assert read_timeouts_s(script) == [None]
+
+
+@pytest.mark.parametrize(
+    "ask",
+    [
+        lambda asked: asked.find_site_link("campus", "a", "b"),
+        lambda asked: asked.merge_maps("a", "b", "c"),
+        lambda asked: asked.correct_map("a", {"kind": "up"}),
+        lambda asked: asked.forget_recording("a", "walk"),
+        lambda asked: asked.download_map("a", "csv", degree=3),
+    ],
+)
+def test_what_takes_minutes_is_awaited_and_asked_once(slept, ask):
+    script = Script(httpx.ReadTimeout("slow"))
+    with pytest.raises(ConnectionFailed):
+        ask(client(script))
+    assert read_timeouts_s(script)[0] > 120
+
+
 def stands_at(offset: int, status: int = 204, **headers: str) -> httpx.Response:
     return httpx.Response(status, headers={"Upload-Offset": str(offset), **headers})
 

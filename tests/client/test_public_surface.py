@@ -13,6 +13,7 @@ from rholoc.service.errors import error_classes, status_of
 from rholoc_client import errors
 
 MODELS = (
+    "Alternative",
     "Camera",
     "CameraProfile",
     "Features",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -127,6 +128,19 @@ def test_many_poses_at_once_have_the_densities_of_each() -> None:
     poses = np.stack([_moved(_POSE.T_map_camera, 0.05 * axis) for axis in np.eye(6)])
     each = [local.at(T, _TOLERANCE_PX).density for T in poses]
     np.testing.assert_allclose(ray_densities(evidence, poses, _TOLERANCE_PX), each, rtol=1e-9)
+
+
+def test_a_landmark_may_be_farther_off_along_the_axis_that_it_is_known_worse_along() -> None:
+    evidence = _evidence(0.0, 0.01)
+    sigma_m = np.array([0.2, 0.01])  # along the two axes across the ray
+    axes = _POSE.T_map_camera[:3, :3] @ evidence.across
+    spread = np.einsum("mir,r,mjr->mij", axes, sigma_m**2, axes)
+    away = np.einsum("mi,mi->m", evidence.rays, (evidence.landmarks - _POSE.position) @ _POSE.R_map_camera)
+    for axis, offset_m in ((0, 0.1), (1, 0.02)):
+        shifted = replace(evidence, covariances=spread, landmarks=evidence.landmarks + offset_m * axes[:, :, axis])
+        found = RayDensities().near(shifted, _POSE.T_map_camera, _TOLERANCE_PX).at(_POSE.T_map_camera, _TOLERANCE_PX)
+        allowed = (_TOLERANCE_PX * away / evidence.focal_px) ** 2 + sigma_m[axis] ** 2
+        np.testing.assert_allclose(found.density, np.maximum(1 - offset_m**2 / allowed, 0), atol=1e-9)
 
 
 def test_outside_the_tolerance_there_is_no_density_and_no_slope() -> None:

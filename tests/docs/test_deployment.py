@@ -19,7 +19,9 @@ import kubernetes_validate
 import pytest
 import yaml
 
+from rholoc import __version__
 from rholoc.service import Settings, create_app
+from rholoc.service.web import PAGES, PREFIX
 from waiting import until
 
 _ROOT = Path(__file__).parents[2]
@@ -53,7 +55,14 @@ def test_only_settings_that_there_are_are_set(path: Path) -> None:
 def test_probes_ask_routes_that_there_are(manifests: list[dict[str, Any]]) -> None:
     asked = set(re.findall(r'"path": "(/[a-z]+)"', json.dumps(manifests)))
     documented = set(create_app().openapi()["paths"])
-    assert {"/healthz", "/readyz"} <= asked <= documented | {"/"}
+    assert {"/healthz", "/readyz"} <= asked <= documented | {*PAGES, PREFIX}
+
+
+def test_metrics_that_need_no_key_are_not_passed_on_to_others(manifests: list[dict[str, Any]]) -> None:
+    (ingress,) = (one for one in manifests if one["kind"] == "Ingress")
+    paths = [path for rule in ingress["spec"]["rules"] for path in rule["http"]["paths"]]
+    assert not [path for path in paths if path["pathType"] == "Prefix" and "/metrics".startswith(path["path"])]
+    assert "/metrics" not in [path["path"] for path in paths]
 
 
 def test_containers_run_as_the_image_does(manifests: list[dict[str, Any]]) -> None:
@@ -63,6 +72,47 @@ def test_containers_run_as_the_image_does(manifests: list[dict[str, Any]]) -> No
     for pod in pods:
         assert f"--uid {pod['securityContext']['runAsUser']} " in dockerfile
         assert {mount["mountPath"] for mount in pod["containers"][0]["volumeMounts"]} == {"/data", "/tmp"}
+
+
+def test_every_container_is_limited(manifests: list[dict[str, Any]]) -> None:
+    for manifest in manifests:
+        if manifest["kind"] == "Deployment":
+            (container,) = manifest["spec"]["template"]["spec"]["containers"]
+            limits = container["resources"]["limits"]
+            assert set(limits) == {"cpu", "memory", "ephemeral-storage"}
+    for path in (_ROOT / "compose.yaml", _DEPLOY / "compose.yaml"):
+        for service in yaml.safe_load(path.read_text(encoding="utf-8"))["services"].values():
+            assert set(service["deploy"]["resources"]["limits"]) == {"cpus", "memory", "pids"}
+
+
+def test_a_worker_on_kubernetes_has_the_memory_that_it_plans_with(manifests: list[dict[str, Any]]) -> None:
+    (worker,) = [one for one in manifests if one["kind"] == "Deployment" and one["metadata"]["name"] == "rholoc-worker"]
+    resources = worker["spec"]["template"]["spec"]["containers"][0]["resources"]
+    assert resources["requests"]["memory"] == resources["limits"]["memory"]
+
+
+def test_autoscalers_alone_say_how_many_replicas_there_are(manifests: list[dict[str, Any]]) -> None:
+    scaled = {one["spec"]["scaleTargetRef"]["name"] for one in manifests if one["kind"] == "HorizontalPodAutoscaler"}
+    deployments = {one["metadata"]["name"]: one["spec"] for one in manifests if one["kind"] == "Deployment"}
+    assert scaled == set(deployments)
+    assert all("replicas" not in spec for spec in deployments.values())
+
+
+def test_images_are_of_this_version_and_not_pulled_at_every_start(manifests: list[dict[str, Any]]) -> None:
+    for manifest in manifests:
+        if manifest["kind"] == "Deployment":
+            (container,) = manifest["spec"]["template"]["spec"]["containers"]
+            assert (container["image"], container["imagePullPolicy"]) == (f"rholoc:{__version__}", "IfNotPresent")
+
+
+@pytest.mark.parametrize("path", [_ROOT / "compose.yaml", _DEPLOY / "compose.yaml"], ids=["one", "several"])
+def test_what_a_read_only_container_writes_is_in_named_volumes(path: Path) -> None:
+    described = yaml.safe_load(path.read_text(encoding="utf-8"))
+    for service in described["services"].values():
+        if service.get("read_only"):
+            mounted = dict(volume.split(":")[::-1] for volume in service["volumes"])
+            assert set(mounted) == {"/maps", "/data"}
+            assert set(mounted.values()) <= set(described["volumes"])
 
 
 def test_what_the_autoscalers_look_at_is_measured(manifests: list[dict[str, Any]]) -> None:

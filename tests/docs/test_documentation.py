@@ -30,6 +30,7 @@ PAGES = [
         "docs/howto.md",
         "docs/library.md",
         "docs/method.md",
+        "docs/experiments.md",
         "docs/paper.md",
         "server/README.md",
         "server/COMMANDS.md",

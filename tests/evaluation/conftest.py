@@ -31,6 +31,10 @@ class WallFrames:
         return np.arange(len(self.poses)) / 10
 
     @property
+    def timed(self) -> bool:
+        return True
+
+    @property
     def numbers(self) -> IntArray:
         return np.arange(len(self.poses))
 

@@ -36,8 +36,18 @@ def test_directions_are_compared_pair_by_pair() -> None:
     rng = np.random.default_rng(0)
     a, b = (some / np.linalg.norm(some, axis=1, keepdims=True) for some in rng.normal(size=(2, 20, 3)))
     np.testing.assert_allclose(angles_between(a, b), np.diag(direction_angles(a, b)))
-    assert angles_between(a[0], UP) == pytest.approx(np.arccos(a[0, 2]))
+    assert np.cos(angles_between(a[0], UP)) == pytest.approx(a[0, 2])
     assert angles_between(UP * (1 + 1e-9), UP) == 0
+    assert angles_between(7.0 * a[0], 0.1 * b[0]) == pytest.approx(angles_between(a[0], b[0]))
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-12, 1e-9, 1e-4, np.pi / 2, np.pi - 1e-9])
+def test_small_and_straight_angles_are_as_exact_as_others(angle: float) -> None:
+    axes = Rotation.random(50, rng=np.random.default_rng(1)).as_matrix()
+    a, across = axes[:, 0], axes[:, 1]
+    b = np.cos(angle) * a + np.sin(angle) * across
+    np.testing.assert_allclose(angles_between(a, b), angle, rtol=1e-9, atol=1e-15)
+    np.testing.assert_allclose(np.diag(direction_angles(a, b)), angle, rtol=1e-9, atol=1e-15)
 
 
 def test_poses_are_metres_and_radians_apart() -> None:

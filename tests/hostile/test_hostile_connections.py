@@ -24,6 +24,7 @@ from rholoc.service.bodies import HeldBodies
 from rholoc.service.connections import PatientProtocol, protocol_of
 from rholoc.service.job_events import JobEvents
 from rholoc.service.metrics import Metrics
+from rholoc.service.storage_threads import StorageThreads
 from rholoc_client import Client
 
 HEAD = b"PUT /v1/maps/room HTTP/1.1\r\nHost: localhost\r\nContent-Length: 100000\r\n\r\n"
@@ -100,7 +101,8 @@ def test_the_time_for_a_head_ends_with_it(tmp_path):
     assert armed == [True, False, False, False]
 
 
-def test_of_too_many_connections_the_one_that_waits_longest_makes_room(crowded):
+def test_of_too_many_connections_the_one_that_waits_longest_makes_room(crowded, monkeypatch):
+    monkeypatch.setattr("rholoc.service.connections._YOUNG_S", 0.0)
     with ExitStack() as stack:
         idle = [stack.enter_context(socket.create_connection(crowded, timeout=60)) for _ in range(5)]
         for _ in range(3):
@@ -116,9 +118,26 @@ def test_a_connection_beyond_those_that_are_busy_is_refused_with_a_reason(crowde
         for connection in busy:  # a request whose body is on its way is not given up for another
             connection.sendall(HEAD.replace(b"\r\n\r\n", b"\r\nExpect: 100-continue\r\n\r\n"))
             assert connection.recv(1000).startswith(b"HTTP/1.1 100")
-        answer = httpx.get(f"http://{crowded[0]}:{crowded[1]}/healthz", timeout=60)
+        url = f"http://{crowded[0]}:{crowded[1]}"
+        answer = httpx.get(f"{url}/v1/maps", timeout=60)
+        assert httpx.get(f"{url}/healthz", timeout=60).status_code == 200  # there is room for probes
+        silent = [stack.enter_context(socket.create_connection(crowded, timeout=60)) for _ in range(40)]
+        assert httpx.get(f"{url}/readyz", timeout=60).status_code == 200
+        assert closed(silent[0])
     assert (answer.status_code, answer.json()["code"]) == (503, "busy")
     assert int(answer.headers["Retry-After"]) >= 1
+
+
+def test_a_client_that_reads_nothing_is_disconnected(tmp_path):
+    class Brief(PatientProtocol):
+        stalled_reader_s = 0.5
+
+    with answering(tmp_path, Brief) as address, socket.create_connection(address, timeout=60) as connection:
+        connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+        with pytest.raises(ConnectionError):  # noqa: PT012
+            for _ in range(5000):  # pipelined: none of the answers is read
+                connection.sendall(b"GET /openapi.json HTTP/1.1\r\nHost: localhost\r\n\r\n")
+                time.sleep(0.002)
 
 
 def test_large_bodies_are_held_within_a_bound():
@@ -241,13 +260,13 @@ def test_a_job_is_looked_up_once_for_all_who_watch_it(tmp_path):
     before = queue.looked
 
     async def watch():
-        events = JobEvents(queue)
+        events = JobEvents(queue, StorageThreads(4, 60.0))
         return await asyncio.gather(*(events.latest(job.id) for _ in range(200)))
 
     found = asyncio.run(watch())
     assert (queue.looked, len({event.id for event in found})) == (before + 1, 1)
     with pytest.raises(UnknownJob):
-        asyncio.run(JobEvents(queue).latest("0" * 32))
+        asyncio.run(JobEvents(queue, StorageThreads(4, 60.0)).latest("0" * 32))
     queue.close()
 
 

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import fcntl
 import io
 import json
-import os
+import math
 import struct
 import tracemalloc
 import zipfile
@@ -16,12 +15,12 @@ import httpx
 import numpy as np
 import pytest
 
-from rholoc.errors import Busy, InvalidCamera, InvalidRecording, InvalidWaypoints, TooLarge
-from rholoc.jobs import JobOptions, JobQueue, MappingTask, RecordingStore, UploadStore
+from rholoc.errors import InvalidCamera, InvalidRecording, InvalidWaypoints, TooLarge
+from rholoc.jobs import JobOptions, MappingTask, RecordingStore, Stores
 from rholoc.jobs.build_process import build_in_process, run_build
 from rholoc.jobs.pipeline import MappingPipeline
 from rholoc.jobs.table import JobWork, Lease, shortened
-from rholoc.jobs.worker import Worker
+from rholoc.jobs.workplace import Workplace
 from rholoc.maps import MapLibrary
 from rholoc.processes import Limits, machine_memory_bytes
 from rholoc.progress import ProgressListener, silent
@@ -135,10 +134,10 @@ def test_the_pixels_of_a_video_are_a_setting_of_the_service(tmp_path):
     writer.write(np.zeros((480, 640, 3), np.uint8))
     writer.release()
     limits = Settings(max_video_pixels=1000).job_limits
-    worker = Worker(tmp_path / "data", tmp_path / "maps", limits=limits)
-    worker._recordings = RecordingStore(tmp_path / "data")
-    stored = worker._recordings.create([(path.name, [path.read_bytes()])]).id
-    task = worker._task(Lease("0" * 32, "workflow", 1), JobWork(stored, "room", JobOptions()))
+    stores = Stores(tmp_path / "maps", tmp_path / "data")
+    workplace = Workplace(stores, limits.frame_pixels)
+    stored = stores.recordings.create([(path.name, [path.read_bytes()])]).id
+    task = workplace.task(Lease("0" * 32, "run", 1), JobWork(stored, "room", JobOptions()), math.inf)
     with pytest.raises(InvalidRecording, match="at most 1000"):
         MappingPipeline().build(task, lambda *_: None)
 
@@ -174,8 +173,9 @@ def test_pictures_of_absurd_dimensions_are_refused(tmp_path):
 
 def waypoints(tmp_path: Path, names: list[str]) -> Path:
     write_images(tmp_path / "walk")
-    rows = "".join(f"{name},0.0,{i},0,1.5\n" for i, name in enumerate(names))
-    (tmp_path / "walk" / "waypoints.csv").write_text("name,time,x,y,z\n" + rows)
+    first = read_recording(tmp_path / "walk").frames.numbers[0]
+    rows = "".join(f"{name},{first},{i},0,1.5\n" for i, name in enumerate(names))
+    (tmp_path / "walk" / "waypoints.csv").write_text("name,frame,x,y,z\n" + rows)
     return tmp_path / "walk"
 
 
@@ -247,21 +247,6 @@ def test_the_limit_of_files_holds_for_zip_files_too(serve, tmp_path):
     files, fields = {"file": ("walk.zip", path.read_bytes())}, {"map": "room"}
     answer = httpx.post(f"{running.url}/v1/recordings", files=files, data=fields)
     assert (answer.status_code, answer.json()["code"]) == (413, "too_large")
-
-
-def test_a_resumable_upload_that_somebody_holds_does_not_hold_its_readers(tmp_path, monkeypatch):
-    monkeypatch.setattr("rholoc.jobs.upload_store._LOCK_TIMEOUT_S", 0.1)
-    recordings = RecordingStore(tmp_path)
-    queue = JobQueue(tmp_path)
-    uploads = UploadStore(recordings, queue, 1000)
-    upload = uploads.create("walk.mp4", 10, "room", JobOptions())
-    held = os.open(uploads._folder(upload.id), os.O_RDONLY)
-    fcntl.flock(held, fcntl.LOCK_EX)
-    with pytest.raises(Busy):
-        uploads.append(upload.id, 0, b"x")
-    os.close(held)
-    assert uploads.get(upload.id).offset == 0
-    queue.close()
 
 
 def test_many_small_files_are_stored_without_counting_them_again(tmp_path):

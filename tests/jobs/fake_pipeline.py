@@ -19,7 +19,18 @@ import numpy as np
 from rholoc.errors import InvalidRecording, UnknownMap
 from rholoc.geometry import Camera
 from rholoc.jobs import Capacity, JobKind, MappingPipeline, MappingTask, MoreMemoryNeeded, Timing, run_worker
-from rholoc.maps import DensityKind, Map, MapInfo, MapLibrary, MapWaypoint, save_map
+from rholoc.maps import (
+    DensityKind,
+    Map,
+    MapDescriptors,
+    MapInfo,
+    MapLandmarks,
+    MapLibrary,
+    MapObservations,
+    MapViews,
+    MapWaypoint,
+    save_map,
+)
 from rholoc.progress import ProgressListener, Stage
 from rholoc.reports import MapReport, TrajectoryReport
 
@@ -164,15 +175,14 @@ def tiny_map(trusted: bool = True, waypoints: Mapping[str, Sequence[float]] = Ma
     )
     return Map(
         info=info,
-        channels=np.zeros(1, np.uint8),
-        landmarks=np.ones((1, 3), np.float32),
-        covariances=np.eye(3, dtype=np.float32)[None] * np.float32(1e-4),
-        descriptors=np.zeros((1, 32), np.uint8),
-        descriptor_features=np.zeros(1, np.int32),
-        view_times=np.zeros(1),
-        T_map_camera=np.eye(4)[None],
-        observation_views=np.zeros(1, np.int32),
-        observation_features=np.zeros(1, np.int32),
+        landmarks=MapLandmarks(
+            channels=np.zeros(1, np.uint8),
+            positions=np.ones((1, 3), np.float32),
+            covariances=np.eye(3, dtype=np.float32)[None] * np.float32(1e-4),
+        ),
+        descriptors=MapDescriptors(values=np.zeros((1, 32), np.uint8), features=np.zeros(1, np.int32)),
+        views=MapViews(times=np.zeros(1), T_map_camera=np.eye(4)[None]),
+        observations=MapObservations(views=np.zeros(1, np.int32), features=np.zeros(1, np.int32)),
     )
 
 
@@ -198,8 +208,8 @@ def _signature(library: MapLibrary, name: str) -> tuple[int, int, int] | None:
 
 if __name__ == "__main__":
     data_dir, maps_dir, control_dir = map(Path, sys.argv[1:4])
-    release, jobs, memory_gib = int(sys.argv[4]), int(sys.argv[5]), float(sys.argv[6])
-    database_url, storage_url = sys.argv[7:] or (None, None)
+    jobs, memory_gib = int(sys.argv[4]), float(sys.argv[5])
+    database_url, storage_url = sys.argv[6:] or (None, None)
     from fake_pipeline import FakePipeline as ImportablePipeline  # not of __main__, so that it can be pickled
 
     run_worker(
@@ -211,5 +221,4 @@ if __name__ == "__main__":
         stop=orphaned(),
         storage_url=storage_url,
         capacity=Capacity(jobs, memory_gib * 2**30),
-        release=release,
     )

@@ -11,8 +11,7 @@ from pathlib import Path
 
 from fake_pipeline import Control
 
-from rholoc.jobs import Job, JobOptions, JobPriority, JobQueue, JobState, RecordingStore, SharedRecordingStore
-from rholoc.jobs.table import RELEASE
+from rholoc.jobs import Job, JobOptions, JobPriority, JobQueue, JobState, RecordingStore
 from rholoc.maps import MapLibrary
 from rholoc.storage import SharedStorage
 from waiting import TIMEOUT_S, until
@@ -40,18 +39,16 @@ class Site:
             self.library = MapLibrary(self.maps_dir)
         else:
             self.shared.open(follow=True)
-            self.recordings = SharedRecordingStore(self.data_dir, self.shared)
+            self.recordings = RecordingStore(self.data_dir, self.shared.objects, self.shared.engine)
             self.library = self.shared.library
         self.queue = JobQueue(self.data_dir, database_url, self.recordings)
         self._workers: list[subprocess.Popen[bytes]] = []
 
-    def start_worker(
-        self, memory_gib: float = math.inf, jobs: int = 1, release: int = RELEASE
-    ) -> subprocess.Popen[bytes]:
+    def start_worker(self, memory_gib: float = math.inf, jobs: int = 1) -> subprocess.Popen[bytes]:
         """A worker that makes tiny maps."""
         folder = self._folder / f"worker-{len(self._workers)}" if self._urls else self._folder
         folders = [folder / "data", folder / "maps", self.control.folder]
-        capacity = (release, jobs, memory_gib)
+        capacity = (jobs, memory_gib)
         arguments = [str(_HERE / "fake_pipeline.py"), *map(str, (*folders, *capacity)), *self._urls]
         worker = subprocess.Popen([sys.executable, *arguments])
         self._workers.append(worker)

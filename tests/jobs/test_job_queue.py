@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import threading
 from collections.abc import Iterator
-from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,7 +16,8 @@ from hypothesis import strategies as st
 from rholoc.errors import Conflict, InvalidName, StorageFull, UnknownJob, UnknownRecording
 from rholoc.jobs import JobOptions, JobPriority, JobQueue, JobState, Obstacle
 from rholoc.jobs.capacity import MoreMemoryNeeded, memory_for_walk
-from rholoc.jobs.table import RELEASE, JobTable, WorkerTable, overall, turn_of
+from rholoc.jobs.table import JobTable, overall, turn_of
+from rholoc.jobs.worker_table import WorkerTable
 from rholoc.maps import DensityKind
 from rholoc.progress import Stage
 from rholoc.storage.database import open_database, reporting_full_database
@@ -84,20 +84,23 @@ def test_only_the_latest_worker_holds_a_job(site: Site) -> None:
     claim = table.take("one")
     assert (claim.work.options, table.get(job.id).worker) == (options, "one")
     assert table.take("other") is None
-    assert table.take_back(["one", "other"], with_nameless=True) == 0
-    assert table.take_back(["other"], with_nameless=False) == 1
+    assert table.take_back(["one", "other"]) == 0
+    assert table.take_back(["other"]) == 1
     first, second = claim.lease, table.take("other").lease
     assert (table.holds(first), table.holds(second)) == (False, True)
-    assert second.workflow == first.workflow, "the second goes on where the first stopped"
+    assert second.run == first.run, "the second goes on where the first stopped"
     assert not table.begin_publishing(first)
     assert not table.publish(first, [])
     table.note(first, Stage.POSES, 0.5, "of the first")
-    assert (table.get(job.id).state, table.get(job.id).message) == (JobState.RUNNING, "waiting for another worker")
+    assert (table.get(job.id).state, table.get(job.id).message) == (
+        JobState.RUNNING,
+        "waiting for another worker: its worker died",
+    )
     site.queue.cancel(job.id)
     assert not table.holds(second)
     assert table.take("one") is None
     site.queue.retry(job.id)
-    assert table.take("one").lease.workflow != second.workflow, "what was done before the retry is done again"
+    assert table.take("one").lease.run != second.run, "what was done before the retry is done again"
     engine.dispose()
 
 
@@ -160,39 +163,39 @@ def test_a_job_that_no_worker_can_take_says_why(site: Site, table: JobTable) -> 
     waiting = site.queue.get(job.id)
     assert waiting.obstacle is Obstacle.MEMORY
     assert waiting.message == "waiting for a worker with 4.0 GiB of memory for it: none has more than 2.0 GiB"
-    assert site.queue.waiting() == {None: 0, Obstacle.NO_WORKER: 0, Obstacle.MEMORY: 1, Obstacle.RELEASE: 0}
+    assert site.queue.waiting() == {None: 0, Obstacle.NO_WORKER: 0, Obstacle.WORKER_FAILS: 0, Obstacle.MEMORY: 1}
     workers.beat("large", memory_bytes=8 * 2**30)
     assert site.queue.get(job.id).obstacle is None
     assert site.queue.waiting()[None] == 1
-    workers.beat("large", memory_bytes=8 * 2**30, release=1)
-    assert site.queue.get(job.id).obstacle is Obstacle.MEMORY, "an earlier release's cannot take it"
-    workers.beat("small", release=1)
-    assert site.queue.get(job.id).obstacle is Obstacle.RELEASE
 
 
-def test_releases_share_the_jobs(site: Site, table: JobTable) -> None:
-    site.submit(map_name="present")
-    later = JobQueue(site.data_dir, release=RELEASE + 1)
-    entry = site.recordings.create([("walk.mp4", [b"x"])])
-    later.submit(entry.id, "later")
-    later.close()
-    with table._engine.begin() as connection:  # as a release without the columns left it
-        earlier = {"id": "1" * 32, "recording": entry.id, "map_name": "earlier", "options": asdict(JobOptions())}
-        rest = {"stage": "received", "progress": 0, "message": "", "log": [], "attempts": 0, "workflow_id": "w"}
-        connection.execute(jobs_table.insert().values(**earlier, **rest, state=JobState.QUEUED, created=0.0))
-    first = table.take("worker")
-    assert (first.work.map_name, first.lease.workflow == "w") == ("earlier", False), "its own workers may not begin it"
-    assert taken(table) == ["present"]
-    assert taken(table, release=RELEASE + 1) == ["later"]
-
-
-def test_jobs_of_workers_without_names_are_left_to_them(site: Site, table: JobTable) -> None:
+def test_a_worker_that_dies_again_and_again_stands_in_the_way(site: Site, table: JobTable) -> None:
     job = site.submit()
-    with table._engine.begin() as connection:
-        connection.execute(jobs_table.update().values(state=JobState.RUNNING))
-    assert table.take_back(["worker"], with_nameless=False) == 0
-    assert table.take_back(["worker"], with_nameless=True) == 1
-    assert site.queue.get(job.id).state is JobState.QUEUED
+    site.queue.report_worker("the worker died 2 times in a row: signal 6")
+    waiting = site.queue.get(job.id)
+    assert waiting.obstacle is Obstacle.WORKER_FAILS
+    assert waiting.message == "waiting for a worker: the worker died 2 times in a row: signal 6"
+    WorkerTable(table._engine).beat("another")
+    assert site.queue.get(job.id).obstacle is None, "it can take the job"
+    WorkerTable(table._engine).remove("another")
+    site.queue.report_worker(None)
+    assert site.queue.get(job.id).obstacle is Obstacle.NO_WORKER
+
+
+def test_only_deaths_are_counted(site: Site, table: JobTable) -> None:
+    job = site.submit()
+    for _ in range(6):
+        claim = table.take("worker")
+        assert claim.deaths == 0
+        table.give_back(claim.lease)
+    for deaths in range(3):
+        assert table.take("worker").deaths == deaths
+        assert table.take_back(["another"]) == 1
+    waiting = site.queue.get(job.id)
+    assert waiting.log[-1].endswith("waiting for another worker: its worker died")
+    site.queue.cancel(job.id)
+    site.queue.retry(job.id)
+    assert table.take("worker").deaths == 0
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""Maps of a site placed by a job: found once, kept while workers die, left to workers that know how."""
+"""Maps of a site placed by a job: found once, kept while workers die."""
 
 from __future__ import annotations
 
@@ -16,7 +16,6 @@ from house import DOORS, IN_SITE, PAIRS, placed, put_house, put_rooms
 from rholoc.errors import Cancelled, Conflict, MappingFailed, UnknownSite
 from rholoc.jobs import JobKind, JobState
 from rholoc.jobs.site_placing import store_links, write_links
-from rholoc.jobs.table import RELEASE, JobTable
 from rholoc.mapping import solve_site
 from rholoc.maps import FramePose, MapLibrary, Site, SiteLibrary, SiteMap
 from rholoc.progress import Stage, silent
@@ -127,7 +126,6 @@ def test_maps_that_are_gone_or_share_nothing_are_named(maps: MapLibrary, sites: 
 def test_one_job_at_a_time_places_a_site_and_none_counts_as_learning(site: Workplace) -> None:
     job = site.queue.submit_placing("house")
     assert (job.kind, job.site, job.map_name, job.recording, job.trusted) == (JobKind.PLACE, "house", "", "", None)
-    assert job.release == RELEASE
     with pytest.raises(Conflict, match=job.id):
         site.queue.submit_placing("house")
     assert site.queue.learning("house") is None
@@ -135,8 +133,6 @@ def test_one_job_at_a_time_places_a_site_and_none_counts_as_learning(site: Workp
     walk = site.submit(map_name="house")
     assert site.queue.learning("house") is None, "of a map of that name"
     site.queue.cancel(walk.id)
-    table = JobTable(site.queue.engine)
-    assert table.take("of the release before", release=RELEASE - 1) is None, "it does not know how"
     assert site.queue.submit_placing("other").site == "other"
     site.queue.cancel(job.id)
     assert site.queue.retry(job.id).kind is JobKind.PLACE

@@ -58,3 +58,26 @@ def test_a_stopped_worker_gives_its_job_back_at_once(site: Site) -> None:
     site.start_worker()
     assert site.wait_for(job, JobState.PUBLISHED, JobState.FAILED).attempts == 2
     assert site.control.count("put") == 1
+
+
+@pytest.mark.slow
+def test_what_a_killed_worker_had_built_is_not_built_again(site: Site) -> None:
+    job = site.survive_kills([["built", "publishing", "after-publishing"]])[0]
+    assert (job.state, job.attempts) == (JobState.PUBLISHED, 4)
+    assert (len(site.control.processes()), site.control.count("put")) == (1, 1)
+
+
+@pytest.mark.slow
+def test_stopping_workers_does_not_fail_a_job(site: Site) -> None:
+    site.control.hold("read")
+    job = site.submit()
+    for number in range(6):
+        worker = site.start_worker()
+        site.wait_at("read", number + 1)
+        worker.terminate()
+        assert worker.wait(60) == 0
+    assert site.queue.get(job.id).state is JobState.QUEUED
+    site.control.let_go("read")
+    site.start_worker()
+    done = site.wait_for(job, JobState.PUBLISHED, JobState.FAILED)
+    assert (done.state, done.attempts) == (JobState.PUBLISHED, 7)

@@ -11,7 +11,7 @@ from rholoc.features import Metric
 from rholoc.localization import Localizer
 from rholoc.mapping.landmarks import representative_rows, select_stable, triangulate
 from rholoc.mapping.observations import Views, link_observations
-from rholoc.maps import DensityKind, Map, MapInfo
+from rholoc.maps import DensityKind, Map, MapDescriptors, MapInfo, MapLandmarks, MapObservations, MapViews
 
 
 @pytest.fixture(scope="session")
@@ -26,15 +26,18 @@ def room_map(point_room: Any) -> Map:
     observed = landmarks.observed_rows
     return Map(
         info=MapInfo("0" * 32, 1, DensityKind.RAY, "gray", True, True, "2026-01-01T00:00:00Z", point_room.camera),
-        channels=np.zeros(len(landmarks), np.uint8),
-        landmarks=landmarks.positions.astype(np.float32),
-        covariances=landmarks.covariances.astype(np.float32),
-        descriptors=views.features.descriptors[np.concatenate(rows)],
-        descriptor_features=np.arange(len(landmarks), dtype=np.int32),
-        view_times=views.times,
-        T_map_camera=T,
-        observation_views=views.view_of[observed].astype(np.int32),
-        observation_features=landmarks.labels[observed].astype(np.int32),
+        landmarks=MapLandmarks(
+            channels=np.zeros(len(landmarks), np.uint8),
+            positions=landmarks.positions.astype(np.float32),
+            covariances=landmarks.covariances.astype(np.float32),
+        ),
+        descriptors=MapDescriptors(
+            values=views.features.descriptors[np.concatenate(rows)], features=np.arange(len(landmarks), dtype=np.int32)
+        ),
+        views=MapViews(times=views.times, T_map_camera=T),
+        observations=MapObservations(
+            views=views.view_of[observed].astype(np.int32), features=landmarks.labels[observed].astype(np.int32)
+        ),
     )
 
 

@@ -36,7 +36,7 @@ def test_it_climbs_to_where_the_frame_was_taken(by_densities: DensityLocalizer, 
     assert best.inliers == (best.optimum.density > 0).sum() >= 50
     np.testing.assert_array_equal(best.steps[-1].T_map_camera, best.optimum.T_map_camera)
     assert best.steps[-1].tolerance_px == TOLERANCES_PX[-1]
-    starts = [by_densities.map.T_map_camera[view] for view in range(60)]
+    starts = [by_densities.map.views.T_map_camera[view] for view in range(60)]
     assert any(np.array_equal(best.steps[0].T_map_camera, T) for T in starts)
 
 
@@ -62,7 +62,7 @@ def test_the_likeliest_views_are_those_beside_the_frame(localizer: Localizer, po
     assert [one.score for one in found] == sorted((one.score for one in found), reverse=True)
     assert all(abs(one.view - 25) <= 4 for one in found)
     for one in found:
-        np.testing.assert_array_equal(one.pose.T_map_camera, map_.T_map_camera[one.view])
+        np.testing.assert_array_equal(one.pose.T_map_camera, map_.views.T_map_camera[one.view])
     assert likeliest_views(localizer, features.take(np.zeros(0, np.int64)), 4) == []
 
 
@@ -84,7 +84,7 @@ def test_four_places_are_climbed_from_and_one_where_the_start_is_given(
         tolerances_px = sorted({step.tolerance_px for step in one.steps}, reverse=True)
         assert tolerances_px == [80, 40, 24, 12, 6, 4]
         np.testing.assert_array_equal(one.positions, [step.T_map_camera[:3, 3] for step in one.steps])
-    list(four.ascents(features, point_room.camera, start=localizer.map.T_map_camera[0]))
+    list(four.ascents(features, point_room.camera, start=localizer.map.views.T_map_camera[0]))
     assert voted == [(4, 10), (1, 10)]
 
 
@@ -93,7 +93,7 @@ def test_six_matches_make_an_answer(
     by_densities: DensityLocalizer, point_room: Any, monkeypatch: pytest.MonkeyPatch, agreeing: int, given: bool
 ) -> None:
     seen = point_room.see(point_room.walk(9)[4], 0)
-    (one,) = by_densities.ascents(seen, point_room.camera, start=by_densities.map.T_map_camera[0])
+    (one,) = by_densities.ascents(seen, point_room.camera, start=by_densities.map.views.T_map_camera[0])
     density = np.where(np.arange(len(one.evidence)) < agreeing, 1e-6, 0.0)
     poor = replace(one, optimum=replace(one.optimum, density=density))
     assert poor.inliers == agreeing

@@ -9,9 +9,20 @@ import numpy as np
 import pytest
 
 from rholoc.geometry import ByteArray
-from rholoc.localization.diagnosis import Cause, Sight, _from_sight, diagnose_picture, sight_of, wrong_camera
+from rholoc.localization.diagnosis import (
+    Agreement,
+    Cause,
+    Sight,
+    _from_sight,
+    diagnose_picture,
+    sight_of,
+    too_inexact,
+    wrong_camera,
+)
 from rholoc.maps import Map
 from rholoc.reports import CoachingReport, MapReport, WalkFigures
+
+STRANGE = Agreement(20, 459, 0.02)
 
 
 @pytest.fixture
@@ -28,13 +39,36 @@ def room_picture() -> ByteArray:
 
 
 def _cause(picture: ByteArray | None, map_: Map, features: int = 500) -> Cause:
-    return diagnose_picture(picture, map_, features, 40).cause
+    return diagnose_picture(picture, map_, features, 40, STRANGE).cause
 
 
 def test_a_good_picture_of_elsewhere_is_an_unknown_place(room_map: Map, room_picture: ByteArray) -> None:
     assert _cause(room_picture, room_map) is Cause.UNKNOWN_PLACE
     assert _cause(None, room_map) is Cause.UNKNOWN_PLACE
     assert _cause(cv2.cvtColor(room_picture, cv2.COLOR_BGR2GRAY), room_map) is Cause.UNKNOWN_PLACE  # type: ignore[arg-type]
+
+
+def test_a_picture_of_elsewhere_reads_like_one(room_map: Map, room_picture: ByteArray) -> None:
+    def message(inliers: int, matches: int, recognized: float) -> str:
+        return diagnose_picture(room_picture, room_map, 500, 40, Agreement(inliers, matches, recognized)).message
+
+    strange = "This picture does not show this map: 20 of 459 matches agree, no better than chance."
+    assert message(20, 459, 0.02) == strange
+    assert message(0, 0, 0.0) == "This picture does not show this map: nothing in it looks like anything there."
+    assert message(60, 459, 0.4) == (
+        "Too little in this picture shows this map to be sure of the place: 60 of 459 matches agree."
+    )
+
+
+def test_a_pose_that_is_too_inexact_is_named_by_what_it_is_known_to_and_what_was_asked() -> None:
+    place = too_inexact(0.123, 0.01, 0.05, np.inf)
+    assert place.message == (
+        "The place was recognized, but the pose is only known to 0.12 m (1σ); at most 0.05 m was asked for."
+    )
+    assert "max_sigma_m" in place.hint
+    turned = too_inexact(0.01, np.deg2rad(3.0), 0.05, np.deg2rad(1.5))
+    assert "known to 3° (1σ); at most 1.5° was asked for" in turned.message
+    assert "max_sigma_deg" in turned.hint
 
 
 @pytest.mark.parametrize("along", [True, False])
@@ -81,15 +115,15 @@ def _recorded_at(map_: Map, *levels: float | None) -> Map:
 def test_what_is_seen_is_held_against_what_a_picture_needs_and_the_recordings_light(
     room_map: Map, sight: Sight, cause: Cause | None
 ) -> None:
-    found = _from_sight(sight, _recorded_at(room_map, 110.0, None, 130.0))
+    found = _from_sight(sight, _recorded_at(room_map, 110.0, None, 130.0), STRANGE)
     assert (found and found.cause) is cause
-    assert _from_sight(Sight(31.0, 0.0, 0.9), _recorded_at(room_map, 50.0)) is None
+    assert _from_sight(Sight(31.0, 0.0, 0.9), _recorded_at(room_map, 50.0), STRANGE) is None
     if cause is Cause.OTHER_LIGHT and sight.tint == 0:
         assert found is not None
         assert f"(mean grey level {sight.brightness:.0f}, the recording's 120)" in found.message
-        assert _from_sight(sight, _recorded_at(room_map, None)) is None
+        assert _from_sight(sight, _recorded_at(room_map, None), STRANGE) is None
     if sight.tint > 30:
-        of_unknown_light = _from_sight(sight, _recorded_at(room_map))
+        of_unknown_light = _from_sight(sight, _recorded_at(room_map), STRANGE)
         assert of_unknown_light is not None
         assert "grey level" not in of_unknown_light.message
 

@@ -26,6 +26,7 @@ from rholoc.localization.focal import (
     focal_seed,
     verify_with_focal,
 )
+from rholoc.localization.map_uncertainty import worst_sigma
 from rholoc.localization.matches import Matches
 from rholoc.localization.types import Dof
 from rholoc.localization.verification import evidence_of, verify
@@ -80,7 +81,7 @@ def test_a_focal_length_that_is_right_within_a_percent_is_believed(
 
 @pytest.mark.parametrize("guess", [0.5, 1.0, 2.5])
 def test_an_unknown_focal_length_is_estimated_with_the_pose(room_map: Map, point_room: Any, guess: float) -> None:
-    localizer = Localizer(room_map, min_confidence=0.0)
+    localizer = Localizer(room_map, min_recognized=0.0)
     for seed, truth in enumerate(corners(point_room)):
         seen = point_room.see(truth, 500 + seed)
         answer = localizer.localize(Query(seen, point_room.camera.zoomed(guess), intrinsics=Intrinsics.UNKNOWN))
@@ -94,18 +95,23 @@ def test_an_unknown_focal_length_is_estimated_with_the_pose(room_map: Map, point
         assert abs(answer.camera.focal - point_room.camera.focal) < 3 * answer.focal_sigma_px
 
 
-def test_a_wall_straight_ahead_does_not_tell_the_focal_length_and_no_pose_is_made_up(
+def test_a_wall_straight_ahead_does_not_tell_the_focal_length_and_an_answer_knows_that(
     localizer: Localizer, point_room: Any
 ) -> None:
     facing = point_room.walk(13)
     for seed, truth in enumerate((facing[0], facing[4], facing[8])):
         query = Query(point_room.see(truth, 600 + seed), point_room.camera, intrinsics=Intrinsics.UNKNOWN)
         answer = localizer.localize(query)
-        assert answer.pose is None or np.linalg.norm(answer.pose.position - truth.position) < 0.1
+        assert answer.confidence < 0.5
+        if answer.pose is not None:
+            assert answer.covariance is not None
+            off_m = np.linalg.norm(answer.pose.position - truth.position)
+            assert off_m < min(0.5, 2 * worst_sigma(answer.covariance[:3, :3]))
+        assert localizer.localize(replace(query, max_sigma_m=0.05)).pose is None
 
 
 def test_an_estimated_focal_length_makes_the_pose_less_certain(room_map: Map, point_room: Any) -> None:
-    localizer, seen = Localizer(room_map, min_confidence=0.0), point_room.see(corners(point_room)[0], 9)
+    localizer, seen = Localizer(room_map, min_recognized=0.0), point_room.see(corners(point_room)[0], 9)
     given = localizer.localize(Query(seen, point_room.camera))
     unknown = localizer.localize(Query(seen, point_room.camera, intrinsics=Intrinsics.UNKNOWN))
     assert given.covariance is not None
@@ -323,7 +329,8 @@ def test_an_estimated_focal_lengths_belief_is_that_the_place_is_within_ten_centi
     verified, estimate, refined = found
     assert verified.focal_free
     sigma_m = np.sqrt(np.linalg.eigvalsh(verified.covariance[:3, :3]).max())
-    assert estimate.belief == pytest.approx(norm.cdf(0.1 / sigma_m) - norm.cdf(-0.1 / sigma_m))
+    assert estimate.belief == pytest.approx(norm.cdf(0.5 / sigma_m) - norm.cdf(-0.5 / sigma_m))
+    assert estimate.belief * estimate.exact == pytest.approx(norm.cdf(0.1 / sigma_m) - norm.cdf(-0.1 / sigma_m))
     assert estimate.focal_px == refined.camera.focal == pytest.approx(point_room.camera.focal, rel=0.02)
     assert estimate.moved_m == 0.0
     assert 0.001 < estimate.sigma_px / estimate.focal_px < 0.1

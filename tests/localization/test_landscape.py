@@ -30,19 +30,19 @@ _TOLERANCE_PX = 60.0
 @pytest.fixture(scope="module")
 def look(room_map: Map) -> Look:
     """A feature in a view that saw it, well within the picture."""
-    for row in range(len(room_map.observation_views)):
-        found = Look.of_view(room_map, int(room_map.observation_features[row]), int(room_map.observation_views[row]))
+    for row in range(len(room_map.observations.views)):
+        found = Look.of_view(room_map, int(room_map.observations.features[row]), int(room_map.observations.views[row]))
         if abs(found.pixel[0] - 320) < 120 and abs(found.pixel[1] - 240) < 80:
             return found
     raise AssertionError("no such feature")
 
 
 def _away_m(map_: Map, look: Look) -> float:
-    return float(np.linalg.norm(map_.landmarks[look.feature] - look.T_map_camera[:3, 3]))
+    return float(np.linalg.norm(map_.landmarks.positions[look.feature] - look.T_map_camera[:3, 3]))
 
 
 def test_a_look_is_at_the_landmarks_pixel(room_map: Map, look: Look) -> None:
-    inside = (room_map.landmarks[look.feature] - look.T_map_camera[:3, 3]) @ look.T_map_camera[:3, :3]
+    inside = (room_map.landmarks.positions[look.feature] - look.T_map_camera[:3, 3]) @ look.T_map_camera[:3, :3]
     ray = look.camera.rays(look.pixel[None])[0]
     np.testing.assert_allclose(ray, inside / np.linalg.norm(inside), atol=1e-9)
 
@@ -94,7 +94,7 @@ def test_over_headings_it_falls_with_the_angle(room_map: Map, look: Look) -> Non
     assert density[2, 2] == pytest.approx(1.0, abs=1e-3)
     pose = Pose(look.T_map_camera)
     azimuth, elevation = np.arctan2(pose.heading[1], pose.heading[0]), np.arcsin(pose.heading[2])
-    away = room_map.landmarks[look.feature] - pose.position
+    away = room_map.landmarks.positions[look.feature] - pose.position
     ray = look.camera.rays(look.pixel[None])[0]
     for (i, j), rho in np.ndenumerate(density):
         e, a = elevation + up[i], azimuth + aside[j]
@@ -117,7 +117,7 @@ def test_the_product_of_a_frame_peaks_where_it_was_taken(localizer: Localizer, p
 
 
 def test_a_feature_may_be_seen_from_its_views_and_not_from_behind(room_map: Map, look: Look) -> None:
-    here, landmark = look.T_map_camera[:3, 3], room_map.landmarks[look.feature].astype(np.float64)
+    here, landmark = look.T_map_camera[:3, 3], room_map.landmarks.positions[look.feature].astype(np.float64)
     assert seen_from(room_map, look.feature, Grid.about(here, (0.1, 0.1, 0.0), 0.1)).all()
     behind = landmark + 2 * (landmark - here)
     assert not seen_from(room_map, look.feature, Grid.about(behind, (0.1, 0.1, 0.0), 0.1)).any()
@@ -125,7 +125,7 @@ def test_a_feature_may_be_seen_from_its_views_and_not_from_behind(room_map: Map,
 
 def test_headings_are_turned_about_the_cameras_place(room_map: Map, look: Look) -> None:
     """A camera that looks steeply down sees a point straight ahead; turned by a and tilted by e, it sees it aside."""
-    landmark = room_map.landmarks[look.feature].astype(np.float64)
+    landmark = room_map.landmarks.positions[look.feature].astype(np.float64)
     for elevation, azimuth in ((-0.9, 2.0), (0.6, -2.5)):
         away = np.array([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)])
         pose = Pose.from_heading(landmark - 3.0 * away, away, 0.3)
@@ -133,8 +133,8 @@ def test_headings_are_turned_about_the_cameras_place(room_map: Map, look: Look) 
         ahead = Look(look.feature, look.camera, pose.T_map_camera, centre)
         density, up, aside = over_headings(room_map, ahead, 0.12, 7, _TOLERANCE_PX)
         e, a = elevation + up[:, None], azimuth + aside
-        cosine = np.sin(e) * np.sin(elevation) + np.cos(e) * np.cos(elevation) * np.cos(a - azimuth)
-        off_px = look.camera.focal * np.tan(np.arccos(np.clip(cosine, -1, 1)))
+        turned = np.stack(np.broadcast_arrays(np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)), axis=-1)
+        off_px = look.camera.focal * np.tan(angles_between(turned, away))
         np.testing.assert_allclose(density, np.maximum(1 - (off_px / _TOLERANCE_PX) ** 2, 0), atol=0.03)
     assert density.max() > 0.99
 
@@ -194,8 +194,8 @@ def test_a_landscape_is_about_the_pose_at_its_height(localizer: Localizer, room_
 
 
 def test_presence_is_of_the_views_that_saw_the_feature(room_map: Map, look: Look) -> None:
-    views = room_map.observation_views[room_map.observation_features == look.feature]
-    away = room_map.view_positions[views] - room_map.landmarks[look.feature].astype(np.float64)
+    views = room_map.observations.views[room_map.observations.features == look.feature]
+    away = room_map.views.positions[views] - room_map.landmarks.positions[look.feature].astype(np.float64)
     distance = np.linalg.norm(away, axis=1)
     presence = presence_of(room_map, look.feature)
     nearest, farthest = presence.reach

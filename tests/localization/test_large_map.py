@@ -30,7 +30,7 @@ from rholoc.localization.large_map import PlaceIndex, _Clock, _in_part, _PartInd
 from rholoc.localization.map_index import MapIndex
 from rholoc.localization.matches import Matches, NearestLandmarks, match_chances
 from rholoc.localization.seeds import view_votes
-from rholoc.maps import Map, part_of
+from rholoc.maps import Map, part_of, without_memory
 
 _ROOMS, _ROOM_PITCH_M = 40, 20.0
 
@@ -38,29 +38,42 @@ _ROOMS, _ROOM_PITCH_M = 40, 20.0
 def _row_of_rooms(room: Map) -> Map:
     """Rooms alike in shape, each with descriptors of its own, side by side; the first one is ``room`` itself."""
     rng = np.random.default_rng(5)
-    count, views = len(room), len(room.view_times)
+    count, views = len(room), len(room.views)
     parts = []
     for number in range(_ROOMS):
         shift = np.array([number * _ROOM_PITCH_M, 0, 0])
-        T = room.T_map_camera.copy()
+        T = room.views.T_map_camera.copy()
         T[:, :3, 3] += shift
-        mask = rng.integers(0, 256, room.descriptors.shape, dtype=np.uint8) if number else np.uint8(0)
-        parts.append(((room.landmarks + shift).astype(np.float32), T, room.descriptors ^ mask))
+        mask = rng.integers(0, 256, room.descriptors.values.shape, dtype=np.uint8) if number else np.uint8(0)
+        parts.append(((room.landmarks.positions + shift).astype(np.float32), T, room.descriptors.values ^ mask))
     rooms = np.arange(_ROOMS, dtype=np.int32)
-    return replace(
-        room,
-        channels=np.tile(room.channels, _ROOMS),
-        landmarks=np.concatenate([part[0] for part in parts]),
-        covariances=np.tile(room.covariances, (_ROOMS, 1, 1)),
-        descriptors=np.concatenate([part[2] for part in parts]),
-        descriptor_features=np.concatenate([room.descriptor_features + count * n for n in rooms]),
-        view_times=np.arange(_ROOMS * views, dtype=np.float64),
-        T_map_camera=np.concatenate([part[1] for part in parts]),
-        observation_views=np.concatenate([room.observation_views + views * n for n in rooms]),
-        observation_features=np.concatenate([room.observation_features + count * n for n in rooms]),
-        observations=None,
-        view_covariances=None,
-        colours=None,
+    return without_memory(
+        replace(
+            room,
+            landmarks=replace(
+                room.landmarks,
+                channels=np.tile(room.landmarks.channels, _ROOMS),
+                positions=np.concatenate([part[0] for part in parts]),
+                covariances=np.tile(room.landmarks.covariances, (_ROOMS, 1, 1)),
+                colours=None,
+            ),
+            descriptors=replace(
+                room.descriptors,
+                values=np.concatenate([part[2] for part in parts]),
+                features=np.concatenate([room.descriptors.features + count * n for n in rooms]),
+            ),
+            views=replace(
+                room.views,
+                times=np.arange(_ROOMS * views, dtype=np.float64),
+                T_map_camera=np.concatenate([part[1] for part in parts]),
+                covariances=None,
+            ),
+            observations=replace(
+                room.observations,
+                views=np.concatenate([room.observations.views + views * n for n in rooms]),
+                features=np.concatenate([room.observations.features + count * n for n in rooms]),
+            ),
+        )
     )
 
 
@@ -86,7 +99,7 @@ def test_poses_are_those_of_the_room_alone(large: LargeMapLocalizer, localizer: 
 def test_features_are_named_by_their_rows_in_the_whole_map(large: LargeMapLocalizer, point_room: Any) -> None:
     truth = point_room.walk(8, sideways_m=0.1)[3]
     answer = large.localize(Query(point_room.see(truth, 1), point_room.camera, Dof.FREE))
-    seen = (large.map.landmarks[answer.inlier_features] - truth.position) @ truth.R_map_camera
+    seen = (large.map.landmarks.positions[answer.inlier_features] - truth.position) @ truth.R_map_camera
     off_px = np.linalg.norm(point_room.camera.project(seen) - answer.inlier_pixels, axis=1)
     assert np.median(off_px) < 3
 
@@ -94,7 +107,7 @@ def test_features_are_named_by_their_rows_in_the_whole_map(large: LargeMapLocali
 def test_a_part_is_small_however_large_the_map(large: LargeMapLocalizer, point_room: Any) -> None:
     seen = point_room.see(point_room.walk(8)[2], 7)
     part, _ = large.around([seen])
-    assert len(part.map.view_times) <= 128
+    assert len(part.map.views) <= 128
     assert len(part.map) <= 6000
     assert len(part.map) < len(large.map) / 5
 
@@ -118,7 +131,7 @@ def test_several_frames_and_places_are_found(large: LargeMapLocalizer, room_map:
         assert pose_distances(pose.T_map_camera, truth.T_map_camera)[0] < 0.02
     assert found.first.inlier_features.max() < len(room_map)
     views = likeliest_views(large, frames[0].features, 3)
-    assert [view.view < len(room_map.view_times) for view in views] == [True] * 3
+    assert [view.view < len(room_map.views) for view in views] == [True] * 3
 
 
 def test_an_unknown_place_has_no_pose(large: LargeMapLocalizer, point_room: Any) -> None:
@@ -160,15 +173,19 @@ def _small(room_map: Map) -> Map:
     features = np.array([0, 1, 2, 1, 2, 3, 4, 5, 0, 4, 5, 6, 2, 6])
     return replace(
         room_map,
-        channels=np.zeros(7, np.uint8),
-        landmarks=room_map.landmarks[:7],
-        covariances=room_map.covariances[:7],
-        descriptors=np.random.default_rng(3).integers(0, 256, (10, 32), dtype=np.uint8),
-        descriptor_features=np.array([0, 0, 1, 2, 3, 3, 3, 4, 5, 6], np.int32),
-        view_times=room_map.view_times[:5],
-        T_map_camera=room_map.T_map_camera[:5],
-        observation_views=views.astype(np.int32),
-        observation_features=features.astype(np.int32),
+        landmarks=replace(
+            room_map.landmarks,
+            channels=np.zeros(7, np.uint8),
+            positions=room_map.landmarks.positions[:7],
+            covariances=room_map.landmarks.covariances[:7],
+        ),
+        descriptors=replace(
+            room_map.descriptors,
+            values=np.random.default_rng(3).integers(0, 256, (10, 32), dtype=np.uint8),
+            features=np.array([0, 0, 1, 2, 3, 3, 3, 4, 5, 6], np.int32),
+        ),
+        views=replace(room_map.views, times=room_map.views.times[:5], T_map_camera=room_map.views.T_map_camera[:5]),
+        observations=replace(room_map.observations, views=views.astype(np.int32), features=features.astype(np.int32)),
     )
 
 
@@ -179,7 +196,7 @@ def test_views_are_voted_for_as_in_any_map(room_map: Map) -> None:
         landmarks = rng.integers(0, len(map_), 40)
         matches = Matches(np.arange(40), landmarks, rng.uniform(0.1, 0.9, 40))
         np.testing.assert_allclose(places.votes(matches), view_votes(index, matches), rtol=1e-5)
-        views = len(map_.view_times)
+        views = len(map_.views)
         for view in (0, views // 2, views - 1):
             np.testing.assert_array_equal(places.shared_with(view), index.shared_with(view))
     assert places.votes(Matches.none()).tolist() == [0.0] * 5
@@ -188,7 +205,7 @@ def test_views_are_voted_for_as_in_any_map(room_map: Map) -> None:
 def test_features_are_looked_up_by_each_landmarks_first_descriptor(room_map: Map) -> None:
     map_ = _small(room_map)
     places, zeros = PlaceIndex(map_), np.zeros(4, np.float32)
-    own = map_.descriptors[[9, 7, 5, 0]]  # the first ones of 6, 4 and 0, and the second of 3
+    own = map_.descriptors.values[[9, 7, 5, 0]]  # the first ones of 6, 4 and 0, and the second of 3
     features = FeatureSet(np.zeros((4, 2), np.float32), np.zeros(4, np.uint8), own, zeros, zeros)
     found = places.nearest(features)
     assert found.landmarks.shape == (4, 4)

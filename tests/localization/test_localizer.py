@@ -12,8 +12,9 @@ from scipy.spatial.transform import Rotation
 
 from rholoc.errors import InvalidDescriptors
 from rholoc.features import FeatureSet
-from rholoc.geometry import Pose, pose_distances, pose_matrix
+from rholoc.geometry import Pose, angles_between, pose_distances, pose_matrix
 from rholoc.localization import Cause, Dof, Localizer, Prior, Query, Reason
+from rholoc.localization.localizer import SearchOptions
 from rholoc.localization.matches import Matches
 from rholoc.localization.seeds import place_of_prior
 from rholoc.maps import Map
@@ -55,6 +56,8 @@ def test_a_rolled_camera_is_found_with_six_degrees_of_freedom(localizer: Localiz
 
 
 def test_more_features_are_asked_for_only_where_few_do_not_suffice(localizer: Localizer, point_room: Any) -> None:
+    options = SearchOptions(settled_sigma_m=0.1)  # the room of points is known no better
+    localizer = Localizer(localizer.map, options=options, index=localizer.index)
     truth, asked = point_room.walk(5)[2], []
     every = point_room.see(truth, 3)
 
@@ -149,7 +152,7 @@ def test_a_priors_place_is_seen_by_views_that_look_its_way(localizer: Localizer,
     index, truth = localizer.index, point_room.walk(9)[4]
     place = place_of_prior(index, Prior(truth, 4.0, 0.1), views_each=60)
     assert place is not None
-    turned = np.arccos(np.clip(index.view_headings @ truth.heading, -1, 1))
+    turned = angles_between(index.view_headings, truth.heading)
     alike = np.flatnonzero(turned < 0.1 + np.deg2rad(30))
     assert 0 < len(alike) < len(turned)
     np.testing.assert_array_equal(place.landmarks, np.unique(index.visibility[alike].indices))
@@ -259,7 +262,11 @@ def test_a_query_is_freed_of_what_means_nothing_in_a_map(
     room_map: Map, point_room: Any, roll_deg: float, upright: bool, dof: Dof, keeps_gravity: bool
 ) -> None:
     poses = [Pose.from_heading(np.zeros(3), np.array([1.0, 0.0, 0.0]), np.deg2rad(roll_deg)).T_map_camera] * 60
-    map_ = replace(room_map, info=replace(room_map.info, upright=upright), T_map_camera=np.array(poses))
+    map_ = replace(
+        room_map,
+        info=replace(room_map.info, upright=upright),
+        views=replace(room_map.views, T_map_camera=np.array(poses)),
+    )
     features = point_room.see(point_room.walk(9)[4], 0)
     query = Query(features, point_room.camera, Dof.AUTO, gravity=np.array([0.0, 1.0, 0.0]))
     adapted = Localizer(map_).adapted(query)

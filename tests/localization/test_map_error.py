@@ -11,8 +11,10 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi
 
 from rholoc.geometry import Pose
-from rholoc.localization import Localization, Localizer, Query
+from rholoc.localization import Alternative, Belief, Cause, Localization, Localizer, Query, Reason
 from rholoc.localization.map_error import (
+    PLACE_M,
+    PLACE_RAD,
     RIGHT_M,
     RIGHT_RAD,
     carried_covariances,
@@ -22,7 +24,7 @@ from rholoc.localization.map_error import (
     trust_in_map,
 )
 from rholoc.localization.map_index import MapIndex
-from rholoc.localization.map_uncertainty import with_map_error
+from rholoc.localization.map_uncertainty import with_map_error, worst_sigma
 from rholoc.mapping.uncertainty import storable_covariances
 from rholoc.maps import Map
 from rholoc.reports import MapReport, TrajectoryReport
@@ -108,10 +110,12 @@ def test_views_that_do_not_know_are_left_out() -> None:
 
 def displaced(map_: Map, spread: np.ndarray) -> Map:
     """The map, which as a whole may be moved by what has this covariance (6, 6) at the origin."""
-    at_views = [carried_covariances(spread[None], np.zeros((1, 3)), x)[0] for x in map_.view_positions]
+    at_views = [carried_covariances(spread[None], np.zeros((1, 3)), x)[0] for x in map_.views.positions]
     report = MapReport(trajectories=(TrajectoryReport("given", trusted=True),))
     return replace(
-        map_, view_covariances=storable_covariances(np.array(at_views)), info=replace(map_.info, report=report)
+        map_,
+        info=replace(map_.info, report=report),
+        views=replace(map_.views, covariances=storable_covariances(np.array(at_views))),
     )
 
 
@@ -121,7 +125,7 @@ def test_answers_know_that_the_map_may_be_displaced(room_map: Map, point_room: A
     spread = covariance(sigma_m, 5)
     spread[3:, 3:] /= 10
     spread[:3, 3:] = spread[3:, :3] = 0
-    localizer = Localizer(displaced(room_map, spread))
+    localizer = Localizer(displaced(room_map, spread), min_recognized=0.0)
     rng = np.random.default_rng(8)
     inside, right, confidences = [], [], []
     for seed, pose in enumerate(point_room.walk(8, sideways_m=0.1)):
@@ -141,29 +145,34 @@ def test_answers_know_that_the_map_may_be_displaced(room_map: Map, point_room: A
     assert np.mean(confidences) == pytest.approx(np.mean(right), abs=0.11)  # of a frame's own error they are careful
 
 
-def test_an_answer_in_an_untrusted_map_is_less_sure_but_comes(room_map: Map, point_room: Any) -> None:
+def test_an_answer_in_an_untrusted_map_is_less_sure(room_map: Map, point_room: Any) -> None:
     pose = point_room.walk(7)[3]
     query = Query(point_room.see(pose, 5), point_room.camera)
     answers = []
     for trusted in (True, False):
         report = MapReport(trajectories=(TrajectoryReport("given", trusted=trusted, why="Measured."),))
         map_ = replace(room_map, info=replace(room_map.info, report=report))
-        answers.append(Localizer(map_, min_confidence=0.9).localize(query))
+        answers.append(Localizer(map_, min_recognized=0.9).localize(query))
     assert all(answer.localized for answer in answers)
     assert [answer.map_trusted for answer in answers] == [True, False]
     assert answers[1].confidence < 0.9 < answers[0].confidence
+    assert answers[1].recognized == answers[0].recognized  # the place is the same, however bent the map is
     assert answers[0].expected_error_m is None
 
 
 def test_the_maps_error_is_added_to_a_sixteenth_of_the_frames_own(localizer: Localizer) -> None:
     map_ = localizer.map
-    of_views = np.array([np.diag([(1e-3 * (1 + view)) ** 2] * 3 + [0.0] * 3) for view in range(len(map_.view_times))])
+    of_views = np.array([np.diag([(1e-3 * (1 + view)) ** 2] * 3 + [0.0] * 3) for view in range(len(map_.views))])
     report = MapReport(trajectories=(TrajectoryReport("given", trusted=False, why="Measured."),))
     info = replace(map_.info, report=report)
-    known = MapIndex(replace(map_, view_covariances=of_views.astype(np.float32), info=info))
-    features, pose = known.visibility[[20]].indices.astype(np.int64), Pose(map_.T_map_camera[20])
+    known = MapIndex(replace(map_, info=info, views=replace(map_.views, covariances=of_views.astype(np.float32))))
+    features, pose = known.visibility[[20]].indices.astype(np.int64), Pose(map_.views.T_map_camera[20])
     own = covariance(0.02, 7)
-    answer = Localization(True, None, pose, own, 0.8, 300, 200, np.zeros((200, 2)), features)
+    other = Alternative(0.05, pose, 2 * own)
+    belief, alternatives = Belief(0.9, 8 / 9), (other,)
+    answer = Localization(
+        True, None, pose, own, belief, 300, 200, np.zeros((200, 2)), features, alternatives=alternatives
+    )
     shared = known.shared_with(20)
     ten = np.argsort(-shared, kind="stable")[:10]
     of_map = np.zeros((6, 6))
@@ -173,6 +182,8 @@ def test_the_maps_error_is_added_to_a_sixteenth_of_the_frames_own(localizer: Loc
     np.testing.assert_allclose(found.covariance, own / 16 + of_map, rtol=1e-5, atol=1e-12)
     assert found.expected_error_m == pytest.approx(np.sqrt(np.trace(of_map)), rel=1e-5)
     assert found.confidence == pytest.approx(0.8 * 0.8 * trust_in_map(own / 16, of_map), rel=1e-5)
+    assert found.recognized == pytest.approx(0.9 * trust_in_map(own / 16, of_map, PLACE_M, PLACE_RAD), rel=1e-5)
+    np.testing.assert_allclose(found.alternatives[0].covariance, own / 8 + of_map, rtol=1e-5, atol=1e-12)
     assert found.map_trusted is False
     scaleless = MapIndex(replace(known.map, info=replace(info, metric=False)))
     for index, one in (
@@ -185,5 +196,37 @@ def test_the_maps_error_is_added_to_a_sixteenth_of_the_frames_own(localizer: Loc
         assert less.confidence == pytest.approx(0.64)
         assert less.expected_error_m is None
     unknown = with_map_error(localizer.index, answer)
-    assert unknown.confidence == 0.8
+    assert unknown.confidence == pytest.approx(0.8)
     assert unknown.covariance is own
+
+
+def test_no_pose_is_given_where_the_map_may_be_off_by_more_than_a_place_and_that_is_named_as_the_cause(
+    room_map: Map, point_room: Any
+) -> None:
+    query = Query(point_room.see(point_room.walk(7)[3], 5), point_room.camera)
+    bent = Localizer(displaced(room_map, covariance(0.2, 5))).localize(query)
+    assert bent.localized
+    assert bent.confidence < 0.5 < bent.recognized
+    answer = Localizer(displaced(room_map, covariance(1.5, 5))).localize(query)
+    assert not answer.localized
+    assert (answer.reason, answer.pose, answer.diagnosis.cause) == (Reason.NOT_RECOGNIZED, None, Cause.INEXACT_MAP)
+    assert answer.confidence <= answer.recognized < 0.5
+
+
+def test_a_map_that_is_too_inexact_for_the_request_is_refused_before_a_pose_is_given(
+    room_map: Map, point_room: Any
+) -> None:
+    query = Query(point_room.see(point_room.walk(7)[3], 5), point_room.camera)
+    localizer = Localizer(displaced(room_map, covariance(0.1, 5)))
+    given = localizer.localize(query)
+    assert given.covariance is not None
+    sigma_m, sigma_rad = (worst_sigma(given.covariance[rows, rows]) for rows in (slice(3), slice(3, 6)))
+    assert localizer.localize(replace(query, max_sigma_m=1.01 * sigma_m, max_sigma_rad=1.01 * sigma_rad)).localized
+    for asked, option in (({"max_sigma_m": 0.99 * sigma_m}, "m"), ({"max_sigma_rad": 0.99 * sigma_rad}, "deg")):
+        answer = localizer.localize(replace(query, **asked))
+        assert (answer.localized, answer.pose, answer.covariance) == (False, None, None)
+        assert answer.reason is Reason.TOO_INEXACT
+        assert answer.recognized == given.recognized
+        assert answer.diagnosis is not None
+        assert answer.diagnosis.cause is Cause.TOO_INEXACT
+        assert f"max_sigma_{option}" in answer.diagnosis.hint

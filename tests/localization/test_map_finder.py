@@ -29,7 +29,7 @@ def seen(map_: Map) -> Callable[[Extractor], FeatureSet]:
     def by(extractor: Extractor) -> FeatureSet:
         if extractor != get_extractor("gray"):
             raise InvalidDescriptors("Other features.")
-        some = map_.descriptors[::2]
+        some = map_.descriptors.values[::2]
         blank = np.zeros(len(some), np.float32)
         return FeatureSet(np.zeros((len(some), 2), np.float32), blank.astype(np.uint8), some, blank, blank)
 

@@ -28,19 +28,19 @@ VIEW = 20
 @pytest.fixture(scope="module")
 def patched(room_map: Map, point_room: Any) -> Map:
     """The room's map with the true patch of every landmark but the first."""
-    apart = np.linalg.norm(room_map.landmarks[:, None].astype(float) - point_room.points, axis=2)
+    apart = np.linalg.norm(room_map.landmarks.positions[:, None].astype(float) - point_room.points, axis=2)
     patches = point_room.patches[apart.argmin(axis=1)].astype(np.float32)
     patches[0] = np.nan
-    return replace(room_map, patches=patches)
+    return replace(room_map, landmarks=replace(room_map.landmarks, patches=patches))
 
 
 def seen_from_view(map_: Map, point_room: Any) -> tuple[FeatureSet, Matches]:
     """All that a view saw, as it saw it, each matched with its landmark."""
     first, last = map_.view_offsets[VIEW : VIEW + 2]
-    rows = map_.observation_features[first:last].astype(np.int64)
-    T, camera = map_.T_map_camera[VIEW], point_room.camera
-    landmarks = map_.landmarks[rows].astype(np.float64)
-    angles, sizes_px = patch_appearance(camera, T, landmarks, map_.known_patches[rows])
+    rows = map_.observations.features[first:last].astype(np.int64)
+    T, camera = map_.views.T_map_camera[VIEW], point_room.camera
+    landmarks = map_.landmarks.positions[rows].astype(np.float64)
+    angles, sizes_px = patch_appearance(camera, T, landmarks, map_.landmarks.known_patches[rows])
     pixels = camera.project((landmarks - T[:3, 3]) @ T[:3, :3]).astype(np.float32)
     nothing = np.zeros((len(rows), 32), np.uint8)
     features = FeatureSet(pixels, nothing[:, 0], nothing, sizes_px.astype(np.float32), angles.astype(np.float32))
@@ -79,7 +79,7 @@ def test_few_matches_say_less_and_unknown_ones_nothing() -> None:
 
 def test_matches_of_a_pose_are_told_from_shuffled_ones(patched: Map, room_map: Map, point_room: Any) -> None:
     features, matches = seen_from_view(patched, point_room)
-    T, camera = patched.T_map_camera[VIEW], point_room.camera
+    T, camera = patched.views.T_map_camera[VIEW], point_room.camera
 
     def log_odds(map_: Map, landmarks: FloatArray) -> FloatArray:
         return patch_log_odds(map_, features, camera, T, matches.detections, landmarks)
@@ -103,7 +103,7 @@ def test_a_pose_that_is_right_is_borne_out_by_its_patches_and_by_others_it_is_no
         """How well patches agree with the pose found, and the confidence in it."""
         found = Localizer(map_).candidate(Query(features, point_room.camera))
         assert found is not None
-        return found[0].support.patches, found[1]
+        return found[0].support.patches, found[1].confidence
 
     agreement, confidence = asked(patched, seen)
     assert agreement > 2

@@ -14,8 +14,7 @@ from rholoc.geometry import Pose
 from rholoc.localization import Dof, Localizer, Query, SeveralFrames, localize_together
 from rholoc.localization.ascent import Optimum
 from rholoc.localization.matches import Matches
-from rholoc.localization.rivals import _unexplained, are_rivals, rival_seeds, sureness
-from rholoc.localization.support import Support
+from rholoc.localization.rivals import _unexplained, are_rivals, rival_seeds, shares
 from rholoc.localization.verification import verify
 
 
@@ -29,18 +28,33 @@ def twin_room(point_room: Any) -> Any:
 
 
 def test_a_room_that_is_its_own_twin_is_not_answered_with_confidence(twin_room: Any) -> None:
-    localizer = Localizer(twin_room.map_of(twin_room.walk(80), "twin"), min_confidence=0.0)
+    localizer = Localizer(twin_room.map_of(twin_room.walk(80), "twin"), min_recognized=0.0)
     for seed, truth in enumerate(twin_room.walk(9, sideways_m=0.1)[1:3]):
         answer = localizer.localize(Query(twin_room.see(truth, 70 + seed), twin_room.camera, Dof.FREE))
-        assert answer.confidence < 0.75  # of two equal places neither is likelier than a half
+        assert answer.recognized < 0.75  # of two equal places neither is likelier than a half
+        assert answer.alternatives
+        other = answer.alternatives[0]
+        assert other.weight > 0.25
+        assert answer.recognized + sum(one.weight for one in answer.alternatives) <= 1 + 1e-9
+        both = {round(float(pose.position @ truth.position) / 0.2) for pose in (answer.pose, other.pose) if pose}
+        mirrored = truth.position * (-1, -1, 1)
+        assert both == {round(float(at @ truth.position) / 0.2) for at in (truth.position, mirrored)}
+        withheld = Localizer(localizer.map, min_recognized=0.99, index=localizer.index).localize(
+            Query(twin_room.see(truth, 70 + seed), twin_room.camera, Dof.FREE)
+        )
+        assert not withheld.localized
+        assert [one.weight for one in withheld.alternatives] == [
+            answer.recognized,
+            *(one.weight for one in answer.alternatives),
+        ][:4]
 
 
 def test_several_frames_of_it_are_not_answered_as_if_there_were_no_other(twin_room: Any) -> None:
-    localizer = Localizer(twin_room.map_of(twin_room.walk(80), "twin"), min_confidence=0.0)
+    localizer = Localizer(twin_room.map_of(twin_room.walk(80), "twin"), min_recognized=0.0)
     truths = twin_room.walk(40, sideways_m=0.1)[5:14:4]
     frames = tuple(Query(twin_room.see(truth, 80 + i), twin_room.camera, Dof.FREE) for i, truth in enumerate(truths))
     asked = SeveralFrames(frames, np.array([truth.T_map_camera for truth in truths]))
-    assert localize_together(localizer, asked).first.confidence < 0.9
+    assert localize_together(localizer, asked).first.recognized < 0.9
 
 
 def _in_a_crowd(seen: FeatureSet, kept: np.ndarray, seed: int) -> FeatureSet:
@@ -73,9 +87,21 @@ def test_what_should_be_seen_and_is_not_speaks_against_a_pose(localizer: Localiz
 
 
 def test_matches_in_one_corner_say_no_more_than_a_few() -> None:
-    assert sureness(Support(100.0, 0.0), Support(100.0, 0.0)) == 0.5
-    assert sureness(Support(160.0, 5.0), Support(110.0, 5.0)) > 0.95
-    assert sureness(Support(110.0, 40.0), Support(110.0, 0.0)) < 0.05
+    def share(own: float, rival: float) -> float:
+        return float(shares(np.ones(2), np.array([own, rival]))[0])
+
+    assert share(100.0, 100.0) == 0.5
+    assert share(155.0, 105.0) > 0.95
+    assert share(70.0, 110.0) < 0.05
+
+
+def test_one_true_place_is_divided_among_all_poses_and_what_is_hardly_a_place_takes_hardly_any_of_it() -> None:
+    three = shares(np.ones(3), np.full(3, 50.0))
+    np.testing.assert_allclose(three, 1 / 3)
+    alone = shares(np.array([0.99, 0.01, 0.0]), np.array([50.0, 45.0, 60.0]))
+    assert alone.sum() == pytest.approx(1)
+    assert alone[0] > 0.99
+    assert shares(np.zeros(1), np.zeros(1)) == [1.0]
 
 
 @pytest.mark.parametrize(

@@ -17,7 +17,7 @@ from rholoc.localization.ascent import gains
 from rholoc.localization.map_index import MapIndex
 from rholoc.localization.matches import Matches
 from rholoc.localization.ransac import lo_ransac
-from rholoc.localization.rivals import sureness
+from rholoc.localization.rivals import shares
 from rholoc.localization.seeds import (
     _draw_triples,
     groups_by_votes,
@@ -27,7 +27,6 @@ from rholoc.localization.seeds import (
     views_by_prior,
     vote_for_places,
 )
-from rholoc.localization.support import Support
 from rholoc.localization.types import Prior
 from rholoc.maps import Map
 
@@ -137,7 +136,7 @@ def test_places_are_different_and_near_a_prior_where_there_is_one(localizer: Loc
     assert [place.votes for place in places] == sorted((place.votes for place in places), reverse=True)
     for place in places:
         assert np.isin(index.visibility[[place.view]].indices, place.landmarks).all()
-    pose = Pose(index.map.T_map_camera[40])
+    pose = Pose(index.map.views.T_map_camera[40])
     near = vote_for_places(index, matches, 1, 6, Prior(pose, 0.1, 0.1))
     assert np.linalg.norm(index.view_positions[near[0].view] - pose.position) < 1.1
     assert vote_for_places(index, Matches.none(), 3, 6, None) == []
@@ -145,7 +144,7 @@ def test_places_are_different_and_near_a_prior_where_there_is_one(localizer: Loc
 
 def test_a_priors_place_is_none_where_no_view_is_near_or_looks_its_way(localizer: Localizer, point_room: Any) -> None:
     index = localizer.index
-    pose = Pose(index.map.T_map_camera[10])
+    pose = Pose(index.map.views.T_map_camera[10])
     here = place_of_prior(index, Prior(pose, 0.5, 0.2), 5)
     assert here is not None
     assert here.view == 10
@@ -155,12 +154,9 @@ def test_a_priors_place_is_none_where_no_view_is_near_or_looks_its_way(localizer
     assert place_of_prior(index, Prior(up, 0.5, 0.2), 5) is None
 
 
-def test_of_two_poses_the_better_supported_is_surer() -> None:
-    assert sureness(Support(40.0, 0.0), Support(50.0, 10.0)) == pytest.approx(0.5)
-    assert sureness(Support(52.0, 0.0), Support(40.0, 0.0)) == pytest.approx(1 / (1 + np.exp(-1)))
-    assert sureness(Support(40.0, 12.0), Support(40.0, 0.0)) == pytest.approx(1 / (1 + np.exp(1)))
-    assert sureness(Support(1e6, 0.0), Support(0.0, 0.0)) == pytest.approx(1.0)
-    assert sureness(Support(0.0, 0.0), Support(1e6, 0.0)) == pytest.approx(0.0, abs=1e-12)
+def test_of_two_poses_the_better_supported_has_the_greater_share() -> None:
+    for nets, share in (((40.0, 40.0), 0.5), ((52.0, 40.0), 1 / (1 + np.exp(-1))), ((1e6, 0.0), 1.0)):
+        np.testing.assert_allclose(shares(np.ones(2), np.array(nets)), (share, 1 - share), atol=1e-12)
 
 
 def test_views_of_the_same_are_places_once_each(room_map: Map) -> None:
@@ -169,17 +165,21 @@ def test_views_of_the_same_are_places_once_each(room_map: Map) -> None:
     index = MapIndex(
         replace(
             room_map,
-            view_times=room_map.view_times[:3],
-            T_map_camera=room_map.T_map_camera[:3],
-            observation_views=np.array([0, 0, 0, 1, 1, 1, 2, 2], np.int32),
-            observation_features=features.astype(np.int32),
+            views=replace(room_map.views, times=room_map.views.times[:3], T_map_camera=room_map.views.T_map_camera[:3]),
+            observations=replace(
+                room_map.observations,
+                views=np.array([0, 0, 0, 1, 1, 1, 2, 2], np.int32),
+                features=features.astype(np.int32),
+            ),
         )
     )
     matches = Matches(np.arange(5), np.arange(5), np.full(5, 0.5))
     views = [place.view for place in vote_for_places(index, matches, 9, 1, None)]
     assert sorted(views) == [0, 1, 2]
     np.testing.assert_allclose(view_votes(index, matches), np.array([1.5, 1.5, 1.0]) / np.sqrt(50))
-    far = Prior(Pose(index.map.T_map_camera[2]), 1e-3 + np.linalg.norm(np.ptp(index.view_positions, axis=0)) - 1, 0.1)
+    far = Prior(
+        Pose(index.map.views.T_map_camera[2]), 1e-3 + np.linalg.norm(np.ptp(index.view_positions, axis=0)) - 1, 0.1
+    )
     assert near_votes(index, matches, far) == pytest.approx([1.5, 1.0])
     apart_m = np.linalg.norm(index.view_positions - index.view_positions[2], axis=1)
     beside = Prior(far.pose, float(apart_m[:2].min()) - 1 - 1e-6, 0.1)

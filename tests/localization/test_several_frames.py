@@ -15,6 +15,7 @@ from rholoc.errors import InvalidDescriptors, InvalidInput
 from rholoc.features import FeatureSet
 from rholoc.geometry import Pose, pose_distances, pose_matrix
 from rholoc.localization import (
+    Belief,
     Dof,
     Intrinsics,
     Localizer,
@@ -182,8 +183,8 @@ def test_frames_of_unknown_intrinsics_are_refused(localizer: Localizer, point_ro
         localize_together(localizer, replace(asked, frames=(asked.frames[0], unknown)))
 
 
-def _candidate(confidence: float) -> _Candidate:
-    return _Candidate((), np.zeros((0, 6, 6)), confidence)
+def _candidate(recognized: float) -> _Candidate:
+    return _Candidate((), np.zeros((0, 6, 6)), Belief(recognized, 1.0))
 
 
 @pytest.mark.parametrize(
@@ -226,7 +227,7 @@ def test_places_are_tried_until_one_is_sure_or_time_is_up(
     monkeypatch.setattr(joint, "_answer", lambda *answer: given.append(answer))
     joint.localize()
     ((candidate, reason, matched),) = given
-    assert (candidate and candidate.confidence) == best
+    assert (candidate and candidate.belief.recognized) == best
     assert len(pools) == tried
     assert matched == 10
     assert reason is (Reason.DEADLINE if deadline_s == 0.0 else Reason.NO_AGREEMENT)
@@ -307,13 +308,13 @@ def test_the_rigs_seed_is_asked_of_all_frames_matches(
 
 def test_what_is_not_sure_enough_is_not_given_out(localizer: Localizer, point_room: Any) -> None:
     asked = _asked(point_room, point_room.walk(40, sideways_m=0.1)[5:15:4], 30)
-    strict = Localizer(localizer.map, min_confidence=1.1, index=localizer.index)
+    strict = Localizer(localizer.map, min_recognized=1.1, index=localizer.index)
     found = localize_together(strict, asked)
     started = time.perf_counter()
     given = localize_together(localizer, asked)
     spent_ms = 1e3 * (time.perf_counter() - started)
     assert found.poses == ()
-    assert found.first.reason is Reason.LOW_CONFIDENCE
+    assert found.first.reason is Reason.NOT_RECOGNIZED
     assert found.first.pose is found.first.covariance is None
     assert found.inliers == given.inliers
     assert given.first.reason is None
@@ -341,7 +342,7 @@ def test_frames_are_matched_again_within_either_radius(
     assert candidate is not None
     assert tolerances_px == [(14.0, 7.0, 4.0), (5.0, 4.0)]
     assert radii_px == [14.0] * 3 + [5.0] * 3
-    assert candidate.confidence > 0.9
+    assert candidate.belief.confidence > 0.9
     five = match_near(joint.frames[0].features, point_room.camera, truths[0].T_map_camera, 5.0)[0].take(np.arange(5))
     nothing = np.zeros(60)
     for last, found in ((0, False), (1, True)):

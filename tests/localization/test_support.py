@@ -47,7 +47,7 @@ def supported(localizer: Localizer, point_room: Any, chosen: int, density: float
     found = Matches(np.arange(count), landmarks, np.full(count, 0.5))
     rays = np.tile([0.0, 0.0, 1.0], (count, 1))
     evidence = Evidence.of(landmarks, rays, index.landmarks[landmarks], np.zeros((count, 3, 3)), found.chances, 500.0)
-    optimum = Optimum(index.map.T_map_camera[20], 1.0, np.full(count, density))
+    optimum = Optimum(index.map.views.T_map_camera[20], 1.0, np.full(count, density))
     query = Query(features_at(pixels), camera)
     return support_of(index, query, found, evidence, optimum, np.full(count, by_chance), Matches.none())
 
@@ -80,7 +80,7 @@ def test_what_should_be_in_a_cell_and_is_not_counts_where_something_else_is(
     localizer: Localizer, point_room: Any, monkeypatch: pytest.MonkeyPatch, share: float, crowd: int
 ) -> None:
     """Matches in the left part of a picture, ``crowd`` features of other things in each cell of the right."""
-    index, camera, T = localizer.index, point_room.camera, localizer.map.T_map_camera[20]
+    index, camera, T = localizer.index, point_room.camera, localizer.map.views.T_map_camera[20]
     seen = index.visibility[[20]].indices.astype(np.int64)
     where = camera.project((index.landmarks[seen] - T[:3, 3]) @ T[:3, :3])
     left = np.flatnonzero((where[:, 0] < 320) & camera.contains(where))
@@ -125,7 +125,7 @@ def test_matches_close_to_their_landmarks_count_by_how_improbable_they_are_by_ch
     localizer: Localizer, point_room: Any
 ) -> None:
     """Ten matches within four pixels of where they should be, 45 in the ring from there to fourteen pixels."""
-    index, camera, T = localizer.index, point_room.camera, localizer.map.T_map_camera[20]
+    index, camera, T = localizer.index, point_room.camera, localizer.map.views.T_map_camera[20]
     landmarks = np.resize(index.visibility[[20]].indices.astype(np.int64), 60)
     off_px = np.array([3.9] * 10 + [4.1] * 20 + [13.9] * 25 + [14.1] * 5)
     pixels = camera.project((index.landmarks[landmarks] - T[:3, 3]) @ T[:3, :3]) + np.outer(off_px, (0.6, 0.8))
@@ -144,8 +144,11 @@ def test_matches_close_to_their_landmarks_count_by_how_improbable_they_are_by_ch
 
 def test_colours_are_those_of_the_picture_and_of_the_landmarks_that_agree(point_room: Any, room_map: Map) -> None:
     rng = np.random.default_rng(5)
-    coloured = replace(room_map, colours=rng.integers(0, 255, (len(room_map), 3), dtype=np.uint8))
-    seen = point_room.see(Pose(room_map.T_map_camera[20]), 3, 1.0)
+    coloured = replace(
+        room_map,
+        landmarks=replace(room_map.landmarks, colours=rng.integers(0, 255, (len(room_map), 3), dtype=np.uint8)),
+    )
+    seen = point_room.see(Pose(room_map.views.T_map_camera[20]), 3, 1.0)
     query = Query(seen, point_room.camera, Dof.FREE)
     plain, verified = (Localizer(one).candidate(query) for one in (room_map, coloured))
     assert plain is not None
@@ -153,7 +156,7 @@ def test_colours_are_those_of_the_picture_and_of_the_landmarks_that_agree(point_
     assert np.isnan(plain[0].support.colours)
     assert np.isnan(verified[0].support.colours)  # of the picture nothing is known
     right = np.full((len(seen), 3), 7, dtype=np.uint8)
-    right[verified[0].matches.detections] = coloured.colours[verified[0].matches.landmarks]
+    right[verified[0].matches.detections] = coloured.landmarks.colours[verified[0].matches.landmarks]
     for colours, least, most in ((right, 0.9, 1.0), (rng.permutation(right), -0.3, 0.3)):
         found = Localizer(coloured).candidate(replace(query, features=replace(seen, colours=colours)))
         assert found is not None

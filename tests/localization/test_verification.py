@@ -13,7 +13,7 @@ from rholoc.localization import Dof, Localizer, Query, verification
 from rholoc.localization.ascent import ascend
 from rholoc.localization.map_index import MapIndex
 from rholoc.localization.verification import FINAL_TOLERANCE_PX, evidence_of, settle, verify
-from rholoc.maps import DensityKind, Map, MapInfo
+from rholoc.maps import DensityKind, Map, MapDescriptors, MapInfo, MapLandmarks, MapObservations, MapViews
 
 _VIEWS = 12
 
@@ -29,15 +29,21 @@ def _map_of_here_and_elsewhere(point_room: Any, here: Pose, raised_m: float) -> 
     raised = np.where(elsewhere, raised_m, 0)[:, None] * (0.0, 0.0, 1.0)
     map_ = Map(
         info=MapInfo("0" * 32, 1, DensityKind.RAY, "gray", True, True, "2026-01-01T00:00:00Z", camera),
-        channels=np.zeros(len(shown), np.uint8),
-        landmarks=(point_room.points[shown] + raised).astype(np.float32),
-        covariances=np.tile(np.float32(0.002**2) * np.eye(3, dtype=np.float32), (len(shown), 1, 1)),
-        descriptors=point_room.descriptors[shown],
-        descriptor_features=np.arange(len(shown), dtype=np.int32),
-        view_times=np.arange(2.0 * _VIEWS),
-        T_map_camera=np.array([here.T_map_camera] * _VIEWS + [aside] * _VIEWS),
-        observation_views=np.repeat(np.arange(2 * _VIEWS), [len(seen) for seen in of_view]).astype(np.int32),
-        observation_features=np.concatenate(of_view).astype(np.int32),
+        landmarks=MapLandmarks(
+            channels=np.zeros(len(shown), np.uint8),
+            positions=(point_room.points[shown] + raised).astype(np.float32),
+            covariances=np.tile(np.float32(0.002**2) * np.eye(3, dtype=np.float32), (len(shown), 1, 1)),
+        ),
+        descriptors=MapDescriptors(
+            values=point_room.descriptors[shown], features=np.arange(len(shown), dtype=np.int32)
+        ),
+        views=MapViews(
+            times=np.arange(2.0 * _VIEWS), T_map_camera=np.array([here.T_map_camera] * _VIEWS + [aside] * _VIEWS)
+        ),
+        observations=MapObservations(
+            views=np.repeat(np.arange(2 * _VIEWS), [len(seen) for seen in of_view]).astype(np.int32),
+            features=np.concatenate(of_view).astype(np.int32),
+        ),
     )
     return map_, elsewhere
 

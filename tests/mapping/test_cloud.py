@@ -33,7 +33,9 @@ def decorated(map_: Map, seed: int = 0) -> Map:
     rng = np.random.default_rng(seed)
     colours = rng.integers(0, 256, (100, 3), dtype=np.uint8)
     cloud = Cloud(rng.uniform(-2, 2, (100, 3)).astype(np.float32), colours, np.zeros(100, np.int32))
-    return replace(map_, cloud=cloud, pictures=tuple(picture(view) for view in range(len(map_.view_times))))
+    return replace(
+        map_, views=replace(map_.views, pictures=tuple(picture(view) for view in range(len(map_.views)))), cloud=cloud
+    )
 
 
 @pytest.fixture(scope="module")
@@ -63,8 +65,8 @@ def test_both_come_back_from_a_file(room: Map, tmp_path: Path) -> None:
     read = load_map(tmp_path / "room.rho")
     np.testing.assert_array_equal(read.cloud.positions, room.cloud.positions)
     np.testing.assert_array_equal(read.cloud.colours, room.cloud.colours)
-    assert read.pictures == room.pictures
-    bare = replace(room, cloud=Cloud(), pictures=None)
+    assert read.views.pictures == room.views.pictures
+    bare = replace(room, views=replace(room.views, pictures=None), cloud=Cloud())
     assert b"picture" not in map_to_bytes(bare)
     assert b"cloud" not in map_to_bytes(bare)
 
@@ -72,8 +74,6 @@ def test_both_come_back_from_a_file(room: Map, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "broken",
     [
-        {"pictures": (b"\xff\xd8\xff",)},
-        {"pictures": (b"no JPEG",) * 30},
         {"cloud": Cloud(np.full((1, 3), np.nan, np.float32), np.zeros((1, 3), np.uint8), np.zeros(1, np.int32))},
         {"cloud": Cloud(np.zeros((1, 3), np.float32), np.zeros((2, 3), np.uint8), np.zeros(1, np.int32))},
         {"cloud": Cloud(np.zeros((1, 3), np.float32), np.zeros((1, 3), np.uint8), np.ones(1, np.int32))},
@@ -84,10 +84,16 @@ def test_what_contradicts_the_map_is_refused(room: Map, broken: dict[str, Any]) 
         map_to_bytes(replace(room, **broken))
 
 
+@pytest.mark.parametrize("pictures", [(b"\xff\xd8\xff",), (b"no JPEG",) * 30])
+def test_pictures_that_are_none_are_refused(room: Map, pictures: tuple[bytes, ...]) -> None:
+    with pytest.raises(InvalidMap):
+        map_to_bytes(replace(room, views=replace(room.views, pictures=pictures)))
+
+
 def test_they_move_with_the_map(room: Map) -> None:
     moved = move_map(room, TILT)
     np.testing.assert_allclose(moved.cloud.positions, TILT.points(room.cloud.positions.astype(float)), atol=1e-5)
-    assert moved.pictures == room.pictures
+    assert moved.views.pictures == room.views.pictures
 
 
 def test_they_are_cut_with_the_map(room: Map) -> None:
@@ -95,7 +101,7 @@ def test_they_are_cut_with_the_map(room: Map) -> None:
     assert 0 < len(left.cloud) < 100
     assert (left.cloud.positions[:, 0] <= 0).all()
     shorter = remove_views(room, 10, 19)
-    assert shorter.pictures == tuple(picture(view) for view in [*range(10), *range(20, 30)])
+    assert shorter.views.pictures == tuple(picture(view) for view in [*range(10), *range(20, 30)])
     assert len(shorter.cloud) == 100
 
 
@@ -104,12 +110,12 @@ def test_they_are_merged_and_forgotten_with_their_recording(room: Map, point_roo
     merged = merge_maps(room, move_map(other, Similarity(1.0, np.eye(3), np.array([0.5, 0.0, 0.0]))))
     np.testing.assert_array_equal(merged.cloud.sources, np.repeat([0, 1], 100))
     np.testing.assert_allclose(merged.cloud.positions[100:], other.cloud.positions, atol=0.02)
-    assert merged.pictures is not None
-    assert len(merged.pictures) == 60
+    assert merged.views.pictures is not None
+    assert len(merged.views.pictures) == 60
     left = forget_recording(merged, "walk")
     np.testing.assert_array_equal(left.cloud.colours, other.cloud.colours)
     assert set(left.cloud.sources.tolist()) == {0}
-    assert left.pictures == other.pictures
+    assert left.views.pictures == other.views.pictures
 
 
 def test_a_map_that_lies_on_its_side_is_levelled(room: Map) -> None:

@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from rholoc.errors import Conflict, InvalidInput
-from rholoc.geometry import Similarity, pose_distances
+from rholoc.geometry import UP, Similarity, angles_between, pose_distances
 from rholoc.localization import Dof, Localizer, Query
 from rholoc.mapping import (
     forget_recording,
@@ -28,7 +28,7 @@ from rholoc.mapping.cutting import in_region
 from rholoc.mapping.fitting import fit_densities
 from rholoc.mapping.memory import with_landmarks
 from rholoc.mapping.moving import move_map
-from rholoc.maps import DensityKind, MapNames, NamedArea, NamedPoint, map_to_bytes
+from rholoc.maps import DensityKind, MapNames, NamedArea, NamedPoint, map_to_bytes, without_memory
 from rholoc.maps.rho_file import info_from_json, info_to_json
 
 SQUARE = ((0.0, 0.0), (2.0, 0.0), (2.0, 2.0), (0.0, 2.0))
@@ -82,8 +82,8 @@ def test_answers_move_by_exactly_the_transform_that_is_reported(kind, room, poin
     metres, radians = pose_distances(similarity.poses(before), after)
     assert metres.max() < 2e-5 * similarity.scale
     assert radians.max() < 2e-5
-    patches = similarity.scale * room.patches @ similarity.rotation.T
-    metres_off = np.linalg.norm(corrected.patches - patches, axis=1)
+    patches = similarity.scale * room.landmarks.patches @ similarity.rotation.T
+    metres_off = np.linalg.norm(corrected.landmarks.patches - patches, axis=1)
     assert (metres_off < 0.06 * np.linalg.norm(patches, axis=1)).all()  # rounded as files keep them
     J = np.kron(np.diag([similarity.scale, 1.0]), similarity.rotation)
     np.testing.assert_allclose(spread_after, J @ spread @ J.T, rtol=0.02, atol=1e-9)
@@ -123,7 +123,7 @@ def test_a_tilted_map_is_levelled_by_its_views(room):
     level = set_up(tilted)
     assert level.info.upright
     up = (reported(level).rotation @ tilt.rotation)[2]
-    assert np.degrees(np.arccos(up[2])) < 3
+    assert np.degrees(angles_between(up, UP)) < 3
     set_north(level, np.array([1.0, 0, 0]))
 
 
@@ -141,7 +141,7 @@ def test_lengths_in_the_report_follow_the_scale_and_the_map_is_metric(room):
 def test_learning_goes_on_in_the_new_frame(kind, room):
     corrected = CORRECTIONS[kind](room)
     anew = with_landmarks(corrected)
-    np.testing.assert_allclose(anew.landmarks, corrected.landmarks, atol=1e-4)
+    np.testing.assert_allclose(anew.landmarks.positions, corrected.landmarks.positions, atol=1e-4)
 
 
 def test_a_corrected_map_merges_and_forgets(point_room):
@@ -151,7 +151,7 @@ def test_a_corrected_map_merges_and_forgets(point_room):
     both = merge_maps(moved, east)
     assert len(both.info.corrections) == 2
     left = forget_recording(both, "e")
-    np.testing.assert_allclose(left.landmarks, moved.landmarks, atol=1e-4)
+    np.testing.assert_allclose(left.landmarks.positions, moved.landmarks.positions, atol=1e-4)
 
 
 def test_tensor_densities_move_with_the_map(room, point_room, walk):
@@ -168,25 +168,25 @@ def test_tensor_densities_move_with_the_map(room, point_room, walk):
 
 def test_a_region_is_deleted_or_kept(room):
     outline = np.array([[-9.0, -9], [9, -9], [9, 0], [-9, 0]])
-    south = in_region(room.landmarks, outline)
+    south = in_region(room.landmarks.positions, outline)
     deleted = remove_region(room, outline, None, None, keep_inside=False)
     kept = remove_region(room, outline, None, None, keep_inside=True)
-    np.testing.assert_array_equal(deleted.landmarks, room.landmarks[~south])
-    np.testing.assert_array_equal(kept.landmarks, room.landmarks[south])
+    np.testing.assert_array_equal(deleted.landmarks.positions, room.landmarks.positions[~south])
+    np.testing.assert_array_equal(kept.landmarks.positions, room.landmarks.positions[south])
     assert deleted.info.corrections[-1].landmarks_removed == south.sum()
     assert kept.info.report.features == south.sum()
     low = remove_region(room, outline, None, 1.0, keep_inside=False)
-    assert len(low) == len(room) - (south & (room.landmarks[:, 2] <= 1.0)).sum()
+    assert len(low) == len(room) - (south & (room.landmarks.positions[:, 2] <= 1.0)).sum()
 
 
 def test_a_piece_of_the_walk_is_removed_as_if_it_had_never_been_walked(room, point_room, walk):
     cut = remove_views(room, 10, 39)
     assert cut.info.corrections[-1].views_removed == 30
-    assert len(cut.view_times) == 10 == cut.info.sources[0].views
+    assert len(cut.views) == 10 == cut.info.sources[0].views
     assert len(cut) < len(room)
-    np.testing.assert_allclose(with_landmarks(cut).landmarks, cut.landmarks, atol=1e-6)
-    forgetful = replace(room, observations=None)
-    assert len(remove_views(forgetful, 10, 39).view_times) == 10
+    np.testing.assert_allclose(with_landmarks(cut).landmarks.positions, cut.landmarks.positions, atol=1e-6)
+    forgetful = without_memory(room)
+    assert len(remove_views(forgetful, 10, 39).views.times) == 10
 
 
 def test_what_makes_no_sense_is_refused(room):

@@ -22,6 +22,7 @@ class Frames:
     size = (160, 120)
     times = np.arange(6.0)
     numbers = np.arange(6)
+    timed = True
 
     def __init__(self) -> None:
         self.decoded: list[int] = []

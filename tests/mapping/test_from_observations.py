@@ -66,6 +66,16 @@ def test_a_table_read_back_is_the_table(table: ObservationTable, tmp_path: Path)
         assert np.allclose(getattr(again, name), getattr(table, name), atol=10.0**-digits)
 
 
+@pytest.mark.parametrize("heading", ["hx,hy,hz", "h_x,h_y,h_z", "$h_x$,$h_y$,$h_z$"])
+def test_a_table_may_have_the_papers_header_of_two_rows(heading: str, tmp_path: Path) -> None:
+    groups = "Descriptor,Screen coordinates,,Robot coordinates,,,Robot orientation,,"
+    path = tmp_path / "table.csv"
+    path.write_text(f"{groups}\n,U,V,X,Y,Z,{heading}\n01a3,10,20,1,2,3,0,1,0\n", encoding="utf-8")
+    read = read_observations(path)
+    assert (read.channels.tolist(), read.descriptors.tolist(), read.pixels.tolist()) == ([1], [[0xA3]], [[10, 20]])
+    assert (read.positions.tolist(), read.headings.tolist()) == ([[1, 2, 3]], [[0, 1, 0]])
+
+
 def test_the_map_localizes_where_the_walk_went(fitted: Map, point_room: Any, walked: list[Any]) -> None:
     assert fitted.info.density is DensityKind.OBSERVED
     localizer, alone = Localizer(fitted), DensityLocalizer(fitted)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from copy import deepcopy
-from dataclasses import astuple, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -20,9 +20,11 @@ from rholoc.localization import Dof, Localizer, Query
 from rholoc.mapping import forget_recording, learning, merge_maps, update_map
 from rholoc.mapping.fitting import fit_densities
 from rholoc.mapping.moving import move_map
-from rholoc.maps import DensityKind, Map, check_observations, load_map, save_map
-from rholoc.maps.validation import ARRAY_NAMES
+from rholoc.maps import DensityKind, Map, check_memory, load_map, save_map, without_memory
 from rholoc.recordings import GivenPoses, Recording
+from rholoc.trajectory import estimate_trajectory
+from rholoc.trajectory.visual.rolling_shutter import RollingShutter
+from same_maps import assert_same_tables
 
 TURN = Similarity(1.0, Rotation.from_euler("z", 70, degrees=True).as_matrix(), np.array([4.0, -1.0, 0.2]))
 
@@ -37,6 +39,10 @@ class NumberedFrames:
     @property
     def times(self) -> FloatArray:
         return np.arange(self.count) / 10 + self.first
+
+    @property
+    def timed(self) -> bool:
+        return True
 
     @property
     def numbers(self) -> IntArray:
@@ -110,15 +116,12 @@ def another_room(point_room: Any) -> Any:
 
 def assert_untouched(map_: Map, before: Map) -> None:
     assert map_.info == before.info
-    for name in ARRAY_NAMES:
-        np.testing.assert_array_equal(getattr(map_, name), getattr(before, name))
-    for kept, kept_before in zip(astuple(map_.observations), astuple(before.observations), strict=True):
-        np.testing.assert_array_equal(kept, kept_before)
+    assert_same_tables(map_, before)
 
 
 def off_the_points(map_: Map, room: Any) -> float:
     """The median distance of the map's landmarks from the room's points, metres."""
-    return float(np.median(cKDTree(room.points).query(map_.landmarks)[0]))
+    return float(np.median(cKDTree(room.points).query(map_.landmarks.positions)[0]))
 
 
 def localized_share(map_: Map, room: Any, poses: Sequence[Pose]) -> float:
@@ -140,18 +143,18 @@ def test_a_recording_registers_itself_and_the_map_grows(walks: Walks, tmp_path: 
     assert off_the_points(updated, walks.room) < 0.03
     assert updated.info.report.learned[0].features_seen_again > 100
     save_map(updated, tmp_path / "updated.rho")
-    check_observations(load_map(tmp_path / "updated.rho"), "The map")
+    check_memory(load_map(tmp_path / "updated.rho"), "The map")
     nearby = walks.room.walk(80, sideways_m=0.1)[30:50:5]
     assert localized_share(updated, walks.room, nearby) >= localized_share(walks.map_, walks.room, nearby)
 
 
 def test_colours_and_patches_grow_with_the_map(walks: Walks) -> None:
     blue = np.tile(np.array([10, 20, 200], np.uint8), (len(walks.map_), 1))
-    known = replace(walks.map_, colours=blue, patches=None)
+    known = replace(walks.map_, landmarks=replace(walks.map_.landmarks, colours=blue, patches=None))
     updated = update_map(known, walks.recording)
-    assert updated.colours is not None
-    assert updated.colours.shape == (len(updated), 3)
-    np.testing.assert_array_equal(updated.colours[: len(known)], blue)
+    assert updated.landmarks.colours is not None
+    assert updated.landmarks.colours.shape == (len(updated), 3)
+    np.testing.assert_array_equal(updated.landmarks.colours[: len(known)], blue)
     turned, octaves = walks.room.patch_errors(updated)
     learned = ~np.isnan(turned)
     assert learned[len(known) :].all()
@@ -159,13 +162,13 @@ def test_colours_and_patches_grow_with_the_map(walks: Walks) -> None:
     assert np.median(turned[learned]) < 10
     assert np.median(octaves[learned]) < 0.2
     left = forget_recording(updated, "walk-2")
-    np.testing.assert_array_equal(left.colours, blue)
-    assert forget_recording(update_map(walks.map_, walks.recording), "first-id").colours is not None
+    np.testing.assert_array_equal(left.landmarks.colours, blue)
+    assert forget_recording(update_map(walks.map_, walks.recording), "first-id").landmarks.colours is not None
 
 
 def test_a_trajectory_of_its_own_reaches_beyond_the_map(walks: Walks) -> None:
     updated = update_map(walks.map_, with_poses(walks.recording, walks.poses, TURN))
-    views = updated.view_positions[len(walks.map_.view_times) :]
+    views = updated.views.positions[len(walks.map_.views) :]
     true = np.array([pose.position for pose in walks.poses])
     assert len(views) > 20
     assert cKDTree(true).query(views)[0].max() < 0.03
@@ -174,13 +177,53 @@ def test_a_trajectory_of_its_own_reaches_beyond_the_map(walks: Walks) -> None:
     assert localized_share(walks.map_, walks.room, beyond) < localized_share(updated, walks.room, beyond) == 1
 
 
+_SPEED_PX_PER_S = 500.0  # of the image to the right, then to the left, from frame to frame
+_READOUT_S = 0.03
+
+
+@dataclass(frozen=True, eq=False)
+class SeesRowByRow:
+    """The same features where a rolling shutter sees them: up to 7 px aside."""
+
+    instant: SeesPoints
+
+    def extract(self, image: ByteArray) -> FeatureSet:
+        seen = self.instant.extract(image)
+        pixels = seen.pixels.astype(np.float64)
+        late_s = ((pixels[:, 1] + 0.5) / self.instant.room.camera.height - 0.5) * _READOUT_S
+        pixels[:, 0] += late_s * _SPEED_PX_PER_S * (-1) ** int(image[0, 0, 1])
+        return replace(seen, pixels=pixels.astype(np.float32))
+
+
+@pytest.mark.parametrize("poses", ["aligned", "localized"])
+def test_what_a_rolling_shutter_saw_is_learned_as_if_all_rows_were_read_at_once(
+    walks: Walks, monkeypatch: pytest.MonkeyPatch, poses: str
+) -> None:
+    recording = with_poses(walks.recording, walks.poses, TURN) if poses == "aligned" else walks.recording
+    instant = update_map(walks.map_, recording)
+    velocities = np.zeros((len(walks.poses), 2, 3))
+    velocities[:, 0, 2] = _SPEED_PX_PER_S * (-1.0) ** np.arange(len(walks.poses))
+    shutter = RollingShutter(_READOUT_S, walks.room.camera.height, velocities)
+    monkeypatch.setattr(
+        learning,
+        "estimate_trajectory",
+        lambda *given: replace(found := estimate_trajectory(*given), rolling_shutter=shutter.take(found.rows)),
+    )
+    monkeypatch.setattr(learning, "rolling_shutter_of", lambda _recording, rows, _progress: shutter.take(rows))
+    extractor = SeesRowByRow(SeesPoints(walks.room, {2: walks.poses}))
+    monkeypatch.setattr(learning, "get_extractor", lambda _name: extractor)
+    rolling = update_map(walks.map_, recording)
+    assert len(rolling) == len(instant)
+    np.testing.assert_allclose(rolling.landmarks.positions, instant.landmarks.positions, atol=1e-3)
+
+
 def test_forgetting_undoes_an_update(walks: Walks) -> None:
     updated = update_map(walks.map_, walks.recording)
     left = forget_recording(updated, "walk-2")
     assert left.info.version == 3
     assert left.info.sources == walks.map_.info.sources
-    np.testing.assert_allclose(left.landmarks, walks.map_.landmarks, rtol=0, atol=1e-6)
-    np.testing.assert_array_equal(left.descriptors, walks.map_.descriptors)
+    np.testing.assert_allclose(left.landmarks.positions, walks.map_.landmarks.positions, rtol=0, atol=1e-6)
+    np.testing.assert_array_equal(left.descriptors.values, walks.map_.descriptors.values)
     other = forget_recording(updated, "first-id")
     assert 0 < len(other) < len(updated)
     assert off_the_points(other, walks.room) < 0.03
@@ -232,11 +275,11 @@ def test_a_recording_is_learned_once(walks: Walks) -> None:
 
 def test_a_map_without_memory_is_refused_and_a_broken_memory_too(walks: Walks) -> None:
     with pytest.raises(InvalidInput, match="does not keep"):
-        update_map(replace(walks.map_, observations=None), walks.recording)
-    kept = walks.map_.observations
-    broken = replace(kept, view_sources=kept.view_sources + 1)
+        update_map(without_memory(walks.map_), walks.recording)
+    views = walks.map_.views
+    broken = replace(views, sources=views.sources + 1)
     with pytest.raises(InvalidMap, match="contradicts"):
-        forget_recording(replace(walks.map_, observations=broken), "first")
+        forget_recording(replace(walks.map_, views=broken), "first")
 
 
 def test_what_was_never_learned_cannot_be_forgotten(walks: Walks) -> None:
@@ -263,9 +306,9 @@ def test_maps_that_overlap_are_merged_in_the_frame_of_the_first(walks: Walks) ->
     turned, octaves = walks.room.patch_errors(merged)
     assert np.percentile(turned, 95) < 30  # none of them NaN: all are known
     assert np.percentile(octaves, 95) < 0.3
-    np.testing.assert_array_equal(merged.patches[: len(walks.map_)], walks.map_.patches)
+    np.testing.assert_array_equal(merged.landmarks.patches[: len(walks.map_)], walks.map_.landmarks.patches)
     left = forget_recording(merged, "second")
-    np.testing.assert_allclose(left.landmarks, walks.map_.landmarks, rtol=0, atol=1e-6)
+    np.testing.assert_allclose(left.landmarks.positions, walks.map_.landmarks.positions, rtol=0, atol=1e-6)
     # what both learned counts once
     again = merge_maps(merged, move_map(merged_with_third(walks, other), TURN))
     assert [source.name for source in again.info.sources] == ["first", "second", "third"]

@@ -13,7 +13,7 @@ from rholoc.errors import MappingFailed
 from rholoc.geometry import Pose
 from rholoc.mapping import build_map
 from rholoc.mapping.coaching import advice_line, coach
-from rholoc.recordings import Look, read_recording
+from rholoc.recordings import Look, read_recording, write_frames_csv
 from rholoc.reports import AdviceKind
 
 
@@ -41,6 +41,7 @@ def test_a_section_holds_what_was_measured_and_advised(dark: Path) -> None:
 
 def test_a_walk_that_gives_no_map_says_what_it_lacked(dark: Path) -> None:
     rows = [f"{900 + t / 100},0,9.81,0,0,0,0" for t in range(50)]
+    write_frames_csv(dark / "frames.csv", np.arange(20), np.arange(20) / 30)
     (dark / "imu.csv").write_text("\n".join(["timestamp,ax,ay,az,gx,gy,gz", *rows]))
     with pytest.raises(MappingFailed) as caught:
         build_map([read_recording(dark)])

@@ -31,19 +31,8 @@ def after(point_room: Any) -> Map:
 def before(after: Map) -> Map:
     """The map as its first views alone make it."""
     count = int(after.view_offsets[_FIRST_VIEWS])
-    assert after.observations is not None
-    first = replace(
-        after,
-        view_times=after.view_times[:_FIRST_VIEWS],
-        T_map_camera=after.T_map_camera[:_FIRST_VIEWS],
-        observation_views=after.observation_views[:count],
-        observation_features=after.observation_features[:count],
-        observations=replace(
-            after.observations,
-            pixels=after.observations.pixels[:count],
-            view_sources=after.observations.view_sources[:_FIRST_VIEWS],
-        ),
-    )
+    views = after.views.take(np.arange(_FIRST_VIEWS))
+    first = replace(after, views=views, observations=after.observations.take(np.arange(count)))
     return fit_densities(first, DensityKind.OBSERVED)
 
 
@@ -60,7 +49,7 @@ def test_one_at_a_time_is_one_batch_of_all(before: Map, after: Map, forgetting: 
         (row,) = np.flatnonzero((learned.features == known.features[t]) & (learned.places == known.places[t]).all(1))
         more = int(learned.counts[row] - known.counts[t])
         later = np.flatnonzero(sightings.features == known.features[t])
-        later = later[later >= len(before.observation_features)]
+        later = later[later >= len(before.observations)]
         if more != len(later):
             continue  # some of them were of another place
         rows = np.concatenate([members[t], later])

@@ -12,7 +12,7 @@ from rholoc.mapping import BuildOptions, build_map
 from rholoc.mapping.fitting import fit_densities
 from rholoc.mapping.landmarks import representative_rows, select_stable, triangulate
 from rholoc.mapping.observations import Views, link_observations
-from rholoc.maps import DensityKind, Map, MapInfo
+from rholoc.maps import DensityKind, Map, MapDescriptors, MapInfo, MapLandmarks, MapObservations, MapViews
 from rholoc.progress import Stage
 
 
@@ -23,15 +23,18 @@ def ray_map(walked: Views) -> Map:
     observed = landmarks.observed_rows
     return Map(
         info=MapInfo("0" * 32, 1, DensityKind.RAY, "gray", True, True, "2026-01-01T00:00:00Z", walked.cameras[0]),
-        channels=np.zeros(len(landmarks), np.uint8),
-        landmarks=landmarks.positions.astype(np.float32),
-        covariances=landmarks.covariances.astype(np.float32),
-        descriptors=walked.features.descriptors[rows],
-        descriptor_features=np.arange(len(landmarks), dtype=np.int32),
-        view_times=walked.times,
-        T_map_camera=walked.T_map_camera,
-        observation_views=walked.view_of[observed].astype(np.int32),
-        observation_features=landmarks.labels[observed].astype(np.int32),
+        landmarks=MapLandmarks(
+            channels=np.zeros(len(landmarks), np.uint8),
+            positions=landmarks.positions.astype(np.float32),
+            covariances=landmarks.covariances.astype(np.float32),
+        ),
+        descriptors=MapDescriptors(
+            values=walked.features.descriptors[rows], features=np.arange(len(landmarks), dtype=np.int32)
+        ),
+        views=MapViews(times=walked.times, T_map_camera=walked.T_map_camera),
+        observations=MapObservations(
+            views=walked.view_of[observed].astype(np.int32), features=landmarks.labels[observed].astype(np.int32)
+        ),
     )
 
 
@@ -60,9 +63,9 @@ def test_every_feature_has_a_density_that_is_valid_where_it_was_seen(ray_map: Ma
     assert set(densities.features) == set(range(len(ray_map)))
     assert heard[-1] == (Stage.DENSITIES, 1.0)
     covered = []
-    for k, feature in zip(map_.observation_views, map_.observation_features, strict=True):
+    for k, feature in zip(map_.observations.views, map_.observations.features, strict=True):
         rows = np.flatnonzero(densities.features == feature)
-        covered.append(densities.valid_at(map_.view_positions[k], map_.view_headings[k], rows).any())
+        covered.append(densities.valid_at(map_.views.positions[k], map_.views.headings[k], rows).any())
     assert np.mean(covered) > 0.97
 
 
@@ -79,16 +82,15 @@ def test_an_impossible_degree_is_refused() -> None:
 
 
 def _few(map_: Map, count: int = 5) -> Map:
-    kept = map_.observation_features < count
+    kept = map_.observations.features < count
     return Map(
         info=map_.info,
-        channels=map_.channels[:count],
-        landmarks=map_.landmarks[:count],
-        covariances=map_.covariances[:count],
-        descriptors=map_.descriptors[:count],
-        descriptor_features=map_.descriptor_features[:count],
-        view_times=map_.view_times,
-        T_map_camera=map_.T_map_camera,
-        observation_views=map_.observation_views[kept],
-        observation_features=map_.observation_features[kept],
+        landmarks=MapLandmarks(
+            channels=map_.landmarks.channels[:count],
+            positions=map_.landmarks.positions[:count],
+            covariances=map_.landmarks.covariances[:count],
+        ),
+        descriptors=MapDescriptors(values=map_.descriptors.values[:count], features=map_.descriptors.features[:count]),
+        views=MapViews(times=map_.views.times, T_map_camera=map_.views.T_map_camera),
+        observations=MapObservations(views=map_.observations.views[kept], features=map_.observations.features[kept]),
     )

@@ -25,7 +25,7 @@ def spreads(count: int, sigma_m: float, seed: int = 0) -> np.ndarray:
 @pytest.fixture(scope="module")
 def first(point_room: Any) -> Map:
     map_ = point_room.map_of(point_room.walk(30), "first")
-    return replace(map_, view_covariances=spreads(30, 0.01))
+    return replace(map_, views=replace(map_.views, covariances=spreads(30, 0.01)))
 
 
 @pytest.fixture(scope="module")
@@ -35,32 +35,32 @@ def second(point_room: Any) -> Map:
 
 def test_views_keep_theirs_when_maps_are_joined_and_parted(first: Map, second: Map) -> None:
     joined = join(first, second, np.full(len(second), -1))
-    np.testing.assert_array_equal(joined.view_covariances[:30], first.view_covariances)
-    assert np.isnan(joined.view_covariances[30:]).all()
+    np.testing.assert_array_equal(joined.views.covariances[:30], first.views.covariances)
+    assert np.isnan(joined.views.covariances[30:]).all()
     parted = without_source(joined, 1)
-    np.testing.assert_array_equal(parted.view_covariances, first.view_covariances)
-    assert without_source(join(second, second, np.arange(len(second))), 1).view_covariances is None
+    np.testing.assert_array_equal(parted.views.covariances, first.views.covariances)
+    assert without_source(join(second, second, np.arange(len(second))), 1).views.covariances is None
 
 
 def test_a_merged_map_is_as_uncertain_as_both(first: Map, second: Map) -> None:
-    uncertain = replace(second, view_covariances=spreads(20, 0.02, seed=1))
+    uncertain = replace(second, views=replace(second.views, covariances=spreads(20, 0.02, seed=1)))
     merged = merge_maps(first, uncertain)
-    np.testing.assert_array_equal(merged.view_covariances[:30], first.view_covariances)
-    own = uncertain.expected_errors_m
-    assert (merged.expected_errors_m[30:] > own).all()
-    assert (merged.expected_errors_m[30:] < np.hypot(own, 2 * first.expected_errors_m.max())).all()
-    assert merged.info.report.expected_error.rms_m > first.expected_errors_m.mean()
+    np.testing.assert_array_equal(merged.views.covariances[:30], first.views.covariances)
+    own = uncertain.views.expected_errors_m
+    assert (merged.views.expected_errors_m[30:] > own).all()
+    assert (merged.views.expected_errors_m[30:] < np.hypot(own, 2 * first.views.expected_errors_m.max())).all()
+    assert merged.info.report.expected_error.rms_m > first.views.expected_errors_m.mean()
 
 
 def test_what_is_forgotten_is_not_expected_to_err(first: Map, second: Map) -> None:
-    merged = merge_maps(first, replace(second, view_covariances=spreads(20, 0.02, seed=1)))
+    merged = merge_maps(first, replace(second, views=replace(second.views, covariances=spreads(20, 0.02, seed=1))))
     report = forget_recording(merged, "second").info.report
     assert len(report.expected_error.views_m) == 30
     assert forget_recording(merge_maps(first, second), "first").info.report.expected_error is None
 
 
 def test_in_the_frame_of_a_map_that_does_not_know_nothing_is_known(first: Map, second: Map) -> None:
-    assert np.isnan(merge_maps(second, first).expected_errors_m).all()
+    assert np.isnan(merge_maps(second, first).views.expected_errors_m).all()
 
 
 def test_covariances_turn_with_the_frame() -> None:
@@ -70,20 +70,23 @@ def test_covariances_turn_with_the_frame() -> None:
 
 
 def test_a_pose_found_in_a_map_knows_no_more_than_the_map(first: Map) -> None:
-    here = first.T_map_camera[10]
+    here = first.views.T_map_camera[10]
     found = uncertainty_in(first, here[None], residual_m=0.005)[0]
-    assert np.trace(found[:3, :3]) > first.expected_errors_m[5:15].min() ** 2
-    assert np.isnan(uncertainty_in(replace(first, view_covariances=None), here[None])).all()
+    assert np.trace(found[:3, :3]) > first.views.expected_errors_m[5:15].min() ** 2
+    assert np.isnan(uncertainty_in(replace(first, views=replace(first.views, covariances=None)), here[None])).all()
 
 
 def test_the_report_has_the_expected_error_of_the_whole_and_over_the_walk(first: Map) -> None:
-    spread = first.view_covariances.copy()
+    spread = first.views.covariances.copy()
     spread[4] = np.nan
-    section = expected_error(replace(first, view_covariances=spread))
-    errors_m = np.delete(first.expected_errors_m, 4)
+    section = expected_error(replace(first, views=replace(first.views, covariances=spread)))
+    errors_m = np.delete(first.views.expected_errors_m, 4)
     assert section.rms_m == pytest.approx(np.sqrt(np.mean(errors_m**2)))
     assert section.worst_m == pytest.approx(errors_m.max())
-    assert section.worst_time_s == first.view_times[np.argmax(np.where(np.arange(30) == 4, 0, first.expected_errors_m))]
+    assert (
+        section.worst_time_s
+        == first.views.times[np.argmax(np.where(np.arange(30) == 4, 0, first.views.expected_errors_m))]
+    )
     assert section.views_m[4] is None
-    assert map_statistics(first).expected_error.views_m[0] == pytest.approx(first.expected_errors_m[0], abs=1e-5)
-    assert map_statistics(replace(first, view_covariances=None)).expected_error is None
+    assert map_statistics(first).expected_error.views_m[0] == pytest.approx(first.views.expected_errors_m[0], abs=1e-5)
+    assert map_statistics(replace(first, views=replace(first.views, covariances=None))).expected_error is None

@@ -17,7 +17,7 @@ from rholoc.geometry import BoolArray, Camera, Pose
 from rholoc.localization import Dof, Localizer, Query
 from rholoc.mapping import AnsweredQuery, forget_recording, learn_from_queries, user_learning
 from rholoc.mapping.memory import keep_features
-from rholoc.maps import Map, map_to_bytes
+from rholoc.maps import Map, map_to_bytes, without_memory
 from rholoc.progress import silent
 
 HOUR_S = 3600.0
@@ -93,7 +93,7 @@ def learned(room_map: Map, queries: list[AnsweredQuery]) -> Map:
 def test_what_moved_is_forgotten_and_what_came_is_learned(
     room_map: Map, learned: Map, point_room: Any, changed_room: Any, is_moved: BoolArray
 ) -> None:
-    before, after = cKDTree(room_map.landmarks), cKDTree(learned.landmarks)
+    before, after = cKDTree(room_map.landmarks.positions), cKDTree(learned.landmarks.positions)
     gone, came = point_room.points[is_moved], changed_room.points[is_moved]
     known_before = np.isfinite(before.query(gone, distance_upper_bound=0.1)[0])
     still_known = np.isfinite(after.query(gone[known_before], distance_upper_bound=0.05)[0])
@@ -130,7 +130,7 @@ def test_a_query_becomes_a_view_once(learned: Map, queries: list[AnsweredQuery])
         again = learn_from_queries(learned, queries[::2])
     except MappingFailed:
         return
-    assert len(np.unique(again.view_times)) == len(again.view_times)
+    assert len(np.unique(again.views.times)) == len(again.views.times)
     assert [source.name for source in again.info.sources] == ["walk", "queries"]
 
 
@@ -143,7 +143,7 @@ def test_of_a_recording_that_is_forgotten_what_users_saw_stays(learned: Map) -> 
     left = forget_recording(learned, "walk")
     assert [source.name for source in left.info.sources] == ["queries"]
     assert 0 < len(left) < len(learned)
-    assert (np.bincount(left.descriptor_features, minlength=len(left)) > 0).all()
+    assert (np.bincount(left.descriptors.features, minlength=len(left)) > 0).all()
 
 
 @pytest.mark.slow
@@ -229,7 +229,7 @@ def test_too_few_queries_are_refused(room_map: Map, queries: list[AnsweredQuery]
 
 def test_a_map_without_memory_does_not_learn(room_map: Map, queries: list[AnsweredQuery]) -> None:
     with pytest.raises(InvalidInput, match="does not keep what it was built from"):
-        learn_from_queries(replace(room_map, observations=None), queries)
+        learn_from_queries(without_memory(room_map), queries)
 
 
 def test_a_map_that_would_be_worse_is_not_made(

@@ -6,7 +6,17 @@ import numpy as np
 import pytest
 
 from rholoc.geometry import Camera, Pose, poses_from_rows
-from rholoc.maps import DensityKind, Map, MapInfo, MapWaypoint, Source
+from rholoc.maps import (
+    DensityKind,
+    Map,
+    MapDescriptors,
+    MapInfo,
+    MapLandmarks,
+    MapObservations,
+    MapViews,
+    MapWaypoint,
+    Source,
+)
 from rholoc.reports import HeldOutReport, MapReport
 
 
@@ -42,15 +52,24 @@ def synthetic_map(features: int = 60, views: int = 8, seed: int = 1) -> Map:
             ),
             report=MapReport(features=features, held_out=HeldOutReport(40, 39, median_m=0.019, p90_m=0.03)),
         ),
-        channels=rng.integers(1, 3, features).astype(np.uint8),
-        landmarks=landmarks.astype(np.float32),
-        covariances=covariances,
-        descriptors=rng.integers(0, 256, (len(owners), 32)).astype(np.uint8),
-        descriptor_features=owners.astype(np.int32),
-        view_times=np.arange(views, dtype=np.float64),
-        T_map_camera=poses_from_rows(np.column_stack([positions, np.reshape(quaternions, (-1, 4))]).astype(np.float32)),
-        observation_views=np.repeat(np.arange(views), [len(s) for s in seen]).astype(np.int32),
-        observation_features=np.concatenate([np.zeros(0, int), *seen]).astype(np.int32),
+        landmarks=MapLandmarks(
+            channels=rng.integers(1, 3, features).astype(np.uint8),
+            positions=landmarks.astype(np.float32),
+            covariances=covariances,
+        ),
+        descriptors=MapDescriptors(
+            values=rng.integers(0, 256, (len(owners), 32)).astype(np.uint8), features=owners.astype(np.int32)
+        ),
+        views=MapViews(
+            times=np.arange(views, dtype=np.float64),
+            T_map_camera=poses_from_rows(
+                np.column_stack([positions, np.reshape(quaternions, (-1, 4))]).astype(np.float32)
+            ),
+        ),
+        observations=MapObservations(
+            views=np.repeat(np.arange(views), [len(s) for s in seen]).astype(np.int32),
+            features=np.concatenate([np.zeros(0, int), *seen]).astype(np.int32),
+        ),
     )
 
 

@@ -18,13 +18,13 @@ from rholoc.features import get_extractor
 from rholoc.localization import Dof, Localizer, Query
 from rholoc.maps import DensityKind, Map, read_coefficient_table, write_coefficient_table
 
-_ARRAYS = (
-    "channels",
-    "landmarks",
-    "covariances",
-    "descriptors",
-    "descriptor_features",
-    "view_times",
+_COLUMNS = (
+    ("landmarks", "channels"),
+    ("landmarks", "positions"),
+    ("landmarks", "covariances"),
+    ("descriptors", "values"),
+    ("descriptors", "features"),
+    ("views", "times"),
 )
 
 
@@ -32,8 +32,8 @@ def _tensor_map(map_: Map, degree: int = 2) -> Map:
     """The map with a density of every feature from the first view's side, and of some from another."""
     rng = np.random.default_rng(3)
     owners = np.sort(np.concatenate([np.arange(len(map_)), rng.choice(len(map_), len(map_) // 4, replace=False)]))
-    places = (map_.view_positions[0] + rng.normal(0, 0.05, (len(owners), 3))).astype(np.float32).astype(float)
-    landmarks = map_.landmarks[owners].astype(float)
+    places = (map_.views.positions[0] + rng.normal(0, 0.05, (len(owners), 3))).astype(np.float32).astype(float)
+    landmarks = map_.landmarks.positions[owners].astype(float)
     radii = np.full(len(owners), 1.5)
     fitted = replace(fit_tensors(landmarks, places, radii, degree), features=owners)
     return replace(map_, info=replace(map_.info, density=DensityKind.TENSOR), densities=fitted)
@@ -52,22 +52,29 @@ def small_map(request: pytest.FixtureRequest, room_map: Map, small_tensor_map: M
 def _first(map_: Map, count: int) -> Map:
     """The map with every so many features left out, ``count`` of them kept."""
     kept = np.linspace(0, len(map_) - 1, count).astype(int)
-    views = len(map_.view_times)  # each of them saw every feature
+    views = len(map_.views)  # each of them saw every feature
     return replace(
         map_,
-        channels=map_.channels[kept],
-        landmarks=map_.landmarks[kept],
-        covariances=map_.covariances[kept],
-        descriptors=map_.descriptors[kept],
-        descriptor_features=np.arange(count, dtype=np.int32),
-        observation_views=np.repeat(np.arange(views, dtype=np.int32), count),
-        observation_features=np.tile(np.arange(count, dtype=np.int32), views),
+        landmarks=replace(
+            map_.landmarks,
+            channels=map_.landmarks.channels[kept],
+            positions=map_.landmarks.positions[kept],
+            covariances=map_.landmarks.covariances[kept],
+        ),
+        descriptors=replace(
+            map_.descriptors, values=map_.descriptors.values[kept], features=np.arange(count, dtype=np.int32)
+        ),
+        observations=replace(
+            map_.observations,
+            views=np.repeat(np.arange(views, dtype=np.int32), count),
+            features=np.tile(np.arange(count, dtype=np.int32), views),
+        ),
     )
 
 
 def _seen(map_: Map) -> list[set[int]]:
     return [
-        set(map_.observation_features[a:b].tolist())
+        set(map_.observations.features[a:b].tolist())
         for a, b in zip(map_.view_offsets[:-1], map_.view_offsets[1:], strict=True)
     ]
 
@@ -76,12 +83,13 @@ def test_a_map_reads_back_as_it_was(small_map: Map, tmp_path: Path):
     path = tmp_path / "room.csv"
     write_coefficient_table(small_map, path)
     again = read_coefficient_table(path)
-    for name in _ARRAYS:
-        np.testing.assert_array_equal(getattr(again, name), getattr(small_map, name), err_msg=name)
+    for name, column in _COLUMNS:
+        back, written = (getattr(getattr(one, name), column) for one in (again, small_map))
+        np.testing.assert_array_equal(back, written, err_msg=column)
     assert _seen(again) == _seen(small_map)
     for name in ("density", "features", "metric", "upright", "camera"):
         assert getattr(again.info, name) == getattr(small_map.info, name)
-    np.testing.assert_allclose(again.T_map_camera, small_map.T_map_camera, rtol=0, atol=3e-7)
+    np.testing.assert_allclose(again.views.T_map_camera, small_map.views.T_map_camera, rtol=0, atol=3e-7)
     assert type(again.densities) is type(small_map.densities)
     for mine, written in zip(astuple(again.densities), astuple(small_map.densities), strict=True):
         np.testing.assert_array_equal(mine, written)
@@ -95,7 +103,7 @@ def test_a_tensor_maps_rows_are_table_5s(small_tensor_map: Map, tmp_path: Path):
     assert header[6561] == "a_2_2_2_2_2_2_2_2"
     densities = small_tensor_map.densities
     assert isinstance(densities, TensorDensities)
-    channel, descriptor = small_tensor_map.channels[0], small_tensor_map.descriptors[0]
+    channel, descriptor = small_tensor_map.landmarks.channels[0], small_tensor_map.descriptors.values[0]
     assert rows[0][0] == f"{channel:02x}" + bytes(descriptor).hex()
     written = np.array(rows[0][1:6562], dtype=np.float32)
     np.testing.assert_array_equal(written, densities.all_coefficients(np.array([0]))[0])
@@ -112,7 +120,7 @@ def test_a_ray_maps_coefficients_are_its_density(room_map: Map, tmp_path: Path):
     feature, tolerance = int(row[header.index("feature")]), np.float32(row[header.index("tolerance")]).item()
     bearing, position = np.array([0.6, 0.0, 0.8]), np.array([0.3, -0.2, 1.4])
     value, _ = polynomial_values(np.array([row[1:730]], dtype=float), 2, np.r_[bearing, position])
-    squared = squared_ray_distance(room_map.landmarks[feature].astype(float), bearing, position)
+    squared = squared_ray_distance(room_map.landmarks.positions[feature].astype(float), bearing, position)
     assert value[0] == pytest.approx(1 - squared / tolerance**2, rel=1e-9, abs=1e-9)
 
 
@@ -256,7 +264,14 @@ def test_a_ray_coefficient_that_contradicts_its_landmark_is_refused(room_map: Ma
 def test_a_failed_export_leaves_what_was_there(room_map: Map, tmp_path: Path):
     path = tmp_path / "room.csv"
     path.write_text("precious")
-    bare = replace(room_map, descriptors=room_map.descriptors[:0], descriptor_features=room_map.descriptor_features[:0])
+    bare = replace(
+        room_map,
+        descriptors=replace(
+            room_map.descriptors,
+            values=room_map.descriptors.values[:0],
+            features=room_map.descriptors.features[:0],
+        ),
+    )
     with pytest.raises(InvalidMap, match="no descriptor"):
         write_coefficient_table(bare, path)
     assert path.read_text() == "precious"

@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from rholoc.geometry import Camera, Pose, pose_matrix
-from rholoc.maps import Map, coverage_of
+from rholoc.maps import Map, MapObservations, coverage_of
 from rholoc.maps.coverage import SUFFICIENT
 from rholoc.reports import report_to_json
 
@@ -25,16 +25,21 @@ def wall_map(make_map) -> Map:
     poses = [Pose.from_heading(place, np.array([1.0, 0, 0])).T_map_camera for place in places]
     return replace(
         map_,
-        landmarks=wall.astype(np.float32),
-        T_map_camera=np.array(poses),
-        observation_views=np.repeat(np.arange(9), 200).astype(np.int32),
-        observation_features=np.tile(np.arange(200), 9).astype(np.int32),
+        landmarks=replace(map_.landmarks, positions=wall.astype(np.float32)),
+        views=replace(map_.views, T_map_camera=np.array(poses)),
+        observations=MapObservations(
+            np.repeat(np.arange(9), 200).astype(np.int32), np.tile(np.arange(200), 9).astype(np.int32)
+        ),
     )
 
 
 def _stretched(map_: Map, times: float) -> Map:
-    poses = pose_matrix(map_.T_map_camera[:, :3, :3], times * map_.view_positions)
-    return replace(map_, T_map_camera=poses, landmarks=map_.landmarks * np.float32(times))
+    poses = pose_matrix(map_.views.T_map_camera[:, :3, :3], times * map_.views.positions)
+    return replace(
+        map_,
+        views=replace(map_.views, T_map_camera=poses),
+        landmarks=replace(map_.landmarks, positions=map_.landmarks.positions * np.float32(times)),
+    )
 
 
 def test_who_looks_at_the_wall_sees_it_and_who_turns_away_does_not(wall_map: Map) -> None:
@@ -47,7 +52,7 @@ def test_who_looks_at_the_wall_sees_it_and_who_turns_away_does_not(wall_map: Map
 
 def test_positions_lie_within_reach_of_the_walk_at_its_height(wall_map: Map) -> None:
     coverage = coverage_of(wall_map)
-    distances = np.linalg.norm(coverage.positions[:, None] - wall_map.view_positions, axis=2).min(axis=1)
+    distances = np.linalg.norm(coverage.positions[:, None] - wall_map.views.positions, axis=2).min(axis=1)
     assert coverage.step_m == 0.25
     assert distances.max() <= 0.75 + 1e-6
     np.testing.assert_allclose(coverage.positions[:, 2], 1.5, atol=1e-6)
@@ -63,19 +68,19 @@ def test_counts_are_those_of_the_camera_itself(wall_map: Map) -> None:
     for number, heading_deg in enumerate(coverage.headings_deg):
         heading = np.array([np.cos(np.deg2rad(heading_deg)), np.sin(np.deg2rad(heading_deg)), 0.0])
         T_camera_map = Pose.from_heading(coverage.positions[middle], heading).inverse()
-        pixels = camera.project(wall_map.landmarks @ T_camera_map[:3, :3].T + T_camera_map[:3, 3])
+        pixels = camera.project(wall_map.landmarks.positions @ T_camera_map[:3, :3].T + T_camera_map[:3, 3])
         assert coverage.counts[middle, number] == camera.contains(pixels).sum()
 
 
 def test_a_map_that_is_not_upright_is_covered_alike(wall_map: Map) -> None:
     """Turned as a whole, with another frame's axes: as many headings see the wall as before."""
     turn = Rotation.from_euler("xyz", [-90, 0, 0], degrees=True)
-    R = turn.as_matrix() @ wall_map.T_map_camera[:, :3, :3]
+    R = turn.as_matrix() @ wall_map.views.T_map_camera[:, :3, :3]
     turned = replace(
         wall_map,
         info=replace(wall_map.info, upright=False),
-        landmarks=turn.apply(wall_map.landmarks).astype(np.float32),
-        T_map_camera=pose_matrix(R, turn.apply(wall_map.view_positions)),
+        landmarks=replace(wall_map.landmarks, positions=turn.apply(wall_map.landmarks.positions).astype(np.float32)),
+        views=replace(wall_map.views, T_map_camera=pose_matrix(R, turn.apply(wall_map.views.positions))),
     )
     coverage, level = coverage_of(turned), coverage_of(wall_map)
     np.testing.assert_allclose(coverage.up, turn.apply([0, 0, 1]), atol=1e-6)

@@ -108,7 +108,7 @@ def test_a_full_disk_replaces_nothing(library: MapLibrary, room_map: Map, monkey
     def full(*_: object) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("rholoc.maps.files.os.fsync", full)
+    monkeypatch.setattr("rholoc.disk.os.fsync", full)
     with pytest.raises(StorageFull):
         library.put("kitchen", with_version(room_map, 2))
     with pytest.raises(StorageFull, match=r"kitchen\.rho"):

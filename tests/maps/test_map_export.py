@@ -37,30 +37,30 @@ def numbers(element: ElementTree.Element | None) -> np.ndarray:
 
 def test_ply_holds_landmarks_then_views(room_map: Map) -> None:
     header, _, body = map_to_ply(room_map).decode().partition("end_header\n")
-    features, views = len(room_map), len(room_map.view_times)
+    features, views = len(room_map), len(room_map.views)
     assert f"element vertex {features + views}\n" in header
     assert f"element edge {views - 1}\n" in header
     properties = [line.split()[-1] for line in header.splitlines() if line.startswith("property float")]
     lines = body.splitlines()
     assert len(lines) == features + views + views - 1
     vertices = np.loadtxt(lines[: features + views])
-    np.testing.assert_allclose(vertices[:features, :3], room_map.landmarks, atol=1e-5)
+    np.testing.assert_allclose(vertices[:features, :3], room_map.landmarks.positions, atol=1e-5)
     sigma = vertices[:features, properties.index("sigma_m")]
     np.testing.assert_allclose(sigma, landmark_sigmas(room_map), atol=1e-5)
-    np.testing.assert_allclose(vertices[features:, :3], room_map.view_positions, atol=1e-5)
+    np.testing.assert_allclose(vertices[features:, :3], room_map.views.positions, atol=1e-5)
     np.testing.assert_array_equal(np.loadtxt(lines[features + views :])[0], [features, features + 1])
 
 
 def test_vtp_holds_landmarks_and_the_path(room_map: Map) -> None:
     landmarks, path = ElementTree.fromstring(map_to_vtp(room_map)).iter("Piece")
     assert int(landmarks.attrib["NumberOfPoints"]) == int(landmarks.attrib["NumberOfVerts"]) == len(room_map)
-    assert int(path.attrib["NumberOfPoints"]) == len(room_map.view_times)
+    assert int(path.attrib["NumberOfPoints"]) == len(room_map.views)
     points = numbers(landmarks.find("Points/DataArray")).reshape(-1, 3)
-    np.testing.assert_allclose(points, room_map.landmarks, atol=1e-5)
+    np.testing.assert_allclose(points, room_map.landmarks.positions, atol=1e-5)
     sigmas = numbers(landmarks.find("PointData/DataArray[@Name='sigma_m']"))
     np.testing.assert_allclose(sigmas, landmark_sigmas(room_map), atol=1e-5)
     connectivity = numbers(path.find("Lines/DataArray[@Name='connectivity']"))
-    np.testing.assert_array_equal(connectivity, np.arange(len(room_map.view_times)))
+    np.testing.assert_array_equal(connectivity, np.arange(len(room_map.views)))
 
 
 @pytest.mark.parametrize(("features", "views"), [(0, 0), (0, 1), (1, 0), (3, 1), (5, 2)])
@@ -74,7 +74,11 @@ def test_small_maps_export(make_map, features: int, views: int) -> None:
 
 def test_sigma_is_the_root_mean_variance(room_map: Map) -> None:
     covariances = np.tile(np.diag([1e-4, 4e-4, 7e-4]), (len(room_map), 1, 1))
-    np.testing.assert_allclose(landmark_sigmas(replace(room_map, covariances=covariances)), 0.02, rtol=1e-6)
+    np.testing.assert_allclose(
+        landmark_sigmas(replace(room_map, landmarks=replace(room_map.landmarks, covariances=covariances))),
+        0.02,
+        rtol=1e-6,
+    )
 
 
 def test_the_picture_shows_landmarks_path_and_waypoints(room_map: Map) -> None:
@@ -94,17 +98,18 @@ def test_matplotlib_is_loaded_for_pictures_alone() -> None:
 
 def test_one_far_landmark_does_not_shrink_the_picture(make_map) -> None:
     map_ = make_map(features=400)
-    far = map_.landmarks.copy()
+    far = map_.landmarks.positions.copy()
     far[0] = (5000, 5000, 0)
     plain, stretched = (
-        np.asarray(Image.open(io.BytesIO(preview_png(m))).convert("L")) for m in (map_, replace(map_, landmarks=far))
+        np.asarray(Image.open(io.BytesIO(preview_png(m))).convert("L"))
+        for m in (map_, replace(map_, landmarks=replace(map_.landmarks, positions=far)))
     )
     assert (stretched < 200).mean() > 0.7 * (plain < 200).mean()
 
 
 def test_colours_are_in_the_ply_and_in_the_scene(room_map: Map) -> None:
     colours = np.random.default_rng(0).integers(0, 256, (len(room_map), 3), dtype=np.uint8)
-    coloured = replace(room_map, colours=colours)
+    coloured = replace(room_map, landmarks=replace(room_map.landmarks, colours=colours))
     lines = map_to_ply(coloured).decode().splitlines()
     assert [line.split()[-1] for line in lines if line.startswith("property uchar")] == [
         "channel", "red", "green", "blue",
@@ -123,7 +128,9 @@ def test_colours_are_in_the_ply_and_in_the_scene(room_map: Map) -> None:
 def test_gltf_holds_coloured_landmarks_and_each_walk(room_map: Map) -> None:
     colours = np.random.default_rng(0).integers(0, 256, (len(room_map), 3), dtype=np.uint8)
     names = MapNames(points=(NamedPoint("door", (1.0, 2.0, 0.5)),))
-    coloured = replace(room_map, colours=colours, info=replace(room_map.info, names=names))
+    coloured = replace(
+        room_map, info=replace(room_map.info, names=names), landmarks=replace(room_map.landmarks, colours=colours)
+    )
     content = map_to_gltf(coloured)
     magic, version, length, text_length, kind = struct.unpack_from("<4s3I4s", content)
     assert (magic, version, length, kind) == (b"glTF", 2, len(content), b"JSON")
@@ -140,9 +147,9 @@ def test_gltf_holds_coloured_landmarks_and_each_walk(room_map: Map) -> None:
 
     landmarks, walk = (mesh["primitives"][0] for mesh in document["meshes"])
     assert (landmarks["mode"], walk["mode"]) == (0, 3)
-    np.testing.assert_array_equal(array(landmarks["attributes"]["POSITION"], "<f4", 3), room_map.landmarks)
+    np.testing.assert_array_equal(array(landmarks["attributes"]["POSITION"], "<f4", 3), room_map.landmarks.positions)
     np.testing.assert_array_equal(array(landmarks["attributes"]["COLOR_0"], "u1", 4)[:, :3], colours)
-    np.testing.assert_allclose(array(walk["attributes"]["POSITION"], "<f4", 3), room_map.view_positions, rtol=1e-6)
+    np.testing.assert_allclose(array(walk["attributes"]["POSITION"], "<f4", 3), room_map.views.positions, rtol=1e-6)
     root = document["nodes"][document["scenes"][0]["nodes"][0]]
     up = Rotation.from_quat(root["rotation"]).apply([0, 0, 1])
     np.testing.assert_allclose(up, [0, 1, 0], atol=1e-12)

@@ -31,9 +31,9 @@ def test_errors_of_held_out_frames_are_plotted(room_map: Map) -> None:
 
 
 def test_the_expected_error_is_drawn_over_the_walk(room_map: Map) -> None:
-    spread = np.tile(np.diag([1e-4] * 3 + [1e-6] * 3).astype(np.float32), (len(room_map.view_times), 1, 1))
+    spread = np.tile(np.diag([1e-4] * 3 + [1e-6] * 3).astype(np.float32), (len(room_map.views), 1, 1))
     right = (slice(0, 540), slice(1350, 1800))
-    unknown, known = picture(room_map), picture(replace(room_map, view_covariances=spread))
+    unknown, known = picture(room_map), picture(replace(room_map, views=replace(room_map.views, covariances=spread)))
     pale = (0xE4, 0xF0, 0xEB)  # below the curve
     shares = [(np.abs(drawn[right] - pale).sum(axis=2) < 20).mean() for drawn in (unknown, known)]
     assert shares[1] > 0.2 > 10 * shares[0]

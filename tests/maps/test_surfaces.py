@@ -19,7 +19,7 @@ def numbers(piece: ElementTree.Element, path: str) -> np.ndarray:
 
 def test_surfaces_are_closed_ellipsoids_three_sigma_wide(make_map) -> None:
     map_: Map = make_map()
-    map_.covariances[7] = [[0.04, 0.01, 0.0], [0.01, 0.09, 0.0], [0.0, 0.0, 0.01]]
+    map_.landmarks.covariances[7] = [[0.04, 0.01, 0.0], [0.01, 0.09, 0.0], [0.0, 0.0, 0.01]]
     surfaces, path = ElementTree.fromstring(map_surfaces_vtp(map_, [9, 7])).iter("Piece")
     points = numbers(surfaces, "Points/DataArray").reshape(2, -1, 3)
     triangles = numbers(surfaces, "Polys/DataArray[@Name='connectivity']").astype(int).reshape(2, -1, 3)
@@ -28,7 +28,7 @@ def test_surfaces_are_closed_ellipsoids_three_sigma_wide(make_map) -> None:
     features = numbers(surfaces, "CellData/DataArray[@Name='feature']").reshape(2, -1)
     np.testing.assert_array_equal(features, np.repeat([[7], [9]], features.shape[1], axis=1))
     covariance = np.array([[0.04, 0.01, 0], [0.01, 0.09, 0], [0, 0, 0.01]])
-    away = points[0] - map_.landmarks[7]
+    away = points[0] - map_.landmarks.positions[7]
     distances = np.sqrt(np.einsum("ni,ij,nj->n", away, np.linalg.inv(covariance), away))
     np.testing.assert_allclose(distances, 3, rtol=1e-3)
     edges = {tuple(edge) for t in triangles[0] for edge in (t[[0, 1]], t[[1, 2]], t[[2, 0]])}
@@ -36,8 +36,8 @@ def test_surfaces_are_closed_ellipsoids_three_sigma_wide(make_map) -> None:
     assert {(b, a) for a, b in edges} == edges  # each edge is walked once in either direction
     volume = np.linalg.det(away[triangles[0]]).sum() / 6
     assert volume == pytest.approx(4 / 3 * np.pi * 27 * np.sqrt(np.linalg.det(covariance)), rel=0.06)
-    np.testing.assert_allclose(numbers(path, "Points/DataArray").reshape(-1, 3), map_.view_positions, atol=1e-5)
-    assert len(numbers(path, "Lines/DataArray[@Name='connectivity']")) == len(map_.view_times)
+    np.testing.assert_allclose(numbers(path, "Points/DataArray").reshape(-1, 3), map_.views.positions, atol=1e-5)
+    assert len(numbers(path, "Lines/DataArray[@Name='connectivity']")) == len(map_.views)
 
 
 @pytest.mark.parametrize(

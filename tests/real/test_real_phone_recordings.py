@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from rholoc.geometry import rotation_angles
 from rholoc.recordings import RecordingFormat, WarningKind, describe_recording, read_recording
 from rholoc.recordings.imu_normalisation import force_points_up
 from rholoc.trajectory.inertial.gyroscope import calibrate_gyro
@@ -19,7 +20,7 @@ pytestmark = pytest.mark.real
 def test_an_android_phones_folder(real_data: Path) -> None:
     recording = read_recording(real_data / "android_livingroom")
     assert recording.format is RecordingFormat.ANDROID_CSV
-    assert recording.warnings == ()
+    assert [one.kind for one in recording.warnings] == [WarningKind.NOT_USED]  # session_metadata.json
     assert len(recording.frames.times) == 608
     assert recording.frames.times[-1] - recording.frames.times[0] == pytest.approx(23.5, abs=0.1)
     assert recording.imu is not None
@@ -48,7 +49,7 @@ def test_the_rig_of_euroc(real_data: Path) -> None:
     assert fit is not None
     assert found is not None
     assert fit.residual_deg < 0.2
-    assert np.degrees(np.arccos((np.trace(fit.R_camera_imu.T @ found.R_camera_imu) - 1) / 2)) < 3
+    assert np.degrees(rotation_angles(fit.R_camera_imu, found.R_camera_imu)) < 3
     assert force_points_up(recording.imu, recording.frames.times, recording.poses.T_map_camera[:, :3, :3])
 
 
@@ -67,7 +68,7 @@ def test_an_iphones_tables_without_its_video(real_data: Path) -> None:
     found = calibrate_gyro(recording.frames.times, T[:, :3, :3], replace(recording.imu, R_camera_imu=None))
     assert found is not None
     assert recording.imu.R_camera_imu is not None
-    assert np.degrees(np.arccos((np.trace(found.R_camera_imu.T @ recording.imu.R_camera_imu) - 1) / 2)) < 1
+    assert np.degrees(rotation_angles(found.R_camera_imu, recording.imu.R_camera_imu)) < 1
     felt = np.column_stack(
         [np.interp(recording.frames.times, recording.imu.times, a) for a in recording.imu.acceleration.T]
     )
@@ -90,4 +91,4 @@ def test_the_kitchen_is_our_own_layout(real_data: Path) -> None:
     assert info["warnings"] == []
     assert info["poses"]["known"] == 600
     assert info["imu"] is None
-    assert info["figures"]["turn_deg_s"] == pytest.approx(20, abs=5)
+    assert info["figures"]["turn_deg_s"] is None  # the pictures have no times

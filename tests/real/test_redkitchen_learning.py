@@ -50,7 +50,7 @@ def test_the_second_half_registers_itself_and_makes_the_map_no_worse(real_data: 
     assert np.median(after) < np.median(before) + 0.002
     assert np.median(after) < 0.015
     left = forget_recording(updated, updated.info.sources[1].id)
-    np.testing.assert_allclose(left.landmarks, first_half.landmarks, rtol=0, atol=1e-6)
+    np.testing.assert_allclose(left.landmarks.positions, first_half.landmarks.positions, rtol=0, atol=1e-6)
 
     built = build_map([second], BuildOptions(poses=PoseMethod.GIVEN, report=False))
     merged = merge_maps(first_half, built)

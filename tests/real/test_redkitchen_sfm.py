@@ -31,6 +31,10 @@ class _Pausing:
         return np.arange(len(self._rows)) * _INTERVAL_S
 
     @property
+    def timed(self) -> bool:
+        return True
+
+    @property
     def numbers(self) -> IntArray:
         return self.source.numbers[self._rows]
 

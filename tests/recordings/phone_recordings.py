@@ -339,6 +339,20 @@ def write_nerfstudio(folder: Path) -> None:
     (folder / "transforms.json").write_text(json.dumps({**values, "frames": frames[::-1]}))
 
 
+def write_scanner_app(folder: Path) -> None:
+    T = camera_poses(R_LANDSCAPE_CAMERA_IMU)
+    T_arkit_camera = R_MAP_ARKIT.T @ T[:, :3, :3] @ np.diag([1.0, -1, -1])
+    positions = T[:, :3, 3] @ R_MAP_ARKIT
+    write_images(folder, [f"frame_{3 * i:05d}.jpg" for i in range(FRAMES)])
+    write_depth(folder, [f"depth_{3 * i:05d}.png" for i in range(FRAMES)])
+    fx, fy, cx, cy = INTRINSICS
+    for i in range(FRAMES):
+        pose = np.eye(4)
+        pose[:3, :3], pose[:3, 3] = T_arkit_camera[i], positions[i]
+        values = {"intrinsics": [fx, 0, cx, 0, fy, cy, 0, 0, 1], "cameraPoseARFrame": pose.ravel().tolist()}
+        (folder / f"frame_{3 * i:05d}.json").write_text(json.dumps({**values, "time": frame_times[i]}))
+
+
 WRITERS: dict[str, tuple[RecordingFormat, Callable[[Path], None]]] = {
     "rholoc": (RecordingFormat.RHOLOC, write_rholoc),
     "android-csv": (RecordingFormat.ANDROID_CSV, write_android_csv),
@@ -356,6 +370,7 @@ WRITERS: dict[str, tuple[RecordingFormat, Callable[[Path], None]]] = {
     "7-scenes": (RecordingFormat.SEVEN_SCENES, write_seven_scenes),
     "colmap": (RecordingFormat.COLMAP, write_colmap),
     "nerfstudio": (RecordingFormat.NERFSTUDIO, write_nerfstudio),
+    "scanner-app": (RecordingFormat.SCANNER_APP, write_scanner_app),
 }
 
 
@@ -369,9 +384,11 @@ def write_recording(name: str, folder: Path) -> Path:
 def write_complete_recording(name: str, folder: Path) -> Path:
     """The walk in one of the layouts, with measured waypoints and a camera beside it."""
     write_recording(name, folder)
-    first, middle, last = (float(time) for time in read_recording(folder).frames.times[[2, FRAMES // 2, -2]])
+    frames = read_recording(folder).frames
+    moments = (frames.times if frames.timed else frames.numbers)[[2, FRAMES // 2, -2]].tolist()
+    first, middle, last = moments
     rows: list[list[object]] = [["A", first, 0, 0, 1.5], ["B", middle, 1, 0, 1.5], ["C", last, 1, 1, 1.5]]
-    write_rows(folder / "waypoints.csv", "name,time,x,y,z", rows)
+    write_rows(folder / "waypoints.csv", f"name,{'time' if frames.timed else 'frame'},x,y,z", rows)
     if not (folder / "camera.json").exists():
         write_camera_json(folder / "camera.json", CameraFile(fps=FPS, readout_s=0.01))
     return folder

@@ -12,8 +12,6 @@ import zipfile
 from collections.abc import Callable
 from pathlib import Path
 
-import cv2
-import numpy as np
 import phone_recordings as phone
 import pytest
 
@@ -156,12 +154,6 @@ def two_formats(folder: Path) -> Path:
     return folder / "walk"
 
 
-def mixed_sizes(folder: Path) -> Path:
-    image = phone.write_recording("7-scenes", folder / "walk") / "frame-000007.color.png"
-    cv2.imwrite(str(image), np.zeros((50, 64, 3), np.uint8))
-    return folder / "walk"
-
-
 FRAMES_30 = "\n".join(["timestamp_ns,filename", *(f"{i * 50_000_000},f{i}.jpg" for i in range(30))])
 DEEP = "[" * 100_000
 
@@ -218,7 +210,6 @@ REFUSED: list[tuple[str, Callable[[Path], Path], str, str]] = [
     ("a link that leads out, EuRoC", linked_image, "invalid_recording", "outside the recording's folder"),
     ("an image that is not there", replaced("tum", "rgb.txt", "rgb/1000.100000.png", "rgb/no.png"), "invalid_recording", "no.png is listed but missing"),
     ("an image that is text", written("colmap", "images/walk/frame0003.png", "hello"), "invalid_recording", "frame0003.png"),
-    ("images of two sizes", mixed_sizes, "invalid_recording", "64×50"),
     ("a quaternion of no length", edited("stray", "odometry.csv", lambda rows: [rows[0], *([*row[:5], "0", "0", "0", "0", *row[9:]] for row in rows[1:])]), "invalid_trajectory", "not of unit length"),
     ("a pose file with words", written("7-scenes", "frame-000003.pose.txt", "lost"), "invalid_trajectory", "not a 4×4 matrix"),
     ("a model without its camera", written("colmap", "sparse/0/cameras.txt", "# none\n"), "invalid_camera", "no camera 1"),

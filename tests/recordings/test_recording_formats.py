@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 from pathlib import Path
 
 import numpy as np
 import phone_recordings as phone
+import pycolmap
 import pytest
 
 from rholoc.errors import InvalidRecording, InvalidTrajectory
@@ -25,7 +27,7 @@ from rholoc.recordings.recording import Waypoint
 from rholoc.recordings.selection import select_frames
 
 UNTIMED = ("7-scenes", "colmap", "nerfstudio")
-WITHOUT_IMU = (*UNTIMED, "tum")
+WITHOUT_IMU = (*UNTIMED, "tum", "scanner-app")
 MOUNTED = {
     "rholoc": phone.R_PORTRAIT_CAMERA_IMU,
     "spectacular": phone.R_LANDSCAPE_CAMERA_IMU,
@@ -37,11 +39,13 @@ MOUNTED = {
 POSED = {
     "stray": phone.R_LANDSCAPE_CAMERA_IMU,
     "ios-logger": phone.R_LANDSCAPE_CAMERA_IMU,
+    "scanner-app": phone.R_LANDSCAPE_CAMERA_IMU,
     **dict.fromkeys(("advio", "euroc", "tum", "7-scenes", "colmap", "nerfstudio"), phone.R_PORTRAIT_CAMERA_IMU),
 }
 DISTORTED = {
     "rholoc": (),
     "stray": (),
+    "scanner-app": (),
     "spectacular": (0.01, -0.02, 0.0, 0.0, 0.003),
     **dict.fromkeys(("euroc", "colmap", "nerfstudio"), (0.1, -0.05, 0.001, 0.002)),
 }
@@ -68,7 +72,7 @@ def test_the_walk_comes_back_from_every_format(name: str, tmp_path: Path) -> Non
     check_camera(name, recording)
 
 
-@pytest.mark.parametrize(("name", "known"), [("stray", 0), ("7-scenes", 0), ("tum", 1)])
+@pytest.mark.parametrize(("name", "known"), [("stray", 0), ("7-scenes", 0), ("scanner-app", 0), ("tum", 1)])
 def test_depth_comes_with_its_frame(name: str, known: int, tmp_path: Path) -> None:
     recording = read(name, tmp_path)
     assert recording.depth is not None
@@ -84,7 +88,8 @@ def test_depth_comes_with_its_frame(name: str, known: int, tmp_path: Path) -> No
 
 def check_frames(name: str, recording: Recording) -> None:
     times = recording.frames.times - recording.frames.times[0]
-    np.testing.assert_allclose(times, np.arange(phone.FRAMES) / (30 if name in UNTIMED else phone.FPS), atol=1e-5)
+    assert recording.frames.timed is (name not in UNTIMED)
+    np.testing.assert_allclose(times, np.arange(phone.FRAMES) / (1 if name in UNTIMED else phone.FPS), atol=1e-5)
     if name not in UNTIMED:
         assert recording.frames.times[0] == pytest.approx(0 if name == "advio" else phone.START_S, abs=1e-5)
     assert recording.frames.size == phone.SIZE
@@ -270,7 +275,63 @@ def test_a_cameras_own_intrinsics_of_several_in_a_colmap_model(tmp_path: Path) -
     path = folder / "sparse" / "0" / "images.txt"
     path.write_text(path.read_text().replace(" 1 walk/frame0004.png", " 2 walk/frame0004.png"))
     recording = read_recording(folder)
+    plain = read_recording(phone.write_recording("colmap", tmp_path / "plain"))
     assert recording.camera is not None
-    assert recording.camera.fx == 60
-    assert recording.frame_intrinsics is not None
-    assert recording.frame_intrinsics[[3, 4], 0].tolist() == [60, 70]
+    assert recording.camera.distortion == ()
+    assert recording.camera.fx == pytest.approx(60, rel=0.02)
+    assert recording.frames.size[0] >= phone.SIZE[0] - 2
+    shades = [float(image[10:-10, 10:-10].mean()) for image in recording.frames.images([3, 11, 20])]
+    expected = [float(image[10:-10, 10:-10].mean()) for image in plain.frames.images([3, 11, 20])]
+    np.testing.assert_allclose(shades, expected, atol=4)
+
+
+def test_a_binary_colmap_model_is_read_as_its_text_is(tmp_path: Path) -> None:
+    text, binary = (phone.write_recording("colmap", tmp_path / name) for name in ("text", "binary"))
+    _to_binary(binary / "sparse" / "0")
+    one, other = read_recording(text), read_recording(binary)
+    assert other.camera == one.camera
+    assert other.poses is not None
+    assert one.poses is not None
+    np.testing.assert_allclose(other.poses.T_map_camera, one.poses.T_map_camera, atol=1e-9)
+    assert other.frames.numbers.tolist() == one.frames.numbers.tolist()
+
+
+@pytest.mark.parametrize("kept", [0, 7, 40, 100])
+def test_a_binary_colmap_model_that_is_cut_off_is_refused(kept: int, tmp_path: Path) -> None:
+    folder = phone.write_recording("colmap", tmp_path / "walk")
+    _to_binary(folder / "sparse" / "0")
+    images = folder / "sparse" / "0" / "images.bin"
+    images.write_bytes(images.read_bytes()[:kept])
+    with pytest.raises(InvalidRecording, match="broken or cut off"):
+        read_recording(folder)
+
+
+def _to_binary(model: Path) -> None:
+    pycolmap.Reconstruction(str(model)).write_binary(str(model))
+    for name in ("cameras", "images", "points3D"):
+        (model / f"{name}.txt").unlink()
+
+
+def test_a_transform_that_nerfstudio_applied_is_undone(tmp_path: Path) -> None:
+    folder = phone.write_recording("nerfstudio", tmp_path / "walk")
+    values = json.loads((folder / "transforms.json").read_text())
+    applied = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
+    for frame in values["frames"]:
+        frame["transform_matrix"] = (applied @ np.array(frame["transform_matrix"])).tolist()
+    values["applied_transform"] = applied[:3].tolist()
+    (folder / "transforms.json").write_text(json.dumps(values))
+    poses = read_recording(folder).poses
+    assert poses is not None
+    np.testing.assert_allclose(poses.T_map_camera, phone.camera_poses(POSED["nerfstudio"]), atol=1e-4)
+
+
+def test_pictures_of_a_scanner_app_with_their_own_focal_lengths_become_frames_of_one_camera(tmp_path: Path) -> None:
+    folder = phone.write_recording("scanner-app", tmp_path / "walk")
+    for i, path in enumerate(sorted(folder.glob("frame_*.json"))):
+        values = json.loads(path.read_text())
+        values["intrinsics"][0] = values["intrinsics"][4] = 60 + 0.1 * i
+        path.write_text(json.dumps(values))
+    recording = read_recording(folder)
+    assert recording.camera is not None
+    assert 60 < recording.camera.fx < 60 + 0.1 * phone.FRAMES
+    assert recording.frames.size == (recording.camera.width, recording.camera.height)

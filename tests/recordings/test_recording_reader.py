@@ -56,7 +56,8 @@ def test_a_folder_of_images(make_images, tmp_path: Path, inside: str) -> None:
     assert recording.camera == CAMERA
     assert recording.frames.size == (64, 48)
     assert recording.frames.numbers.tolist() == [3, 4, 5, 6, 7, 8]
-    np.testing.assert_allclose(recording.frames.times, np.arange(3, 9) / 30)
+    assert not recording.frames.timed
+    np.testing.assert_array_equal(recording.frames.times, np.arange(6))
     assert shades(recording, [0, 2, 5]) == [30, 50, 80]
     assert recording.imu is None
     assert recording.poses is None
@@ -87,7 +88,7 @@ def test_frames_are_chosen_by_number_as_slices_are(make_images, tmp_path: Path, 
     expected = list(range(6))[slice(*parts)]
     assert recording.frames.numbers.tolist() == expected
     assert shades(recording, [len(expected) - 1]) == [10 * expected[-1]]
-    np.testing.assert_allclose(recording.frames.times, np.array(expected) / 30)
+    np.testing.assert_array_equal(recording.frames.times, np.arange(len(expected)))
 
 
 def test_numbers_with_gaps_are_chosen_by_number(make_images, tmp_path: Path) -> None:
@@ -111,12 +112,16 @@ def test_a_choice_that_is_none_is_reported(make_images, tmp_path: Path, text: st
         ([0, 1, 2, 3, 4, 5], [0, 1, 2, 3, 4, 5]),
         ([5, 1], [1, 5]),
         ([0, 1, 2, 3, 4, 5, 6, 7], [0, 1, 2, 3, 4, 5]),  # more poses than frames
-        ([0.001, "0.0667", 0.09], [0, 2, 3]),  # seconds, at 30 frames a second
+        ([0.001, "0.0667", 0.09], [0, 2, 3]),  # seconds
     ],
 )
 def test_poses_belong_to_frames_by_number_or_by_time(make_images, tmp_path: Path, keys, known) -> None:
     folder = make_images(tmp_path / "walk")
     (folder / "poses.txt").write_text(poses(keys))
+    if isinstance(keys[0], float):
+        with pytest.raises(InvalidTrajectory, match="without times"):
+            read_recording(folder)
+        write_camera_json(folder / "camera.json", CameraFile(fps=30))
     given = read_recording(folder).poses
     assert given is not None
     assert np.flatnonzero(given.known).tolist() == known
@@ -149,20 +154,30 @@ def test_broken_image_folders_are_reported(make_images, tmp_path: Path) -> None:
     with pytest.raises(InvalidRecording, match=r"frame-000002\.png"):
         read_recording(folder)
 
+
+def test_pictures_of_several_sizes_become_frames_of_one_camera(make_images, tmp_path: Path) -> None:
+    """A portrait picture among landscape ones: each lies in the middle of the frame, none is cut."""
     folder = make_images(tmp_path / "sizes")
-    cv2.imwrite(str(folder / "frame-000006.png"), np.zeros((48, 65, 3), np.uint8))
-    with pytest.raises(InvalidRecording, match="65×48"):
-        read_recording(folder)
+    cv2.imwrite(str(folder / "frame-000006.png"), np.full((64, 48, 3), 200, np.uint8))
+    frames = read_recording(folder).frames
+    assert frames.size == (64, 64)
+    *_, portrait = frames.images(range(7))
+    assert portrait.shape == (64, 64, 3)
+    assert int(portrait[32, 32, 0]) == 200
 
+
+def test_files_without_numbers_are_counted_in_the_order_of_their_names(make_images, tmp_path: Path) -> None:
     folder = make_images(tmp_path / "nameless")
-    cv2.imwrite(str(folder / "cover.png"), np.zeros((48, 64, 3), np.uint8))
-    with pytest.raises(InvalidRecording, match=r"cover\.png has no frame number"):
-        read_recording(folder)
+    cv2.imwrite(str(folder / "cover.png"), np.full((48, 64, 3), 200, np.uint8))
+    recording = read_recording(folder)
+    assert recording.frames.numbers.tolist() == list(range(7))
+    assert shades(recording, [0]) == [200]
 
+
+def test_of_two_files_with_one_number_both_are_read(make_images, tmp_path: Path) -> None:
     folder = make_images(tmp_path / "twice")
-    cv2.imwrite(str(folder / "other-2.png"), np.zeros((48, 64, 3), np.uint8))
-    with pytest.raises(InvalidRecording, match="both have the frame number 2"):
-        read_recording(folder)
+    cv2.imwrite(str(folder / "other-2.png"), np.full((48, 64, 3), 200, np.uint8))
+    assert shades(read_recording(folder), [5, 6]) == [50, 200]
 
 
 def test_a_truncated_image_is_reported_when_it_is_read(make_images, tmp_path: Path) -> None:
@@ -439,3 +454,13 @@ def test_a_zip_file_without_a_recording_is_called_as_its_user_calls_it(tmp_path:
     zipfile.ZipFile(tmp_path / "monday.zip", "w").close()
     with pytest.raises(InvalidRecording, match=r"^The file monday.zip is empty\."):
         read_recording(tmp_path / "monday.zip")
+
+
+def test_waypoints_of_pictures_without_times_stay_with_their_pictures_when_some_are_chosen(
+    make_images, tmp_path: Path
+) -> None:
+    folder = make_images(tmp_path / "walk", range(10, 20))
+    (folder / "waypoints.csv").write_text("name,frame,x,y,z\nA,11,0,0,1\nB,14,1,0,1\nC,16,0,1,1\n")
+    chosen = read_recording(folder, frames="12:20:2")
+    assert chosen.frames.numbers.tolist() == [12, 14, 16, 18]
+    assert [(one.name, one.time) for one in chosen.waypoints] == [("B", 1.0), ("C", 2.0)]

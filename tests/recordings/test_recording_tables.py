@@ -44,6 +44,19 @@ def test_an_imu_table_comes_back(tmp_path: Path) -> None:
     assert back.R_camera_imu is not None
 
 
+def test_an_imu_table_may_have_the_papers_header_of_two_rows(tmp_path: Path) -> None:
+    groups = '"The Time Mark, N","Linear acceleration, m/s2",,,"Angular acceleration, rad/s2",,'
+    path = tmp_path / "imu.csv"
+    path.write_text(f"{groups}\n,X,Y,Z,X,Y,Z\n0,1,2,3,4,5,6\n0.1,7,8,9,10,11,12\n", encoding="utf-8")
+    imu = read_imu_csv(path)
+    assert imu.times.tolist() == [0, 0.1]
+    assert imu.acceleration.tolist() == [[1, 2, 3], [7, 8, 9]]
+    assert imu.angular_velocity.tolist() == [[4, 5, 6], [10, 11, 12]]
+    path.write_text(f"{groups}\n,X,Y,W,X,Y,Z\n0,1,2,3,4,5,6\n", encoding="utf-8")
+    with pytest.raises(InvalidRecording, match="'w' under 'linear acceleration, m/s2' is not known"):
+        read_imu_csv(path)
+
+
 def test_columns_may_come_in_another_order_with_others_between_and_a_byte_order_mark(tmp_path: Path) -> None:
     text = "\ufeffgz,note,timestamp,ax,ay,az,gx,gy\r\n6,hi,0.5,1,2,3,4,5\r\n\r\n"
     (tmp_path / "imu.csv").write_text(text, encoding="utf-8")

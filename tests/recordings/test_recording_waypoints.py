@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +24,7 @@ class Frames:
     numbers: np.ndarray
     times: np.ndarray
     size: tuple[int, int] = (64, 48)
+    timed: bool = True
 
 
 FRAMES = Frames(np.arange(100, 142, 2), np.arange(21) / 10)
@@ -44,6 +45,13 @@ def test_waypoints_by_time(tmp_path: Path) -> None:
 def test_waypoints_by_frame(tmp_path: Path) -> None:
     text = "name,frame,x,y,z\nA,100,0,0,0\nB,110,1,0,0\nC,140,0,1,0\n"
     assert [waypoint.time for waypoint in read_waypoints_csv(written(tmp_path, text), FRAMES)] == [0, 0.5, 2.0]
+
+
+@pytest.mark.parametrize("header", ["name,time,x,y,z", "name,x,y,z"])
+def test_waypoints_of_pictures_without_times_must_name_a_picture(tmp_path: Path, header: str) -> None:
+    rows = ROWS if "time" in header else "W1,0,0,1\nW2,2,0,1\nE,2,3,1\n"
+    with pytest.raises(InvalidWaypoints, match="the pictures have no times"):
+        read_waypoints_csv(written(tmp_path, f"{header}\n{rows}"), replace(FRAMES, timed=False))
 
 
 def test_waypoints_come_back(tmp_path: Path) -> None:

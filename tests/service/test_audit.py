@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
 import httpx
 import pytest
+from sqlalchemy.exc import OperationalError
 
 from rholoc.service import audit as module
-from rholoc.service.audit import Change, FolderAuditLog
+from rholoc.service.audit import AuditLog, Change
 from rholoc.service.guard import KeyPolicy
 from rholoc.service.keys import KeyStore, Scope
+from rholoc.storage.database import open_database
 
 PATIENCE_S = 60
 CHANGE = Change(1.0, "alice", "PUT", "/v1/maps/hall", 200, "", "id")
@@ -70,33 +73,48 @@ def test_what_was_refused_or_changes_nothing_is_not_noted(locked, picture_world)
     assert boss.get("/v1/audit?map=../x").json()["code"] == "invalid_name"
 
 
-def test_the_oldest_are_forgotten(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, "_FILE_BYTES", 2000)
-    log = FolderAuditLog(tmp_path)
-    for number in range(500):
-        log.note(replace(CHANGE, time=float(number)))
-    kept = [change.time for change in log.changes(1000)]
-    assert kept == sorted(kept, reverse=True)
-    assert kept[0] == 499
-    assert 30 < len(kept) < 100
-    assert sum(path.stat().st_size for path in tmp_path.rglob("*")) < 6 * 5000
-    assert len(list((tmp_path / "audit").glob("audit.jsonl*"))) == 5
+PATHS = ("/v1/maps/hall", "/v1/maps/hall/plan", "/v1/maps/hall_2", "/v1/maps/hallX2", "/v1/recordings", "/v1/maps/%")
 
 
-def test_a_line_that_was_cut_off_is_passed_over(tmp_path: Path) -> None:
-    log = FolderAuditLog(tmp_path)
-    log.note(CHANGE)
-    with (tmp_path / "audit" / "audit.jsonl").open("ab") as file:
-        file.write(b'{"time": 2.0, "who"\n')
-    log.note(replace(CHANGE, time=3.0))
-    assert [change.time for change in log.changes(10)] == [3.0, 1.0]
-    assert FolderAuditLog(tmp_path / "nowhere").changes(10) == []
+@pytest.fixture
+def logs(tmp_path: Path):
+    """The logs of two processes that share a database."""
+    engines = [open_database(tmp_path) for _ in range(2)]
+    yield [AuditLog(engine) for engine in engines]
+    for engine in engines:
+        engine.dispose()
+
+
+def test_each_process_shows_what_all_changed(logs) -> None:
+    here, there = logs
+    with ThreadPoolExecutor(8) as threads:
+        list(threads.map(lambda n: logs[n % 2].note(replace(CHANGE, request_id=str(n))), range(40)))
+    assert {one.request_id for one in here.changes(100)} == {str(n) for n in range(40)}
+    assert here.changes(100) == there.changes(100)
+    assert len(there.changes(3)) == 3
+
+
+@pytest.mark.parametrize(
+    ("name", "paths"), [("hall", PATHS[1::-1]), ("hall_2", PATHS[2:3]), ("%", PATHS[5:]), ("x", ())]
+)
+def test_the_changes_of_a_map_are_those_whose_path_names_it(logs, name: str, paths: tuple[str, ...]) -> None:
+    for path in PATHS:
+        logs[0].note(replace(CHANGE, path=path))
+    assert tuple(one.path for one in logs[0].changes(9, name)) == paths
+
+
+def test_the_oldest_are_forgotten(logs, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "_ROWS", 20)
+    monkeypatch.setattr(module, "_ROWS_AT_ONCE", 5)
+    for number in range(50):
+        logs[0].note(replace(CHANGE, time=float(number)))
+    assert [one.time for one in logs[0].changes(100)] == [float(number) for number in range(49, 29, -1)]
 
 
 def test_a_disk_that_is_full_does_not_stop_changes(locked, picture_world, monkeypatch) -> None:
-    def full(self: FolderAuditLog, change: Change) -> None:
-        raise OSError(28, "No space left on device")
+    def full(self: AuditLog, change: Change) -> None:
+        raise OperationalError("INSERT", {}, Exception("database or disk is full"))
 
-    monkeypatch.setattr(FolderAuditLog, "note", full)
+    monkeypatch.setattr(AuditLog, "note", full)
     _, mapper, _ = locked
     assert mapper.put("/v1/maps/hall", content=picture_world.rho()).status_code == 201

@@ -38,9 +38,9 @@ def still_serving(service, picture_world):
 
 def few_features(world, n=80):
     """A descriptor set of the first features of the picture, enough for a pose."""
-    landmarks = world.map_.landmarks[:n] - world.pose.position
+    landmarks = world.map_.landmarks.positions[:n] - world.pose.position
     pixels = world.camera.project(landmarks @ world.pose.R_map_camera)
-    descriptors = [row.tobytes().hex() for row in world.map_.descriptors[:n]]
+    descriptors = [row.tobytes().hex() for row in world.map_.descriptors.values[:n]]
     return {
         "camera": {"width": 640, "height": 480},
         "features": {"pixels": pixels.tolist(), "descriptors": descriptors},

@@ -14,12 +14,13 @@ from fuzz_requests import World, good_requests, prepared
 from rholoc.service import Settings, create_app
 from rholoc.service.access import route_access
 
-REFUSED = {  # for want of a second walk, of many queries, of pictures, of a worker
+REFUSED = {  # for want of a second walk, of many queries, of pictures, of a worker, of an open stream
     "POST /v1/maps/{map_name}/merge": 409,
     "POST /v1/maps/{map_name}/forget": 409,
     "POST /v1/maps/{map_name}/learn": 409,
     "GET /v1/maps/{map_name}/views/{view}/picture.jpg": 404,
     "GET /v1/recordings/{recording}/thumbnail.jpg": 404,
+    "DELETE /v1/streams/{stream}": 404,
 }
 pytestmark = pytest.mark.slow
 WORLD = World(*("0" * 32 for _ in range(4)), key="guest")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
+
 import httpx
 import pytest
 
@@ -12,6 +14,7 @@ from rholoc.service.errors import CrossSite, InvalidRequest
 from rholoc.service.guard import KeyPolicy, _address, check_query, check_same_site, keys_needed
 from rholoc.service.keys import KeyStore, Scope
 from rholoc_client import Client, Forbidden, Unauthorized
+from waiting import until
 
 
 @pytest.fixture(scope="module")
@@ -80,7 +83,7 @@ def test_a_query_may_have_the_names_that_the_route_takes_and_no_other():
         ({}, True),
         ({"host": "localhost:8080"}, False),
         ({"host": "[::1]:8080"}, False),
-        ({"host": "console.localhost"}, False),
+        ({"host": "evil.localhost"}, True),
         ({"host": "localhost", "origin": "http://localhost"}, False),
         ({"host": "localhost", "origin": "http://attacker.example"}, True),
         ({"host": "localhost", "origin": "http://attacker.example", "sec-fetch-site": "same-origin"}, False),
@@ -132,8 +135,14 @@ def test_a_key_does_what_its_scope_says_until_it_is_revoked(locked, keys, pictur
         with pytest.raises(Forbidden):
             client.delete_map("room")
         keys.revoke("robot")
-        with pytest.raises(Unauthorized):
-            client.maps()
+        until(lambda: refused(client))
+
+
+def refused(client):
+    with suppress(Unauthorized):
+        client.maps()
+        return False
+    return True
 
 
 def test_an_admin_may_delete(locked, keys, picture_world):
@@ -193,7 +202,7 @@ def test_the_pages_files_are_kept_and_asked_about(service):
         assert httpx.get(service.url + path).json()["code"] == "unknown_route"
 
 
-def test_of_many_keys_only_the_one_that_was_sent_is_read(tmp_path, monkeypatch):
+def test_keys_are_found_in_memory(tmp_path, monkeypatch):
     store = KeyStore(tmp_path)
     secrets = {f"robot-{i}": store.create(f"robot-{i}", Scope.LOCALIZE) for i in range(20)}
     read, really = [], FolderDocuments.read
@@ -201,7 +210,7 @@ def test_of_many_keys_only_the_one_that_was_sent_is_read(tmp_path, monkeypatch):
     for name, secret in secrets.items():
         assert store.find(secret).name == name
     assert store.find("another") is None
-    assert len(read) == len(secrets)
+    assert not read
 
 
 def test_the_address_of_a_client_where_it_has_one():

@@ -8,6 +8,7 @@ import httpx
 import numpy as np
 
 from rholoc.features import get_extractor
+from rholoc.geometry import angles_between
 
 LANDSCAPE = "/v1/maps/room/landscape"
 CAMERA = {"fx": 520, "fy": 520, "cx": 319.5, "cy": 239.5}
@@ -85,12 +86,12 @@ def test_several_frames_have_no_landscape(service, picture_world):
 def test_a_feature_says_where_it_may_be_seen_from(service, picture_world):
     map_ = picture_world.map_
     found = httpx.get(f"{service.url}/v1/maps/room/features/7").json()
-    np.testing.assert_allclose(found["position"], map_.landmarks[7], atol=1e-3)
-    away = map_.view_positions[found["views"]] - map_.landmarks[7]
+    np.testing.assert_allclose(found["position"], map_.landmarks.positions[7], atol=1e-3)
+    away = map_.views.positions[found["views"]] - map_.landmarks.positions[7]
     distance = np.linalg.norm(away, axis=1)
     assert (distance > found["nearest"]).all()
     assert (distance < found["farthest"]).all()
-    angle = np.degrees(np.arccos(np.clip(away @ found["direction"] / distance, -1, 1)))
+    angle = np.degrees(angles_between(away, np.array(found["direction"])))
     assert (angle < found["half_angle_deg"]).all()
 
 

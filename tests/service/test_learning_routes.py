@@ -43,7 +43,7 @@ def test_maps_are_merged_and_forget(learner):
     assert (left["version"], left["id"]) == (3, merged.json()["id"])
     assert [source["name"] for source in left["sources"]] == ["west"]
     stored = load_map(learner.settings.maps_dir / "both.rho")
-    np.testing.assert_allclose(stored.landmarks, before.landmarks, rtol=0, atol=1e-6)
+    np.testing.assert_allclose(stored.landmarks.positions, before.landmarks.positions, rtol=0, atol=1e-6)
 
 
 @pytest.mark.parametrize(

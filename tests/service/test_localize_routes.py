@@ -52,7 +52,8 @@ def test_a_picture_gets_its_pose(service, picture_world):
     covariance = np.array(answer["covariance"])
     assert covariance.shape == (6, 6)
     assert (np.linalg.eigvalsh(covariance) > 0).all()
-    assert 0.5 <= answer["confidence"] <= 1
+    assert 0.5 <= answer["confidence"] <= answer["recognized"] <= 1
+    assert answer["alternatives"] == []
     assert answer["inliers"] <= answer["matches"]
     assert (answer["map"], answer["map_version"], answer["scale"]) == ("room", 3, "metric")
     assert answer["map_id"] == picture_world.map_.info.id
@@ -223,6 +224,21 @@ def test_the_agreeing_matches_are_reported_on_request(service, picture_world):
     T_camera_map = np.linalg.inv(answer["pose"]["T_map_camera"])
     projected = picture_world.camera.project(landmarks @ T_camera_map[:3, :3].T + T_camera_map[:3, 3])
     assert np.median(np.linalg.norm(projected - pixels, axis=1)) < 2
+
+
+@pytest.mark.parametrize(("option", "row"), [("max_sigma_m", 0), ("max_sigma_deg", 3)])
+def test_whoever_needs_an_exact_pose_asks_for_one(service, picture_world, option, row):
+    intrinsics = {"fx": 520, "fy": 520, "cx": 319.5, "cy": 239.5}
+    given = send_picture(service, picture_world, **intrinsics).json()
+    sigma = np.linalg.eigvalsh(np.array(given["covariance"])[row : row + 3, row : row + 3])[-1] ** 0.5
+    assert send_picture(service, picture_world, **intrinsics, **{option: 2 * sigma}).json()["localized"]
+    answer = send_picture(service, picture_world, **intrinsics, **{option: sigma / 2}).json()
+    assert (answer["localized"], answer["pose"], answer["covariance"]) == (False, None, None)
+    assert (answer["reason"], answer["diagnosis"]["cause"]) == ("too_inexact", "too_inexact")
+    assert option in answer["diagnosis"]["hint"]
+    assert answer["recognized"] >= 0.5
+    refused = send_picture(service, picture_world, **intrinsics, **{option: 0})
+    assert (refused.status_code, refused.json()["code"]) == (422, "invalid_request")
 
 
 def test_a_frame_that_is_not_localized_is_answered_with_the_likeliest_cause(service, picture_world):

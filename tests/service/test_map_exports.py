@@ -34,6 +34,8 @@ def hall(serve, point_room):
         ("gltf", "hall.glb", "model/gltf-binary"),
         ("surfaces&features=0:9", "hall-surfaces.vtp", "application/xml"),
         pytest.param("surfaces", "hall-surfaces.vtp", "application/xml", marks=pytest.mark.slow),  # by a process
+        ("colmap", "hall-colmap.zip", "application/zip"),
+        ("nerfstudio", "hall-transforms.json", "application/json"),
         ("png", "hall.png", "image/png"),
     ],
 )
@@ -52,10 +54,10 @@ def test_the_files_hold_the_map(hall, tmp_path):
     }
     assert files["ply"] == map_to_ply(map_)
     assert files["vtp"] == map_to_vtp(map_)
-    assert files["observations"].count(b"\n") == 1 + len(map_.observation_features)
+    assert files["observations"].count(b"\n") == 1 + len(map_.observations.features)
     (tmp_path / "trajectory.csv").write_bytes(files["trajectory"])
     positions = read_trajectory_csv(tmp_path / "trajectory.csv").positions
-    np.testing.assert_allclose(positions, map_.view_positions, atol=1e-5)
+    np.testing.assert_allclose(positions, map_.views.positions, atol=1e-5)
     surfaces = httpx.get(f"{url}/download", params={"format": "surfaces", "features": "3,5:7"}, timeout=60).content
     triangles, _ = ElementTree.fromstring(surfaces).iter("Piece")
     features = (triangles.findtext("CellData/DataArray[@Name='feature']") or "").split()

@@ -28,7 +28,7 @@ def test_a_map_tells_of_itself(service, picture_world):
     room = httpx.get(service.url + "/v1/maps/room").json()
     assert room["sources"][0]["name"] == "walk"
     assert room["waypoints"][0]["name"] == "W1"
-    np.testing.assert_allclose(room["bounds_m"][0], picture_world.map_.landmarks.min(axis=0))
+    np.testing.assert_allclose(room["bounds_m"][0], picture_world.map_.landmarks.positions.min(axis=0))
     report = httpx.get(service.url + "/v1/maps/room/report").json()
     assert report_from_json(MapReport, report["report"]) == picture_world.map_.info.report
     assert report["map_version"] == 3
@@ -43,7 +43,9 @@ def test_a_map_is_put_renamed_replaced_taken_and_deleted(service, picture_world,
     taken = httpx.get(f"{url}/newer/download")
     assert 'filename="newer.rho"' in taken.headers["Content-Disposition"]
     (tmp_path / "taken.rho").write_bytes(taken.content)
-    np.testing.assert_array_equal(load_map(tmp_path / "taken.rho").landmarks, picture_world.map_.landmarks)
+    np.testing.assert_array_equal(
+        load_map(tmp_path / "taken.rho").landmarks.positions, picture_world.map_.landmarks.positions
+    )
     assert httpx.delete(f"{url}/newer").status_code == 204
     assert httpx.get(f"{url}/newer").status_code == 404
     assert not list((service.settings.data_dir / "uploads").iterdir())
@@ -60,7 +62,9 @@ def test_the_preview_is_a_picture(service):
 def test_further_points_and_pictures_of_views(serve, picture_world):
     picture = cv2.imencode(".jpg", picture_world.image)[1].tobytes()
     cloud = Cloud(np.ones((2, 3), np.float32), np.full((2, 3), 7, np.uint8), np.zeros(2, np.int32))
-    map_ = replace(picture_world.map_, cloud=cloud, pictures=(b"", picture, picture, b""))
+    map_ = replace(
+        picture_world.map_, views=replace(picture_world.map_.views, pictures=(b"", picture, picture, b"")), cloud=cloud
+    )
     for kept in (True, False):
         running = serve(keep_pictures=kept)
         url = f"{running.url}/v1/maps/seen"
@@ -96,8 +100,8 @@ def test_a_scene_is_what_a_viewer_draws(service, picture_world):
     numbers = np.frombuffer(content, "<f4", offset=8)
     landmarks, path = np.split(numbers, [4 * features])
     map_ = picture_world.map_
-    assert (features, views, path.size) == (len(map_), len(map_.view_times), 7 * views)
-    np.testing.assert_array_equal(landmarks.reshape(-1, 4)[:, :3], map_.landmarks)
+    assert (features, views, path.size) == (len(map_), len(map_.views.times), 7 * views)
+    np.testing.assert_array_equal(landmarks.reshape(-1, 4)[:, :3], map_.landmarks.positions)
     np.testing.assert_allclose(landmarks.reshape(-1, 4)[:, 3], 0.002)
-    np.testing.assert_allclose(path.reshape(-1, 7)[:, :3], map_.view_positions)
+    np.testing.assert_allclose(path.reshape(-1, 7)[:, :3], map_.views.positions)
     np.testing.assert_allclose(path.reshape(-1, 7)[0, 3:], [*picture_world.pose.heading, 0], atol=1e-6)

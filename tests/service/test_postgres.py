@@ -10,6 +10,7 @@ import pytest
 
 from rholoc.errors import InvalidInput
 from rholoc.jobs import JobQueue
+from rholoc.storage.database import open_database
 from rholoc_client import Client, JobFailed
 
 
@@ -31,7 +32,7 @@ def test_jobs_are_kept_in_postgres_and_worked_on(postgres_url, serve, tmp_path):
 
 def test_a_database_that_is_not_there_is_reported_in_one_line(tmp_path):
     with pytest.raises(InvalidInput) as caught:
-        JobQueue(tmp_path, f"postgresql://jobs:secret@/jobs?host={tmp_path}")
+        open_database(tmp_path, f"postgresql://jobs:secret@/jobs?host={tmp_path}")
     assert "cannot be reached" in caught.value.message
     assert "\n" not in caught.value.message
     assert "secret" not in str(caught.value)

@@ -186,10 +186,10 @@ def test_holdings_go_with_what_they_are_about(tmp_path: Path) -> None:
     holdings.hold(Holding(Kind.MAP, "a", "one"))
     holdings.hold(Holding(Kind.MAP, "b", "handed", "one"))
     holdings.hold(Holding(Kind.RECORDING, "a", "two", "", 5))
-    assert {one.name for one in holdings.of("one")} == {"a", "b"}
-    gone = holdings.of("one")
+    assert {one.name for one in holdings.of(["one"])} == {"a", "b"}
+    gone = holdings.of(["one"])
     holdings.hold(Holding(Kind.MAP, "a", "two"))
     holdings.drop(gone)
-    assert holdings.of("one") == []
+    assert holdings.of(["one"]) == []
     holdings.rename(Kind.MAP, "a", "b")
     assert {(one.kind, one.name) for one in holdings.all()} == {(Kind.MAP, "b"), (Kind.RECORDING, "a")}

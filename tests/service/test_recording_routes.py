@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
 import httpx
 import numpy as np
 import pytest
 
 from rholoc.jobs import RecordingStore
-from rholoc.jobs.recording_notes import note_recording
+from rholoc.jobs.recording_notes import notes_of
 from rholoc.recordings import MemoryFrames, Recording
 from rholoc_client import Client, ServiceError
 
@@ -134,9 +135,9 @@ def test_a_recording_is_corrected_and_mapped_again(service):
     url = f"{service.url}/v1/recordings/{recording}"
     fresh = httpx.get(url).json()
     assert (fresh["content"], fresh["thumbnail"], fresh["waypoints"], fresh["corrected"]) == (None, False, [], False)
-    folder = RecordingStore(service.settings.data_dir).folder(recording)
     pictures = [np.full((90, 160, 3), 90, np.uint8)] * 60
-    note_recording(folder, Recording("walk", folder, MemoryFrames(pictures, 10.0)))
+    walk = Recording("walk", Path("walk"), MemoryFrames(pictures, 10.0))
+    RecordingStore(service.settings.data_dir).note(recording, notes_of(walk))
     noted = httpx.get(url).json()
     assert noted["content"] == {
         "length_s": 5.9, "frames": 60, "width": 160, "height": 90, "format": "rholoc", "imu": False,

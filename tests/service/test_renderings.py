@@ -14,6 +14,7 @@ from rholoc.errors import InvalidMap, UnknownMap
 from rholoc.maps import MapLibrary
 from rholoc.pictures.rendering import Rendering
 from rholoc.service.renderings import Renderings
+from rholoc.service.storage_threads import StorageLanes
 
 
 @pytest.fixture
@@ -25,7 +26,7 @@ def library(tmp_path, picture_world) -> MapLibrary:
 
 def test_a_rendering_is_made_once_and_again_when_the_map_changes(tmp_path, library, picture_world):
     async def scenario() -> None:
-        renderings = Renderings(tmp_path / "kept", library)
+        renderings = Renderings(tmp_path / "kept", library, StorageLanes())
         first, same = await asyncio.gather(*(renderings.get("room", Rendering.COVERAGE) for _ in range(2)))
         assert first == same
         (kept,) = (tmp_path / "kept").iterdir()
@@ -45,7 +46,7 @@ def test_a_rendering_is_made_once_and_again_when_the_map_changes(tmp_path, libra
 @pytest.mark.slow
 def test_a_process_that_is_killed_is_started_again(tmp_path, library):
     async def scenario() -> None:
-        renderings = Renderings(tmp_path / "kept", library)
+        renderings = Renderings(tmp_path / "kept", library, StorageLanes())
         await renderings.get("room", Rendering.COVERAGE)
         assert renderings._program is not None
         renderings._program._process.kill()
@@ -57,7 +58,7 @@ def test_a_process_that_is_killed_is_started_again(tmp_path, library):
 
 def test_maps_that_are_gone_or_damaged_are_said(tmp_path, library):
     async def scenario() -> None:
-        renderings = Renderings(tmp_path / "kept", library)
+        renderings = Renderings(tmp_path / "kept", library, StorageLanes())
         with pytest.raises(UnknownMap):
             await renderings.get("nowhere", Rendering.PREVIEW)
         library.path("room").write_bytes(b"damaged")

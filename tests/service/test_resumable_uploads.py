@@ -5,15 +5,16 @@ from __future__ import annotations
 import base64
 import hashlib
 import io
-import os
 import socket
 import time
 import zipfile
+from unittest.mock import Mock
 
 import httpx
 import pytest
 
 from rholoc.jobs import RecordingStore
+from rholoc.storage.tables import uploads_table
 
 VIDEO = b"\0\0\0\x18ftypmp42" + bytes(range(256)) * 8000
 TUS = {"Tus-Resumable": "1.0.0"}
@@ -57,6 +58,12 @@ def stored(service, url):
     return RecordingStore(service.settings.data_dir).path(url.rsplit("/", 1)[1])
 
 
+def touched(service, time_s):
+    """Let all uploads have had their last byte at a time."""
+    with service.app.state.rholoc.jobs.engine.begin() as connection:
+        connection.execute(uploads_table.update().values(touched=time_s))
+
+
 def test_unfinished_uploads_have_a_limit(serve):
     running = serve(max_unfinished_uploads=2)
     first, _ = begun(running), begun(running)
@@ -70,9 +77,8 @@ def test_unfinished_uploads_have_a_limit(serve):
 
 def test_expired_uploads_make_room(serve):
     running = serve(max_unfinished_uploads=1, upload_expires_s=1000)
-    expired = begun(running).rsplit("/", 1)[1]
-    file = running.settings.data_dir / "recordings" / f".upload-{expired}" / "walk.mp4"
-    os.utime(file, (0, 0))
+    begun(running)
+    touched(running, 0.0)
     begun(running)
 
 
@@ -250,9 +256,9 @@ def test_unknown_uploads(service):
 def test_an_unfinished_upload_expires(service):
     url = begun(service)
     assert patch(url, 0, VIDEO[:1000]).headers["Upload-Expires"].endswith(" GMT")
-    folder = service.settings.data_dir / "recordings" / f".upload-{url.rsplit('/', 1)[1]}"
-    long_ago = time.time() - service.settings.upload_expires_s - 10
-    os.utime(folder / "walk.mp4", (long_ago, long_ago))
+    folder = service.settings.data_dir / "uploads" / url.rsplit("/", 1)[1]
+    assert folder.exists()
+    touched(service, time.time() - service.settings.upload_expires_s - 10)
     service.app.state.rholoc.uploads.sweep()
     assert not folder.exists()
     assert httpx.head(url, headers=TUS).status_code == 404
@@ -264,10 +270,11 @@ def test_an_upload_can_be_given_up(service):
     assert httpx.head(url, headers=TUS).status_code == 404
 
 
-def test_a_server_that_died_after_the_last_byte_queues_the_job_when_asked(service):
+def test_a_server_that_died_after_the_last_byte_queues_the_job_when_asked(service, monkeypatch):
     url = begun(service)
-    folder = service.settings.data_dir / "recordings" / f".upload-{url.rsplit('/', 1)[1]}"
-    (folder / "walk.mp4").write_bytes(VIDEO)  # as a server leaves it that is killed before it answers
+    with monkeypatch.context() as dead:
+        dead.setattr(service.app.state.rholoc.jobs, "submit", Mock(side_effect=OSError("killed")))
+        patch(url, 0, VIDEO)
     answer = httpx.head(url, headers=TUS)
     assert int(answer.headers["Upload-Offset"]) == len(VIDEO)
     jobs = [job for job in httpx.get(service.url + "/v1/jobs").json()["jobs"] if url.endswith(job["recording"])]

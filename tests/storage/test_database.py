@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import sqlite3
 import threading
+import time
+from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
 import sqlalchemy as sa
@@ -11,9 +15,13 @@ from alembic.autogenerate import compare_metadata
 from alembic.runtime.migration import MigrationContext
 from alembic.script import ScriptDirectory
 
+from rholoc.errors import Conflict, InvalidInput, StorageUnavailable
 from rholoc.storage import database
-from rholoc.storage.database import database_engine, open_database
+from rholoc.storage.database import check_database, database_engine, is_silence, open_database
 from rholoc.storage.tables import VERSION_TABLE, jobs_table, metadata
+
+if TYPE_CHECKING:
+    from postgres_server import PostgresServer
 
 
 def differences(engine: sa.Engine) -> list[object]:
@@ -40,36 +48,80 @@ def test_the_last_migration_is_the_one_that_a_start_looks_for() -> None:
     assert numbers == sorted(numbers, reverse=True)
 
 
-def test_a_database_of_before_there_were_migrations_keeps_its_jobs(tmp_path: Path) -> None:
-    engine = database_engine(tmp_path)
-    with engine.begin() as connection:
-        connection.exec_driver_sql(
-            "CREATE TABLE rholoc_workers (id VARCHAR(100) NOT NULL PRIMARY KEY, heartbeat FLOAT NOT NULL)"
-        )
-        later = {"warnings", "worker", "release", "turn", "memory_bytes", "asked_in"}
-        columns = [str(sa.schema.CreateColumn(c).compile(engine)) for c in jobs_table.columns if c.name not in later]
-        connection.exec_driver_sql(f"CREATE TABLE rholoc_jobs ({', '.join(columns)}, PRIMARY KEY (id))")
-        connection.exec_driver_sql(
-            "INSERT INTO rholoc_jobs (id, recording, map_name, options, state, stage, progress, message, log, created,"
-            " attempts, workflow_id) VALUES ('1', '2', 'room', '{}', 'queued', 'received', 0, '', '[]', 0, 0, 'w')"
-        )
-    engine.dispose()
-    engine = open_database(tmp_path)
-    with engine.connect() as connection:
-        row = connection.execute(sa.select(jobs_table)).mappings().one()
-    assert (row["map_name"], row["warnings"]) == ("room", None)
-    assert differences(engine) == []
-    engine.dispose()
-
-
-def test_a_later_releases_tables_are_left_alone(tmp_path: Path) -> None:
+def test_a_database_of_a_later_version_is_refused(tmp_path: Path) -> None:
     engine = open_database(tmp_path)
     with engine.begin() as connection:
         connection.exec_driver_sql(f"UPDATE {VERSION_TABLE} SET version_num = '9999'")
     engine.dispose()
-    engine = open_database(tmp_path)
+    with pytest.raises(Conflict, match="later version"):
+        open_database(tmp_path)
+
+
+def test_the_first_use_of_an_engine_creates_the_tables(tmp_path: Path) -> None:
+    engine = database_engine(tmp_path / "data")
+    assert not (tmp_path / "data").exists(), "it was not asked anything yet"
     with engine.connect() as connection:
-        assert connection.exec_driver_sql(f"SELECT version_num FROM {VERSION_TABLE}").scalar() == "9999"
+        assert connection.execute(sa.select(sa.func.count()).select_from(jobs_table)).scalar() == 0
+    engine.dispose()
+
+
+def test_an_old_sqlite_is_refused_in_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sqlite3, "sqlite_version_info", (3, 37, 2))
+    with pytest.raises(InvalidInput, match=r"rholoc needs 3\.38"):
+        database_engine(tmp_path)
+
+
+@pytest.fixture
+def silent(postgres: PostgresServer, postgres_url: str) -> Iterator[str]:
+    """The URL of a database whose server is stopped, as on a machine that hangs."""
+    open_database(Path(), postgres_url).dispose()
+    with postgres.silent():
+        yield postgres_url
+
+
+@pytest.mark.slow
+def test_a_silent_database_is_reported_within_seconds(silent: str) -> None:
+    begun_s = time.monotonic()
+    with pytest.raises(StorageUnavailable, match="does not answer"):
+        open_database(Path(), silent)
+    assert time.monotonic() - begun_s < 15.0
+    begun_s = time.monotonic()
+    many = [threading.Thread(target=raises_unavailable, args=(database_engine(Path(), silent),)) for _ in range(3)]
+    engine = database_engine(Path(), silent)
+    many += [threading.Thread(target=raises_unavailable, args=(engine,)) for _ in range(20)]
+    for thread in many:
+        thread.start()
+    for thread in many:
+        thread.join()
+    assert time.monotonic() - begun_s < 40.0, "those who wait for a connection give up too"
+
+
+def raises_unavailable(engine: sa.Engine) -> None:
+    with pytest.raises(StorageUnavailable):
+        check_database(engine)
+
+
+@pytest.mark.slow
+def test_a_database_that_falls_silent_is_noticed_in_the_middle_of_a_query(
+    postgres: PostgresServer, postgres_url: str
+) -> None:
+    engine = open_database(Path(), postgres_url)
+    with engine.connect() as connection, postgres.silent():
+        begun_s = time.monotonic()
+        with pytest.raises(sa.exc.OperationalError) as raised:
+            connection.execute(sa.text("SELECT 1"))
+        assert is_silence(raised.value)
+        assert time.monotonic() - begun_s < 15.0
+    with engine.connect() as connection:
+        assert connection.execute(sa.text("SELECT 1")).scalar() == 1, "it is back"
+    engine.dispose()
+
+
+@pytest.mark.slow
+def test_a_statement_that_takes_too_long_is_cancelled(postgres_url: str) -> None:
+    engine = open_database(Path(), postgres_url)
+    with engine.connect() as connection, pytest.raises(sa.exc.OperationalError, match="statement timeout"):
+        connection.execute(sa.text("SELECT pg_sleep(60)"))
     engine.dispose()
 
 

@@ -8,20 +8,19 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import pytest
 from fake_pipeline import tiny_map
 
 from rholoc.geometry import Camera
-from rholoc.jobs import RecordingStore, SharedRecordingStore, move_in
+from rholoc.jobs import RecordingStore, Stores, move_in
 from rholoc.jobs.recording_notes import WAYPOINTS_FILE
 from rholoc.maps import CameraLibrary, CameraProfile, FramePose, MapLibrary, Site, SiteLibrary, SiteMap
 from rholoc.service.keys import KeyStore, Scope
 from rholoc.storage import CAMERAS, KEYS, SITES
 
 
-def test_maps_cameras_keys_and_recordings_are_brought_in(open_storage: Any, tmp_path: Path) -> None:
+def test_maps_cameras_keys_and_recordings_are_brought_in(storage_url: str, tmp_path: Path) -> None:
     maps_dir, data_dir = tmp_path / "maps", tmp_path / "old"
     folder = MapLibrary(maps_dir)
     for number in range(3):
@@ -33,11 +32,14 @@ def test_maps_cameras_keys_and_recordings_are_brought_in(open_storage: Any, tmp_
     secret = KeyStore(data_dir).create("robot", Scope.LOCALIZE)
     kept = RecordingStore(data_dir)
     entry = kept.create([("walk.mp4", [b"12345"]), ("a/b.csv", [b"6"])])
-    (kept.folder(entry.id) / WAYPOINTS_FILE).write_text("name,x,y,z\n")
-    shared = open_storage()
+    kept.note(entry.id, {WAYPOINTS_FILE: b"name,x,y,z\n"})
+    stores = Stores(tmp_path / "m", tmp_path / "elsewhere", storage_url=storage_url)
+    stores.open()
+    shared = stores.shared
+    assert shared is not None
     shared.library.put("room", tiny_map())
 
-    moved = move_in(maps_dir, data_dir, shared)
+    moved = move_in(maps_dir, data_dir, stores)
     assert (moved.maps, moved.cameras, moved.sites, moved.keys, moved.recordings) == (1, 1, 1, 1, 1)
     assert moved.left == ("maps: room",)
     assert shared.library.get("hall").info == folder.get("hall").info
@@ -47,13 +49,14 @@ def test_maps_cameras_keys_and_recordings_are_brought_in(open_storage: Any, tmp_
     found = KeyStore(tmp_path, shared.documents(KEYS)).find(secret)
     assert found is not None
     assert found.name == "robot"
-    recordings = SharedRecordingStore(tmp_path / "elsewhere", shared)
+    recordings = stores.recordings
     assert recordings.list() == [entry]
     assert (recordings.path(entry.id) / "a" / "b.csv").read_bytes() == b"6"
-    assert (recordings.folder(entry.id) / WAYPOINTS_FILE).read_text() == "name,x,y,z\n"
+    assert recordings.notes(entry.id) == {WAYPOINTS_FILE: b"name,x,y,z\n"}
     assert folder.names() == ["hall", "room"], "the folders stay as they are"
-    assert (kept.folder(entry.id) / "walk.mp4").is_file()
-    again = move_in(maps_dir, data_dir, shared)
+    assert (kept.path(entry.id) / "walk.mp4").is_file()
+    again = move_in(maps_dir, data_dir, stores)
+    stores.close()
     assert (again.maps, again.recordings, len(again.left)) == (0, 0, 6)
 
 
@@ -72,4 +75,5 @@ def test_the_command_needs_a_storage_and_counts_what_it_brought(tmp_path: Path, 
     wrong = run("ftp://user:secret@host/x")
     assert (wrong.returncode, "secret" in wrong.stderr, "Traceback" in wrong.stderr) == (1, False, False)
     done = run(storage_url)
-    assert json.loads(done.stdout) == {"maps": 1, "cameras": 0, "sites": 0, "keys": 0, "recordings": 0, "left": []}
+    counts = json.loads(done.stdout)
+    assert counts == {"maps": 1, "cameras": 0, "sites": 0, "keys": 0, "recordings": 0, "left": [], "unreadable": []}

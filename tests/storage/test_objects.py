@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -10,9 +12,10 @@ from rholoc.errors import InvalidInput, StorageUnavailable
 from rholoc.storage import MissingObject, ObjectStorage
 
 
-@pytest.fixture
-def objects(tmp_path: Path) -> ObjectStorage:
-    return ObjectStorage(f"file://{tmp_path}/storage")
+@pytest.fixture(params=["file", "folder", "memory"])
+def objects(request: pytest.FixtureRequest, tmp_path: Path) -> ObjectStorage:
+    places = {"file": f"file://{tmp_path}/storage", "folder": tmp_path / "storage", "memory": "memory:///"}
+    return ObjectStorage(places[request.param])
 
 
 @pytest.mark.parametrize("content", [b"", b"a map", bytes(20_000_000)])
@@ -22,6 +25,38 @@ def test_what_is_put_is_fetched(objects: ObjectStorage, tmp_path: Path, content:
         objects.put(key, given)
         assert objects.fetch(key, tmp_path / "got") == len(content)
         assert (tmp_path / "got").read_bytes() == content
+
+
+@pytest.mark.parametrize("elsewhere", [False, True])
+def test_a_folder_is_put_whole(
+    objects: ObjectStorage, tmp_path: Path, elsewhere: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also where the storage is in another file system, and where an earlier attempt broke off."""
+    if elsewhere:
+        monkeypatch.setattr(Path, "rename", lambda *_: (_ for _ in ()).throw(OSError(errno.EXDEV, "cross-device")))
+    for attempt in range(2):
+        folder = tmp_path / "given"
+        (folder / "frames").mkdir(parents=True)
+        (folder / "a").write_bytes(b"1")
+        (folder / "frames" / "b").write_bytes(b"23")
+        objects.put_folder("recordings/0", folder, ["a", "frames/b"])
+        assert not folder.exists()
+        assert sorted((one.key, one.size_bytes) for one in objects.list("recordings")) == [
+            ("recordings/0/a", 1),
+            ("recordings/0/frames/b", 2),
+        ], attempt
+
+
+def test_a_folder_storage_keeps_no_empty_folders_and_is_written_and_emptied_at_once(tmp_path: Path) -> None:
+    objects = ObjectStorage(tmp_path / "storage")
+
+    def put_and_delete(number: int) -> None:
+        objects.put(f"uploads/1/{number}", b"12")
+        objects.delete(f"uploads/1/{number}")
+
+    with ThreadPoolExecutor(8) as threads:
+        list(threads.map(put_and_delete, range(400)))
+    assert not (tmp_path / "storage" / "uploads" / "1").exists()
 
 
 def test_what_is_not_there_leaves_no_file(objects: ObjectStorage, tmp_path: Path) -> None:

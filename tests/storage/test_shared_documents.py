@@ -49,6 +49,7 @@ def test_keys_are_shared_and_only_their_hashes_are_kept(open_storage: Any, tmp_p
     assert not any(secret.encode() in path.read_bytes() for path in (tmp_path / "data").glob("jobs.sqlite*"))
     there.revoke("robot")
     one.refresh()
+    here.refresh()
     assert here.find(secret) is None
     with pytest.raises(NotFound):
         here.revoke("robot")

@@ -9,7 +9,7 @@ from typing import Any
 import httpx
 import pytest
 
-from rholoc.service.app import open_keys, open_shared
+from rholoc.service.app import open_keys, stores_of
 from rholoc.service.guard import KeyPolicy
 from rholoc.service.keys import KeyLimits, Scope
 from waiting import until
@@ -129,10 +129,10 @@ def test_servers_stay_ready_while_the_database_is_gone(serve: Any, tmp_path: Any
 def test_what_keys_hold_is_counted_together(serve: Any, s3_url: str, postgres: Any, picture_world: Any) -> None:
     urls = {"database_url": postgres.create_database("quotas"), "storage_url": s3_url}
     running = [serve(**urls, keys=KeyPolicy.ALWAYS) for _ in range(2)]
-    shared = open_shared(running[0].settings)
-    shared.open()
-    secret = open_keys(running[0].settings, shared).create("mapper", Scope.ADMIN, limits=KeyLimits(maps=1))
-    shared.close()
+    stores = stores_of(running[0].settings)
+    stores.open()
+    secret = open_keys(stores).create("mapper", Scope.ADMIN, limits=KeyLimits(maps=1))
+    stores.close()
     here, there = (httpx.Client(base_url=one.url, headers={"Authorization": f"Bearer {secret}"}) for one in running)
     until(lambda: there.get("/v1/maps").status_code == 200, HEARD_WITHIN_S)
     assert here.put("/v1/maps/one", content=picture_world.rho()).status_code == 201

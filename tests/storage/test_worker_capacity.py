@@ -1,16 +1,13 @@
-"""Workers of different sizes and releases on one PostgreSQL."""
+"""Workers of different sizes on one PostgreSQL."""
 
 from __future__ import annotations
 
-import os
-import signal
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
 
-from rholoc.jobs import JobQueue, JobState, Obstacle
-from rholoc.jobs.table import RELEASE, WorkerTable
+from rholoc.jobs import JobState, Obstacle
+from rholoc.jobs.worker_table import WorkerTable
 from waiting import until
 
 if TYPE_CHECKING:
@@ -57,28 +54,3 @@ def test_a_worker_does_as_many_jobs_at_a_time_as_it_has_memory_for(campus: Site)
     assert sorted(states) == [JobState.QUEUED, JobState.RUNNING, JobState.RUNNING]
     campus.control.let_go("poses")
     assert all(campus.wait_for(job, *_ENDED).state is JobState.PUBLISHED for job in jobs)
-
-
-@pytest.mark.slow
-def test_a_rolling_update_loses_no_job(campus: Site, tmp_path: Path, postgres_url: str) -> None:
-    """An old and a new release's server submit, their workers work, the old worker dies in the middle of a job."""
-    updated = JobQueue(tmp_path / "updated", postgres_url, campus.recordings, release=RELEASE + 1)
-    campus.control.hold("poses")
-    old = campus.start_worker()
-    first = campus.submit(map_name="of-old")
-    campus.wait_at("poses")
-    entry = campus.recordings.create([("walk.mp4", [b"a walk"])])
-    of_new = updated.submit(entry.id, "of-new")
-    assert campus.queue.get(of_new.id).obstacle is Obstacle.RELEASE
-    campus.start_worker(release=RELEASE + 1)
-    campus.wait_at("poses", 2)
-    second = campus.submit(map_name="of-old-too")
-    assert updated.get(first.id).worker != updated.get(of_new.id).worker
-    os.kill(old.pid, signal.SIGKILL)
-    campus.control.let_go("poses")
-    done = [campus.wait_for(job, *_ENDED) for job in (first, of_new, second)]
-    assert [job.state for job in done] == [JobState.PUBLISHED] * 3
-    assert [job.attempts for job in done] == [2, 1, 1]
-    until(lambda: campus.library.names() == ["of-new", "of-old", "of-old-too"])
-    assert all(campus.library.versions(name) == {} for name in campus.library.names()), "each was published once"
-    updated.close()

@@ -70,6 +70,10 @@ class Frames:
     size: tuple[int, int]
 
     @property
+    def timed(self) -> bool:
+        return True
+
+    @property
     def numbers(self) -> IntArray:
         return np.arange(len(self.times))
 

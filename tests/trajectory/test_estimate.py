@@ -11,7 +11,7 @@ import pytest
 
 from rholoc.errors import InvalidRecording, InvalidWaypoints, MappingFailed
 from rholoc.geometry import ByteArray, Camera, FloatArray
-from rholoc.recordings import GivenPoses, MemoryFrames, Recording, Waypoint
+from rholoc.recordings import GivenPoses, KnownLength, MemoryFrames, Recording, Waypoint
 from rholoc.trajectory import PoseMethod, Scale, estimate_trajectory
 from rholoc.trajectory.reconstruction import Sights
 
@@ -35,6 +35,18 @@ def test_given_poses_are_taken_as_they_are() -> None:
     assert found.scale is Scale.METRIC
 
 
+def test_a_known_length_makes_poses_of_no_stated_unit_metric() -> None:
+    T = np.tile(np.eye(4), (40, 1, 1))
+    T[:, 0, 3] = np.arange(40)
+    recording = _recording(_wall(), GivenPoses(np.ones(40, bool), T, metric=False))
+    assert estimate_trajectory(recording, PoseMethod.GIVEN).scale is Scale.ARBITRARY
+    known = replace(recording, lengths=(KnownLength(10, 30, 5.0),))
+    found = estimate_trajectory(known, PoseMethod.GIVEN)
+    assert found.scale is Scale.METRIC
+    np.testing.assert_allclose(found.T_map_camera[:, 0, 3], np.arange(40) / 4)
+    np.testing.assert_array_equal(found.T_map_camera[:, :3, :3], T[:, :3, :3])
+
+
 def test_given_poses_that_are_absent_are_refused_with_a_hint() -> None:
     with pytest.raises(InvalidRecording, match=r"has no poses.*poses\.txt"):
         estimate_trajectory(_recording(_wall()), PoseMethod.GIVEN)
@@ -43,6 +55,13 @@ def test_given_poses_that_are_absent_are_refused_with_a_hint() -> None:
 def test_a_blank_wall_fails_and_says_why() -> None:
     with pytest.raises(MappingFailed, match=r"nothing that could be followed.*keep more texture in view"):
         estimate_trajectory(_recording(_wall()), PoseMethod.VISUAL)
+
+
+@pytest.mark.parametrize("method", [PoseMethod.VISUAL, PoseMethod.ODOMETRY])
+def test_too_few_pictures_are_not_taken_for_a_camera_at_rest(method: PoseMethod) -> None:
+    noise = np.random.default_rng(0).integers(0, 255, (3, 120, 160, 3), dtype=np.uint8)
+    with pytest.raises(MappingFailed, match=r"3 pictures are too few for a map\. Take a dozen or more"):
+        estimate_trajectory(_recording(list(noise)), method)
 
 
 def test_a_camera_at_rest_fails_and_says_why() -> None:

@@ -189,7 +189,7 @@ def test_four_keyframes_are_the_least(frames: int, enough: bool) -> None:
     if enough:
         assert len(estimate._keyframes(_recording(flow), None, flow)[0]) == 4
     else:
-        with pytest.raises(MappingFailed, match="hardly moves"):
+        with pytest.raises(MappingFailed, match="3 pictures are too few"):
             estimate._keyframes(_recording(flow), None, flow)
 
 

@@ -60,6 +60,8 @@ _FRAME = MapFrame(Similarity.identity(), Scale.METRIC, True, "up", "scale", _WAY
         ({"agreement": Agreement(0.5, 0.9, 1.0, 5, 5)}, 1.0, "Two reconstructions disagree"),
         ({"covariances": _TURNED}, 1.0, "rotation open by 2°"),
         ({"focal_sigma_px": 20.0}, 1.0, "focal length open by ±4.0%"),
+        ({"focal_sigma_px": np.nan}, 1.0, "focal length open: turn"),
+        ({"covariances": np.full((10, 6, 6), np.nan)}, 1.0, "not known how far its poses are off"),
         ({"frame": _FRAME}, 1.0, "At odds."),
     ],
 )

@@ -24,6 +24,8 @@ const FORMATS = [
   ["ply", t`landmarks (.ply)`, "ply"],
   ["vtp", t`landmarks (.vtp)`, "vtp"],
   ["gltf", t`landmarks in colour, for Blender and the web (.glb)`, "glb"],
+  ["colmap", t`cameras and points for COLMAP and Gaussian splatting (.zip)`, "zip"],
+  ["nerfstudio", t`cameras for nerfstudio (.json)`, "json"],
 ];
 
 export async function showMap(main, name, signal) {

@@ -61,7 +61,7 @@ async function showThumbnail(image, id, signal) {
 
 function about({ id, size_bytes: size, created, content }) {
   return facts([
-    [t`Length`, content && duration(content.length_s)],
+    [t`Length`, content && (content.length_s === null ? t`without times` : duration(content.length_s))],
     [t`Frames`, content && `${count(content.frames)}, ${content.width} × ${content.height}`],
     [t`Motion`, content && (content.imu ? t`accelerometer and gyroscope` : t`not recorded`)],
     [t`Format`, content?.format],

@@ -171,7 +171,7 @@ function row(recording, jobs, reload, signal) {
       h("br"),
       h("code", { class: "muted", title: recording.id }, recording.id.slice(0, 8)),
     ),
-    h("td", {}, content ? duration(content.length_s) : "–"),
+    h("td", {}, content && content.length_s !== null ? duration(content.length_s) : "–"),
     h(
       "td",
       {},

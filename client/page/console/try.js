@@ -22,7 +22,8 @@ const WHY = {
   no_features: t`The picture is too blank, dark or blurred.`,
   no_matches: t`Too little in the picture looks like anything in the map.`,
   no_agreement: t`No place explains what the picture shows.`,
-  low_confidence: t`A place was found, but it is too uncertain to rely on.`,
+  not_recognized: t`The picture does not surely show this map.`,
+  too_inexact: t`The place was recognized, but the pose is less exact than was asked for.`,
   deadline: t`The server took too long.`,
 };
 const RATE_OVER = 8; // frames that the rate is measured over
@@ -316,21 +317,29 @@ const reasons = ({ reason, diagnosis }) => [
 
 const doubt = (text) => h("p", { class: "notice warn small" }, text);
 
-/** How sure the answer is of itself; a figure only where the intrinsics are not a guess. */
+/** How surely the place is right, and the pose exact; figures only where the intrinsics are not a guess. */
 function confidenceOf(found, known) {
   if (known === Known.TYPED) return h("span", { class: "muted" }, t`confidence unknown`);
-  const { confidence } = found;
-  const text =
-    confidence > HIGHEST_SHOWN_CONFIDENCE
-      ? t`confidence over ${Math.round(100 * HIGHEST_SHOWN_CONFIDENCE)} %`
-      : t`confidence ${Math.round(100 * confidence)} %`;
-  return h(
-    "label",
-    { class: "confidence" },
-    text,
-    h("meter", { min: 0, max: 1, low: 0.5, high: 0.8, optimum: 1, value: confidence }),
-  );
+  const { recognized, confidence } = found;
+  const highest = Math.round(100 * HIGHEST_SHOWN_CONFIDENCE);
+  return [
+    probability(
+      recognized,
+      recognized > HIGHEST_SHOWN_CONFIDENCE
+        ? t`right place over ${highest} %`
+        : t`right place ${Math.round(100 * recognized)} %`,
+    ),
+    probability(
+      confidence,
+      confidence > HIGHEST_SHOWN_CONFIDENCE
+        ? t`confidence over ${highest} %`
+        : t`confidence ${Math.round(100 * confidence)} %`,
+    ),
+  ];
 }
+
+const probability = (value, text) =>
+  h("label", { class: "confidence" }, text, h("meter", { min: 0, max: 1, low: 0.5, high: 0.8, optimum: 1, value }));
 
 /** Why an answer may be wrong however sure it is of itself. */
 function doubts(found, known, map) {

@@ -161,6 +161,9 @@ export const GERMAN = {
   Format: "Format",
   Download: "Herunterladen",
   "the map itself (.rho)": "die Karte selbst (.rho)",
+  "cameras and points for COLMAP and Gaussian splatting (.zip)":
+    "Kameras und Punkte für COLMAP und Gaussian Splatting (.zip)",
+  "cameras for nerfstudio (.json)": "Kameras für nerfstudio (.json)",
   "densities, Table 5 (.csv)": "Dichten, Tabelle 5 (.csv)",
   "observations, Table 4 (.csv)": "Beobachtungen, Tabelle 4 (.csv)",
   "walk, Table 6 (.csv)": "Rundgang, Tabelle 6 (.csv)",
@@ -334,13 +337,16 @@ export const GERMAN = {
   Matches: "Zuordnungen",
   "{0} of {1} agree": "{0} von {1} stimmen überein",
   "confidence unknown": "Konfidenz unbekannt",
+  "right place over {0} %": "richtiger Ort über {0} %",
+  "right place {0} %": "richtiger Ort {0} %",
   "confidence over {0} %": "Konfidenz über {0} %",
   "confidence {0} %": "Konfidenz {0} %",
   "The picture is too blank, dark or blurred.": "Das Bild ist zu leer, zu dunkel oder zu unscharf.",
   "Too little in the picture looks like anything in the map.": "Zu wenig im Bild gleicht dem, was die Karte kennt.",
   "No place explains what the picture shows.": "Kein Ort erklärt, was das Bild zeigt.",
-  "A place was found, but it is too uncertain to rely on.":
-    "Ein Ort wurde gefunden, ist aber zu unsicher, um sich darauf zu verlassen.",
+  "The picture does not surely show this map.": "Das Bild zeigt nicht sicher diese Karte.",
+  "The place was recognized, but the pose is less exact than was asked for.":
+    "Der Ort wurde erkannt, aber die Pose ist ungenauer als verlangt.",
   "The server took too long.": "Der Server hat zu lange gebraucht.",
   "The map itself is not trusted: the pose may be wrong by more than is said here.":
     "Die Karte selbst ist nicht vertrauenswürdig: Die Pose kann weiter danebenliegen, als hier angegeben ist.",
@@ -529,6 +535,7 @@ export const GERMAN = {
     "Teile der Aufnahme sind dunkel. Dort kann die Karte Lücken haben.",
   Recorded: "Aufgenommen",
   Length: "Länge",
+  "without times": "ohne Zeiten",
   Sensors: "Sensoren",
   none: "keine",
   "Darkest light": "Dunkelstes Licht",

@@ -29,7 +29,7 @@ from rholoc_client.tracking.rigid import (
 
 _GATE = 22.5  # of χ² with six degrees of freedom: a right answer is beyond it once in a thousand times
 _UNTENABLE = 6  # after so many answers that contradict a track, and each other, it is given up
-_SURE = 0.8  # the confidence from which one answer begins a track; below, it takes two that agree
+_SURE = 0.8  # the probability of the right place from which one answer begins a track; below, it takes two
 _LEAST_SIGMA_M, _LEAST_SIGMA_RAD = 0.005, math.radians(0.2)  # of an answer: no map is more accurate
 _MOST_READINGS = 20_000  # of an IMU that wait for a frame
 _PATIENT_FAILURES = 6
@@ -116,13 +116,13 @@ class Answer:
     Attributes:
         T_map_camera: (4, 4).
         covariance: (6, 6), metres and radians.
-        confidence: 0..1.
+        recognized: 0..1, the probability of the right place.
         metric: whether the map's unit of length is the metre.
     """
 
     T_map_camera: FloatArray
     covariance: FloatArray
-    confidence: float
+    recognized: float
     metric: bool = True
 
     @classmethod
@@ -131,7 +131,7 @@ class Answer:
         if not answer.localized or answer.pose is None or answer.covariance is None:
             return None
         covariance = np.asarray(answer.covariance) / np.outer(_DEGREES, _DEGREES)
-        return cls(rigid(answer.pose.T_map_camera), covariance, answer.confidence, answer.scale == "metric")
+        return cls(rigid(answer.pose.T_map_camera), covariance, answer.recognized, answer.scale == "metric")
 
     @property
     def inflated_covariance(self) -> FloatArray:
@@ -391,7 +391,7 @@ class Track:
         rival = rival.corrected(answer) if rival is not None and rival.agrees(answer) else fresh
         if main is None:
             return self._followed(fresh, question.time_s, answer), None, True
-        lost = self._is_lost(main.belief) and answer.confidence >= _SURE
+        lost = self._is_lost(main.belief) and answer.recognized >= _SURE
         untenable = standing.contradicted + 1 >= _UNTENABLE
         if lost or untenable or rival.answers > min(main.answers, 2):
             was_settled = standing.settled
@@ -410,7 +410,7 @@ class Track:
         standing.used += 1
         standing.variance_m2 = float(np.trace(main.belief.covariance[:3, :3]))
         knows_motion = self._has_odometry and not isinstance(main.belief, InertialBelief)
-        sure = answer.confidence >= _SURE and knows_motion
+        sure = answer.recognized >= _SURE and knows_motion
         standing.settled = standing.settled or main.answers >= 2 or sure
         return main
 

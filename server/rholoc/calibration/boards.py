@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 from enum import StrEnum
-from functools import cached_property
 from typing import Any
 
 import cv2
@@ -13,6 +12,7 @@ import numpy as np
 
 from rholoc.errors import InvalidInput
 from rholoc.geometry import ByteArray, FloatArray, IntArray
+from rholoc.lazy import lazy
 
 _SIDES = range(3, 51)  # squares or corners along a side that boards have
 _LONGER_SIDE_PX = 1280  # larger pictures are searched at this size; corners are then refined at the full one
@@ -141,7 +141,7 @@ class BoardFinder:
                 return np.asarray(corners).ravel(), np.asarray(pixels, np.float64).reshape(-1, 2)
         return None
 
-    @cached_property
+    @lazy
     def _detectors(self) -> list[Any]:
         """Detectors for each dictionary of markers, and for both ways of starting the pattern."""
         size, square = (self.board.columns + 1, self.board.rows + 1), self.board.square_m

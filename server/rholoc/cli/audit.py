@@ -20,13 +20,13 @@ def audit(
     as_json: Json = False,
 ) -> None:
     """Show who changed what over HTTP: maps, sites, cameras, recordings, jobs, keys."""
-    from rholoc.service.app import audit_log, open_shared
+    from rholoc.service.audit import AuditLog
+    from rholoc.storage.database import open_database
 
     settings = service_settings(data_dir=data)
-    shared = open_shared(settings)
-    if shared is not None:
-        shared.open()
-    changes = audit_log(settings, shared).changes(limit, map_name)
+    engine = open_database(settings.data_dir, settings.jobs_database)
+    changes = AuditLog(engine).changes(limit, map_name)
+    engine.dispose()
     if as_json:
         print_json([asdict(change) for change in changes])
         return

@@ -14,9 +14,9 @@ from rholoc.cli.options import Json
 from rholoc.cli.serve import Data, Maps, service_settings
 
 if TYPE_CHECKING:
+    from rholoc.jobs import Stores
     from rholoc.service import Settings
     from rholoc.service.backup import Manifest
-    from rholoc.storage import SharedStorage
 
 _MB = 1e6
 
@@ -30,14 +30,9 @@ def backup(
 ) -> None:
     """Write maps, the versions that they replaced, sites, cameras and keys to a file; the server may run."""
     from rholoc.service.backup import back_up
-    from rholoc.service.shared_backup import back_up_shared
 
-    settings = service_settings(maps_dir=maps, data_dir=data)
-    with _opened(settings) as shared:
-        if shared is None:
-            manifest = back_up(file, settings.maps_dir, settings.data_dir, recordings)
-        else:
-            manifest = back_up_shared(file, shared, settings.data_dir, recordings)
+    with _opened(service_settings(maps_dir=maps, data_dir=data)) as stores:
+        manifest = back_up(file, stores, recordings)
     _say("Backed up", manifest, as_json)
 
 
@@ -47,32 +42,26 @@ def restore(
     data: Data = None,
     as_json: Json = False,
 ) -> None:
-    """Bring back what is in a backup. Nothing is replaced: where something of it exists, nothing is restored."""
+    """Bring back what is in a backup. Where something of it exists and is different, nothing is restored."""
     from rholoc.service.backup import restore as bring_back
-    from rholoc.service.shared_backup import restore_shared
 
-    settings = service_settings(maps_dir=maps, data_dir=data)
-    with _opened(settings) as shared:
-        if shared is None:
-            manifest = bring_back(file, settings.maps_dir, settings.data_dir)
-        else:
-            manifest = restore_shared(file, shared, settings.data_dir)
+    with _opened(service_settings(maps_dir=maps, data_dir=data)) as stores:
+        manifest, moved = bring_back(file, stores)
+    for name in moved.unreadable:
+        print_notice(f"Not restored, for its file is damaged: the map {name}")
     _say("Restored", manifest, as_json)
 
 
 @contextmanager
-def _opened(settings: Settings) -> Iterator[SharedStorage | None]:
-    """The storage that servers share, open; None where there is none."""
-    from rholoc.service.app import open_shared
+def _opened(settings: Settings) -> Iterator[Stores]:
+    from rholoc.service.app import stores_of
 
-    shared = open_shared(settings)
-    if shared is not None:
-        shared.open()
+    stores = stores_of(settings)
     try:
-        yield shared
+        stores.open()
+        yield stores
     finally:
-        if shared is not None:
-            shared.close()
+        stores.close()
 
 
 def _say(done: str, manifest: Manifest, as_json: bool) -> None:

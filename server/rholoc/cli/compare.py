@@ -217,7 +217,7 @@ def _write(out: Path, name: str, figures: Any, plots: dict[str, Figure]) -> None
 
 def _table(comparison: Comparison, split: SplitResult) -> Table:
     title = (
-        f"queries {split.label}: {len(split.truth)} frames; map of {len(comparison.map_.view_times)} views, "
+        f"queries {split.label}: {len(split.truth)} frames; map of {len(comparison.map_.views)} views, "
         f"{len(comparison.map_)} {comparison.options.features} features"
     )
     heads = (

@@ -37,6 +37,7 @@ if TYPE_CHECKING:
 
 MAP_NAME = "testsite"
 _JPEG_QUALITY = 95
+_WORKER_FAILS = "worker_fails"  # an obstacle of jobs
 _TITLE = "Walk 2, localized in the map of walk 1"
 
 
@@ -143,7 +144,13 @@ def _map(client: Client, recording: Path) -> Job:
     """Upload a recording and wait until its map is published."""
     job = client.upload_recording(recording, MAP_NAME)
     with job_progress() as progress:
-        return client.wait_for_job(job.id, poll_s=0.5, progress=progress)
+
+        def look(seen: Job) -> None:
+            if seen.obstacle == _WORKER_FAILS:
+                raise RholocError(f"The walk cannot be mapped, {seen.message}.")
+            progress(seen)
+
+        return client.wait_for_job(job.id, poll_s=0.5, progress=look)
 
 
 def _localize(client: Client, recording: Path, every: int) -> tuple[TrajectoryTable, list[float]]:
@@ -214,7 +221,9 @@ def _evaluation(files: _Files, table: TrajectoryTable, every: int) -> Evaluation
     pairs = pair_poses(read_frame_poses(files.trajectory), truth, slice(0, None, every))
     map_ = load_map(files.maps / f"{MAP_NAME}.rho")
     waypoints = [(point.name, np.asarray(point.position)) for point in map_.info.waypoints]
-    save_figure(plot_top_view(pairs.estimated, pairs.truth, map_.landmarks, waypoints, _TITLE), files.top_view)
+    save_figure(
+        plot_top_view(pairs.estimated, pairs.truth, map_.landmarks.positions, waypoints, _TITLE), files.top_view
+    )
     return evaluate(trajectory_errors(pairs.estimated, pairs.truth))
 
 

@@ -90,11 +90,11 @@ def _feature(
         raise InvalidInput(f"The map has no feature {feature}.", f"Its features are 0 to {len(map_) - 1}.")
     if sharpening:
         return _sharpening(map_, feature)
-    saw = np.unique(map_.observation_views[map_.observation_features == feature])
+    saw = np.unique(map_.observations.views[map_.observations.features == feature])
     if view is None:
         view = int(saw[len(saw) // 2]) if len(saw) else 0
-    if not 0 <= view < len(map_.view_times):
-        raise InvalidInput(f"The map has no view {view}.", f"Its views are 0 to {len(map_.view_times) - 1}.")
+    if not 0 <= view < len(map_.views):
+        raise InvalidInput(f"The map has no view {view}.", f"Its views are 0 to {len(map_.views) - 1}.")
     width = TARGET_RADIUS * map_.info.camera.focal if tolerance_px is None else tolerance_px
     look = _look(map_, feature, view, pixel)
     title = f"feature {feature}, {map_.info.density}"

@@ -46,6 +46,11 @@ def evaluate(
     figures = figures_of(trajectory_errors(estimated, pairs.truth))
     if pairs.without_truth:
         print_notice(f"{pairs.without_truth} frames have no true pose and are left out.")
+    if pairs.beyond and frames is None:
+        print_notice(
+            f"{pairs.beyond} of the {len(pairs)} frames lie before the first or after the last pose and count as "
+            "failures. If only some frames were localized, name the same --frames."
+        )
     if pairs.by_time:
         print_notice("The poses were paired by their times, so frames without a pose are not counted.")
     if as_json:

@@ -59,7 +59,7 @@ def flow(
     if as_json:
         print_json(figures)
     else:
-        rows = {name: f"{value}" for name, value in figures.items() if name != "odometry"}
+        rows = {name: f"{value}" for name, value in figures.items() if name != "odometry" and value is not None}
         rows |= {f"odometry {name}": f"{value}" for name, value in (figures["odometry"] or {}).items()}
         print_figures(f"{recording}: optical flow", rows)
     if why:
@@ -142,7 +142,7 @@ def _write_odometry(posed: Trajectory, read: Recording, out: Path) -> dict[str, 
     if known is None:
         return figures
     there = np.flatnonzero(known.known[posed.rows])
-    measured = measure_odometry(posed.T_map_camera[there], known.T_map_camera[posed.rows[there]])
+    measured = measure_odometry(posed.T_map_camera[there], known.T_map_camera[posed.rows[there]], posed.upright)
     if measured is None:
         return figures
     title = f"odometry by optical flow, drawn at {measured.scale:.3f} of its size"

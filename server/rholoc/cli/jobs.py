@@ -31,6 +31,7 @@ def list_jobs(data: Data = None, as_json: Json = False) -> None:
     settings = service_settings(data_dir=data)
     queue = JobQueue(settings.data_dir, settings.jobs_database)
     try:
+        queue.check()
         jobs = sorted(queue.list(), key=lambda job: job.created, reverse=True)
     finally:
         queue.close()
@@ -56,6 +57,7 @@ def prioritize(
     settings = service_settings(data_dir=data)
     queue = JobQueue(settings.data_dir, settings.jobs_database)
     try:
+        queue.check()
         changed = queue.prioritize(job, wanted)
     finally:
         queue.close()

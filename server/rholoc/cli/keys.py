@@ -77,23 +77,33 @@ def limit(
 
 @app.command("list")
 def list_keys(data: Data = None, as_json: Json = False) -> None:
-    """Show all keys."""
-    keys = _store(data).keys()
+    """Show all keys, each below the one that handed it on."""
+    store = _store(data)
+    keys = store.keys()
+    above = {key.name: [one.name for one in store.chain(key)[1:]] for key in keys}
     if as_json:
         shown = ("name", "scope", "created", "expires", "limits")
-        print_json([{name: value for name, value in asdict(key).items() if name in shown} for key in keys])
+        print_json(
+            [
+                {name: value for name, value in asdict(key).items() if name in shown}
+                | {"handed_on_by": next(iter(above[key.name]), None)}
+                for key in keys
+            ]
+        )
         return
     if not keys:
         print_notice("There are no keys. Make one with rholoc key create.")
-    for key in keys:
+    for key in sorted(keys, key=lambda key: [*reversed(above[key.name]), key.name]):
         until = "" if key.expires is None else f", {'expired' if key.expired else 'good until'} {_day(key.expires)}"
         limits = "".join(f", {limit}" for limit in [_limited(key.limits)] if limit)
-        output.print(f"{key.name}: {key.scope}, made {_day(key.created)}{until}{limits}", markup=False, soft_wrap=True)
+        indent = "  " * len(above[key.name])
+        line = f"{indent}{key.name}: {key.scope}, made {_day(key.created)}{until}{limits}"
+        output.print(line, markup=False, soft_wrap=True)
 
 
 @app.command()
 def revoke(name: Name, data: Data = None) -> None:
-    """Revoke a key. It is refused from the next request on."""
+    """Revoke a key and all keys that it handed on. Within a second they are refused, and their streams end."""
     _store(data).revoke(name)
     print_notice(f"The key of {name} is revoked.")
 

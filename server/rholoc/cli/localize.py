@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 import typer
@@ -21,7 +22,7 @@ from rholoc.errors import InvalidCamera
 if TYPE_CHECKING:
     import rholoc_client
     from rholoc.geometry import ByteArray, Camera
-    from rholoc.localization import AnyLocalizer, Dof, Intrinsics, Localization
+    from rholoc.localization import AnyLocalizer, Localization
     from rholoc.maps import MapInfo, TrajectoryTable
     from rholoc.recordings import FrameSource, Recording
 
@@ -47,13 +48,20 @@ def localize(
         ),
     ] = None,
     dof: options.DofOption = "auto",
-    min_confidence: Annotated[
-        float | None, typer.Option(min=0.0, max=1.0, help="Poses of lower confidence are not given out.")
+    min_recognized: Annotated[
+        float | None,
+        typer.Option(min=0.0, max=1.0, help="Poses that are less probably of the right place are withheld."),
+    ] = None,
+    max_sigma_m: Annotated[
+        float | None, typer.Option(min=0.0, help="Poses whose position has a greater standard deviation are withheld.")
+    ] = None,
+    max_sigma_deg: Annotated[
+        float | None, typer.Option(min=0.0, help="Poses whose rotation has a greater standard deviation are withheld.")
     ] = None,
     as_json: options.Json = False,
 ) -> None:
     """Localize frames in a map and write the trajectory (Table 6). Frames without a pose get no row."""
-    from rholoc.localization import MIN_CONFIDENCE, Intrinsics, localizer_of
+    from rholoc.localization import MIN_RECOGNIZED, Intrinsics, localizer_of
     from rholoc.maps import load_map, write_trajectory_csv
     from rholoc.recordings import read_recording
 
@@ -64,12 +72,18 @@ def localize(
     given = None if known is Intrinsics.UNKNOWN else options.named_camera(camera)
     recording = read_recording(source, camera=given, frames=frames)
     used_camera = _guessed(recording) if known is Intrinsics.UNKNOWN else recording_camera(recording, map_.info)
-    localizer = localizer_of(map_, MIN_CONFIDENCE if min_confidence is None else min_confidence)
+    localizer = localizer_of(map_, MIN_RECOGNIZED if min_recognized is None else min_recognized)
     count = len(recording.frames.times)
     start_s = time.perf_counter()
     with frame_progress("localizing", count) as advance:
         answers, frame_s = [], []
-        for answer, taken_s in _localize_frames(localizer, recording.frames, used_camera, degrees_of_freedom, known):
+        asked = {
+            "dof": degrees_of_freedom,
+            "intrinsics": known,
+            "max_sigma_m": math.inf if max_sigma_m is None else max_sigma_m,
+            "max_sigma_rad": math.inf if max_sigma_deg is None else math.radians(max_sigma_deg),
+        }
+        for answer, taken_s in _localize_frames(localizer, recording.frames, used_camera, asked):
             answers.append(answer)
             frame_s.append(taken_s)
             advance()
@@ -114,14 +128,17 @@ def recording_camera(recording: Recording, info: MapInfo) -> Camera:
 
 
 def _localize_frames(
-    localizer: AnyLocalizer, frames: FrameSource, camera: Camera, dof: Dof, known: Intrinsics
+    localizer: AnyLocalizer, frames: FrameSource, camera: Camera, asked: Mapping[str, Any]
 ) -> Iterator[tuple[Localization, float]]:
-    """The answers for all frames in order, and the seconds that each took, including its features."""
+    """The answers for all frames in order, and the seconds that each took, including its features.
+
+    ``asked``: further attributes of each :class:`Query`.
+    """
     from rholoc.localization import Query
 
     def answer(image: ByteArray) -> tuple[Localization, float]:
         start_s = time.perf_counter()
-        answered = localizer.localize(Query.of_picture(image, localizer.extractor, camera, dof=dof, intrinsics=known))
+        answered = localizer.localize(Query.of_picture(image, localizer.extractor, camera, **asked))
         return answered, time.perf_counter() - start_s
 
     images = frames.images(range(len(frames.times)))

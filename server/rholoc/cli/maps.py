@@ -43,12 +43,19 @@ def build(
         str | None, typer.Option(metavar="gray|rgb|lab|lab3|sift|sift48|xfeat", help="What the map's features are.")
     ] = None,
     poses: Annotated[
-        str, typer.Option(metavar="visual-inertial|visual|inertial|odometry|given", help="Where frame poses come from.")
-    ] = "visual-inertial",
+        str,
+        typer.Option(
+            metavar="auto|visual-inertial|visual|inertial|odometry|given", help="Where frame poses come from."
+        ),
+    ] = "auto",
     frames: options.Frames = None,
     camera: options.Camera = None,
     waypoints: Annotated[
         Path | None, typer.Option(metavar="CSV", help="Measured waypoints: name[,time or frame],x,y,z.")
+    ] = None,
+    length: Annotated[
+        list[str] | None,
+        typer.Option(metavar="FRAME,FRAME,METRES", help="How far the camera moved between two frames."),
     ] = None,
     report: Annotated[
         bool, typer.Option(help="Hold frames out and localize them, for the map's own report; takes time.")
@@ -59,8 +66,8 @@ def build(
     as_json: options.Json = False,
 ) -> None:
     """Build a map from one or more recordings of a place."""
-    if len(recordings) > 1 and (waypoints or frames or camera):
-        raise typer.BadParameter("--frames, --camera and --waypoints speak of one recording; give just one.")
+    if len(recordings) > 1 and (waypoints or frames or camera or length):
+        raise typer.BadParameter("--frames, --camera, --waypoints and --length speak of one recording; give just one.")
     target = check_target(out or Path(f"{recordings[0].resolve().stem}.rho"), "the map")
     from rholoc.mapping import DEFAULT_FEATURES, BuildOptions, build_map
     from rholoc.maps import DensityKind, save_map
@@ -76,7 +83,10 @@ def build(
         pictures=pictures,
     )
     with stage_progress() as progress:
-        read = [read_recording(path, options.named_camera(camera), frames, waypoints) for path in recordings]
+        read = [
+            read_recording(path, options.named_camera(camera), frames, waypoints, lengths=length or ())
+            for path in recordings
+        ]
         map_ = build_map(read, build_options, progress)
     save_map(map_, target)
     _print_map(map_, target, as_json)
@@ -108,7 +118,7 @@ def list_maps(
                 "name": name,
                 "version": map_.info.version,
                 "landmarks": len(map_),
-                "views": len(map_.view_times),
+                "views": len(map_.views),
                 "trusted": trust.trusted,
                 "trust_reason": trust.reason,
                 "expected_error_m": expected_error_m(map_.info),
@@ -199,10 +209,12 @@ def learn(
     from rholoc.jobs import QueryStore
     from rholoc.mapping import learn_from_queries
     from rholoc.maps import MapLibrary, load_map
+    from rholoc.storage import ObjectStorage
 
     map_ = load_map(map_file)
+    queries = QueryStore(ObjectStorage(options.data_folder(data))).load(map_.info.id)
     with stage_progress() as progress:
-        learned = learn_from_queries(map_, QueryStore(options.data_folder(data)).load(map_.info.id), progress)
+        learned = learn_from_queries(map_, queries, progress)
     MapLibrary(map_file.resolve().parent).replace(map_file.stem, learned)
     _print_map(learned, map_file, as_json)
 
@@ -217,8 +229,9 @@ def queries(
     """Show how many queries a server has kept for a map to learn from; or delete them."""
     from rholoc.jobs import QueryStore
     from rholoc.maps import load_map
+    from rholoc.storage import ObjectStorage
 
-    store, map_id = QueryStore(options.data_folder(data)), load_map(map_file).info.id
+    store, map_id = QueryStore(ObjectStorage(options.data_folder(data))), load_map(map_file).info.id
     kept = asdict(store.kept(map_id))
     if delete:
         store.delete(map_id)
@@ -273,9 +286,9 @@ def export(
     to: Annotated[
         str,
         typer.Option(
-            metavar="rho|csv|observations|trajectory|ply|vtp|gltf|surfaces|png",
+            metavar="rho|csv|observations|trajectory|ply|vtp|gltf|surfaces|colmap|nerfstudio|png",
             help="CSV, observations, trajectory: Tables 5, 4 and 6; PLY, VTP: points, and surfaces: where densities "
-            "peak, for ParaView; PNG: a picture from above.",
+            "peak, for ParaView; COLMAP, nerfstudio: cameras and poses; PNG: a picture from above.",
         ),
     ],
     out: Annotated[
@@ -362,7 +375,7 @@ def _map_figures(map_: Map, path: Path) -> dict[str, Any]:
         "bytes": path.stat().st_size,
         "landmarks": len(map_),
         "descriptors": len(map_.descriptors),
-        "views": len(map_.view_times),
+        "views": len(map_.views),
     }
     description: dict[str, Any] = json.loads(info_to_json(map_.info))
     return counts | description

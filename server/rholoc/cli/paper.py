@@ -203,10 +203,15 @@ def _fit(figures: FitFigures) -> dict[str, object]:
         "observations_each": figures.observations,
         "n_f": figures.points,
         "w": figures.volume,
-        "loss_of_a_constant": round(figures.constant_share, 4),
-        "loss_of_the_fit": round(figures.fitted_share, 4),
+        "loss_of_a_constant": _three_digits(figures.constant_share),
+        "loss_of_the_fit": _three_digits(figures.fitted_share),
         "with_a_peak": round(figures.peaked_share, 3),
     }
+
+
+def _three_digits(share: float) -> float:
+    """Losses span orders of magnitude: three significant digits."""
+    return float(f"{share:.3g}")
 
 
 def _camera(table: Path, camera: str | None, size: str | None) -> GeometryCamera:

@@ -80,6 +80,8 @@ def _size(frames: dict[str, Any]) -> str:
 
 
 def _span(table: dict[str, Any]) -> str:
+    if table["start_s"] is None:
+        return "without times"
     rate = "" if table["rate_hz"] is None else f" at {table['rate_hz']:.1f} Hz"
     return f"{table['end_s'] - table['start_s']:.1f} s{rate}"
 

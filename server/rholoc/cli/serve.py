@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from rholoc.cli.console import print_notice, print_qr_code
-from rholoc.errors import Conflict, InvalidInput
+from rholoc.errors import Conflict, InvalidInput, RholocError, StorageFull, StorageUnavailable
 
 if TYPE_CHECKING:
     from rholoc.service import Settings
@@ -60,16 +60,17 @@ def serve(
     from rholoc.service.compute import compute_threads
     from rholoc.service.connections import protocol_of, websocket_options
     from rholoc.service.guard import keys_needed
+    from rholoc.service.storage_threads import storage_threads
 
     if settings.shared_storage is None:
         settings.maps_dir.mkdir(parents=True, exist_ok=True)  # reported here, in one line, if they cannot be used
-    keys = opened_keys(settings)
+    keys = _keys(settings)
     with listening_socket(settings.host, settings.port) as listener:
         config = uvicorn.Config(
             create_app(settings),
             log_level="warning",
             log_config=None,
-            http=protocol_of(settings.max_connections),
+            http=protocol_of(settings.max_connections, settings.slow_client_timeout_s),
             **websocket_options(settings.max_request_bytes),
             backlog=_BACKLOG,
             timeout_graceful_shutdown=_SHUTDOWN_S,
@@ -78,20 +79,28 @@ def serve(
         where = f"http://{settings.host}:{port}"
         if tls:
             config.ssl_certfile, where = _https(settings, port)
-        server = uvicorn.Server(config)
+        source = settings.maps_dir if settings.shared_storage is None else "the shared storage"
+
+        class Announced(uvicorn.Server):
+            """Says where it serves once it does: an interrupt that comes later ends it in order."""
+
+            async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+                await super().startup(sockets)
+                if self.started:
+                    print_notice(f"Serving the maps of {source} at {where} (the API: /docs).")
+
+        server = Announced(config)
         configure_process_logs()
         sys.setswitchinterval(_SWITCH_INTERVAL_S)
         # What the modules made stays for good. To look through it all takes a tenth of a second, and all threads wait.
         gc.collect()
         gc.freeze()
-        source = settings.maps_dir if settings.shared_storage is None else "the shared storage"
-        print_notice(f"Serving the maps of {source} at {where} (the API: /docs).")
-        if keys_needed(settings.keys, settings.host) and not keys.keys():
+        if keys is not None and keys_needed(settings.keys, settings.host) and not keys.keys():
             print_notice("It asks for API keys, and there is none yet: rholoc key create NAME --scope admin")
         server.run(sockets=[listener])
     if not server.started:
         raise InvalidInput("The server did not start.", "The lines above say why.")
-    if compute_threads():  # Python would wait for them, though nobody needs their results
+    if compute_threads() or storage_threads():  # Python would wait for them, though nobody needs their results
         sys.stdout.flush()
         sys.stderr.flush()
         os._exit(0)
@@ -132,22 +141,39 @@ def worker(maps: Maps = None, data: Data = None) -> None:
     )
 
 
-def opened_keys(settings: Settings) -> KeyStore:
-    """The API keys, the database of which is there and up to date.
+def _keys(settings: Settings) -> KeyStore | None:
+    """The API keys; None, after a notice, if the database does not answer: the server starts without it.
 
     Raises:
-        InvalidInput, Conflict, StorageFull: it cannot be opened.
+        Conflict: the SQLite file is none.
+        InvalidInput: PostgreSQL refuses the connection.
     """
-    from rholoc.service.app import open_keys, open_shared
-    from rholoc.storage.database import open_database
+    from sqlalchemy.exc import SQLAlchemyError
 
-    shared = open_shared(settings)
-    if shared is None:
-        open_database(settings.data_dir, settings.jobs_database).dispose()
-    else:
-        shared.open()
-        shared.engine.dispose()
-    return open_keys(settings, shared)
+    from rholoc.service.errors import as_rholoc_error
+
+    try:
+        return opened_keys(settings)
+    except (RholocError, OSError, SQLAlchemyError) as error:
+        known = as_rholoc_error(error)
+        if not isinstance(known, StorageFull | StorageUnavailable):
+            raise
+        print_notice(f"{known.message} The server starts all the same, and opens its database when it can.")
+        return None
+
+
+def opened_keys(settings: Settings) -> KeyStore:
+    """The API keys, read from a database that has just answered.
+
+    Raises:
+        InvalidInput, Conflict, StorageFull, StorageUnavailable: it cannot be opened.
+    """
+    from rholoc.service.app import open_keys, stores_of
+
+    stores = stores_of(settings)
+    stores.open()
+    stores.engine.dispose()
+    return open_keys(stores)
 
 
 def service_settings(**options: object) -> Settings:

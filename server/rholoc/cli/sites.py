@@ -123,6 +123,7 @@ def _queue_placing(name: str, maps: Path, data: Path | None, as_json: bool) -> N
         SiteLibrary(maps).get(name)
     jobs = JobQueue(settings.data_dir, settings.jobs_database)
     try:
+        jobs.check()
         job = jobs.submit_placing(name)
     finally:
         jobs.close()

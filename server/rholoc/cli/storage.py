@@ -23,22 +23,24 @@ def _group() -> None:
 def import_folders(maps: Maps = None, data: Data = None, as_json: Json = False) -> None:
     """Copy maps, cameras, sites, keys and recordings from this server's folders into RHOLOC_STORAGE_URL."""
     from rholoc.jobs import move_in
-    from rholoc.service.app import open_shared
+    from rholoc.service.app import stores_of
 
     settings = service_settings(maps_dir=maps, data_dir=data)
-    shared = open_shared(settings)
-    if shared is None:
+    stores = stores_of(settings)
+    if stores.shared is None:
         raise InvalidInput("RHOLOC_STORAGE_URL is not set.", "Set it to the storage that the servers share.")
-    shared.open()
+    stores.open()
     try:
         with fraction_progress("importing") as advance:
-            moved = move_in(settings.maps_dir, settings.data_dir, shared, advance)
+            moved = move_in(settings.maps_dir, settings.data_dir, stores, advance)
     finally:
-        shared.close()
+        stores.close()
     if as_json:
         print_json(asdict(moved))
         return
     for what in moved.left:
         print_notice(f"Left, for the storage has it already: {what}")
-    counts = ", ".join(f"{count} {kind}" for kind, count in asdict(moved).items() if kind != "left")
+    for what in moved.unreadable:
+        print_notice(f"Left, for its file is damaged: {what}")
+    counts = ", ".join(f"{count} {kind}" for kind, count in asdict(moved).items() if kind not in ("left", "unreadable"))
     output.print(f"Imported {counts}. The folders stay as they are.", markup=False, soft_wrap=True)

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 
 from rholoc.geometry import FloatArray, IntArray, basis_across
+from rholoc.lazy import lazy
 
 _FALSE_DENSITY = 0.1  # the density of false matches near the truth, relative to true ones
 
@@ -51,7 +51,7 @@ class Evidence:
     def __len__(self) -> int:
         return len(self.rays)
 
-    @cached_property
+    @lazy
     def variances(self) -> FloatArray:
         """(M,) m², of each landmark along an axis, the mean over all axes."""
         return np.asarray(np.trace(self.covariances, axis1=1, axis2=2) / 3)

@@ -30,7 +30,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cache, cached_property
+from functools import cache
 from typing import Any, ClassVar
 
 import numpy as np
@@ -49,6 +49,7 @@ from rholoc.density.tensor import (
     upright_axes,
 )
 from rholoc.geometry import FloatArray, IntArray, Similarity
+from rholoc.lazy import lazy
 
 RIDGE = 1e-4  # of the coefficients, against observations that count 1 each
 WINDOW_PLANE = TARGET_RADIUS  # half the width of w in u and in v, on the plane z = 1; in each position …
@@ -80,7 +81,7 @@ class ObservedDensities(TensorDensities):
     moments: FloatArray
     counts: IntArray
 
-    @cached_property
+    @lazy
     def directions(self) -> FloatArray:
         """(T, 3) as ``middles``: an ``observed`` density does not know its landmark."""
         return self.middles

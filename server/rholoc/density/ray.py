@@ -227,18 +227,43 @@ class LocalRayDensities:
         return np.arange(len(self.evidence))
 
     def at(self, T_map_camera: FloatArray, tolerance_px: float) -> Slopes:
-        """ρ and its slopes at a pose (4, 4), d being d²/r²."""
-        evidence = self.evidence
-        bearings = evidence.rays @ T_map_camera[:3, :3].T
+        """ρ and its slopes at a pose (4, 4), d being eᵀ S⁻¹ e.
+
+        e (2,) is the offset of the landmark across the ray, S (2, 2) the pixel tolerance squared and the landmark's
+        covariance across the ray.
+        """
+        evidence, R = self.evidence, T_map_camera[:3, :3]
+        bearings = evidence.rays @ R.T
         along, aside = _along_and_aside(evidence.landmarks, bearings, T_map_camera[:3, 3])
-        allowed = _squared_tolerances(evidence, along, tolerance_px)
-        density = _density(along, aside, allowed)
-        inside = np.flatnonzero(density > 0)
-        offsets = RayOffsets.between(evidence.landmarks[inside], evidence.across[inside], T_map_camera)
-        r = np.sqrt(allowed[inside])
-        roots = offsets.jacobian / r[:, None, None]
-        gradient = 2 * ((offsets.offset / r[:, None])[:, None] @ roots)[:, 0]  # d = |e|²/r²
+        squared_px = (tolerance_px / evidence.focal_px * along) ** 2
+        near = np.flatnonzero((along > 0) & (aside < squared_px + 3 * evidence.variances))  # whatever the axes are
+        offsets = RayOffsets.between(evidence.landmarks[near], evidence.across[near], T_map_camera)
+        across = R @ evidence.across[near]
+        spread = across.transpose(0, 2, 1) @ evidence.covariances[near] @ across
+        whitened, roots = _whitened(spread, squared_px[near], offsets)
+        values = 1 - (whitened**2).sum(axis=1)
+        is_inside = values > 0
+        density, inside = np.zeros(len(evidence)), near[is_inside]
+        density[inside] = values[is_inside]
+        roots = roots[is_inside]
+        gradient = 2 * (whitened[is_inside][:, None] @ roots)[:, 0]
         return Slopes(density, inside, gradient, roots)
+
+
+def _whitened(spread: FloatArray, variance: FloatArray, offsets: RayOffsets) -> tuple[FloatArray, FloatArray]:
+    """L⁻¹ e (M, 2) and L⁻¹ J (M, 2, 6) of offsets e and their Jacobians J, L Lᵀ = S.
+
+    S = ``spread`` (M, 2, 2) + ``variance`` (M,) I, m².
+    """
+    e, J = offsets.offset, offsets.jacobian
+    first = np.sqrt(spread[:, 0, 0] + variance)
+    mixed = spread[:, 1, 0] / first
+    second = np.sqrt(spread[:, 1, 1] + variance - mixed**2)
+    white, roots = np.empty_like(e), np.empty_like(J)
+    white[:, 0], roots[:, 0] = e[:, 0] / first, J[:, 0] / first[:, None]
+    white[:, 1] = (e[:, 1] - mixed * white[:, 0]) / second
+    roots[:, 1] = (J[:, 1] - mixed[:, None] * roots[:, 0]) / second[:, None]
+    return white, roots
 
 
 def ray_coefficients(landmarks: FloatArray, tolerances: FloatArray) -> FloatArray:

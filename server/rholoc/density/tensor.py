@@ -30,7 +30,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
-from functools import cache, cached_property
+from functools import cache
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -41,6 +41,7 @@ from rholoc.density.evidence import Evidence
 from rholoc.density.places import Places
 from rholoc.density.polynomial import monomial_derivatives, monomials, power_factors, tensor_powers
 from rholoc.geometry import BoolArray, FloatArray, IntArray, Similarity
+from rholoc.lazy import lazy
 
 DEGREES = (1, 2, 3)
 HEADING_LIMIT_RAD = math.radians(50.0)
@@ -90,17 +91,17 @@ class TensorDensities:
     def __len__(self) -> int:
         return len(self.coefficients)
 
-    @cached_property
+    @lazy
     def distances(self) -> FloatArray:
         """D (T,) metres, from place to landmark."""
         return np.asarray(np.linalg.norm(self.landmarks - self.places, axis=1))
 
-    @cached_property
+    @lazy
     def directions(self) -> FloatArray:
         """(T, 3) unit vectors from place to landmark: the middle of the headings that a density is valid for."""
         return np.asarray((self.landmarks - self.places) / self.distances[:, None])
 
-    @cached_property
+    @lazy
     def R_local_map(self) -> FloatArray:
         """(T, 3, 3): turns the direction into the diagonal (1, 1, 0) / √2, upright."""
         return local_frames(self.directions)

@@ -144,7 +144,7 @@ class Comparison:
             "features": self.options.features,
             "dof": self.options.dof.value,
             "ransac": {"iterations": self.options.ransac.iterations, "threshold_px": self.options.ransac.threshold_px},
-            "map": {"landmarks": len(self.map_), "views": len(self.map_.view_times), "build_s": self.build_s},
+            "map": {"landmarks": len(self.map_), "views": len(self.map_.views), "build_s": self.build_s},
             "queries": [
                 {
                     "label": split.label,
@@ -281,7 +281,7 @@ def _view_images(recordings: Sequence[Recording], map_: Map) -> Iterator[ByteArr
     counts = [source.views or 0 for source in map_.info.sources]
     ends = np.cumsum(counts)
     for recording, start, end in zip(recordings, ends - counts, ends, strict=True):
-        rows = np.searchsorted(recording.frames.times, map_.view_times[start:end])
+        rows = np.searchsorted(recording.frames.times, map_.views.times[start:end])
         yield from recording.frames.images(rows.tolist())
 
 
@@ -314,8 +314,8 @@ def _result(method: str, answers: Sequence[Answer], truth: FloatArray, map_bytes
 
 def _distance_to_views(truth: FloatArray, map_: Map) -> FloatArray:
     """(N,) metres plus radians of heading from each pose (N, 4, 4) to the nearest of the map's views."""
-    apart = np.linalg.norm(truth[:, None, :3, 3] - map_.view_positions[None], axis=2)
-    turned = direction_angles(truth[:, :3, 2], map_.view_headings)
+    apart = np.linalg.norm(truth[:, None, :3, 3] - map_.views.positions[None], axis=2)
+    turned = direction_angles(truth[:, :3, 2], map_.views.headings)
     return np.asarray((apart + _RADIAN_M * turned).min(axis=1))
 
 

@@ -49,12 +49,14 @@ class PosePairs:
         truth: (N, 4, 4) T_map_camera, all known.
         without_truth: how many estimated frames had to be left out because their truth is unknown.
         by_time: whether times paired them; frames without a pose are then missing here.
+        beyond: how many of the N frames lie before the first or after the last that has an estimated pose.
     """
 
     estimated: FloatArray
     truth: FloatArray
     without_truth: int
     by_time: bool
+    beyond: int = 0
 
     def __len__(self) -> int:
         return len(self.truth)
@@ -109,7 +111,9 @@ def _pair_by_frame(estimated: FramePoses, truth: FramePoses, frames: slice | Non
         if int(number) in row_of:
             T_estimated[place] = estimated.T_map_camera[row_of[int(number)]]
     without_truth = int((~np.isin(asked, truth.frames)).sum())
-    return PosePairs(T_estimated, truth.T_map_camera[chosen], without_truth, by_time=False)
+    numbers = truth.frames[chosen]
+    beyond = int(((numbers < asked.min()) | (numbers > asked.max())).sum()) if len(asked) else 0
+    return PosePairs(T_estimated, truth.T_map_camera[chosen], without_truth, by_time=False, beyond=beyond)
 
 
 def _pair_by_time(estimated: FramePoses, truth: FramePoses) -> PosePairs:

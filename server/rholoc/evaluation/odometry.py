@@ -6,10 +6,20 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rholoc.geometry import FloatArray, IntArray, pose_distances, umeyama
+from rholoc.geometry import (
+    UP,
+    FloatArray,
+    IntArray,
+    angles_between,
+    pose_distances,
+    posed_alignment,
+    umeyama,
+    upright_umeyama,
+)
 
 _SEGMENTS = (0.1, 0.2, 0.4)  # of the way, over which drift is measured
 _FEWEST = 4  # poses
+_MAX_TILT_RAD = np.deg2rad(10.0)  # of odometry against a truth that is upright
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,16 +54,18 @@ class OdometryErrors:
         }
 
 
-def measure_odometry(T_odom_camera: FloatArray, truth: FloatArray) -> OdometryErrors | None:
+def measure_odometry(T_odom_camera: FloatArray, truth: FloatArray, upright: bool) -> OdometryErrors | None:
     """The errors of poses (N, 4, 4) against the true ones (N, 4, 4), each in its own frame.
 
-    None where fewer than four poses are known, or the camera did not move.
+    With ``upright`` z points up in the odometry's frame; if it does so in the truth's too, the alignment only turns
+    about z. None if fewer than four poses are known, or the camera did not move.
     """
     steps_m = np.linalg.norm(np.diff(truth[:, :3, 3], axis=0), axis=1)
     way_m = np.concatenate([[0.0], np.cumsum(steps_m)])
     if len(truth) < _FEWEST or way_m[-1] < 1e-6:
         return None
-    similarity = umeyama(T_odom_camera[:, :3, 3], truth[:, :3, 3])
+    align = upright_umeyama if upright and _same_up(T_odom_camera, truth) else umeyama
+    similarity = align(T_odom_camera[:, :3, 3], truth[:, :3, 3])
     aligned = similarity.poses(T_odom_camera)
     moved_m, turned_rad = pose_distances(aligned, truth)
     return OdometryErrors(
@@ -64,6 +76,12 @@ def measure_odometry(T_odom_camera: FloatArray, truth: FloatArray) -> OdometryEr
         float(np.degrees(np.median(turned_rad))),
         _drift(aligned, truth, way_m),
     )
+
+
+def _same_up(T_odom_camera: FloatArray, truth: FloatArray) -> bool:
+    """Whether the cameras' rotations say that z is the same direction in both frames, to ``_MAX_TILT_RAD``."""
+    turn = posed_alignment(T_odom_camera, truth, np.ones(len(truth)), fixed_scale=True)
+    return bool(angles_between(turn.rotation[:, 2], UP) <= _MAX_TILT_RAD)
 
 
 def _drift(estimated: FloatArray, truth: FloatArray, way_m: FloatArray) -> float:

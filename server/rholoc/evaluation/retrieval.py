@@ -81,9 +81,9 @@ class VladPipeline:
 def _view(index: MapIndex, k: int, features: FeatureSet) -> _View:
     """The features that view ``k`` observes landmarks with: those within a few pixels of their projections."""
     map_ = index.map
-    landmarks = map_.observation_features[map_.view_offsets[k] : map_.view_offsets[k + 1]].astype(np.int64)
+    landmarks = map_.observations.features[map_.view_offsets[k] : map_.view_offsets[k + 1]].astype(np.int64)
     camera = map_.info.camera
-    pixels = camera.project(_in_camera(index.landmarks[landmarks], map_.T_map_camera[k]))
+    pixels = camera.project(_in_camera(index.landmarks[landmarks], map_.views.T_map_camera[k]))
     apart = np.linalg.norm(pixels[:, None] - features.pixels[None], axis=2) if len(features) else np.zeros((0, 0))
     landmarks_, detections = np.nonzero(np.nan_to_num(apart, nan=np.inf) <= _OBSERVED_PX)
     like = index.distances_to(features, detections, landmarks[landmarks_])

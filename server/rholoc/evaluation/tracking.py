@@ -253,8 +253,10 @@ class _Run:
             self.track.unanswered()
             return
         map_ = self._localizer.map
-        matches = AnsweredMatches(answer.inlier_pixels.tolist(), map_.landmarks[answer.inlier_features].tolist())
-        said = Answer(answer.pose.T_map_camera, answer.covariance, answer.confidence, map_.info.metric)
+        matches = AnsweredMatches(
+            answer.inlier_pixels.tolist(), map_.landmarks.positions[answer.inlier_features].tolist()
+        )
+        said = Answer(answer.pose.T_map_camera, answer.covariance, answer.recognized, map_.info.metric)
         self.track.answered(said, matches)
 
 

@@ -6,12 +6,14 @@ import re
 from collections.abc import Iterable, Iterator, Sequence
 from enum import StrEnum
 from itertools import chain
+from pathlib import PurePath
 
 import numpy as np
 
 from rholoc.density import DensityKind
 from rholoc.density.tensor import DEGREES
 from rholoc.errors import InvalidInput
+from rholoc.exports.reconstructions import colmap_model, nerfstudio_transforms
 from rholoc.mapping.fitting import fit_densities, ray_form
 from rholoc.mapping.observation_table import observation_table
 from rholoc.maps import (
@@ -44,6 +46,8 @@ class ExportFormat(StrEnum):
     VTP = "vtp"  # the same for ParaView, with the view path as a line
     GLTF = "gltf"  # the same for the web, Blender and game engines, in one binary file
     SURFACES = "surfaces"  # where chosen densities peak, for ParaView
+    COLMAP = "colmap"  # cameras, images and points as COLMAP's text model, in a ZIP file
+    NERFSTUDIO = "nerfstudio"  # cameras and poses as transforms.json
     PNG = "png"  # a picture from above
 
     @property
@@ -56,14 +60,25 @@ class ExportFormat(StrEnum):
                 return f"-{self.value}.vtp"
             case ExportFormat.GLTF:
                 return ".glb"
+            case ExportFormat.COLMAP:
+                return "-colmap.zip"
+            case ExportFormat.NERFSTUDIO:
+                return "-transforms.json"
             case _:
                 return f".{self.value}"
 
     @property
     def media_type(self) -> str:
         """Its media type in HTTP."""
-        kinds = {".csv": "text/csv", ".png": "image/png", ".vtp": "application/xml", ".glb": "model/gltf-binary"}
-        return kinds.get(self.ending[-4:], "application/octet-stream")
+        kinds = {
+            ".csv": "text/csv",
+            ".png": "image/png",
+            ".vtp": "application/xml",
+            ".glb": "model/gltf-binary",
+            ".zip": "application/zip",
+            ".json": "application/json",
+        }
+        return kinds.get(PurePath(f"map{self.ending}").suffix, "application/octet-stream")
 
 
 def export_map(
@@ -108,6 +123,10 @@ def export_map(
             return iter([map_to_gltf(map_)])
         case ExportFormat.SURFACES:
             return iter([map_surfaces_vtp(map_, _most_seen(map_) if features is None else features)])
+        case ExportFormat.COLMAP:
+            return iter([colmap_model(map_)])
+        case ExportFormat.NERFSTUDIO:
+            return iter([nerfstudio_transforms(map_).encode()])
         case ExportFormat.PNG:
             from rholoc.pictures.map_preview import preview_png
 
@@ -140,7 +159,7 @@ def _refitted(map_: Map, degree: int) -> Map:
 
 
 def _most_seen(map_: Map) -> list[int]:
-    views = np.bincount(map_.observation_features, minlength=len(map_))
+    views = np.bincount(map_.observations.features, minlength=len(map_))
     chosen: list[int] = np.argsort(-views, kind="stable")[:_SURFACES].tolist()
     return chosen
 

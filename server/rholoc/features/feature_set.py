@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from enum import IntEnum, StrEnum
-from functools import cached_property
 
 import cv2
 import numpy as np
 
 from rholoc.errors import InvalidDescriptors
 from rholoc.geometry import ByteArray, FloatArray, IntArray
+from rholoc.lazy import lazy
 
 _SAMPLED, _WORTH_SAMPLING = 250, 1.5  # features; times as many, below which all are taken
 _COLOUR_PX = 5  # the side of the square over which a feature's colour is averaged
@@ -78,7 +78,7 @@ class FeatureSet:
     def __len__(self) -> int:
         return len(self.pixels)
 
-    @cached_property
+    @lazy
     def sample(self) -> IntArray:
         """Evenly spaced rows, enough to localize most frames; all rows if there are few."""
         count = len(self)

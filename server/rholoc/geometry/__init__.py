@@ -7,6 +7,7 @@ from rholoc.geometry.alignment import (
     kabsch,
     posed_alignment,
     umeyama,
+    upright_umeyama,
 )
 from rholoc.geometry.angles import angles_between, direction_angles, pose_distances, rotation_angles
 from rholoc.geometry.arrays import BoolArray, ByteArray, FloatArray, IntArray, ranges
@@ -44,4 +45,5 @@ __all__ = [
     "rotation_from_heading",
     "rows_from_poses",
     "umeyama",
+    "upright_umeyama",
 ]

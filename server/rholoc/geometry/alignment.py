@@ -57,6 +57,19 @@ def umeyama(source: FloatArray, target: FloatArray, weights: FloatArray | None =
     return Similarity(scale, R, target_mean - scale * R @ source_mean)
 
 
+def upright_umeyama(source: FloatArray, target: FloatArray) -> Similarity:
+    """The least-squares similarity between points (N, 3) of two frames that are both upright: it turns about z alone.
+
+    The points must not lie on one vertical line.
+    """
+    source_mean, target_mean = source.mean(axis=0), target.mean(axis=0)
+    a, b = source - source_mean, target - target_mean
+    angle = np.arctan2((a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum(), (a[:, :2] * b[:, :2]).sum())
+    R = np.array([[np.cos(angle), -np.sin(angle), 0.0], [np.sin(angle), np.cos(angle), 0.0], [0.0, 0.0, 1.0]])
+    scale = float((a @ R.T * b).sum() / (a * a).sum())
+    return Similarity(scale, R, target_mean - scale * R @ source_mean)
+
+
 def kabsch(source: FloatArray, target: FloatArray) -> Similarity:
     """The least-squares rotation and translation, without scale, that take ``source`` (N, 3) to ``target`` (N, 3).
 

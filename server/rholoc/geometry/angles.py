@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.spatial.distance import cdist
 from scipy.spatial.transform import Rotation
 
 from rholoc.geometry.arrays import FloatArray
+from rholoc.geometry.vectors import cross
 
 
 def rotation_angles(R_a: FloatArray, R_b: FloatArray) -> FloatArray:
@@ -16,13 +18,16 @@ def rotation_angles(R_a: FloatArray, R_b: FloatArray) -> FloatArray:
 
 
 def angles_between(a: FloatArray, b: FloatArray) -> FloatArray:
-    """The angles (...) in radians between the unit vectors (..., 3) of two arrays, pair by pair."""
-    return np.asarray(np.arccos(np.clip(np.sum(a * b, axis=-1), -1, 1)))
+    """The angles (...) in radians, 0 to π, between the vectors (..., 3) of two arrays, pair by pair.
+
+    Vectors of any length; with a vector of length 0 the angle is 0.
+    """
+    return np.asarray(np.arctan2(np.linalg.norm(cross(a, b), axis=-1), np.sum(a * b, axis=-1)))
 
 
 def direction_angles(a: FloatArray, b: FloatArray) -> FloatArray:
-    """The angles (N, M) in radians between unit vectors (N, 3) and (M, 3), each with each."""
-    return np.asarray(np.arccos(np.clip(a @ b.T, -1, 1)))
+    """The angles (N, M) in radians, 0 to π, between unit vectors (N, 3) and (M, 3), each with each."""
+    return np.asarray(2 * np.arctan2(cdist(a, b), cdist(a, -b)))
 
 
 def pose_distances(T_a: FloatArray, T_b: FloatArray) -> tuple[FloatArray, FloatArray]:

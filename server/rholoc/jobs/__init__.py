@@ -12,18 +12,16 @@ from rholoc.jobs.recording_notes import (
     WAYPOINTS_FILE,
     RecordedWaypoint,
     RecordingNotes,
-    correct_waypoints,
     corrected_waypoints,
-    has_thumbnail,
     read_notes,
     read_thumbnail,
+    waypoints_file,
 )
 from rholoc.jobs.recording_store import PendingRecording, RecordingEntry, RecordingStore
-from rholoc.jobs.shared_queries import SharedQueryStore
-from rholoc.jobs.shared_recordings import SharedRecordingStore
-from rholoc.jobs.shared_uploads import SharedUploadStore
+from rholoc.jobs.stores import Stores
+from rholoc.jobs.timing import Timing
 from rholoc.jobs.upload_store import Upload, UploadStore
-from rholoc.jobs.worker import Timing, Worker, run_worker
+from rholoc.jobs.worker import Worker, run_worker
 
 __all__ = [
     "WAYPOINTS_FILE",
@@ -50,18 +48,15 @@ __all__ = [
     "RecordingEntry",
     "RecordingNotes",
     "RecordingStore",
-    "SharedQueryStore",
-    "SharedRecordingStore",
-    "SharedUploadStore",
+    "Stores",
     "Timing",
     "Upload",
     "UploadStore",
     "Worker",
-    "correct_waypoints",
     "corrected_waypoints",
-    "has_thumbnail",
     "move_in",
     "read_notes",
     "read_thumbnail",
     "run_worker",
+    "waypoints_file",
 ]

@@ -7,6 +7,7 @@ import sys
 import threading
 from pathlib import Path
 
+from rholoc.errors import RholocError
 from rholoc.jobs.build_process import BuildLimits
 from rholoc.jobs.capacity import Capacity
 from rholoc.jobs.worker import run_worker
@@ -20,15 +21,18 @@ def main() -> None:
     data_dir, maps_dir, database_url, storage_url, capacity, limits = json.loads(sys.stdin.buffer.readline())
     stop = threading.Event()
     call_when_input_ends(stop.set)
-    run_worker(
-        Path(data_dir),
-        Path(maps_dir),
-        database_url,
-        limits=BuildLimits(*limits),
-        stop=stop,
-        storage_url=storage_url,
-        capacity=Capacity(*capacity),
-    )
+    try:
+        run_worker(
+            Path(data_dir),
+            Path(maps_dir),
+            database_url,
+            limits=BuildLimits(*limits),
+            stop=stop,
+            storage_url=storage_url,
+            capacity=Capacity(*capacity),
+        )
+    except RholocError as error:
+        sys.exit(f"{error.message} {error.hint}")
 
 
 if __name__ == "__main__":

@@ -17,6 +17,7 @@ from rholoc.processes import (
     Limits,
     MemoryLimitExceeded,
     TimeLimitExceeded,
+    named,
     run_in_child,
 )
 from rholoc.progress import ProgressListener
@@ -24,6 +25,7 @@ from rholoc.recordings import MAX_FRAME_PIXELS
 from rholoc.trajectory.child import ReconstructionKilled
 
 _log = logging.getLogger("rholoc.jobs")
+_MAX_ERROR = 200  # characters
 
 
 @dataclass(frozen=True)
@@ -146,9 +148,8 @@ def describe(error: RholocError) -> Failure:
 def unexpected(error: Exception) -> Failure:
     """The failure that reports a bug; its traceback goes to the log only."""
     _log.error("A job failed unexpectedly.", exc_info=error)
-    line = next(iter(str(error).splitlines()), "")
     return Failure(
         "internal",
-        f"An unexpected {type(error).__name__} stopped the job{': ' + line[:200] if line else '.'}",
-        "The worker's log says more. Retry; if it happens again, report it.",
+        f"An unexpected error stopped the job: {named(error)[:_MAX_ERROR]}",
+        "Retry. If it happens again, report this line together with the worker's log.",
     )

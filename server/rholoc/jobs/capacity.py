@@ -12,6 +12,7 @@ from rholoc.recordings import Recording
 # measured longer ago, 2.3 GB for 5 minutes and 3.7 GB for 10. None held more than is expected here.
 _BASE_BYTES = 1e9
 _BYTES_PER_SECOND = 5e6
+SECONDS_PER_PICTURE = 1.0  # of a walk, that a picture without a time takes as much memory as
 _BYTES_PER_PIXEL = 60.0  # some twenty images at a time, of three bytes a pixel
 _MARGIN = 1.5  # times what a job held when it was killed
 
@@ -56,7 +57,8 @@ class MoreMemoryNeeded:
 def memory_for(recording: Recording) -> int:
     """About how many bytes mapping a recording takes."""
     times, (width, height) = recording.frames.times, recording.frames.size
-    return memory_for_walk(float(times[-1] - times[0]), width * height)
+    length_s = float(times[-1] - times[0]) if recording.frames.timed else len(times) * SECONDS_PER_PICTURE
+    return memory_for_walk(length_s, width * height)
 
 
 def memory_for_walk(length_s: float, frame_pixels: int) -> int:

@@ -5,21 +5,37 @@ from __future__ import annotations
 import json
 import logging
 import threading
+import time
+from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import astuple
 from pathlib import Path
 
+from sqlalchemy.exc import SQLAlchemyError
+
+from rholoc.errors import RholocError
 from rholoc.jobs.build_process import BuildLimits
 from rholoc.jobs.capacity import Capacity
+from rholoc.jobs.queue import JobQueue
 from rholoc.processes import Program
 
 _log = logging.getLogger("rholoc.jobs")
 
 _STOP_TIMEOUT_S = 15.0
-_RESTART_AFTER_S = 2.0
+_LOOK_EVERY_S = 0.2
+_RESTART_AFTER_S, _MAX_RESTART_AFTER_S = 1.0, 60.0  # doubled with each death in a row
+_STEADY_AFTER_S = 30.0  # a death after so long is the first of a row
+_REPORTED_DEATHS = 2  # in a row
+_MAX_LINE = 300  # characters of an error
 
 
 class EmbeddedWorker:
-    """Runs ``python -m rholoc.jobs`` as a child, restarts it if it dies, and stops it with its parent."""
+    """Runs ``python -m rholoc.jobs`` as a child, restarts it if it dies, and stops it with its parent.
+
+    Args:
+        data_dir, maps_dir, database_url, limits, storage_url, capacity: as for :class:`rholoc.jobs.Worker`.
+        queue: where it is reported that workers die repeatedly; None reports it nowhere.
+    """
 
     def __init__(
         self,
@@ -29,14 +45,17 @@ class EmbeddedWorker:
         limits: BuildLimits | None = None,
         storage_url: str | None = None,
         capacity: Capacity | None = None,
+        queue: JobQueue | None = None,
     ) -> None:
         taken_on = [astuple(capacity or Capacity()), astuple(limits or BuildLimits())]
         configuration = [str(data_dir), str(maps_dir), database_url, storage_url, *taken_on]
         # Through the standard input, not the command line: the URL may hold a password.
         self._configuration = json.dumps(configuration).encode() + b"\n"
+        self._queue = queue
         self._stopping = threading.Event()
         self._program: Program | None = None
-        self._keeper: threading.Thread | None = None
+        self._keeper = threading.Thread(target=self._keep_running, name="rholoc-worker-keeper", daemon=True)
+        self._trouble: str | None = None
 
     @property
     def running(self) -> bool:
@@ -48,25 +67,77 @@ class EmbeddedWorker:
         """The child's process id, None before the start."""
         return None if self._program is None else self._program.pid
 
+    @property
+    def trouble(self) -> str | None:
+        """How often the child has died in a row, and its last error; None while it does not die repeatedly."""
+        return self._trouble
+
     def start(self) -> None:
         """Start the child."""
         self._program = self._spawn()
-        self._keeper = threading.Thread(target=self._keep_running, name="rholoc-worker-keeper", daemon=True)
         self._keeper.start()
 
     def stop(self) -> None:
         """Stop the child; a job that it was working on goes back to the queue."""
         self._stopping.set()
-        if self._keeper is not None:
+        if self._keeper.is_alive():
             self._keeper.join()
         if self._program is not None:
             self._program.stop(_STOP_TIMEOUT_S)
 
     def _spawn(self) -> Program:
-        return Program("rholoc.jobs", first_input=self._configuration)
+        return Program("rholoc.jobs", first_input=self._configuration, keep_errors=True)
 
     def _keep_running(self) -> None:
-        while not self._stopping.wait(_RESTART_AFTER_S):
-            if not self.running:
-                _log.warning("the worker ended unexpectedly; starting another")
-                self._program = self._spawn()
+        begun_s, deaths = time.monotonic(), 0
+        while not self._stopping.wait(_LOOK_EVERY_S):
+            assert self._program is not None
+            if self._program.running:
+                if deaths and time.monotonic() - begun_s > _STEADY_AFTER_S:
+                    deaths = 0
+                    self._report(None)
+                continue
+            deaths += 1
+            self._note_death(self._program, deaths)
+            if self._stopping.wait(min(_RESTART_AFTER_S * 2 ** (deaths - 1), _MAX_RESTART_AFTER_S)):
+                return
+            self._program, begun_s = self._spawn(), time.monotonic()
+
+    def _note_death(self, program: Program, deaths: int) -> None:
+        error = reason_of_death(program.status or 0, program.last_errors())
+        program.stop()  # what it left behind
+        _log.warning("the worker died (%s); it is started again", error)
+        if self._queue is not None:
+            with suppress(SQLAlchemyError, RholocError):  # else the next worker finds that this one is dead
+                self._queue.requeue_jobs_of(program.pid, error)
+        if deaths >= _REPORTED_DEATHS:
+            self._report(f"the worker died {deaths} times in a row: {error}")
+
+    def _report(self, trouble: str | None) -> None:
+        self._trouble = trouble
+        if self._queue is not None:
+            self._queue.report_worker(trouble)
+
+
+def reason_of_death(status: int, errors: Sequence[str]) -> str:
+    """One line: how a process ended, and the last line of its standard error that says anything.
+
+    Args:
+        status: exit status, negative for a signal.
+        errors: lines of standard error, some of which may be logs in JSON.
+    """
+    how = f"signal {-status}" if status < 0 else f"exit status {status}"
+    said = next(filter(None, map(_error_in, reversed(errors))), "")
+    return f"{how}: {said}" if said else how
+
+
+def _error_in(line: str) -> str:
+    """The error that a line of a log tells of; empty if it tells of none."""
+    try:
+        entry = json.loads(line)
+    except ValueError:
+        return line.strip()[:_MAX_LINE]
+    if not isinstance(entry, dict) or entry.get("level") not in ("warning", "error", "critical"):
+        return ""
+    lines = str(entry.get("exception") or entry.get("event") or "").strip().splitlines()
+    return lines[-1].strip()[:_MAX_LINE] if lines else ""

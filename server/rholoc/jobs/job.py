@@ -70,11 +70,11 @@ class JobOptions:
             features=stored["features"],
             poses=PoseMethod(stored["poses"]) if stored["poses"] else None,
             camera=stored["camera"],
-            kind=JobKind(stored.get("kind", JobKind.BUILD)),  # missing in jobs from before there were updates
-            pictures=stored.get("pictures", False),
-            frames=stored.get("frames"),
-            priority=JobPriority(stored.get("priority", JobPriority.NORMAL)),
-            site=stored.get("site"),
+            kind=JobKind(stored["kind"]),
+            pictures=stored["pictures"],
+            frames=stored["frames"],
+            priority=JobPriority(stored["priority"]),
+            site=stored["site"],
         )
 
 
@@ -97,8 +97,8 @@ class Obstacle(StrEnum):
     """Why no worker can take a queued job."""
 
     NO_WORKER = "no_worker"  # none is alive
+    WORKER_FAILS = "worker_fails"  # none is alive: whenever one is started, it dies
     MEMORY = "memory"  # none that is alive has as much memory as it needs
-    RELEASE = "release"  # it is of a later release than all that are alive
 
 
 @dataclass(frozen=True)
@@ -121,7 +121,6 @@ class Job:
         priority: how soon its turn comes.
         memory_bytes: about how much memory it needs; None until its recording was read.
         worker: the id of the worker that has it; None where none has.
-        release: of the job's work, see :data:`rholoc.jobs.table.RELEASE`.
         obstacle: why no worker can take it; None where one can, or has, or need not.
         kind: what it does.
         site: whose maps it places; None where it makes a map.
@@ -146,7 +145,6 @@ class Job:
     priority: JobPriority = JobPriority.NORMAL
     memory_bytes: int | None = None
     worker: str | None = None
-    release: int = 1
     obstacle: Obstacle | None = None
     kind: JobKind = JobKind.BUILD
     site: str | None = None

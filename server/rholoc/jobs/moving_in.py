@@ -1,19 +1,19 @@
-"""What a single server has kept in its folders, brought into a storage that several share."""
+"""What a single server has kept in folders, brought into stores elsewhere."""
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from rholoc.jobs.recording_notes import NOTE_FILES
-from rholoc.jobs.recording_store import RecordingStore
-from rholoc.jobs.shared_recordings import SharedRecordingStore
-from rholoc.maps import FolderDocuments, MapLibrary
-from rholoc.maps.cameras import FOLDER as CAMERA_FOLDER
+from rholoc.errors import InvalidMap
+from rholoc.jobs.recording_store import ENTRY_FILE, RecordingStore
+from rholoc.jobs.stores import Stores
+from rholoc.maps import Documents, FolderDocuments, MapLibrary
+from rholoc.maps.cameras import FOLDER as CAMERAS_FOLDER
 from rholoc.maps.sites import SITES_FOLDER
-from rholoc.storage import CAMERAS, KEYS, SITES, SharedStorage
+from rholoc.storage import CAMERAS, KEYS, SITES
 
 
 @dataclass(frozen=True)
@@ -22,7 +22,8 @@ class MovedIn:
 
     Attributes:
         maps, cameras, sites, keys, recordings: how many.
-        left: what was left where it is, for the storage has something of that name.
+        left: what was left where it is, as the stores have something of that name.
+        unreadable: maps that were left because their files are damaged.
     """
 
     maps: int
@@ -31,6 +32,7 @@ class MovedIn:
     keys: int
     recordings: int
     left: tuple[str, ...]
+    unreadable: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -40,7 +42,7 @@ class _Thing:
     Attributes:
         kind: what it is, in the plural.
         name: what it is called.
-        present: whether the storage has one of that name.
+        present: whether the stores have one of that name.
         bring: brings in the one of that name.
     """
 
@@ -51,39 +53,39 @@ class _Thing:
 
 
 def move_in(
-    maps_dir: Path,
-    data_dir: Path,
-    shared: SharedStorage,
-    advance: Callable[[float], None] = lambda fraction: None,
+    maps_dir: Path, data_dir: Path, stores: Stores, advance: Callable[[float], None] = lambda fraction: None
 ) -> MovedIn:
     """Copy maps with the versions before them, cameras, sites, keys and recordings; the folders stay as they are.
 
-    What the storage has already is left, so that a copy that broke off can be made again.
+    What the stores have already is left, so that a copy that broke off can be made again.
 
     Args:
         maps_dir, data_dir: the folders.
-        shared: the storage, open.
+        stores: where to, open.
         advance: called with the share 0..1 that was done.
 
     Raises:
-        StorageUnavailable, StorageFull, InvalidMap: what came before is there.
+        StorageUnavailable, StorageFull: what came before is there.
     """
-    recordings = SharedRecordingStore(data_dir / "moving-in", shared)
     things = [
-        *_maps(MapLibrary(maps_dir), shared.library),
-        *_documents("cameras", FolderDocuments(maps_dir / CAMERA_FOLDER), shared, CAMERAS),
-        *_documents("sites", FolderDocuments(maps_dir / SITES_FOLDER), shared, SITES),
-        *_documents("keys", FolderDocuments(data_dir / KEYS), shared, KEYS),
-        *_recordings(RecordingStore(data_dir), recordings),
+        *_maps(MapLibrary(maps_dir), stores.library),
+        *_documents("cameras", FolderDocuments(maps_dir / CAMERAS_FOLDER), stores.documents(CAMERAS)),
+        *_documents("sites", FolderDocuments(maps_dir / SITES_FOLDER), stores.documents(SITES)),
+        *_documents("keys", FolderDocuments(data_dir / KEYS), stores.documents(KEYS)),
+        *_recordings(data_dir, stores),
     ]
     counts = {"maps": 0, "cameras": 0, "sites": 0, "keys": 0, "recordings": 0}
+    unreadable = []
     for number, thing in enumerate(things, start=1):
         if not thing.present:
-            thing.bring(thing.name)
-            counts[thing.kind] += 1
+            try:
+                thing.bring(thing.name)
+                counts[thing.kind] += 1
+            except InvalidMap:
+                unreadable.append(thing.name)
         advance(number / len(things))
-    shutil.rmtree(data_dir / "moving-in", ignore_errors=True)
-    return MovedIn(**counts, left=tuple(f"{thing.kind}: {thing.name}" for thing in things if thing.present))
+    left = tuple(f"{thing.kind}: {thing.name}" for thing in things if thing.present)
+    return MovedIn(**counts, left=left, unreadable=tuple(unreadable))
 
 
 def _maps(folder: MapLibrary, library: MapLibrary) -> Sequence[_Thing]:
@@ -91,14 +93,14 @@ def _maps(folder: MapLibrary, library: MapLibrary) -> Sequence[_Thing]:
 
     def bring(name: str) -> None:
         for number in sorted(folder.versions(name), reverse=True):
-            library.put_file(name, folder.previous_path(name, number))
+            with suppress(InvalidMap):
+                library.put_file(name, folder.previous_path(name, number))
         library.put_file(name, folder.path(name))
 
     return [_Thing("maps", name, name in present, bring) for name in folder.names()]
 
 
-def _documents(kind: str, folder: FolderDocuments, shared: SharedStorage, into: str) -> Sequence[_Thing]:
-    files = shared.documents(into)
+def _documents(kind: str, folder: FolderDocuments, files: Documents) -> Sequence[_Thing]:
     present = set(files.names())
 
     def bring(name: str) -> None:
@@ -107,15 +109,16 @@ def _documents(kind: str, folder: FolderDocuments, shared: SharedStorage, into: 
     return [_Thing(kind, name, name in present, bring) for name in sorted(folder.names())]
 
 
-def _recordings(folder: RecordingStore, store: SharedRecordingStore) -> Sequence[_Thing]:
-    present = {entry.id for entry in store.list()}
+def _recordings(data_dir: Path, stores: Stores) -> Sequence[_Thing]:
+    if not (data_dir / "recordings").is_dir():
+        return []
+    source, store = RecordingStore(data_dir), stores.recordings
+    source.recover()
+    keys = [one.key.split("/") for one in store.objects.list("recordings")]  # the database may be the source's own
+    present = {recording_id for _, recording_id, *name in keys if name == [ENTRY_FILE]}
 
     def bring(recording_id: str) -> None:
-        source = folder.folder(recording_id)
-        store.take_in(source, folder.get(recording_id))
-        for name in NOTE_FILES:
-            if (source / name).is_file():
-                shutil.copyfile(source / name, store.folder(recording_id) / name)
-                store.share_notes(recording_id, [name])
+        store.take_in(source.root / recording_id, source.get(recording_id))
+        store.note(recording_id, source.notes(recording_id))
 
-    return [_Thing("recordings", one.id, one.id in present, bring) for one in folder.list()]
+    return [_Thing("recordings", one.id, one.id in present, bring) for one in source.list()]

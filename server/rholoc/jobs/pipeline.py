@@ -12,12 +12,13 @@ from rholoc.errors import InvalidMap, UnknownMap
 from rholoc.jobs.capacity import MoreMemoryNeeded, memory_for
 from rholoc.jobs.job import JobKind, JobOptions
 from rholoc.jobs.query_store import QueryStore
-from rholoc.jobs.recording_notes import WAYPOINTS_FILE, note_recording
+from rholoc.jobs.recording_notes import WAYPOINTS_FILE, notes_of, write_notes
 from rholoc.jobs.site_placing import write_links
 from rholoc.mapping import BuildOptions, UpdateOptions, build_map, learn_from_queries, update_map
 from rholoc.maps import CameraLibrary, Map, MapLibrary, load_map, save_map, trust_of
 from rholoc.progress import ProgressListener, Stage
 from rholoc.recordings import MAX_FRAME_PIXELS, Recording, frame_pixels_limited, read_recording
+from rholoc.storage import ObjectStorage
 
 
 @dataclass(frozen=True)
@@ -121,7 +122,7 @@ def _mapped(task: MappingTask, progress: ProgressListener) -> Map | MoreMemoryNe
             task.recording, camera, task.options.frames, _corrected(task), workdir=task.built_file.parent
         )
         if task.folder is not None and task.options.frames is None and _corrected(task) is None:
-            note_recording(task.folder, recording)
+            write_notes(task.folder, notes_of(recording))
     needed_bytes = memory_for(recording)
     if needed_bytes > task.memory_bytes:
         return MoreMemoryNeeded(needed_bytes)
@@ -132,7 +133,7 @@ def _learned(task: MappingTask, progress: ProgressListener) -> Map:
     assert task.data_dir is not None
     progress(Stage.READ, 0.0, "reading the queries")
     map_ = MapLibrary(task.maps_dir).get(task.map_name)
-    return learn_from_queries(map_, QueryStore(task.data_dir).load(map_.info.id), progress)
+    return learn_from_queries(map_, QueryStore(ObjectStorage(task.data_dir)).load(map_.info.id), progress)
 
 
 def _corrected(task: MappingTask) -> Path | None:

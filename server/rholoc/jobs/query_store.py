@@ -1,7 +1,7 @@
-"""Answered queries that maps may learn from: a folder for each map, a file for each query.
+"""Answered queries that maps may learn from: an object for each query.
 
-What is kept is bounded, and spread over places, times and askers. Files say in their names where and when they were
-asked and by whom, so that a folder's listing is all that has to be read to decide what stays.
+What is kept is bounded, and spread over places, times and askers. The name of a query's object says where and when it
+was asked and by whom, so that listing a map's objects is enough to decide what stays.
 """
 
 from __future__ import annotations
@@ -9,11 +9,11 @@ from __future__ import annotations
 import hashlib
 import json
 import re
-import shutil
+import tempfile
 import time
 import uuid
 from collections import Counter
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,11 +23,11 @@ from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
 from rholoc.disk import reporting_full_disk
-from rholoc.errors import RholocError
+from rholoc.errors import RholocError, StorageFull, StorageUnavailable
 from rholoc.features import FeatureSet
 from rholoc.geometry import Camera, FloatArray
 from rholoc.mapping import AnsweredQuery
-from rholoc.maps.files import replace_file
+from rholoc.storage.objects import MissingObject, ObjectStorage, StoredObject
 
 QUERIES_FOLDER = "queries"
 _SUFFIX = ".query"
@@ -35,6 +35,10 @@ _MAP_ID = re.compile(r"[0-9A-Za-z]{1,64}")
 _NAME = re.compile(r"(\d{13})-([0-9a-f]{8})-([0-9a-f]{12})-[0-9a-f]{8}\.query")
 _CELL_M, _CELL_RAD = 0.5, np.deg2rad(45.0)
 _DAY_S = 24 * 3600.0
+_ORPHANED_AFTER_S = _DAY_S  # another server may have heard of a map before this one has
+_MAX_HEARD = 10_000
+
+_Heard = tuple[str, str, str]  # a map, a place, an asker
 
 
 @dataclass(frozen=True)
@@ -75,162 +79,185 @@ class KeptQueries:
 
 
 @dataclass(frozen=True)
-class QueryEntry:
-    """A kept query, by its file's name.
+class _Entry:
+    """A kept query, by its object.
 
     Attributes:
-        folder: of its map.
-        name: of its file.
-        time_s: when it was asked, seconds since the epoch.
+        key: the object's.
+        size_bytes: the object's size.
+        modified: when it was stored [s since the epoch].
+        time_s: when it was asked [s since the epoch].
         place: half a metre and an eighth of a turn.
         asker: who asked.
     """
 
-    folder: str
-    name: str
+    key: str
+    size_bytes: int
+    modified: float
     time_s: float
     place: str
     asker: str
 
-    @classmethod
-    def named(cls, folder: str, name: str) -> QueryEntry | None:
-        """By a file's name; None where it is no query's."""
-        match = _NAME.fullmatch(name)
-        return None if match is None else cls(folder, name, int(match[1]) / 1000, match[2], match[3])
-
 
 class QueryStore:
-    """The kept queries of all maps, in a data folder that several processes may share."""
+    """The kept queries of all maps, which several processes may share.
 
-    def __init__(self, data_dir: Path, limits: KeptLimits | None = None) -> None:
-        self._root = Path(data_dir) / QUERIES_FOLDER
+    The storage is asked what it holds only about askers that were not heard of here, in the same place, lately: who
+    stays in one place costs it nothing.
+
+    Args:
+        objects: the storage; queries are the objects ``queries/MAP/NAME.query``.
+        limits: what is kept of each map, by all processes together.
+    """
+
+    def __init__(self, objects: ObjectStorage, limits: KeptLimits | None = None) -> None:
+        self._objects = objects
         self._limits = limits or KeptLimits()
+        self._heard: dict[_Heard, float] = {}
 
     def wants(self, map_id: str, T_map_camera: FloatArray, asker: str, time_s: float) -> bool:
-        """Whether a query would be kept: an asker who stays where it is is heard once a while."""
-        place = place_of(T_map_camera)
-        return not any(
-            one.place == place and one.asker == asker and abs(time_s - one.time_s) < self._limits.apart_s
-            for one in self._entries(map_id)
-        )
+        """Whether a query would be kept: an asker who stays in one place is heard once in ``apart_s``.
+
+        Raises:
+            StorageUnavailable: the storage does not answer.
+        """
+        heard = map_id, place_of(T_map_camera), asker
+        if self._was_heard(heard, time_s):
+            return False
+        for one in self._entries(map_id):
+            if (map_id, one.place, one.asker) == heard:
+                self._note(heard, one.time_s)
+        return not self._was_heard(heard, time_s)
 
     def add(self, map_id: str, query: AnsweredQuery) -> None:
         """Keep a query, and drop others where there would be too many.
 
         Raises:
-            StorageFull: the disk is full.
+            StorageUnavailable, StorageFull: it is not kept.
         """
         place = place_of(query.T_map_camera)
         name = f"{round(1000 * query.time_s):013d}-{place}-{query.asker}-{uuid.uuid4().hex[:8]}{_SUFFIX}"
-        self._write(folder_name(map_id), name, _to_bytes(query))
+        self._objects.put(f"{_folder(map_id)}/{name}", _to_bytes(query))
+        self._note((map_id, place, query.asker), query.time_s)
         self._make_room(map_id, place)
 
     def kept(self, map_id: str) -> KeptQueries:
-        """How much is kept for a map."""
-        entries, sizes = self._entries(map_id), self._sizes(folder_name(map_id))
+        """How much is kept for a map. Raises StorageUnavailable."""
+        entries = self._entries(map_id)
         times = [one.time_s for one in entries]
         return KeptQueries(
             queries=len(entries),
-            size_bytes=sum(sizes.get(one.name, 0) for one in entries),
+            size_bytes=sum(one.size_bytes for one in entries),
             askers=len({one.asker for one in entries}),
             oldest=min(times, default=None),
             newest=max(times, default=None),
         )
 
     def newer_than(self, map_id: str, time_s: float) -> int:
-        """How many of a map's queries were asked after a time, seconds since the epoch."""
+        """Number of a map's queries asked after ``time_s`` [s since the epoch]. Raises StorageUnavailable."""
         return sum(one.time_s > time_s for one in self._entries(map_id))
 
     def load(self, map_id: str) -> list[AnsweredQuery]:
-        """All that are kept for a map, the oldest first. What cannot be read is removed."""
+        """All queries that are kept for a map, the oldest first. Those that cannot be read are removed.
+
+        Raises:
+            StorageUnavailable, StorageFull: they cannot be fetched.
+        """
         found = []
-        for one in self._entries(map_id):
-            try:
-                found.append(_from_file(self._path(one), one))
-            except FileNotFoundError:
-                continue
-            except (SafetensorError, OSError, ValueError, TypeError, KeyError, RholocError):
-                self._remove(one)
+        with tempfile.TemporaryDirectory() as folder:
+            file = Path(folder) / "query"
+            for one in self._entries(map_id):
+                try:
+                    self._objects.fetch(one.key, file)
+                    found.append(_from_file(file, one))
+                except MissingObject:  # dropped meanwhile
+                    continue
+                except (StorageUnavailable, StorageFull):
+                    raise
+                except (SafetensorError, OSError, ValueError, TypeError, KeyError, RholocError):
+                    self._objects.delete(one.key)
         return found
 
+    def fetch(self, map_id: str, data_dir: Path) -> None:
+        """Copy a map's queries into a folder, in which a store finds them.
+
+        Raises:
+            StorageUnavailable, StorageFull: they cannot be fetched; what is there already is not fetched again.
+        """
+        with reporting_full_disk():
+            (data_dir / _folder(map_id)).mkdir(parents=True, exist_ok=True)
+        for one in self._entries(map_id):
+            if not (data_dir / one.key).is_file():
+                with suppress(MissingObject):  # dropped meanwhile
+                    self._objects.fetch(one.key, data_dir / one.key)
+
     def delete(self, map_id: str, asker: str | None = None) -> int:
-        """Forget the queries of a map, or those of one asker; returns how many."""
+        """Forget the queries of a map, or those of one asker. Returns how many. Raises StorageUnavailable."""
         entries = [one for one in self._entries(map_id) if asker is None or one.asker == asker]
         for one in entries:
-            self._remove(one)
-        if asker is None:
-            shutil.rmtree(self._root / folder_name(map_id), ignore_errors=True)
+            self._objects.delete(one.key)
         return len(entries)
 
     def sweep(self, map_ids: Collection[str] | None = None) -> None:
-        """Forget what has expired; and, where ``map_ids`` names all maps that there are, what is of others."""
-        if not self._root.is_dir():
-            return
-        known = None if map_ids is None else {folder_name(map_id) for map_id in map_ids}
-        for folder in self._root.iterdir():
-            if known is not None and folder.name not in known:
-                shutil.rmtree(folder, ignore_errors=True)
-                continue
-            oldest_s = time.time() - self._limits.expire_s
-            for one in self._entries(folder.name):
-                if one.time_s < oldest_s:
-                    self._remove(one)
+        """Forget queries that have expired and, a day after they were kept, those of other maps than ``map_ids``.
 
-    def _path(self, entry: QueryEntry) -> Path:
-        return self._root / entry.folder / entry.name
+        Args:
+            map_ids: of all maps; None where they are not known.
 
-    def _names(self, folder: str) -> list[str]:
-        """The names of the files in a map's folder."""
-        try:
-            return [path.name for path in (self._root / folder).iterdir()]
-        except FileNotFoundError:
-            return []
+        Raises:
+            StorageUnavailable: it is done the next time.
+        """
+        now_s = time.time()
+        known = None if map_ids is None else {_folder(map_id) for map_id in map_ids}
+        for one in _queries(list(self._objects.list(QUERIES_FOLDER))):
+            of_no_map = known is not None and one.key.rpartition("/")[0] not in known
+            orphaned = of_no_map and one.modified < now_s - _ORPHANED_AFTER_S
+            if orphaned or one.time_s < now_s - self._limits.expire_s:
+                self._objects.delete(one.key)
 
-    def _sizes(self, folder: str) -> dict[str, int]:
-        """Bytes of the files in a map's folder."""
-        sizes = {}
-        for name in self._names(folder):
-            with suppress(FileNotFoundError):
-                sizes[name] = (self._root / folder / name).stat().st_size
-        return sizes
+    def _was_heard(self, heard: _Heard, time_s: float) -> bool:
+        return abs(time_s - self._heard.get(heard, float("-inf"))) < self._limits.apart_s
 
-    def _write(self, folder: str, name: str, content: bytes) -> None:
-        with reporting_full_disk():
-            (self._root / folder).mkdir(mode=0o700, parents=True, exist_ok=True)
-        replace_file(self._root / folder / name, content, called="a query")
+    def _note(self, heard: _Heard, time_s: float) -> None:
+        if len(self._heard) >= _MAX_HEARD:
+            self._heard.clear()
+        self._heard[heard] = time_s
 
-    def _remove(self, entry: QueryEntry) -> None:
-        self._path(entry).unlink(missing_ok=True)
-
-    def _entries(self, map_id: str) -> list[QueryEntry]:
-        """The oldest first."""
-        folder = folder_name(map_id)
-        found = (QueryEntry.named(folder, name) for name in sorted(self._names(folder)))
-        return [one for one in found if one is not None]
+    def _entries(self, map_id: str) -> list[_Entry]:
+        """A map's queries, the oldest first."""
+        return sorted(_queries(self._objects.list(_folder(map_id))), key=lambda one: one.key)
 
     def _make_room(self, map_id: str, place: str) -> None:
         left = self._entries(map_id)
         here = [one for one in left if one.place == place]
         if len(here) > self._limits.in_a_place:
             self._drop(_gives_way(here), left)
-        sizes = self._sizes(folder_name(map_id))
         while len(left) > 1 and (
-            len(left) > self._limits.queries or sum(sizes.get(one.name, 0) for one in left) > self._limits.size_bytes
+            len(left) > self._limits.queries or sum(one.size_bytes for one in left) > self._limits.size_bytes
         ):
             self._drop(_gives_way(left), left)
 
-    def _drop(self, entry: QueryEntry, entries: list[QueryEntry]) -> None:
+    def _drop(self, entry: _Entry, entries: list[_Entry]) -> None:
         entries.remove(entry)
-        self._remove(entry)
+        self._objects.delete(entry.key)
 
 
-def folder_name(map_id: str) -> str:
-    """The id; or what stands for one that is no file's name, as a map that was uploaded may have it."""
-    return map_id if _MAP_ID.fullmatch(map_id) else hashlib.blake2b(map_id.encode(), digest_size=16).hexdigest()
+def _queries(stored: Iterable[StoredObject]) -> Iterator[_Entry]:
+    """The objects whose names are those of queries."""
+    for one in stored:
+        match = _NAME.fullmatch(one.key.rpartition("/")[2])
+        if match is not None:
+            yield _Entry(one.key, one.size_bytes, one.modified, int(match[1]) / 1000, match[2], match[3])
 
 
-def _gives_way(entries: Sequence[QueryEntry]) -> QueryEntry:
-    """Whose are most, from where theirs are most, the oldest: nobody can drive out what others asked."""
+def _folder(map_id: str) -> str:
+    """Prefix of the keys of a map's queries: the id, or a hash of an id that is no file's name."""
+    name = map_id if _MAP_ID.fullmatch(map_id) else hashlib.blake2b(map_id.encode(), digest_size=16).hexdigest()
+    return f"{QUERIES_FOLDER}/{name}"
+
+
+def _gives_way(entries: Sequence[_Entry]) -> _Entry:
+    """Oldest query from the most frequent place of the asker with the most queries: none can evict another's."""
     asker, _ = Counter(one.asker for one in entries).most_common(1)[0]
     own = [one for one in entries if one.asker == asker]
     place, _ = Counter(one.place for one in own).most_common(1)[0]
@@ -262,7 +289,7 @@ def _to_bytes(query: AnsweredQuery) -> bytes:
     return bytes(save({name: np.ascontiguousarray(array) for name, array in arrays.items()}, metadata))
 
 
-def _from_file(path: Path, entry: QueryEntry) -> AnsweredQuery:
+def _from_file(path: Path, entry: _Entry) -> AnsweredQuery:
     with safe_open(path, framework="numpy") as file:
         metadata = file.metadata() or {}
         arrays = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118

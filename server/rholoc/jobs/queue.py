@@ -11,17 +11,18 @@ from dataclasses import replace
 from pathlib import Path
 
 import sqlalchemy as sa
-from sqlalchemy.exc import IntegrityError
+from sqlalchemy.exc import IntegrityError, SQLAlchemyError
 
 from rholoc import telemetry
-from rholoc.errors import Conflict, UnknownRecording
-from rholoc.jobs.capacity import memory_for_walk
+from rholoc.errors import Conflict, RholocError, UnknownRecording
+from rholoc.jobs.capacity import SECONDS_PER_PICTURE, memory_for_walk
 from rholoc.jobs.job import Job, JobKind, JobOptions, JobPriority, JobState, Obstacle
 from rholoc.jobs.recording_notes import read_notes
 from rholoc.jobs.recording_store import RecordingStore
-from rholoc.jobs.table import RELEASE, JobTable, JobWork, WorkerOffer, WorkerTable
+from rholoc.jobs.table import JobTable, JobWork, shortened
+from rholoc.jobs.worker_table import WorkerOffer, WorkerTable, process_name
 from rholoc.maps import check_map_name
-from rholoc.storage.database import open_database, reporting_full_database
+from rholoc.storage.database import check_database, database_engine, reporting_full_database
 
 _BYTES_PER_SECOND = 1e6  # of an upload whose walk nobody has looked at yet
 
@@ -34,23 +35,28 @@ class JobQueue:
         data_dir: Path,
         database_url: str | None = None,
         recordings: RecordingStore | None = None,
-        release: int = RELEASE,
+        engine: sa.Engine | None = None,
     ) -> None:
-        """Open the queue, and create its tables where they are missing.
+        """A queue whose database is contacted when it is first used, by any method.
 
         Args:
             data_dir: where the SQLite file is kept, and the recordings.
             database_url: ``postgresql://…``, or None for the SQLite file.
             recordings: those that jobs are about, where they are kept elsewhere.
-            release: of the work that is submitted here.
+            engine: the database's, if the caller has one; ``database_url`` is then not used.
 
         Raises:
-            StorageFull: the disk is full.
+            InvalidInput: the URL is not one of PostgreSQL, or Python's SQLite is too old.
         """
-        self._recordings = recordings or RecordingStore(data_dir)
-        self._engine = open_database(data_dir, database_url)
+        self._engine = engine or database_engine(data_dir, database_url)
+        self._recordings = recordings or RecordingStore(data_dir, engine=self._engine)
         self._jobs, self._workers = JobTable(self._engine), WorkerTable(self._engine)
-        self._release = release
+        self._starter = process_name()
+        self._trouble: str | None = None
+
+    def check(self) -> None:
+        """Connect once. Raises as :func:`rholoc.storage.database.check_database` does."""
+        check_database(self._engine)
 
     def submit(
         self, recording_id: str, map_name: str, options: JobOptions | None = None, job_id: str | None = None
@@ -91,7 +97,7 @@ class JobQueue:
         length_s, memory_bytes = self._size_of(recording_id, options)
         job_id = job_id or uuid.uuid4().hex
         with reporting_full_database(), suppress(IntegrityError):
-            self._jobs.insert(job_id, work, length_s, memory_bytes, self._release)
+            self._jobs.insert(job_id, work, length_s, memory_bytes)
         return self.get(job_id)
 
     def get(self, job_id: str) -> Job:
@@ -144,7 +150,7 @@ class JobQueue:
         """
         self._jobs.get(job_id)
         with reporting_full_database():
-            self._jobs.cancel(job_id)  # a worker that has it sees that, and ends its workflow
+            self._jobs.cancel(job_id)  # a worker that has it sees that, and stops
         return self._jobs.get(job_id)
 
     def delete(self, job_id: str) -> Job:
@@ -170,7 +176,7 @@ class JobQueue:
         job = self._jobs.get(job_id)
         length_s = self._recordings.get(job.recording).size_bytes / _BYTES_PER_SECOND if job.recording else 0.0
         with reporting_full_database():
-            self._jobs.requeue(job_id, length_s, self._release, telemetry.traceparent())
+            self._jobs.requeue(job_id, length_s, telemetry.traceparent())
         return self.get(job_id)
 
     def prioritize(self, job_id: str, priority: JobPriority) -> Job:
@@ -214,6 +220,31 @@ class JobQueue:
         """Whether a worker is alive, here or elsewhere, by its last heartbeat."""
         return bool(self._workers.living())
 
+    def requeue_jobs_of(self, pid: int, error: str) -> None:
+        """Requeue the jobs of a worker of this machine that has died.
+
+        Args:
+            pid: its process id.
+            error: how it died, in a line.
+        """
+        name = process_name(pid)
+        self._workers.remove_all(name)
+        for lease in self._jobs.held_at(name):
+            self._jobs.lose(lease, f"its worker died ({error})")
+
+    def report_worker(self, trouble: str | None) -> None:
+        """Record, for all who share the queue, why the workers that this process starts die; None: they do not."""
+        self._trouble = trouble
+        with suppress(SQLAlchemyError, RholocError):  # then it is known here alone
+            if trouble is None:
+                self._workers.remove(self._starter)
+            else:
+                self._workers.report(self._starter, shortened(trouble))
+
+    def worker_trouble(self) -> str | None:
+        """Why workers die whenever they are started, if that was reported lately; None otherwise."""
+        return self._trouble or self._workers.error()
+
     def close(self) -> None:
         """Close the connections."""
         self._engine.dispose()
@@ -227,10 +258,10 @@ class JobQueue:
         if not recording_id:
             return 0.0, memory_for_walk(0.0, 0)
         length_s = self._recordings.get(recording_id).size_bytes / _BYTES_PER_SECOND
-        notes = read_notes(self._recordings.folder(recording_id))
+        notes = read_notes(self._recordings.notes(recording_id))
         if notes is None or options.frames is not None:
             return length_s, None
-        length_s = notes.last_s - notes.first_s
+        length_s = notes.frames * SECONDS_PER_PICTURE if notes.length_s is None else notes.length_s
         return length_s, memory_for_walk(length_s, notes.width * notes.height)
 
     def _explained(self, jobs: Sequence[Job]) -> Sequence[Job]:
@@ -238,17 +269,17 @@ class JobQueue:
         if not any(job.state is JobState.QUEUED for job in jobs):
             return jobs
         workers = self._workers.living()
-        return [_explained(job, workers) if job.state is JobState.QUEUED else job for job in jobs]
+        trouble = None if workers else self.worker_trouble()
+        return [_explained(job, workers, trouble) if job.state is JobState.QUEUED else job for job in jobs]
 
 
-def _explained(job: Job, workers: Sequence[WorkerOffer]) -> Job:
+def _explained(job: Job, workers: Sequence[WorkerOffer], trouble: str | None) -> Job:
     """A queued job with what stands in its way."""
+    if trouble is not None:
+        return replace(job, obstacle=Obstacle.WORKER_FAILS, message=f"waiting for a worker: {trouble}")
     if not workers:
         return replace(job, obstacle=Obstacle.NO_WORKER, message="waiting for a worker: none is running")
-    able = [worker for worker in workers if worker.release >= job.release]
-    if not able:
-        return replace(job, obstacle=Obstacle.RELEASE, message="waiting for a worker of a later release")
-    most_bytes = max(worker.memory_bytes for worker in able)
+    most_bytes = max(worker.memory_bytes for worker in workers)
     if job.memory_bytes is None or job.memory_bytes <= most_bytes:
         return job
     needed, most = (f"{memory / 2**30:.1f} GiB" for memory in (job.memory_bytes, most_bytes))

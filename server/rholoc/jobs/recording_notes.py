@@ -1,12 +1,14 @@
 """What is known about a stored recording besides its files: what a job read from it, and corrected waypoints.
 
-It is kept in hidden files of the recording's folder, which no upload can name.
+It consists of hidden files, which no upload can name.
 """
 
 from __future__ import annotations
 
 import contextlib
 import json
+import tempfile
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -49,7 +51,7 @@ class RecordingNotes:
     """What a job read from a recording.
 
     Attributes:
-        first_s, last_s: the times of its first and last frame, on its own clock.
+        first_s, last_s: the times of its first and last frame, on its own clock; None if its pictures have no times.
         frames: how many it has.
         width, height: of a frame, pixels.
         format: how it is laid out.
@@ -57,8 +59,8 @@ class RecordingNotes:
         waypoints: its own.
     """
 
-    first_s: float
-    last_s: float
+    first_s: float | None
+    last_s: float | None
     frames: int
     width: int
     height: int
@@ -66,13 +68,18 @@ class RecordingNotes:
     imu: bool
     waypoints: tuple[RecordedWaypoint, ...] = ()
 
+    @property
+    def length_s(self) -> float | None:
+        """Length of the walk [s]; None if its pictures have no times."""
+        return None if self.first_s is None or self.last_s is None else self.last_s - self.first_s
 
-def note_recording(folder: Path, recording: Recording) -> None:
-    """Write notes on a recording, and a small picture of it, into its folder."""
+
+def notes_of(recording: Recording) -> dict[str, bytes]:
+    """Files with notes on a recording and a small picture of it, by name."""
     times, (width, height) = recording.frames.times, recording.frames.size
     notes = RecordingNotes(
-        first_s=float(times[0]),
-        last_s=float(times[-1]),
+        first_s=float(times[0]) if recording.frames.timed else None,
+        last_s=float(times[-1]) if recording.frames.timed else None,
         frames=len(times),
         width=width,
         height=height,
@@ -80,61 +87,66 @@ def note_recording(folder: Path, recording: Recording) -> None:
         imu=recording.imu is not None,
         waypoints=tuple(_recorded(waypoint) for waypoint in recording.waypoints),
     )
-    _write(folder / _NOTES_FILE, json.dumps(report_to_json(notes)).encode())
+    files = {_NOTES_FILE: json.dumps(report_to_json(notes)).encode()}
     row = int(np.searchsorted(times, times[0] + _THUMBNAIL_S).clip(0, len(times) - 1))
     with contextlib.suppress(InvalidRecording):  # the job itself reports damaged frames
-        _write(folder / _THUMBNAIL_FILE, small_picture(next(iter(recording.frames.images([row])))))
+        files[_THUMBNAIL_FILE] = small_picture(next(iter(recording.frames.images([row]))))
+    return files
 
 
-def read_notes(folder: Path) -> RecordingNotes | None:
-    """What a job read from a recording; None if none has read it yet."""
-    try:
-        return report_from_json(RecordingNotes, json.loads((folder / _NOTES_FILE).read_text(encoding="utf-8")))
-    except (FileNotFoundError, NotADirectoryError, ValueError):
-        return None
-
-
-def read_thumbnail(folder: Path) -> bytes | None:
-    """A small picture of a recording; None where there is none."""
-    try:
-        return (folder / _THUMBNAIL_FILE).read_bytes()
-    except (FileNotFoundError, NotADirectoryError):
-        return None
-
-
-def has_thumbnail(folder: Path) -> bool:
-    """Whether there is a small picture of a recording."""
-    return (folder / _THUMBNAIL_FILE).is_file()
-
-
-def corrected_waypoints(folder: Path, notes: RecordingNotes | None) -> tuple[RecordedWaypoint, ...] | None:
-    """The waypoints that replace the recording's own; None if they were not corrected."""
-    path = folder / WAYPOINTS_FILE
-    if not path.is_file():
-        return None
-    return tuple(_recorded(waypoint) for waypoint in read_waypoints_csv(path, _Span.of(notes)))
-
-
-def correct_waypoints(
-    folder: Path, waypoints: tuple[RecordedWaypoint, ...] | None, notes: RecordingNotes | None
-) -> None:
-    """Replace a recording's waypoints, or return to its own if ``waypoints`` is None.
+def write_notes(folder: Path, files: Mapping[str, bytes]) -> None:
+    """Write files with notes into a folder, which is made if it is missing.
 
     Raises:
-        InvalidWaypoints: they cannot be used; nothing changes.
-        StorageFull: the disk is full; nothing changes.
+        StorageFull: the disk is full.
     """
-    path, arrived = folder / WAYPOINTS_FILE, folder / f"{WAYPOINTS_FILE}.new"
-    if waypoints is None:
-        path.unlink(missing_ok=True)
-        return
+    with reporting_full_disk():
+        folder.mkdir(exist_ok=True)
+        for name, content in files.items():
+            (folder / name).write_bytes(content)
+
+
+def notes_in(folder: Path) -> dict[str, bytes]:
+    """The files with notes in a folder, by name."""
+    return {name: (folder / name).read_bytes() for name in NOTE_FILES if (folder / name).is_file()}
+
+
+def read_notes(files: Mapping[str, bytes]) -> RecordingNotes | None:
+    """What a job read from a recording; None if none has read it yet."""
     try:
-        with reporting_full_disk():
-            write_waypoints_csv(arrived, [_waypoint(one) for one in waypoints])
-            read_waypoints_csv(arrived, _Span.of(notes))
-            arrived.replace(path)
-    finally:
-        arrived.unlink(missing_ok=True)
+        return report_from_json(RecordingNotes, json.loads(files[_NOTES_FILE]))
+    except (KeyError, ValueError):
+        return None
+
+
+def read_thumbnail(files: Mapping[str, bytes]) -> bytes | None:
+    """A small picture of a recording (JPEG); None if there is none."""
+    return files.get(_THUMBNAIL_FILE)
+
+
+def corrected_waypoints(
+    files: Mapping[str, bytes], notes: RecordingNotes | None
+) -> tuple[RecordedWaypoint, ...] | None:
+    """The waypoints that replace the recording's own; None if they were not corrected."""
+    if WAYPOINTS_FILE not in files:
+        return None
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / WAYPOINTS_FILE
+        path.write_bytes(files[WAYPOINTS_FILE])
+        return tuple(_recorded(waypoint) for waypoint in read_waypoints_csv(path, _Span.of(notes)))
+
+
+def waypoints_file(waypoints: Sequence[RecordedWaypoint], notes: RecordingNotes | None) -> bytes:
+    """Content of the file (CSV) with waypoints that replace a recording's own.
+
+    Raises:
+        InvalidWaypoints: they cannot be used.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / WAYPOINTS_FILE
+        write_waypoints_csv(path, [_waypoint(one) for one in waypoints])
+        read_waypoints_csv(path, _Span.of(notes))
+        return path.read_bytes()
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,10 +155,14 @@ class _Span:
 
     times: FloatArray
     numbers: IntArray
+    timed: bool = True
 
     @staticmethod
     def of(notes: RecordingNotes | None) -> _Span:
-        span = np.array([-np.inf, np.inf] if notes is None else [notes.first_s, notes.last_s])
+        if notes is None or notes.first_s is None or notes.last_s is None:
+            span = np.array([-np.inf, np.inf])
+        else:
+            span = np.array([notes.first_s, notes.last_s])
         return _Span(span, np.zeros(0, dtype=np.int64))
 
 
@@ -158,10 +174,3 @@ def _recorded(waypoint: Waypoint) -> RecordedWaypoint:
 def _waypoint(recorded: RecordedWaypoint) -> Waypoint:
     time = float("nan") if recorded.time_s is None else recorded.time_s
     return Waypoint(recorded.name, time, recorded.position, recorded.sigma_m)
-
-
-def _write(path: Path, content: bytes) -> None:
-    with reporting_full_disk():
-        arrived = path.with_name(f"{path.name}.new")
-        arrived.write_bytes(content)
-        arrived.replace(path)

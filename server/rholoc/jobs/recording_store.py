@@ -1,4 +1,4 @@
-"""Recordings on disk: each a folder that is either complete or does not exist."""
+"""Recordings: files in a storage, what they are in the database. Each is complete or does not exist."""
 
 from __future__ import annotations
 
@@ -8,17 +8,26 @@ import re
 import shutil
 import time
 import uuid
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path, PurePosixPath
 from typing import BinaryIO
 
-from rholoc.disk import reporting_full_disk, sync_folder
-from rholoc.errors import Conflict, InvalidRecording, TooLarge, UnknownRecording
+import sqlalchemy as sa
+from sqlalchemy.exc import IntegrityError
+
+from rholoc.disk import reporting_full_disk
+from rholoc.errors import Conflict, InvalidRecording, StorageFull, StorageUnavailable, TooLarge, UnknownRecording
+from rholoc.jobs.recording_notes import NOTE_FILES, notes_in
+from rholoc.storage.database import database_engine, reporting_full_database
+from rholoc.storage.objects import MissingObject, ObjectStorage, StoredObject
+from rholoc.storage.tables import recording_notes_table, recordings_table
 
 ENTRY_FILE = ".entry.json"  # no uploaded file can have this name: theirs never start with a dot
+_PREFIX = "recordings"
 _PENDING_PREFIX = ".pending-"
+_ORPHANED_AFTER_S = 24 * 3600.0  # an upload that takes longer has broken off
 _PENDING_EXPIRES_S = 24 * 3600.0
 _MAX_NAME_LENGTH = 100
 _MAX_DEPTH = 4
@@ -168,12 +177,25 @@ class PendingRecording:
 
 
 class RecordingStore:
-    """The recordings under ``data_dir/recordings``."""
+    """The recordings of all processes that share a storage and a database.
 
-    def __init__(self, data_dir: Path) -> None:
-        self.root = Path(data_dir) / "recordings"
+    A recording's files are the objects ``recordings/ID/NAME``. Unless the storage is ``data_dir`` itself, they are
+    fetched to ``data_dir/recordings/ID`` when they are needed. A recording exists while the database has its row. Its
+    entry, a hidden file beside its files, outlives the database; see :meth:`recover`.
+
+    Args:
+        data_dir: folder for uploads that are under way, and for copies of files.
+        objects: the storage; default: ``data_dir``.
+        engine: the database's; default: that of the SQLite file in ``data_dir``.
+    """
+
+    def __init__(self, data_dir: Path, objects: ObjectStorage | None = None, engine: sa.Engine | None = None) -> None:
+        self.root = Path(data_dir) / _PREFIX
         with reporting_full_disk():
             self.root.mkdir(parents=True, exist_ok=True)
+        self.objects = objects or ObjectStorage(Path(data_dir))
+        self.engine = engine or database_engine(data_dir)
+        self.in_place = self.objects.is_at(Path(data_dir))
         self._drop_abandoned()
 
     def begin(self, max_bytes: int | None = None) -> PendingRecording:
@@ -200,7 +222,8 @@ class RecordingStore:
     def new_folder(self) -> Iterator[Path]:
         """A hidden folder beside the recordings, which is removed at the end unless it was renamed."""
         folder = self.root / f"{_PENDING_PREFIX}{uuid.uuid4().hex}"
-        folder.mkdir(parents=True)
+        with reporting_full_disk():
+            folder.mkdir(parents=True)
         try:
             yield folder
         finally:
@@ -210,13 +233,23 @@ class RecordingStore:
         """Turn a folder beside the recordings, which holds one complete file, into a recording; all at once.
 
         Raises:
-            StorageFull: the disk is full; the folder stays where it is.
+            StorageUnavailable, StorageFull: the folder stays where it is.
         """
         with reporting_full_disk(), (folder / file_name).open("rb") as file:
             os.fsync(file.fileno())
             entry = RecordingEntry(recording_id, (file_name,), os.fstat(file.fileno()).st_size, time.time())
-            self._publish(folder, entry)
+        self._publish(folder, entry)
         return entry
+
+    def take_in(self, folder: Path, entry: RecordingEntry) -> None:
+        """Store a copy of a recording whose files are in a folder elsewhere.
+
+        Raises:
+            StorageUnavailable, StorageFull: it is not stored.
+        """
+        for name in entry.files:
+            self.objects.put(_key(entry.id, name), folder / name)
+        self._register(entry)
 
     def get(self, recording_id: str) -> RecordingEntry:
         """The recording's entry.
@@ -224,78 +257,157 @@ class RecordingStore:
         Raises:
             UnknownRecording: no recording has this id.
         """
-        try:
-            text = (self._folder(recording_id) / ENTRY_FILE).read_text(encoding="utf-8")
-        except (FileNotFoundError, NotADirectoryError) as error:
-            raise unknown_recording(recording_id) from error
-        fields = json.loads(text)
-        return RecordingEntry(**{**fields, "files": tuple(fields["files"])})
+        if not is_recording_id(recording_id):
+            raise unknown_recording(recording_id)
+        wanted = sa.select(recordings_table).where(recordings_table.c.id == recording_id)
+        with self.engine.connect() as connection:
+            row = connection.execute(wanted).mappings().first()
+        if row is None:
+            raise unknown_recording(recording_id)
+        return _entry(row)
 
     def list(self) -> list[RecordingEntry]:
         """All recordings, the newest first."""
-        entries = [self.get(folder.name) for folder in self._complete_folders()]
-        return sorted(entries, key=lambda entry: entry.created, reverse=True)
+        with self.engine.connect() as connection:
+            rows = connection.execute(sa.select(recordings_table).order_by(recordings_table.c.created.desc()))
+            return [_entry(row) for row in rows.mappings()]
 
     def path(self, recording_id: str) -> Path:
         """What :func:`rholoc.recordings.read_recording` takes: the only file (a video or a zip), or the folder.
 
         Raises:
             UnknownRecording: no recording has this id.
+            StorageUnavailable, StorageFull: the files cannot be fetched.
         """
         entry = self.get(recording_id)
-        folder = self._folder(recording_id)
+        folder = self.root / recording_id
+        missing = [file for name in entry.files if not (file := folder / name).is_file()]
+        for file in missing:
+            with reporting_full_disk():
+                file.parent.mkdir(parents=True, exist_ok=True)
+            self.objects.fetch(_key(recording_id, file.relative_to(folder).as_posix()), file)
+        size = sum((folder / name).stat().st_size for name in entry.files)
+        if missing and size != entry.size_bytes:  # files that are kept here may have been mended by hand
+            self.release(recording_id)
+            raise StorageUnavailable(
+                f"The storage gave {size} bytes of a recording of {entry.size_bytes}.", "Try again later."
+            )
         return folder / entry.files[0] if len(entry.files) == 1 else folder
 
-    def folder(self, recording_id: str) -> Path:
-        """Where the recording's files are.
+    def notes(self, recording_id: str) -> dict[str, bytes]:
+        """Content of the files with what is noted of a recording, by name.
 
         Raises:
             UnknownRecording: no recording has this id.
         """
         self.get(recording_id)
-        return self._folder(recording_id)
+        wanted = sa.select(recording_notes_table).where(recording_notes_table.c.recording == recording_id)
+        with self.engine.connect() as connection:
+            return {row["file"]: bytes(row["content"]) for row in connection.execute(wanted).mappings()}
+
+    def note(self, recording_id: str, files: Mapping[str, bytes | None]) -> None:
+        """Store files with what is noted of a recording, by name. None deletes a file."""
+        table = recording_notes_table
+        with reporting_full_database(), self.engine.begin() as connection:
+            for name, content in files.items():
+                connection.execute(table.delete().where(table.c.recording == recording_id, table.c.file == name))
+                if content is not None:
+                    connection.execute(table.insert().values(recording=recording_id, file=name, content=content))
 
     def delete(self, recording_id: str) -> None:
         """Remove the recording.
 
         Raises:
             UnknownRecording: no recording has this id.
+            StorageUnavailable: nothing was removed.
         """
-        folder = self._folder(recording_id)
-        doomed = self.root / f"{_PENDING_PREFIX}{uuid.uuid4().hex}"
-        try:
-            folder.rename(doomed)
-        except FileNotFoundError as error:
-            raise unknown_recording(recording_id) from error
-        shutil.rmtree(doomed, ignore_errors=True)
-
-    def sweep(self) -> None:
-        """Remove what is stored and belongs to no recording: here, nothing that a start does not remove."""
+        entry = self.get(recording_id)
+        self.objects.delete(_key(recording_id, ENTRY_FILE))  # else the next sweep would bring the recording back
+        with self.engine.begin() as connection:
+            notes = recording_notes_table
+            connection.execute(notes.delete().where(notes.c.recording == recording_id))
+            connection.execute(recordings_table.delete().where(recordings_table.c.id == recording_id))
+        shutil.rmtree(self.root / recording_id, ignore_errors=True)
+        for name in entry.files:
+            with suppress(StorageUnavailable):  # what is left is swept up
+                self.objects.delete(_key(recording_id, name))
 
     def release(self, recording_id: str) -> None:
-        """Say that the recording's files are not needed here for now: what can be fetched again may go."""
+        """Remove the copies of the recording's files here, if they can be fetched again."""
+        folder = self.root / recording_id
+        is_copy = (
+            not self.in_place and not (folder / ENTRY_FILE).exists()
+        )  # an entry stands beside the files themselves
+        if is_recording_id(recording_id) and is_copy:
+            shutil.rmtree(folder, ignore_errors=True)
 
-    def share_notes(self, recording_id: str, files: Iterable[str]) -> None:
-        """Say that these files beside the recording's own have changed, so that others see it elsewhere."""
+    def sweep(self) -> None:
+        """Recover recordings, and remove files that have belonged to none for a day: of uploads that broke off.
+
+        Raises:
+            SQLAlchemyError, StorageUnavailable: it is done the next time.
+        """
+        old = time.time() - _ORPHANED_AFTER_S
+        for recording_id, left in self.recover().items():
+            if all(one.modified < old for one in left):
+                for one in left:
+                    self.objects.delete(one.key)
+                self.release(recording_id)
+
+    def recover(self) -> Mapping[str, Sequence[StoredObject]]:
+        """Register recordings whose entries the storage has and the database does not, as after it was lost.
+
+        Returns:
+            The objects without an entry that belong to no recording, by the id in their keys.
+
+        Raises:
+            SQLAlchemyError, StorageUnavailable: it is done the next time.
+        """
+        stored = _by_recording(self.objects.list(_PREFIX))
+        known = {entry.id: entry for entry in self.list()}  # after the listing: what was stored since then is known
+        left = {}
+        for recording_id, objects in stored.items():
+            has_entry = any(one.key == _key(recording_id, ENTRY_FILE) for one in objects)
+            if recording_id in known and not has_entry:
+                self._write_entry(known[recording_id])
+            elif recording_id not in known and has_entry:
+                self._recover(objects)
+            elif recording_id not in known:
+                left[recording_id] = objects
+        return left
+
+    def _recover(self, objects: Sequence[StoredObject]) -> None:
+        with self.new_folder() as folder, suppress(MissingObject):  # it was deleted meanwhile
+            for one in objects:
+                name = one.key.rpartition("/")[2]
+                if name in (ENTRY_FILE, *NOTE_FILES):
+                    self.objects.fetch(one.key, folder / name)
+            entry = entry_in(folder)
+            self._register(entry)
+            self.note(entry.id, notes_in(folder))
 
     def _publish(self, folder: Path, entry: RecordingEntry) -> None:
-        """Write the entry, make everything durable, and give the folder the name under which recordings are found."""
-        with (folder / ENTRY_FILE).open("w", encoding="utf-8") as file:
-            json.dump(asdict(entry), file)
-            file.flush()
-            os.fsync(file.fileno())
-        for inner in {folder / Path(name).parent for name in entry.files}:
-            sync_folder(inner)
-        folder.rename(self.root / entry.id)
-        sync_folder(self.root)
+        """Store the files of a folder, which is then gone, and make them a recording."""
+        self.objects.put_folder(f"{_PREFIX}/{entry.id}", folder, entry.files)
+        try:
+            self._register(entry)
+        except StorageFull:
+            for name in entry.files:
+                self.objects.delete(_key(entry.id, name))
+            raise
 
-    def _folder(self, recording_id: str) -> Path:
-        if not is_recording_id(recording_id):
-            raise unknown_recording(recording_id)
-        return self.root / recording_id
+    def _register(self, entry: RecordingEntry) -> None:
+        """Add a recording whose files are stored, unless another process has done so.
 
-    def _complete_folders(self) -> Iterator[Path]:
-        return (path for path in self.root.iterdir() if is_recording_id(path.name))
+        The row comes before the entry, so that a recording whose uploader was told that it failed does not return.
+        """
+        with reporting_full_database(), suppress(IntegrityError), self.engine.begin() as connection:
+            connection.execute(recordings_table.insert().values(**asdict(entry)))
+        with suppress(StorageUnavailable, StorageFull):  # the next sweep writes it
+            self._write_entry(entry)
+
+    def _write_entry(self, entry: RecordingEntry) -> None:
+        self.objects.put(_key(entry.id, ENTRY_FILE), json.dumps(asdict(entry)).encode())
 
     def _drop_abandoned(self) -> None:
         """Remove uploads whose process died: an upload in progress is younger than a day."""
@@ -306,6 +418,30 @@ class RecordingStore:
                 continue
             if abandoned:
                 shutil.rmtree(folder, ignore_errors=True)
+
+
+def entry_in(folder: Path) -> RecordingEntry:
+    """The entry in a recording's folder."""
+    fields = json.loads((folder / ENTRY_FILE).read_text(encoding="utf-8"))
+    return RecordingEntry(**{**fields, "files": tuple(fields["files"])})
+
+
+def _by_recording(objects: Iterable[StoredObject]) -> dict[str, list[StoredObject]]:
+    """Objects by the recording's id in their keys; without those of uploads in progress."""
+    found: dict[str, list[StoredObject]] = {}
+    for one in objects:
+        recording_id = one.key.split("/")[1]
+        if is_recording_id(recording_id):
+            found.setdefault(recording_id, []).append(one)
+    return found
+
+
+def _entry(row: sa.RowMapping) -> RecordingEntry:
+    return RecordingEntry(row["id"], tuple(row["files"]), row["size_bytes"], row["created"])
+
+
+def _key(recording_id: str, name: str) -> str:
+    return f"{_PREFIX}/{recording_id}/{name}"
 
 
 def is_recording_id(text: str) -> bool:

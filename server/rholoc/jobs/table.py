@@ -15,17 +15,11 @@ import sqlalchemy as sa
 from rholoc.errors import Conflict, UnknownJob
 from rholoc.jobs.job import Job, JobKind, JobOptions, JobPriority, JobState
 from rholoc.progress import Stage
-from rholoc.storage.tables import jobs_table, workers_table
+from rholoc.storage.tables import jobs_table
 
 LOG_LINES = 50
 MAX_LINE_LENGTH = 500  # characters of a job's messages
 MAX_WARNINGS = 20
-DEAD_AFTER_S = 15.0  # since the last heartbeat
-RELEASE = 3
-"""Of the work that jobs are. It goes up where an earlier release's workers could not do a new kind of job, or go on
-with one that is half done: they leave it to later ones, which do all that is of an earlier release from its start."""
-
-_FIRST_RELEASE = 1  # of rows that do not say
 _ID_LENGTH = 32
 _DAY_S = 24 * 3600.0
 _AHEAD_S = {JobPriority.HIGH: _DAY_S, JobPriority.NORMAL: 0.0, JobPriority.LOW: -_DAY_S}
@@ -56,10 +50,16 @@ class Failure:
 
 @dataclass(frozen=True)
 class Lease:
-    """A worker's hold on a job. It is lost when the job is cancelled, retried, or taken up by another worker."""
+    """A worker's hold on a job. It is lost when the job is cancelled, retried, or taken up by another worker.
+
+    Attributes:
+        job: the job's id.
+        run: id of the job's last submission or retry, also the name of its work folder.
+        attempt: how many workers have taken the run, this one included.
+    """
 
     job: str
-    workflow: str
+    run: str
     attempt: int
 
 
@@ -81,11 +81,13 @@ class Claim:
         lease: its hold on the job.
         work: what is to be done.
         memory_bytes: about how much memory that takes; 0 where it is not known yet.
+        deaths: how many workers died while they had the job.
     """
 
     lease: Lease
     work: JobWork
     memory_bytes: int
+    deaths: int = 0
 
 
 def turn_of(submitted_s: float, priority: JobPriority, length_s: float) -> float:
@@ -197,7 +199,7 @@ class JobTable:
 
     # What users do
 
-    def insert(self, job_id: str, work: JobWork, length_s: float, memory_bytes: int | None, release: int) -> None:
+    def insert(self, job_id: str, work: JobWork, length_s: float, memory_bytes: int | None) -> None:
         """Add a queued job. Raises IntegrityError: there is one of this id.
 
         Args:
@@ -205,7 +207,6 @@ class JobTable:
             work: what is to be done.
             length_s: of the walk, roughly.
             memory_bytes: about how much memory it takes; None: not known yet.
-            release: of the work.
         """
         now = time.time()
         values = {
@@ -215,24 +216,17 @@ class JobTable:
             "options": asdict(work.options),
             "asked_in": work.asked_in,
             "created": now,
-            "workflow_id": _new_workflow(job_id),
-            "release": release,
+            "run": _new_run(job_id),
             "turn": turn_of(now, work.options.priority, length_s),
             "memory_bytes": memory_bytes,
         }
         with self._engine.begin() as connection:
             connection.execute(jobs_table.insert().values(**values, **_QUEUED))
 
-    def requeue(self, job_id: str, length_s: float, release: int, asked_in: str | None = None) -> None:
+    def requeue(self, job_id: str, length_s: float, asked_in: str | None = None) -> None:
         """Queue a failed or cancelled job again, as if it were submitted now. Raises UnknownJob, Conflict."""
         turn = turn_of(time.time(), self.get(job_id).priority, length_s)
-        values = {
-            "workflow_id": _new_workflow(job_id),
-            "release": release,
-            "turn": turn,
-            "asked_in": asked_in,
-            **_QUEUED,
-        }
+        values = {"run": _new_run(job_id), "turn": turn, "asked_in": asked_in, **_QUEUED}
         with self._engine.begin() as connection:
             changed = connection.execute(
                 jobs_table.update()
@@ -248,7 +242,7 @@ class JobTable:
             row = connection.execute(sa.select(jobs_table).where(jobs_table.c.id == job_id)).mappings().first()
             if row is None:
                 raise _unknown(job_id)
-            turn = _turn(row) + _AHEAD_S[_priority(row)] - _AHEAD_S[priority]
+            turn = row["turn"] + _AHEAD_S[_priority(row)] - _AHEAD_S[priority]
             changed = connection.execute(
                 jobs_table.update()
                 .where(jobs_table.c.id == job_id, jobs_table.c.state == JobState.QUEUED)
@@ -284,68 +278,72 @@ class JobTable:
 
     # What workers do
 
-    def take(
-        self, worker: str, memory_bytes: float = math.inf, free_bytes: float = math.inf, release: int = RELEASE
-    ) -> Claim | None:
-        """Take the job whose turn it is, of those that a worker can do; any earlier lease on it is lost.
+    def take(self, worker: str, memory_bytes: float = math.inf, free_bytes: float = math.inf) -> Claim | None:
+        """Take the job whose turn it is, of those that fit a worker. Any earlier lease on the job is lost.
 
-        Where that one has to wait for memory, so do those after it: a long walk is not overtaken for ever.
+        If that job has to wait until enough memory is free, so do all jobs after it: a long walk is not overtaken for
+        ever.
 
         Args:
-            worker: its id.
-            memory_bytes: how much it has for its jobs.
-            free_bytes: how much of that is free.
-            release: whose work it can do, and that of all before.
+            worker: the worker's id.
+            memory_bytes: the worker's memory for jobs.
+            free_bytes: how much of that is free now.
 
         Returns:
-            The job; None where there is none, or another worker was quicker.
+            The job; None if there is none, or another worker was quicker.
         """
-        can_do = [_release_of_row <= release, jobs_table.c.state == JobState.QUEUED]
+        fits = [jobs_table.c.state == JobState.QUEUED]
         if math.isfinite(memory_bytes):
-            can_do.append(_memory_of_row <= int(memory_bytes))
-        wanted = sa.select(jobs_table).where(*can_do).order_by(_turn_of_row, jobs_table.c.id).limit(1)
+            fits.append(sa.func.coalesce(jobs_table.c.memory_bytes, 0) <= int(memory_bytes))
+        wanted = sa.select(jobs_table).where(*fits).order_by(jobs_table.c.turn, jobs_table.c.id).limit(1)
         with self._engine.connect() as connection:
             row = connection.execute(wanted).mappings().first()
         if row is None or (row["memory_bytes"] or 0) > free_bytes:
             return None
-        # Where an earlier release's worker may begin the workflow yet, or has done some of it, there is a new one.
-        workflow = row["workflow_id"] if row["release"] == release else _new_workflow(row["id"])
-        lease = Lease(row["id"], workflow, row["attempts"] + 1)
+        lease = Lease(row["id"], row["run"], row["attempts"] + 1)
         taken = {
             "state": JobState.RUNNING,
             "worker": worker,
             "attempts": lease.attempt,
-            "workflow_id": workflow,
-            "release": release,
             "started": row["started"] or time.time(),
         }
-        as_seen = [jobs_table.c[name] == row[name] for name in ("id", "state", "workflow_id", "attempts")]
+        as_seen = [jobs_table.c[name] == row[name] for name in ("id", "state", "run", "attempts")]
         with self._engine.begin() as connection:
             changed = connection.execute(jobs_table.update().where(*as_seen).values(**taken))
         if not changed.rowcount:
             return None
         work = JobWork(row["recording"], row["map_name"], JobOptions.from_json(row["options"]), row["asked_in"])
-        return Claim(lease, work, row["memory_bytes"] or 0)
+        return Claim(lease, work, row["memory_bytes"] or 0, row["deaths"])
 
     def held_by(self, worker: str) -> set[Lease]:
         """The jobs that a worker has."""
-        found = sa.select(jobs_table).where(jobs_table.c.state == JobState.RUNNING, jobs_table.c.worker == worker)
+        return self._running(jobs_table.c.worker == worker)
+
+    def held_at(self, process: str) -> set[Lease]:
+        """The jobs of a process's workers. :func:`rholoc.jobs.worker_table.process_name` names processes."""
+        return self._running(jobs_table.c.worker.startswith(f"{process}-", autoescape=True))
+
+    def take_back(self, living: Collection[str]) -> int:
+        """Queue the jobs again whose workers are not among the ``living``. Returns how many those were."""
+        dead = jobs_table.c.worker.not_in(list(living))
+        return sum(self.lose(lease, "its worker died") for lease in self._running(dead))
+
+    def lose(self, lease: Lease, why: str) -> bool:
+        """Queue a job again whose worker died. Returns False if the lease was lost before."""
+        message = shortened(f"waiting for another worker: {why}")
+        with self._engine.begin() as connection:
+            row = connection.execute(sa.select(jobs_table).where(*_held(lease))).mappings().first()
+            if row is None:
+                return False
+            values = {"deaths": row["deaths"] + 1, "message": message, "log": _appended(row["log"], message)}
+            update = jobs_table.update().where(*_held(lease))
+            return connection.execute(update.values(**{**_GIVEN_BACK, **values})).rowcount > 0
+
+    def _running(self, of: sa.ColumnElement[bool]) -> set[Lease]:
+        found = sa.select(jobs_table).where(jobs_table.c.state == JobState.RUNNING, of)
         with self._engine.connect() as connection:
             rows = connection.execute(found).mappings().all()
-        return {Lease(row["id"], row["workflow_id"], row["attempts"]) for row in rows}
-
-    def take_back(self, living: Collection[str], with_nameless: bool) -> int:
-        """Queue the jobs again whose workers are not among the ``living``; returns how many they were.
-
-        Args:
-            living: ids of workers.
-            with_nameless: whether that is true of those, too, whose row names no worker: an earlier release's had them.
-        """
-        dead = jobs_table.c.worker.not_in(list(living))
-        gone = sa.or_(dead, jobs_table.c.worker.is_(None)) if with_nameless else dead
-        with self._engine.begin() as connection:
-            lost = jobs_table.update().where(jobs_table.c.state == JobState.RUNNING, gone)
-            return connection.execute(lost.values(**_GIVEN_BACK)).rowcount
+        return {Lease(row["id"], row["run"], row["attempts"]) for row in rows}
 
     def holds(self, lease: Lease) -> bool:
         """Whether the lease is still valid."""
@@ -371,19 +369,14 @@ class JobTable:
                 )
             )
 
-    def wanted_workflows(self) -> set[str]:
-        """The workflows of all jobs that are queued or running."""
+    def unfinished_runs(self) -> set[str]:
+        """The runs of all jobs that are queued or running."""
+        unfinished = jobs_table.c.state.in_([JobState.QUEUED, JobState.RUNNING])
         with self._engine.connect() as connection:
-            return set(
-                connection.execute(
-                    sa.select(jobs_table.c.workflow_id).where(
-                        jobs_table.c.state.in_([JobState.QUEUED, JobState.RUNNING])
-                    )
-                ).scalars()
-            )
+            return set(connection.execute(sa.select(jobs_table.c.run).where(unfinished)).scalars())
 
-    def release(self, lease: Lease) -> None:
-        """Give the job back to the queue."""
+    def give_back(self, lease: Lease) -> None:
+        """Give the job back to the queue, as a worker does that stops."""
         self._update(lease, **_GIVEN_BACK)
 
     def hand_on(self, lease: Lease, memory_bytes: int) -> bool:
@@ -452,66 +445,6 @@ class JobTable:
             return connection.execute(jobs_table.update().where(*_held(lease)).values(**values)).rowcount > 0
 
 
-@dataclass(frozen=True)
-class WorkerOffer:
-    """A worker that is alive, and what it can do.
-
-    Attributes:
-        id: the worker's.
-        release: whose work it can do, and that of all before.
-        memory_bytes: how much it has for its jobs.
-    """
-
-    id: str
-    release: int
-    memory_bytes: float
-
-
-class WorkerTable:
-    """The table of workers and their heartbeats."""
-
-    def __init__(self, engine: sa.Engine) -> None:
-        self._engine = engine
-
-    def beat(self, worker: str, memory_bytes: float = math.inf, release: int = RELEASE) -> None:
-        """Record that the worker is alive, and what it can do."""
-        memory = int(memory_bytes) if math.isfinite(memory_bytes) else None
-        values = {"heartbeat": time.time(), "memory_bytes": memory, "release": release}
-        with self._engine.begin() as connection:
-            changed = connection.execute(workers_table.update().where(workers_table.c.id == worker).values(**values))
-            if not changed.rowcount:
-                connection.execute(workers_table.insert().values(id=worker, **values))
-
-    def remove(self, worker: str) -> None:
-        """Forget the worker."""
-        with self._engine.begin() as connection:
-            connection.execute(workers_table.delete().where(workers_table.c.id == worker))
-
-    def living(self, dead_after_s: float = DEAD_AFTER_S) -> list[WorkerOffer]:
-        """The workers whose heartbeat is younger than ``dead_after_s``."""
-        lately = sa.select(workers_table).where(workers_table.c.heartbeat > time.time() - dead_after_s)
-        with self._engine.connect() as connection:
-            rows = connection.execute(lately).mappings().all()
-        return [
-            WorkerOffer(
-                row["id"],
-                row["release"] or _FIRST_RELEASE,
-                math.inf if row["memory_bytes"] is None else row["memory_bytes"],
-            )
-            for row in rows
-        ]
-
-    def forget(self, dead_after_s: float) -> list[str]:
-        """Forget the workers whose heartbeat is older; returns their ids."""
-        old = workers_table.c.heartbeat < time.time() - dead_after_s
-        with self._engine.connect() as connection:
-            dead = list(connection.execute(sa.select(workers_table.c.id).where(old)).scalars())
-        if dead:
-            with self._engine.begin() as connection:
-                connection.execute(workers_table.delete().where(old))
-        return dead
-
-
 def shortened(text: str) -> str:
     """A job's message, cut to the length that is kept and made well-formed UTF-8."""
     line = text if len(text) <= MAX_LINE_LENGTH else f"{text[: MAX_LINE_LENGTH - 1]}…"
@@ -541,23 +474,16 @@ _QUEUED: dict[str, Any] = {
     "started": None,
     "ended": None,
     "attempts": 0,
+    "deaths": 0,
     "worker": None,
 }
 _GIVEN_BACK: dict[str, Any] = {"state": JobState.QUEUED, "worker": None, "message": "waiting for another worker"}
 
-_turn_of_row = sa.func.coalesce(jobs_table.c.turn, jobs_table.c.created)
 _kind_of_row = jobs_table.c.options["kind"].as_string()
-_release_of_row = sa.func.coalesce(jobs_table.c.release, _FIRST_RELEASE)
-_memory_of_row = sa.func.coalesce(jobs_table.c.memory_bytes, 0)
 
 
-def _turn(row: sa.RowMapping) -> float:
-    turn: float | None = row["turn"]
-    return row["created"] if turn is None else turn
-
-
-def _new_workflow(job_id: str) -> str:
-    """The id of a new workflow for a job: a retry must not find the steps of the run before."""
+def _new_run(job_id: str) -> str:
+    """Id of a new run of a job: a retry must not find what the run before built."""
     return f"{job_id}-{uuid.uuid4().hex[:8]}"
 
 
@@ -568,7 +494,7 @@ def _unknown(job_id: str) -> UnknownJob:
 def _held(lease: Lease, state: JobState = JobState.RUNNING) -> tuple[sa.ColumnElement[bool], ...]:
     return (
         jobs_table.c.id == lease.job,
-        jobs_table.c.workflow_id == lease.workflow,
+        jobs_table.c.run == lease.run,
         jobs_table.c.attempts == lease.attempt,
         jobs_table.c.state == state,
     )
@@ -580,12 +506,11 @@ def _appended(log: list[str], *lines: str) -> list[str]:
 
 
 def _priority(row: sa.RowMapping) -> JobPriority:
-    return JobPriority(row["options"].get("priority", JobPriority.NORMAL))
+    return JobPriority(row["options"]["priority"])
 
 
 def _kind(row: sa.RowMapping) -> JobKind:
-    kind = row["options"].get("kind", JobKind.BUILD)
-    return JobKind(kind) if kind in list(JobKind) else JobKind.BUILD  # it is one that a later release has
+    return JobKind(row["options"]["kind"])
 
 
 def _job(row: sa.RowMapping) -> Job:
@@ -598,7 +523,7 @@ def _job(row: sa.RowMapping) -> Job:
         progress=row["progress"],
         message=row["message"],
         log=tuple(row["log"]),
-        warnings=tuple(row["warnings"] or ()),
+        warnings=tuple(row["warnings"]),
         error_code=row["error_code"],
         error_message=row["error_message"],
         error_hint=row["error_hint"],
@@ -609,7 +534,6 @@ def _job(row: sa.RowMapping) -> Job:
         priority=_priority(row),
         memory_bytes=row["memory_bytes"],
         worker=row["worker"],
-        release=row["release"] or _FIRST_RELEASE,
         kind=_kind(row),
-        site=row["options"].get("site"),
+        site=row["options"]["site"],
     )

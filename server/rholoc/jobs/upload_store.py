@@ -1,32 +1,43 @@
-"""Uploads that survive lost connections: files that grow piece by piece, and become recordings once complete."""
+"""Uploads that survive lost connections: pieces in the storage, how far they are in the database.
+
+They go on at whichever server they reach, and become recordings once complete.
+"""
 
 from __future__ import annotations
 
-import fcntl
-import json
-import os
 import shutil
+import threading
 import time
 import uuid
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass
-from io import RawIOBase
 from pathlib import Path
 
+import sqlalchemy as sa
+
 from rholoc.disk import reporting_full_disk, storage_full
-from rholoc.errors import Busy, Conflict, InvalidRecording, RholocError, TooLarge, UnknownJob
+from rholoc.errors import (
+    Busy,
+    Conflict,
+    InvalidInput,
+    InvalidRecording,
+    RholocError,
+    StorageUnavailable,
+    TooLarge,
+    UnknownJob,
+    UnknownRecording,
+)
 from rholoc.jobs.job import Job, JobOptions
 from rholoc.jobs.queue import JobQueue
 from rholoc.jobs.recording_store import RecordingStore, is_recording_id, sanitized, unknown_recording
 from rholoc.recordings import MAX_FILES, START_BYTES, ZIP_SUFFIX, check_archive, check_file_name, check_file_start
+from rholoc.storage.database import reporting_full_database
+from rholoc.storage.tables import upload_pieces_table, uploads_table
 
-_PREFIX = ".upload-"
+_PREFIX = "uploads"
 MAX_UNFINISHED = 100
 _RETRY_AFTER_S = 60.0
-_LOCK_TIMEOUT_S = 2.0
-_LOCK_POLL_S = 0.02
-_PLAN_FILE = ".upload.json"  # no uploaded file can have this name: theirs never start with a dot
 
 
 @dataclass(frozen=True)
@@ -50,19 +61,33 @@ class Upload:
 
 @dataclass(frozen=True)
 class _Plan:
-    """What to do with an upload once it is complete."""
+    """What to do with an upload once it is complete, and how far it is."""
 
+    id: str
     file_name: str
     length: int
+    offset: int
     map_name: str
     options: JobOptions
+    touched: float
+
+
+@dataclass(frozen=True)
+class _Piece:
+    start: int
+    size_bytes: int
+    blob: str
 
 
 class UploadStore:
-    """Unfinished uploads, each a hidden folder beside the recordings.
+    """Unfinished uploads of all processes that share a storage and a database.
 
-    The length of the file is the offset, so that no crash can make the two differ. Any number of processes may share
-    the folder.
+    Args:
+        recordings: where completed uploads go, and whose storage and database are used.
+        jobs: where their jobs are queued.
+        expires_after_s: how long an upload is kept without a further byte [s].
+        max_files: how many files a ZIP file may hold.
+        max_unfinished: how many uploads there may be at a time.
     """
 
     def __init__(
@@ -73,20 +98,13 @@ class UploadStore:
         max_files: int = MAX_FILES,
         max_unfinished: int = MAX_UNFINISHED,
     ) -> None:
-        """Open the store.
-
-        Args:
-            recordings: where completed uploads go.
-            jobs: where their jobs are queued.
-            expires_after_s: how long an upload is kept without a further byte.
-            max_files: how many files a ZIP file may hold.
-            max_unfinished: how many uploads there may be at a time.
-        """
         self._max_unfinished = max_unfinished
         self._max_files = max_files
         self._recordings = recordings
+        self._objects, self._engine = recordings.objects, recordings.engine
         self._jobs = jobs
         self._expires_after_s = expires_after_s
+        self._assembling = threading.Lock()
 
     def create(self, file_name: str, length: int, map_name: str, options: JobOptions) -> Upload:
         """Begin an upload of ``length`` bytes.
@@ -96,17 +114,16 @@ class UploadStore:
             StorageFull: the disk is full, or has too little room.
             Busy: the limit of unfinished uploads is reached.
         """
-        safe = plain_file_name(file_name, length)
+        safe = _plain_file_name(file_name, length)
         self._check_room()
-        upload_id = uuid.uuid4().hex
-        with reporting_full_disk(), self._recordings.new_folder() as folder:
-            if shutil.disk_usage(folder).free < length:
-                raise storage_full()
-            (folder / safe).touch()
-            plan = json.dumps(asdict(_Plan(safe, length, map_name, options)))
-            (folder / _PLAN_FILE).write_text(plan, encoding="utf-8")
-            folder.rename(self._folder(upload_id))
-        return self.get(upload_id)
+        copies = 2 if self._recordings.in_place else 1  # pieces, and the file that they are put together to
+        if shutil.disk_usage(self._recordings.root).free < copies * length:
+            raise storage_full()
+        upload_id, now = uuid.uuid4().hex, time.time()
+        values = {"id": upload_id, "file_name": safe, "length": length, "offset": 0, "map_name": map_name}
+        with reporting_full_database(), self._engine.begin() as connection:
+            connection.execute(uploads_table.insert().values(**values, options=asdict(options), touched=now))
+        return Upload(upload_id, length, 0, now + self._expires_after_s)
 
     def get(self, upload_id: str) -> Upload:
         """Where the upload stands. One that is complete but has no job yet, because the server died, gets it now.
@@ -116,20 +133,24 @@ class UploadStore:
             InvalidRecording, TooLarge: it is complete, and its content is not a recording's. It is removed.
             StorageFull: the disk is full.
         """
+        plan = self._plan(upload_id)
+        if plan is None:
+            return self._recorded(upload_id)
+        expires = plan.touched + self._expires_after_s
+        if plan.offset < plan.length:
+            if expires < time.time():
+                self._forget(upload_id)
+                raise unknown_recording(upload_id)
+            return Upload(upload_id, plan.length, plan.offset, expires)
         try:
-            with self._locked(upload_id) as plan:
-                status = (self._folder(upload_id) / plan.file_name).stat()
-                expires = status.st_mtime + self._expires_after_s
-                if status.st_size < plan.length:
-                    if expires < time.time():
-                        self._remove(upload_id)
-                        raise unknown_recording(upload_id)
-                    return Upload(upload_id, plan.length, status.st_size, expires)
-                self._check_whole(upload_id, plan)
-                self._recordings.adopt(self._folder(upload_id), upload_id, plan.file_name)
-        except FileNotFoundError:
-            pass  # it is complete already, or never existed
-        return self._whole(upload_id)
+            with self._assembling:
+                self._assemble(plan)
+        except (InvalidInput, TooLarge):  # it is no recording
+            self._forget(upload_id)
+            raise
+        self._jobs.submit(upload_id, plan.map_name, plan.options, job_id=upload_id)
+        self._forget(upload_id)
+        return self._recorded(upload_id)
 
     def append(self, upload_id: str, offset: int, data: bytes) -> Upload:
         """Store the bytes from ``offset`` on; the last ones make the upload a recording and queue its job.
@@ -142,17 +163,18 @@ class UploadStore:
             StorageFull: the disk is full. What was stored before is kept.
         """
         standing = self.get(upload_id)
-        check_room_for_bytes(standing, offset, len(data))
-        try:
-            with self._locked(upload_id) as plan:
-                path = self._folder(upload_id) / plan.file_name
-                check_offset(path.stat().st_size, offset)
-                with reporting_full_disk(), path.open("ab", buffering=0) as file:
-                    _write(file, data)
-                if offset < START_BYTES <= offset + len(data):
-                    self._check_start(upload_id, path)
-        except FileNotFoundError:  # another request brought the last bytes
-            check_offset(standing.length, offset)
+        _check_room_for_bytes(standing, offset, len(data))
+        _check_offset(standing.offset, offset)
+        if not data:
+            return standing
+        if offset == 0 and len(data) >= START_BYTES:
+            self._check_start_of(upload_id, data)
+        blob = uuid.uuid4().hex
+        self._objects.put(_key(upload_id, blob), data)
+        if not self._take(upload_id, _Piece(offset, len(data), blob)):
+            with suppress(StorageUnavailable):
+                self._objects.delete(_key(upload_id, blob))
+            _check_offset(self.get(upload_id).offset, offset)
         return self.get(upload_id)
 
     def delete(self, upload_id: str) -> None:
@@ -161,17 +183,27 @@ class UploadStore:
         Raises:
             UnknownRecording: no recording has this id.
         """
-        try:
-            with self._locked(upload_id):
-                self._remove(upload_id)
-        except FileNotFoundError as error:
-            raise unknown_recording(upload_id) from error
+        if self._plan(upload_id) is None:
+            raise unknown_recording(upload_id)
+        self._forget(upload_id)
 
     def sweep(self) -> None:
-        """Remove the uploads that expired; those that are complete but have no job get it."""
-        for plan_file in list(self._recordings.root.glob(f"*/{_PLAN_FILE}")):
+        """Remove the uploads that expired; those that are whole but have no job get it."""
+        with self._engine.connect() as connection:
+            ids = connection.execute(sa.select(uploads_table.c.id)).scalars().all()
+        for upload_id in ids:
             with suppress(RholocError):
-                self.get(plan_file.parent.name.removeprefix(_PREFIX))
+                self.get(upload_id)
+        old = time.time() - self._expires_after_s
+        for one in list(self._objects.list(_PREFIX)):
+            if one.modified < old and one.key.split("/")[1] not in ids:
+                self._objects.delete(one.key)
+
+    def unfinished(self) -> dict[str, str]:
+        """The ids of the uploads that have no job yet, and the maps that they will become."""
+        with self._engine.connect() as connection:
+            rows = connection.execute(sa.select(uploads_table.c.id, uploads_table.c.map_name))
+            return {row.id: row.map_name for row in rows}
 
     def _check_room(self) -> None:
         """Refuse an upload beyond the limit of unfinished ones; expired ones do not count."""
@@ -182,25 +214,16 @@ class UploadStore:
             hint = "Finish or abandon (DELETE) another upload, or try again later."
             raise Busy(f"There are {self._max_unfinished} unfinished uploads already.", hint, _RETRY_AFTER_S)
 
-    def unfinished(self) -> dict[str, str]:
-        """The ids of the uploads that have no job yet, and the maps that they will become."""
-        found = {}
-        for path in list(self._recordings.root.glob(f"*/{_PLAN_FILE}")):
-            with suppress(FileNotFoundError):  # it was finished or removed meanwhile
-                found[path.parent.name.removeprefix(_PREFIX)] = _read_plan(path).map_name
-        return found
-
     def _unfinished(self) -> int:
-        return sum(1 for _ in self._recordings.root.glob(f"{_PREFIX}*"))
+        with self._engine.connect() as connection:
+            return connection.execute(sa.select(sa.func.count()).select_from(uploads_table)).scalar_one()
 
-    def _whole(self, upload_id: str) -> Upload:
-        """An upload that has become a recording; queues its job if that was not done yet."""
-        plan_file = self._recordings.root / upload_id / _PLAN_FILE
-        with suppress(FileNotFoundError):
-            plan = _read_plan(plan_file)
-            self._jobs.submit(upload_id, plan.map_name, plan.options, job_id=upload_id)
-            plan_file.unlink()
-        return self._recorded(upload_id)
+    def _plan(self, upload_id: str) -> _Plan | None:
+        if not is_recording_id(upload_id):
+            raise unknown_recording(upload_id)
+        with self._engine.connect() as connection:
+            row = connection.execute(sa.select(uploads_table).where(uploads_table.c.id == upload_id)).mappings().first()
+        return None if row is None else _Plan(**{**row, "options": JobOptions.from_json(row["options"])})
 
     def _recorded(self, upload_id: str) -> Upload:
         """An upload that has become a recording. Raises UnknownRecording."""
@@ -211,68 +234,70 @@ class UploadStore:
             job = None
         return Upload(upload_id, entry.size_bytes, entry.size_bytes, job=job)
 
-    def _check_start(self, upload_id: str, path: Path) -> None:
-        with path.open("rb") as file, self._removing_if_refused(upload_id):
-            check_file_start(path.name, file.read(START_BYTES))
+    def _take(self, upload_id: str, piece: _Piece) -> bool:
+        """Count a piece in, if the upload still stands where it begins."""
+        stands = sa.and_(uploads_table.c.id == upload_id, uploads_table.c.offset == piece.start)
+        values = {"offset": piece.start + piece.size_bytes, "touched": time.time()}
+        with reporting_full_database(), self._engine.begin() as connection:
+            if not connection.execute(uploads_table.update().where(stands).values(**values)).rowcount:
+                return False
+            connection.execute(upload_pieces_table.insert().values(upload=upload_id, **asdict(piece)))
+        return True
 
-    def _check_whole(self, upload_id: str, plan: _Plan) -> None:
-        path = self._folder(upload_id) / plan.file_name
-        self._check_start(upload_id, path)
-        if path.suffix.lower() == ZIP_SUFFIX:
-            with self._removing_if_refused(upload_id):
-                check_archive(path, max_files=self._max_files)
+    def _pieces(self, upload_id: str) -> Sequence[_Piece]:
+        table = upload_pieces_table
+        wanted = sa.select(table.c.start, table.c.size_bytes, table.c.blob).where(table.c.upload == upload_id)
+        with self._engine.connect() as connection:
+            return [_Piece(**row) for row in connection.execute(wanted.order_by(table.c.start)).mappings()]
 
-    @contextmanager
-    def _removing_if_refused(self, upload_id: str) -> Iterator[None]:
-        try:
-            yield
-        except RholocError:
-            self._remove(upload_id)
-            raise
-
-    def _remove(self, upload_id: str) -> None:
-        shutil.rmtree(self._folder(upload_id), ignore_errors=True)
-
-    def _folder(self, upload_id: str) -> Path:
-        if not is_recording_id(upload_id):
-            raise unknown_recording(upload_id)
-        return self._recordings.root / f"{_PREFIX}{upload_id}"
-
-    @contextmanager
-    def _locked(self, upload_id: str) -> Iterator[_Plan]:
-        """The plan of an unfinished upload, locked against other requests.
+    def _assemble(self, plan: _Plan) -> None:
+        """Make a whole upload a recording, unless another server has done so.
 
         Raises:
-            FileNotFoundError: there is no such upload.
-            Busy: another request holds the lock for too long.
+            InvalidRecording, TooLarge: its content is no recording's.
+            StorageUnavailable, StorageFull: it is tried again at the next request.
         """
-        folder = self._folder(upload_id)
-        descriptor = os.open(folder, os.O_RDONLY)
+        with suppress(UnknownRecording):
+            self._recordings.get(plan.id)
+            return
+        with reporting_full_disk(), self._recordings.new_folder() as folder:
+            path = folder / plan.file_name
+            self._fetch(plan, path)
+            with path.open("rb") as file:
+                check_file_start(path.name, file.read(START_BYTES))
+            if path.suffix.lower() == ZIP_SUFFIX:
+                check_archive(path, max_files=self._max_files)
+            self._recordings.adopt(folder, plan.id, plan.file_name)
+
+    def _fetch(self, plan: _Plan, path: Path) -> None:
+        with path.open("wb") as file:
+            for piece in self._pieces(plan.id):
+                file.write(self._objects.read(_key(plan.id, piece.blob), 0, piece.size_bytes))
+        if path.stat().st_size != plan.length:
+            raise StorageUnavailable("The storage does not give all of the upload.", "Try again later.")
+
+    def _check_start_of(self, upload_id: str, data: bytes) -> None:
+        plan = self._plan(upload_id)
+        if plan is None:  # another request gave it up
+            raise unknown_recording(upload_id)
         try:
-            _lock(descriptor)
-            yield _read_plan(folder / _PLAN_FILE)
-        finally:
-            os.close(descriptor)
+            check_file_start(plan.file_name, data[:START_BYTES])
+        except RholocError:
+            self._forget(upload_id)
+            raise
+
+    def _forget(self, upload_id: str) -> None:
+        """Remove an upload and its pieces."""
+        pieces = self._pieces(upload_id)
+        with self._engine.begin() as connection:
+            connection.execute(upload_pieces_table.delete().where(upload_pieces_table.c.upload == upload_id))
+            connection.execute(uploads_table.delete().where(uploads_table.c.id == upload_id))
+        for piece in pieces:
+            with suppress(StorageUnavailable):  # what is left is swept up
+                self._objects.delete(_key(upload_id, piece.blob))
 
 
-def _lock(descriptor: int) -> None:
-    """Lock a file without blocking a thread for long. Raises Busy."""
-    deadline_s = time.monotonic() + _LOCK_TIMEOUT_S
-    while True:
-        try:
-            return fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            if time.monotonic() > deadline_s:
-                raise Busy("Another request is working on this upload.", "Try again.") from None
-            time.sleep(_LOCK_POLL_S)
-
-
-def _read_plan(path: Path) -> _Plan:
-    fields = json.loads(path.read_text(encoding="utf-8"))
-    return _Plan(**{**fields, "options": JobOptions.from_json(fields["options"])})
-
-
-def plain_file_name(file_name: str, length: int) -> str:
+def _plain_file_name(file_name: str, length: int) -> str:
     """The name that an uploaded file of ``length`` bytes gets.
 
     Raises:
@@ -285,7 +310,7 @@ def plain_file_name(file_name: str, length: int) -> str:
     return safe
 
 
-def check_room_for_bytes(standing: Upload, offset: int, count: int) -> None:
+def _check_room_for_bytes(standing: Upload, offset: int, count: int) -> None:
     """Refuse more bytes than were declared. Raises TooLarge."""
     if offset + count > standing.length:
         raise TooLarge(
@@ -293,7 +318,7 @@ def check_room_for_bytes(standing: Upload, offset: int, count: int) -> None:
         )
 
 
-def check_offset(stands_at: int, offset: int) -> None:
+def _check_offset(stands_at: int, offset: int) -> None:
     """Refuse bytes from elsewhere than where an upload stands. Raises Conflict."""
     if stands_at != offset:
         raise Conflict(
@@ -302,7 +327,5 @@ def check_offset(stands_at: int, offset: int) -> None:
         )
 
 
-def _write(file: RawIOBase, data: bytes) -> None:
-    left = memoryview(data)
-    while left:
-        left = left[file.write(left) :]
+def _key(upload_id: str, blob: str) -> str:
+    return f"{_PREFIX}/{upload_id}/{blob}"

@@ -1,6 +1,6 @@
 """Frame → pose: seeds, ascent, confidence."""
 
-from rholoc.localization.confidence import MIN_CONFIDENCE
+from rholoc.localization.confidence import MIN_RECOGNIZED
 from rholoc.localization.diagnosis import TOO_LITTLE_TIME, Cause, Diagnosis
 from rholoc.localization.large_map import LARGE_MAP, AnyLocalizer, LargeMapLocalizer, localizer_of
 from rholoc.localization.localizer import Localizer
@@ -13,17 +13,30 @@ from rholoc.localization.several_frames import (
     SeveralFrames,
     localize_together,
 )
-from rholoc.localization.types import Dof, Intrinsics, Localization, Prior, Query, Reason
+from rholoc.localization.types import (
+    NO_BELIEF,
+    Alternative,
+    Belief,
+    Dof,
+    Intrinsics,
+    Localization,
+    Prior,
+    Query,
+    Reason,
+)
 from rholoc.localization.view_index import LikelyMap
 
 __all__ = [
     "FEWEST_FRAMES",
     "LARGE_MAP",
-    "MIN_CONFIDENCE",
+    "MIN_RECOGNIZED",
     "MOST_FRAMES",
+    "NO_BELIEF",
     "TOO_LITTLE_TIME",
     "VECTORS_FILE",
+    "Alternative",
     "AnyLocalizer",
+    "Belief",
     "Cause",
     "Diagnosis",
     "Dof",

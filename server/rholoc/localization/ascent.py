@@ -24,7 +24,7 @@ from rholoc.localization.types import Dof
 
 _RAYLEIGH_MEDIAN = 1.177  # of the length of a two-dimensional offset, in standard deviations of one component
 _LEAST_NOISE_PX = 0.3  # of a detection
-_SYSTEMATIC = 3.0  # measured on real recordings: errors against those that independent detections would make
+SYSTEMATIC = 3.0  # measured on real recordings: errors against those that independent detections would make
 _ROLL_SIGMA_RAD = np.deg2rad(1.5)  # of a camera that is held upright
 _NEARLY_SETTLED, _SETTLED = 1e-3, 1e-5  # metres or radians: steps that end a tolerance, and the last one
 _ROUGHLY_SETTLED = 1e-2  # the same where the focal length is free, which makes steps long, but for the last tolerance
@@ -212,7 +212,7 @@ def information_at(evidence: Evidence, optimum: Optimum, focal_free: bool = Fals
     """What an optimum is known to, (6, 6), or (7, 7) with the focal length's logarithm: its curvature over the matches.
 
     Position in metres and rotation in radians (a small rotation in the map frame from the left). The noise of a
-    detection is read off the matches' own residuals; the landmark's covariance adds to it. ``_SYSTEMATIC`` is what no
+    detection is read off the matches' own residuals; the landmark's covariance adds to it. ``SYSTEMATIC`` is what no
     single frame shows: neighbouring landmarks rest on the same views and err together. ``focal_free``: the focal length
     was estimated along with the pose, which makes both less certain.
     """
@@ -227,7 +227,7 @@ def information_at(evidence: Evidence, optimum: Optimum, focal_free: bool = Fals
     J = offsets.jacobian
     if focal_free:
         J = np.concatenate([J, _by_focal(agreeing, optimum.T_map_camera)[:, :, None]], axis=2)
-    weighted = J / (variance * _SYSTEMATIC**2)[:, None, None]
+    weighted = J / (variance * SYSTEMATIC**2)[:, None, None]
     return np.asarray(np.einsum("mrp,mrq->pq", weighted, J))
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.stats import rankdata
 
 from rholoc.geometry import ByteArray, FloatArray
-from rholoc.maps.map import UNKNOWN_GREY
+from rholoc.maps.map_tables import UNKNOWN_GREY
 
 _FEWEST = 4
 _MOST = 300  # matches that are compared with each other

@@ -78,7 +78,7 @@ class DensityLocalizer:
         for place in places:
             matches = self.index.match_within(features, place.landmarks)
             evidence = evidence_of(self.index, matches, rays, camera)
-            T = self.map.T_map_camera[place.view] if start is None else start
+            T = self.map.views.T_map_camera[place.view] if start is None else start
             densities = self.map.densities
             steps = tuple(climb(densities, evidence, T, TOLERANCES_PX, dof, _ITERATIONS))
             optimum = optimum_at(densities, evidence, steps[-1].T_map_camera, TOLERANCES_PX[-1])

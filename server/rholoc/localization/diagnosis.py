@@ -14,6 +14,7 @@ from rholoc.maps import Map
 _DARK = 30.0  # of 255, the mean grey level
 _DARKER, _BRIGHTER = 0.5, 1.8  # against the pictures that the map was made of
 _TINT = 30.0  # of LAB's A and B together: beyond what lamps that are called white do to a room
+_PERHAPS = 0.1  # the probability of the right place from which a picture may show the map after all
 _WORK_WIDTH_PX = 640
 _COARSE_PX = 8
 _BLUR_RATIO = 0.15  # fine against coarse contrast; a sharp picture of a room has more
@@ -30,6 +31,8 @@ class Cause(StrEnum):
     ROLLED = "rolled"  # the camera was rolled, and only upright poses were asked for
     WRONG_GRAVITY = "wrong_gravity"  # the only pose found contradicts the gravity that was sent
     TOO_LITTLE_TIME = "too_little_time"  # the deadline passed
+    INEXACT_MAP = "inexact_map"  # the place was found, but the map is not exact enough there
+    TOO_INEXACT = "too_inexact"  # the place was recognized, but the pose is less exact than was asked for
     UNKNOWN_PLACE = "unknown_place"  # nothing of the map is to be seen
 
 
@@ -48,9 +51,37 @@ class Diagnosis:
     hint: str
 
 
+INEXACT_MAP = Diagnosis(
+    Cause.INEXACT_MAP,
+    "The place was found, but the map itself may be off by more than half a metre there.",
+    "Walk there again and update the map, or lower RHOLOC_MIN_RECOGNIZED.",
+)
 TOO_LITTLE_TIME = Diagnosis(
     Cause.TOO_LITTLE_TIME, "The deadline passed before all places were searched.", "Allow more time."
 )
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """How far a picture agrees with the likeliest pose.
+
+    Attributes:
+        inliers: how many matches agree with that pose.
+        matches: of how many.
+        recognized: 0..1, the probability that it is of the right place.
+    """
+
+    inliers: int
+    matches: int
+    recognized: float
+
+    def __str__(self) -> str:
+        if not self.matches:
+            return "This picture does not show this map: nothing in it looks like anything there."
+        count = f"{self.inliers} of {self.matches} matches agree"
+        if self.recognized >= _PERHAPS:
+            return f"Too little in this picture shows this map to be sure of the place: {count}."
+        return f"This picture does not show this map: {count}, no better than chance."
 
 
 @dataclass(frozen=True)
@@ -84,7 +115,7 @@ def sight_of(image: ByteArray) -> Sight:
     return Sight(float(grey.mean()), tint, _sharpness(grey))
 
 
-def diagnose_picture(image: ByteArray | None, map_: Map, features: int, fewest: int) -> Diagnosis:
+def diagnose_picture(image: ByteArray | None, map_: Map, features: int, fewest: int, agreement: Agreement) -> Diagnosis:
     """The likeliest cause as far as the picture shows it; without one, or where it is fine: an unknown place.
 
     Args:
@@ -92,8 +123,9 @@ def diagnose_picture(image: ByteArray | None, map_: Map, features: int, fewest: 
         map_: the map that was asked.
         features: how many features the picture has.
         fewest: how many are too few.
+        agreement: how far the picture agrees with the likeliest pose.
     """
-    if image is not None and (found := _from_sight(sight_of(image), map_)) is not None:
+    if image is not None and (found := _from_sight(sight_of(image), map_, agreement)) is not None:
         return found
     if features < fewest:
         return Diagnosis(
@@ -103,8 +135,22 @@ def diagnose_picture(image: ByteArray | None, map_: Map, features: int, fewest: 
         )
     return Diagnosis(
         Cause.UNKNOWN_PLACE,
-        "Nothing in the picture looks enough like what the map has seen.",
+        str(agreement),
         "Check that it is the right map, and look where the recording looked; or extend the map by a walk from here.",
+    )
+
+
+def too_inexact(sigma_m: float, sigma_rad: float, max_sigma_m: float, max_sigma_rad: float) -> Diagnosis:
+    """The diagnosis of a pose whose standard deviations (metres, radians) exceed what was asked for."""
+    if sigma_m > max_sigma_m:
+        known, wanted, option = f"{sigma_m:.2g} m", f"{max_sigma_m:.2g} m", "max_sigma_m"
+    else:
+        known, wanted = f"{np.degrees(sigma_rad):.2g}°", f"{np.degrees(max_sigma_rad):.2g}°"
+        option = "max_sigma_deg"
+    return Diagnosis(
+        Cause.TOO_INEXACT,
+        f"The place was recognized, but the pose is only known to {known} (1σ); at most {wanted} was asked for.",
+        f"Show more of the room, or closer things, or allow a larger {option}.",
     )
 
 
@@ -117,7 +163,7 @@ def wrong_camera(given_px: float, fitting_px: float) -> Diagnosis:
     )
 
 
-def _from_sight(sight: Sight, map_: Map) -> Diagnosis | None:
+def _from_sight(sight: Sight, map_: Map, agreement: Agreement) -> Diagnosis | None:
     if sight.brightness < _DARK:
         return Diagnosis(
             Cause.TOO_DARK,
@@ -135,8 +181,8 @@ def _from_sight(sight: Sight, map_: Map) -> Diagnosis | None:
         than = f" (mean grey level {sight.brightness:.0f}, the recording's {was:.0f})" if was else ""
         return Diagnosis(
             Cause.OTHER_LIGHT,
-            f"The light is unlike that of the map's recording{than}.",
-            "Extend the map by a walk in this light.",
+            f"{agreement} Its light is unlike that of the map's recording{than}.",
+            "Check that it is the right map; if it is, extend it by a walk in this light.",
         )
     return None
 

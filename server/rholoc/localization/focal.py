@@ -16,6 +16,7 @@ import numpy as np
 
 from rholoc.geometry import Camera, FloatArray
 from rholoc.localization.ascent import ascend_with_focal, focal_sigma, freed_focal, information_at
+from rholoc.localization.map_error import PLACE_M, RIGHT_M
 from rholoc.localization.map_index import MapIndex
 from rholoc.localization.matches import Matches
 from rholoc.localization.ransac import lo_ransac
@@ -32,7 +33,6 @@ _ALIKE = 0.003  # of the focal length's logarithm: nothing is gained by another 
 _SHARED_ERRORS = 0.05  # of the nats that a pose explains: what another may gain by errors that landmarks share
 _SIGMAS = 3.0  # measured on real recordings: the estimate's error against its curvature's
 _OWN_SIGMA = 0.015  # what maps and calibrations differ by, as a share of the focal length
-_RIGHT_M = 0.1  # what confidence is about
 _HARMLESS_M = 0.05  # a pose that a free focal length would move by less is right either way
 # Doubt by how many estimated sigmas a focal length is off. Past 1.2 are 3 of 352 right poses by a right camera, and 172
 # of 213 wrong ones by one that is a tenth off; of cameras, few are.
@@ -51,13 +51,21 @@ class FocalEstimate:
         focal_px: what fits best.
         sigma_px: one sigma of it.
         moved_m: how far the pose moves when the focal length is freed, metres.
-        belief: 0..1, how surely the focal length in use does not make the pose wrong.
+        belief: 0..1, how surely the focal length in use does not make the pose wrong; of one that was estimated, the
+            probability that the pose is within 50 cm.
+        exact: 0..1, of one that was estimated, the probability that the pose is within 10 cm if it is within 50 cm.
     """
 
     focal_px: float
     sigma_px: float
     moved_m: float
     belief: float
+    exact: float = 1.0
+
+    @classmethod
+    def unchecked(cls, camera: Camera) -> FocalEstimate:
+        """Of a pose that is not worth a check: the camera's own focal length, which nothing contradicts."""
+        return cls(camera.focal, camera.focal, 0.0, 1.0)
 
 
 def check_focal(index: MapIndex, query: Query, verified: Verified, matches: Matches) -> FocalEstimate:
@@ -68,7 +76,7 @@ def check_focal(index: MapIndex, query: Query, verified: Verified, matches: Matc
     """
     camera, T = query.camera, verified.optimum.T_map_camera
     if _fits(index, query, verified, matches):
-        return FocalEstimate(camera.focal, camera.focal, 0.0, 1.0)
+        return FocalEstimate.unchecked(camera)
     total, sigma = 1.0, np.inf
     tolerances_px: tuple[float, ...] = _FIRST_TOLERANCES_PX
     for _ in range(_ROUNDS):
@@ -221,8 +229,8 @@ def verify_with_focal(
         return None
     focal_px = query.camera.focal
     sigma_m = float(np.sqrt(np.linalg.eigvalsh(verified.covariance[:3, :3])[-1]))
-    belief = erf(_RIGHT_M / (sqrt(2) * sigma_m))
-    return verified, FocalEstimate(focal_px, _spread(sigma) * focal_px, 0.0, belief), query
+    here, exact = (erf(limit_m / (sqrt(2) * sigma_m)) for limit_m in (PLACE_M, RIGHT_M))
+    return verified, FocalEstimate(focal_px, _spread(sigma) * focal_px, 0.0, here, exact / here), query
 
 
 def _sensible(camera: Camera, scale: float) -> bool:

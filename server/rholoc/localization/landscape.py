@@ -45,8 +45,8 @@ class Look:
     @classmethod
     def of_view(cls, map_: Map, feature: int, view: int) -> Look:
         """From a view of the map, at the pixel where the landmark appears."""
-        T = map_.T_map_camera[view]
-        seen = (map_.landmarks[feature].astype(np.float64) - T[:3, 3]) @ T[:3, :3]
+        T = map_.views.T_map_camera[view]
+        seen = (map_.landmarks.positions[feature].astype(np.float64) - T[:3, 3]) @ T[:3, :3]
         return cls(feature, map_.info.camera, T, map_.info.camera.project(seen[None])[0])
 
 
@@ -213,17 +213,17 @@ def landscape_around(
 
 def presence_of(map_: Map, feature: int) -> Presence:
     """Where a feature, which views of the map saw, may be seen from: π, of one."""
-    mine = map_.observation_features == feature
+    mine = map_.observations.features == feature
     return Presence.of(
-        map_.landmarks[[feature]].astype(np.float64),
-        map_.view_positions[map_.observation_views[mine]],
+        map_.landmarks.positions[[feature]].astype(np.float64),
+        map_.views.positions[map_.observations.views[mine]],
         np.zeros(int(mine.sum()), dtype=np.int64),
     )
 
 
 def seen_from(map_: Map, feature: int, grid: Grid) -> BoolArray:
     """Where on a grid (z, y, x) a feature may be seen from: presence π."""
-    presence, landmark = presence_of(map_, feature), map_.landmarks[[feature]].astype(np.float64)
+    presence, landmark = presence_of(map_, feature), map_.landmarks.positions[[feature]].astype(np.float64)
     return np.asarray(grid.folded(np.array([presence.allows(landmark, point)[0] for point in grid.points])))
 
 
@@ -233,8 +233,8 @@ def _evidence(map_: Map, feature: int, rays: FloatArray, focal_px: float) -> Evi
     return Evidence.of(
         np.full(count, feature),
         rays,
-        np.tile(map_.landmarks[feature].astype(np.float64), (count, 1)),
-        np.tile(map_.covariances[feature].astype(np.float64), (count, 1, 1)),
+        np.tile(map_.landmarks.positions[feature].astype(np.float64), (count, 1)),
+        np.tile(map_.landmarks.covariances[feature].astype(np.float64), (count, 1, 1)),
         np.full(count, _CERTAIN),
         focal_px,
     )

@@ -19,7 +19,7 @@ from scipy.sparse import csr_array
 from rholoc.features import Extractor, FeatureSet, get_extractor
 from rholoc.features.matching import DescriptorIndex
 from rholoc.geometry import FloatArray, IntArray, ranges
-from rholoc.localization.confidence import MIN_CONFIDENCE
+from rholoc.localization.confidence import MIN_RECOGNIZED
 from rholoc.localization.localizer import Localizer, SearchOptions, check_kind
 from rholoc.localization.map_index import MapIndex, chance_of_likeness
 from rholoc.localization.matches import Matches, NearestLandmarks
@@ -61,11 +61,13 @@ class PlaceIndex:
     def __init__(self, map_: Map) -> None:
         self.map = map_
         self.metric = get_extractor(map_.info.features).metric
-        first = np.searchsorted(map_.descriptor_features, np.arange(len(map_)))
-        self._descriptors = DescriptorIndex(map_.descriptors[first], map_.channels, self.metric, inverted=True)
-        ones = np.ones(len(map_.observation_features), dtype=np.int8)
-        shape = (len(map_.view_times), len(map_))
-        seen_by = csr_array((ones, map_.observation_features, map_.view_offsets), shape=shape).tocsc()
+        first = np.searchsorted(map_.descriptors.features, np.arange(len(map_)))
+        self._descriptors = DescriptorIndex(
+            map_.descriptors.values[first], map_.landmarks.channels, self.metric, inverted=True
+        )
+        ones = np.ones(len(map_.observations), dtype=np.int8)
+        shape = (len(map_.views), len(map_))
+        seen_by = csr_array((ones, map_.observations.features, map_.view_offsets), shape=shape).tocsc()
         self._first_view, self._views = seen_by.indptr, seen_by.indices.astype(np.int32)
 
     def nearest(self, features: FeatureSet, some: IntArray | None = None) -> NearestLandmarks:
@@ -84,14 +86,14 @@ class PlaceIndex:
     def shared_with(self, view: int) -> FloatArray:
         """(K,) how many features each view shares with one of them."""
         first, last = self.map.view_offsets[view : view + 2]
-        features = self.map.observation_features[first:last]
+        features = self.map.observations.features[first:last]
         return self._sums(features, np.ones(len(features)))
 
     def _sums(self, landmarks: IntArray, weights: FloatArray) -> FloatArray:
         """(K,) the weights of those of some landmarks (M,) that each view saw, added up."""
         first, last = self._first_view[landmarks], self._first_view[landmarks + 1]
         views, each = self._views[ranges(first, last)], np.repeat(weights, last - first)
-        return np.bincount(views, each, len(self.map.view_times)).astype(np.float64)
+        return np.bincount(views, each, len(self.map.views)).astype(np.float64)
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,13 +157,13 @@ class LargeMapLocalizer:
 
     Args:
         map_: the map.
-        min_confidence: as :class:`Localizer`.
+        min_recognized: as :class:`Localizer`.
         options: as :class:`Localizer`.
     """
 
-    def __init__(self, map_: Map, min_confidence: float = MIN_CONFIDENCE, options: SearchOptions | None = None) -> None:
+    def __init__(self, map_: Map, min_recognized: float = MIN_RECOGNIZED, options: SearchOptions | None = None) -> None:
         self.map = map_
-        self.min_confidence = min_confidence
+        self.min_recognized = min_recognized
         self.options = options
         self.index = PlaceIndex(map_)
         self._chance = chance_of_likeness(map_)
@@ -182,7 +184,7 @@ class LargeMapLocalizer:
         given = query.features
         query = replace(query, more_features=query.more_features or (lambda: given))  # first a quick look
         if query.prior is not None:
-            near = views_by_prior(self.map.view_positions, self.map.view_headings, query.prior)
+            near = views_by_prior(self.map.views.positions, self.map.views.headings, query.prior)
             if len(near):
                 part = part_of(self.map, np.sort(self._first_views(near, _AT_FIRST)))
                 answer = self._localizer(part, MapIndex(part.map, self._chance)).attempt(clock.remaining(query))
@@ -213,7 +215,7 @@ class LargeMapLocalizer:
         return part, self._localizer(part, MapIndex(part.map, self._chance))
 
     def _localizer(self, part: MapPart, index: MapIndex) -> Localizer:
-        return Localizer(part.map, self.min_confidence, self.options, index)
+        return Localizer(part.map, self.min_recognized, self.options, index)
 
     def _part(self, found: Sequence[NearestLandmarks], prior: Prior | None, size: _Size) -> MapPart:
         """The part of the map that frames' features speak for, with the places that may be taken for it."""
@@ -221,7 +223,7 @@ class LargeMapLocalizer:
         perhaps = np.sum([self.index.votes(nearest.pairs()) for nearest in found], axis=0)
         views = [*self._places(surely, size.places), *self._places(perhaps, size.rivals)]
         if prior is not None:
-            views.append(views_by_prior(self.map.view_positions, self.map.view_headings, prior)[:_VIEWS_EACH])
+            views.append(views_by_prior(self.map.views.positions, self.map.views.headings, prior)[:_VIEWS_EACH])
         voted = np.flatnonzero(surely > 0)
         views.append(voted[np.argsort(-surely[voted], kind="stable")[: size.views]])
         views.append(np.zeros(1, dtype=np.int64))  # where nothing is voted for
@@ -237,7 +239,7 @@ class LargeMapLocalizer:
         _, first = np.unique(views, return_index=True)
         views = views[np.sort(first)][: size.views]
         start, end = self.map.view_offsets[views], self.map.view_offsets[views + 1]
-        _, at = np.unique(self.map.observation_features[ranges(start, end)], return_index=True)
+        _, at = np.unique(self.map.observations.features[ranges(start, end)], return_index=True)
         new = np.bincount(np.searchsorted(np.cumsum(end - start), at, side="right"), minlength=len(views))
         return views[: max(1, int(np.searchsorted(np.cumsum(new), size.landmarks, side="right")))]
 
@@ -265,8 +267,8 @@ class _Clock:
 AnyLocalizer = Localizer | LargeMapLocalizer
 
 
-def localizer_of(map_: Map, min_confidence: float = MIN_CONFIDENCE) -> AnyLocalizer:
+def localizer_of(map_: Map, min_recognized: float = MIN_RECOGNIZED) -> AnyLocalizer:
     """The localizer that suits a map's size."""
     if len(map_) > LARGE_MAP and map_.info.density is DensityKind.RAY:
-        return LargeMapLocalizer(map_, min_confidence)
-    return Localizer(map_, min_confidence)
+        return LargeMapLocalizer(map_, min_recognized)
+    return Localizer(map_, min_recognized)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
@@ -15,23 +16,45 @@ from rholoc.errors import InvalidDescriptors
 from rholoc.features import Extractor, FeatureSet, get_extractor
 from rholoc.geometry import UP, Camera, FloatArray, IntArray, Pose, angles_between, pose_distances
 from rholoc.localization.ascent import Optimum, ascend, upright
-from rholoc.localization.confidence import MIN_CONFIDENCE, confidence_of, weights_for
-from rholoc.localization.diagnosis import TOO_LITTLE_TIME, Cause, Diagnosis, diagnose_picture, wrong_camera
+from rholoc.localization.confidence import MIN_RECOGNIZED, belief_of
+from rholoc.localization.diagnosis import (
+    INEXACT_MAP,
+    TOO_LITTLE_TIME,
+    Agreement,
+    Cause,
+    Diagnosis,
+    diagnose_picture,
+    wrong_camera,
+)
 from rholoc.localization.focal import FocalEstimate, check_focal, focal_seed, verify_with_focal
 from rholoc.localization.map_index import MapIndex
-from rholoc.localization.map_uncertainty import with_map_error
+from rholoc.localization.map_uncertainty import gated, with_map_error, worst_sigma
 from rholoc.localization.matches import Matches, NearestLandmarks
 from rholoc.localization.ransac import lo_ransac
-from rholoc.localization.rivals import are_rivals, rival_seeds, sureness
+from rholoc.localization.rivals import are_rivals, rival_seeds, shares
 from rholoc.localization.seeds import Place, minimal_samples, place_of_prior, places_by_votes, view_votes
-from rholoc.localization.types import Dof, Intrinsics, Localization, Prior, Query, Reason
-from rholoc.localization.verification import Verified, evidence_of, verify
+from rholoc.localization.types import (
+    MAX_ALTERNATIVES,
+    MIN_WEIGHT,
+    NO_BELIEF,
+    Alternative,
+    Belief,
+    Dof,
+    Intrinsics,
+    Localization,
+    Prior,
+    Query,
+    Reason,
+)
+from rholoc.localization.verification import SEARCH_RADII_PX, Verified, evidence_of, verify
 from rholoc.maps import Map
 
 _MIN_FEATURES = 8
 _FEW_FEATURES = 40
 _MAX_GRAVITY_ERROR_RAD = np.deg2rad(10.0)
 _MAX_UPRIGHT_ROLL_RAD = np.deg2rad(15.0)
+_MAX_MISSING = 0.25  # of the nats for a pose: what may speak against it where the search ends with it
+_ROUNDS = 2  # of matching again around a pose that is not known exactly
 _TRACKING_RADIUS_PX = 14.0  # around a prior: as far as a tracker's are off. Pairs, and time, grow with the square
 
 
@@ -47,9 +70,13 @@ class SearchOptions:
         samples: minimal samples scored by the density in each place where RANSAC's pose is not conclusive.
         seeds: the best of them that are ascended from.
         seed_tolerances_px: the tolerances of that ascent, narrowing.
-        conclusive: the confidence at which the search stops.
-        expected: the confidence at which it stops once the place that a prior names was looked at closely: that of a
-            pose that may be given out.
+        conclusive: the probability of the right place at which no further place is searched.
+        settled_sigma_m: the standard deviation along the worst axis, metres, up to which a conclusive pose is taken as
+            it is; others are looked for more closely in their place, and matched again.
+        hopeless, hopeless_poses: the search ends once that many poses are verified and each is less probably than
+            ``hopeless`` of the right place: the picture shows another.
+        expected: the probability of the right place at which it stops once the place that a prior names was looked at
+            closely: that of a pose that may be given out.
     """
 
     places: int = 8
@@ -60,7 +87,10 @@ class SearchOptions:
     seeds: int = 2
     seed_tolerances_px: tuple[float, ...] = (24.0, 12.0, 6.0)
     conclusive: float = 0.9
-    expected: float = MIN_CONFIDENCE
+    settled_sigma_m: float = 0.04
+    hopeless: float = 0.02
+    hopeless_poses: int = 3
+    expected: float = MIN_RECOGNIZED
 
 
 @dataclass
@@ -91,17 +121,35 @@ class _Found:
         verified: the pose and what speaks for it.
         camera: the camera that it was found with.
         focal: what the matches say of that camera's focal length.
-        confidence: 0..1, the probability that the pose is within 10 cm and 5°.
+        if_focal_right: how surely the pose is right if that focal length is.
         near_prior: whether it lies where it was expected.
-        recognized: the confidence that it would have if the focal length were right: that it is the right place.
+        share: 0..1, what its rivals leave of the probability that the place is right.
+        rivals: the poses that exclude it, each with its probability of the right place, the likeliest first.
     """
 
     verified: Verified
     camera: Camera
     focal: FocalEstimate
-    confidence: float
+    if_focal_right: Belief
     near_prior: bool
-    recognized: float
+    share: float = 1.0
+    rivals: tuple[tuple[float, _Found], ...] = ()
+
+    @property
+    def belief(self) -> Belief:
+        """How surely the pose is right."""
+        recognized = self.if_focal_right.recognized * self.focal.belief * self.share
+        return Belief(recognized, self.if_focal_right.exact)
+
+    @property
+    def recognized(self) -> float:
+        """0..1, the probability that the pose is of the right place."""
+        return self.belief.recognized
+
+    @property
+    def sigma_m(self) -> float:
+        """The position's standard deviation along the worst axis, metres."""
+        return worst_sigma(self.verified.covariance[:3, :3])
 
 
 @dataclass
@@ -144,37 +192,49 @@ class _Search:
         else:
             self.elsewhere = _likelier(self.elsewhere, found)
 
-    def is_over(self, conclusive: float) -> bool:
-        """Whether a candidate is so sure that nothing further need be looked at."""
-        return any(found is not None and found.recognized >= conclusive for found in (self.best, self.elsewhere))
+    def is_over(self, conclusive: float, max_sigma_m: float = math.inf) -> bool:
+        """Whether a candidate is that surely of the right place, known that exactly, and hardly contradicted."""
+        candidates = [found for found in (self.best, self.elsewhere) if found is not None]
+        return any(
+            found.if_focal_right.recognized >= conclusive
+            and found.verified.support.missing <= _MAX_MISSING * found.verified.support.seen
+            and found.sigma_m <= max_sigma_m
+            for found in candidates
+        )
+
+    def is_hopeless(self, options: SearchOptions) -> bool:
+        """Whether enough poses were verified, and none may be of the right place."""
+        likeliest = max((found.if_focal_right.recognized for found in self.found), default=1.0)
+        return len(self.found) >= options.hopeless_poses and likeliest < options.hopeless
 
     def is_as_expected(self, enough: float) -> bool:
-        """Whether a candidate lies where a prior expects it, and is that sure."""
-        return self.query.prior is not None and self.best is not None and self.best.recognized >= enough
+        """Whether a candidate lies where a prior expects it, and is that surely of the right place."""
+        if self.query.prior is None or self.best is None:
+            return False
+        return self.best.if_focal_right.recognized >= enough
 
     def outcome(self, conclusive: float) -> _Found | None:
         """The candidate to answer with: one that contradicts the prior only where it is sure and the other is not."""
         best, elsewhere = self._contested(self.best), self._contested(self.elsewhere)
-        surely_elsewhere = elsewhere is not None and elsewhere.confidence >= conclusive
-        if best is not None and (best.confidence >= MIN_CONFIDENCE or not surely_elsewhere):
+        surely_elsewhere = elsewhere is not None and elsewhere.recognized >= conclusive
+        if best is not None and (best.recognized >= MIN_RECOGNIZED or not surely_elsewhere):
             return best
         return elsewhere if surely_elsewhere else best
 
     def _contested(self, found: _Found | None) -> _Found | None:
-        """A candidate, as sure as it is better than its best rival; what the prior speaks for has only such rivals."""
+        """A candidate beside its rivals; one near the prior has only such rivals."""
         if found is None:
             return None
-        rivals = (
-            other.verified.support
-            for other in self.found
-            if other is not found
-            and (other.near_prior or not found.near_prior)
-            and are_rivals(found.verified, other.verified)
-        )
-        rival = max(rivals, key=lambda support: support.net, default=None)
-        if rival is None:
-            return found
-        return replace(found, confidence=found.confidence * sureness(found.verified.support, rival))
+        others = [other for other in self.found if other.near_prior or not found.near_prior]
+        modes = [found]
+        for other in sorted(others, key=lambda one: -one.verified.support.net):
+            if all(are_rivals(mode.verified, other.verified) for mode in modes):
+                modes.append(other)
+        places = np.array([mode.recognized for mode in modes])
+        share = shares(places, np.array([mode.verified.support.net for mode in modes]))
+        rivals = zip((places * share)[1:].tolist(), modes[1:], strict=True)
+        ordered = sorted(rivals, key=lambda rival: -rival[0])
+        return replace(found, share=float(share[0]), rivals=tuple(ordered))
 
 
 class Localizer:
@@ -182,7 +242,8 @@ class Localizer:
 
     Args:
         map_: the map.
-        min_confidence: answers below it are refused (``localized`` False, reason ``low_confidence``).
+        min_recognized: answers that are less probably of the right place are refused (``localized`` False, reason
+            ``not_recognized``).
         options: how hard to look.
         index: of the map, where it is made already.
     """
@@ -190,15 +251,14 @@ class Localizer:
     def __init__(
         self,
         map_: Map,
-        min_confidence: float = MIN_CONFIDENCE,
+        min_recognized: float = MIN_RECOGNIZED,
         options: SearchOptions | None = None,
         index: MapIndex | None = None,
     ) -> None:
         self.map = map_
-        self.min_confidence = min_confidence
+        self.min_recognized = min_recognized
         self.options = options or SearchOptions()
         self.index = index or MapIndex(map_)
-        self.weights = weights_for(map_.info.features)
 
     @property
     def extractor(self) -> Extractor:
@@ -215,7 +275,10 @@ class Localizer:
         self.check(query)
         search = self._thorough_search(query, watch)
         answer = self._answer(search)
-        if answer.localized:
+        if answer.reason is Reason.TOO_INEXACT and search.query.more_features is not None:
+            search = self._search(self.adapted(_with_more_features(query, watch)), watch)
+            answer = self._answer(search)
+        if answer.localized or answer.diagnosis is not None:
             return answer
         diagnosis = self._diagnose(search, answer)
         watch.lap("diagnose")
@@ -224,17 +287,18 @@ class Localizer:
     def attempt(self, query: Query) -> Localization | None:
         """The answer where the features at hand give a sure one, None otherwise; no more of them are looked for."""
         search = self._sure_search(query, _Stopwatch(query.deadline_s))
-        return None if search is None else self._answer(search)
+        answer = None if search is None else self._answer(search)
+        return answer if answer is not None and answer.localized else None
 
     def view_votes(self, features: FeatureSet) -> FloatArray:
         """(K,) how strongly a picture's features speak for each view of the map; no pose is looked for."""
         return view_votes(self.index, self.index.match_everywhere(features))
 
-    def candidate(self, query: Query) -> tuple[Verified, float] | None:
-        """The pose that would be answered with, however doubtful, and its confidence."""
+    def candidate(self, query: Query) -> tuple[Verified, Belief] | None:
+        """The pose that would be answered with, however doubtful, and how surely it is right."""
         search = self._thorough_search(query, _Stopwatch(query.deadline_s))
         found = search.outcome(self.options.conclusive)
-        return None if found is None else (found.verified, found.confidence)
+        return None if found is None else (found.verified, found.belief)
 
     def check(self, query: Query) -> None:
         """Refuse features that are not of the map's kind.
@@ -266,7 +330,9 @@ class Localizer:
         """A search by the features at hand; None unless it is conclusive."""
         search = self._search(self.adapted(query), watch)
         found = search.outcome(self.options.conclusive)
-        return search if found is not None and found.confidence >= self.options.conclusive else None
+        if found is None or found.recognized < self.options.conclusive:
+            return None
+        return search if found.sigma_m <= self.options.settled_sigma_m else None
 
     def _search(self, query: Query, watch: _Stopwatch) -> _Search:
         """Look for candidates, then for their rivals; not closely where more features can be had."""
@@ -276,12 +342,13 @@ class Localizer:
             return search
         rays = query.camera.rays(query.features.pixels)
         self._look_around(search, rays)
+        self._match_again(search, rays)
         self._look_for_rivals(search, rays)
         return search
 
     def _look_around(self, search: _Search, rays: FloatArray) -> None:
-        """Look in one place after the other, the prior's first, until a candidate is sure."""
-        watch = search.watch
+        """Look in one place after the other, the prior's first, until a candidate is sure or none can be expected."""
+        watch, options = search.watch, self.options
         for place in self._places(search):
             if watch.late:
                 search.reason = Reason.DEADLINE
@@ -290,9 +357,29 @@ class Localizer:
                 search.place = search.place or place
             for found in self._look(place, search, rays):
                 search.add(found)
-                if search.is_over(self.options.conclusive):
+                if search.is_over(options.conclusive, options.settled_sigma_m) or search.is_hopeless(options):
                     return
-            if search.is_as_expected(self.options.expected):
+            if not search.is_sampled and search.is_over(options.conclusive):
+                return
+            if search.is_as_expected(options.expected):
+                return
+
+    def _match_again(self, search: _Search, rays: FloatArray) -> None:
+        """Match all features again around a pose that is not known exactly, and refine it."""
+        query, watch = search.query, search.watch
+        if query.intrinsics is Intrinsics.UNKNOWN or query.more_features is not None:
+            return
+        for _ in range(_ROUNDS):
+            best = search.best or search.elsewhere
+            if best is None or best.recognized < MIN_RECOGNIZED or best.sigma_m <= self.options.settled_sigma_m:
+                return
+            if watch.late:
+                return
+            T = best.verified.optimum.T_map_camera
+            wide, _ = self.index.match_near(query.features, query.camera, T, SEARCH_RADII_PX[0])
+            search.add(self._checked(verify(self.index, query, rays, T, wide=wide), query, wide))
+            watch.lap("verify")
+            if (search.best or search.elsewhere) is best:
                 return
 
     def _look_for_rivals(self, search: _Search, rays: FloatArray) -> None:
@@ -300,7 +387,7 @@ class Localizer:
         query, watch, best = search.query, search.watch, search.best or search.elsewhere
         if search.nearest is None or best is None or watch.late:
             return
-        if best.confidence < min(self.min_confidence, MIN_CONFIDENCE):
+        if best.recognized < min(self.min_recognized, MIN_RECOGNIZED):
             return
         if query.intrinsics is Intrinsics.UNKNOWN:
             query = replace(query, camera=best.camera)
@@ -445,18 +532,21 @@ class Localizer:
         if found is not None:
             verified, focal, refined = found
             if _true_to_gravity(verified.optimum.T_map_camera, query.gravity):
-                yield self._candidate(verified, refined, focal)
+                yield self._candidate(verified, refined, focal, belief_of(verified))
 
     def _checked(self, verified: Verified | None, query: Query, matches: Matches | None) -> _Found | None:
         """A verified pose as a candidate, its camera's focal length held against what is seen."""
         if verified is None or matches is None or not _true_to_gravity(verified.optimum.T_map_camera, query.gravity):
             return None
-        return self._candidate(verified, query, check_focal(self.index, query, verified, matches))
+        belief = belief_of(verified)
+        if belief.recognized < self.options.hopeless:
+            return self._candidate(verified, query, FocalEstimate.unchecked(query.camera), belief)
+        return self._candidate(verified, query, check_focal(self.index, query, verified, matches), belief)
 
-    def _candidate(self, verified: Verified, query: Query, focal: FocalEstimate) -> _Found:
-        recognized = confidence_of(verified, self.weights)
+    def _candidate(self, verified: Verified, query: Query, focal: FocalEstimate, belief: Belief) -> _Found:
+        belief = Belief(belief.recognized, belief.exact * focal.exact)
         near_prior = _near_prior(verified.optimum.T_map_camera, query.prior)
-        return _Found(verified, query.camera, focal, recognized * focal.belief, near_prior, recognized)
+        return _Found(verified, query.camera, focal, belief, near_prior)
 
     def _answer(self, search: _Search) -> Localization:
         found = search.outcome(self.options.conclusive)
@@ -464,17 +554,13 @@ class Localizer:
             return _refusal(search.reason, search.matches, search.watch)
         query, verified = search.query, found.verified
         agreeing = verified.optimum.density > 0
-        T_map_camera = verified.optimum.T_map_camera
-        if query.dof is Dof.UPRIGHT:
-            T_map_camera = upright(T_map_camera)
-        localized = found.confidence >= self.min_confidence
         estimated = query.intrinsics is Intrinsics.UNKNOWN
         answer = Localization(
-            localized=localized,
-            reason=None if localized else Reason.LOW_CONFIDENCE,
-            pose=Pose(T_map_camera) if localized else None,
-            covariance=verified.covariance if localized else None,
-            confidence=found.confidence,
+            localized=True,
+            reason=None,
+            pose=_pose(verified, query.dof),
+            covariance=verified.covariance,
+            belief=found.belief,
             matches=max(search.matches, len(verified.wide), len(verified.matches)),
             inliers=verified.inliers,
             inlier_pixels=verified.pixels[agreeing],
@@ -483,28 +569,41 @@ class Localizer:
             near_prior=None if query.prior is None else found.near_prior,
             camera=found.camera if estimated else None,
             focal_sigma_px=found.focal.sigma_px if estimated else None,
+            alternatives=tuple(
+                Alternative(weight, _pose(rival.verified, query.dof), rival.verified.covariance)
+                for weight, rival in found.rivals[:MAX_ALTERNATIVES]
+                if weight >= MIN_WEIGHT
+            ),
         )
-        return with_map_error(self.index, answer)
+        return gated(with_map_error(self.index, answer), self.min_recognized, query)
 
     def _diagnose(self, search: _Search, answer: Localization) -> Diagnosis:
         """The likeliest cause of a refusal: what was asked for may be at fault, the camera, or the picture."""
         query, watch = search.query, search.watch
         if answer.reason is Reason.DEADLINE or watch.late:
             return TOO_LITTLE_TIME
+        refused = search.outcome(self.options.conclusive)
+        if refused is not None and refused.recognized >= self.min_recognized:
+            return INEXACT_MAP
         freed = replace(query, dof=Dof.FREE, gravity=None)
         if query.dof is Dof.UPRIGHT or query.gravity is not None:
             found = self._search(freed, watch).outcome(self.options.conclusive)
-            if found is not None and found.confidence >= self.options.conclusive:
+            if found is not None and found.belief.confidence >= self.options.conclusive:
                 return _contradicted(found, query)
-        best = search.outcome(self.options.conclusive)
-        if best is not None and best.focal.belief < self.min_confidence:
-            return wrong_camera(query.camera.focal, best.focal.focal_px)
-        if search.place is not None and query.intrinsics is Intrinsics.GIVEN:
+        if query.intrinsics is Intrinsics.UNKNOWN:
+            return self._diagnose_picture(query, answer)
+        if refused is not None and refused.focal.belief < self.min_recognized <= refused.if_focal_right.recognized:
+            return wrong_camera(query.camera.focal, refused.focal.focal_px)
+        if search.place is not None:
             rays = query.camera.rays(query.features.pixels)
             for refocused in self._look_with_any_focal(search.place, freed, rays, watch):
-                if refocused.confidence >= self.options.conclusive:
+                if refocused.belief.confidence >= self.options.conclusive:
                     return wrong_camera(query.camera.focal, refocused.focal.focal_px)
-        return diagnose_picture(query.image, self.map, len(query.features), _FEW_FEATURES)
+        return self._diagnose_picture(query, answer)
+
+    def _diagnose_picture(self, query: Query, answer: Localization) -> Diagnosis:
+        agreement = Agreement(answer.inliers, answer.matches, answer.recognized)
+        return diagnose_picture(query.image, self.map, len(query.features), _FEW_FEATURES, agreement)
 
 
 def _with_more_features(query: Query, watch: _Stopwatch) -> Query:
@@ -531,11 +630,12 @@ def check_kind(features: FeatureSet, wanted: Extractor) -> None:
 
 
 def _likelier(a: _Found | None, b: _Found) -> _Found:
-    """The one that more speaks for."""
+    """The likelier of two candidates: in one place by the product of densities, of two places by what supports each."""
     if a is None:
         return b
-    likeliness = [(one.confidence >= MIN_CONFIDENCE, one.verified.support.net) for one in (a, b)]
-    return a if likeliness[0] >= likeliness[1] else b
+    are_two = are_rivals(a.verified, b.verified)
+    of_a, of_b = (one.verified.support.net if are_two else one.verified.optimum.value for one in (a, b))
+    return a if (a.recognized >= MIN_RECOGNIZED, of_a) >= (b.recognized >= MIN_RECOGNIZED, of_b) else b
 
 
 def _contradicted(found: _Found, query: Query) -> Diagnosis:
@@ -553,6 +653,12 @@ def _contradicted(found: _Found, query: Query) -> Diagnosis:
         f"The picture fits the map, with the camera rolled by {rolled_deg:.0f}°; an upright camera was asked for.",
         "Ask with dof auto.",
     )
+
+
+def _pose(verified: Verified, dof: Dof) -> Pose:
+    """The pose as it is given out: without the roll where an upright camera was asked for."""
+    T_map_camera = verified.optimum.T_map_camera
+    return Pose(upright(T_map_camera) if dof is Dof.UPRIGHT else T_map_camera)
 
 
 def _plausible(T_map_camera: FloatArray, query: Query) -> bool:
@@ -581,5 +687,14 @@ def _true_to_gravity(T_map_camera: FloatArray, gravity: FloatArray | None) -> bo
 
 def _refusal(reason: Reason, matches: int, watch: _Stopwatch) -> Localization:
     return Localization(
-        False, reason, None, None, 0.0, matches, 0, np.zeros((0, 2)), np.zeros(0, dtype=np.int64), watch.timings_ms
+        False,
+        reason,
+        None,
+        None,
+        NO_BELIEF,
+        matches,
+        0,
+        np.zeros((0, 2)),
+        np.zeros(0, dtype=np.int64),
+        watch.timings_ms,
     )

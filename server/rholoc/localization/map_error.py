@@ -14,9 +14,10 @@ from scipy.special import gammainc, ndtri
 
 from rholoc.geometry import FloatArray
 
-RIGHT_M = 0.10
-RIGHT_RAD = float(np.deg2rad(5.0))
+RIGHT_M, RIGHT_RAD = 0.10, float(np.deg2rad(5.0))
 """What confidence speaks of: a pose is right within 10 cm and 5°."""
+PLACE_M, PLACE_RAD = 0.50, float(np.deg2rad(20.0))
+"""What ``recognized`` speaks of: a pose is of the right place within 50 cm and 20°."""
 
 _GOLDEN = 1.1127756842787055  # the golden ratio's kin in six dimensions: g⁷ = g + 1
 _DIRECTIONS = 512  # over which the probability is averaged; it is then good to a percent
@@ -77,15 +78,17 @@ def probability_right(covariance: FloatArray, within_m: float = RIGHT_M, within_
     return float(gammainc(3.0, farthest**2 / 2).mean())
 
 
-def trust_in_map(local: FloatArray, map_covariance: FloatArray | None) -> float:
-    """0..1, by how much the map's own uncertainty lowers the probability that a pose is right.
+def trust_in_map(
+    local: FloatArray, map_covariance: FloatArray | None, within_m: float = RIGHT_M, within_rad: float = RIGHT_RAD
+) -> float:
+    """0..1, by how much the map's own uncertainty lowers the probability that a pose is within both bounds.
 
     ``local`` (6, 6) is the pose's covariance in a map that is exact.
     """
     if map_covariance is None:
         return 1.0
-    alone = probability_right(local)
-    return min(probability_right(local + map_covariance) / alone, 1.0) if alone > 0 else 1.0
+    alone = probability_right(local, within_m, within_rad)
+    return min(probability_right(local + map_covariance, within_m, within_rad) / alone, 1.0) if alone > 0 else 1.0
 
 
 @cache

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from functools import cached_property
-
 import numpy as np
 from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
@@ -12,6 +10,7 @@ from rholoc.density.presence import Presence
 from rholoc.features import FeatureSet, Metric, get_extractor
 from rholoc.features.matching import LIMITS, DescriptorIndex, descriptor_distances
 from rholoc.geometry import BoolArray, Camera, FloatArray, IntArray, ranges
+from rholoc.lazy import lazy
 from rholoc.localization.map_error import map_covariance_at
 from rholoc.localization.matches import Matches, NearestLandmarks, guided_chances, is_least
 from rholoc.maps import Map, Trust, trust_of
@@ -35,32 +34,32 @@ class MapIndex:
         self.map = map_
         self._chance = chance
         self.metric: Metric = get_extractor(map_.info.features).metric
-        self.landmarks = map_.landmarks.astype(np.float64)
-        self.covariances = map_.covariances.astype(np.float64)
-        self.view_positions = map_.view_positions
-        self.view_headings = map_.view_headings
-        self._first_descriptor = np.searchsorted(map_.descriptor_features, np.arange(len(map_) + 1))
+        self.landmarks = map_.landmarks.positions.astype(np.float64)
+        self.covariances = map_.landmarks.covariances.astype(np.float64)
+        self.view_positions = map_.views.positions
+        self.view_headings = map_.views.headings
+        self._first_descriptor = np.searchsorted(map_.descriptors.features, np.arange(len(map_) + 1))
         self._descriptor_counts = np.diff(self._first_descriptor)
         self._medoids = self._first_descriptor[:-1]
-        self._everywhere = DescriptorIndex(map_.descriptors[self._medoids], map_.channels, self.metric)
-        seen, seen_from = map_.observation_features, self.view_positions[map_.observation_views]
+        self._everywhere = DescriptorIndex(map_.descriptors.values[self._medoids], map_.landmarks.channels, self.metric)
+        seen, seen_from = map_.observations.features, self.view_positions[map_.observations.views]
         self.presence = Presence.of(self.landmarks, seen_from, seen)
         ones = np.ones(len(seen), dtype=np.float32)
-        self.visibility = csr_array((ones, seen, map_.view_offsets), shape=(len(map_.view_times), len(map_)))
+        self.visibility = csr_array((ones, seen, map_.view_offsets), shape=(len(map_.views), len(map_)))
 
     def map_covariance(self, landmarks: IntArray, position: FloatArray, views: int) -> FloatArray | None:
         """The map's own covariance (6, 6) at a ``position`` (3,), by the views that saw most of some landmarks (M,).
 
         None where the map does not know it.
         """
-        if self.map.view_covariances is None:
+        if self.map.views.covariances is None:
             return None
         votes = self.seen_by_views(landmarks)
         nearest = np.argsort(-votes, kind="stable")[:views]
-        covariances = self.map.view_covariances[nearest].astype(np.float64)
+        covariances = self.map.views.covariances[nearest].astype(np.float64)
         return map_covariance_at(covariances, self.view_positions[nearest], votes[nearest], position)
 
-    @cached_property
+    @lazy
     def trust(self) -> Trust:
         """Whether the map is to be trusted, by its own report."""
         return trust_of(self.map.info)
@@ -70,15 +69,15 @@ class MapIndex:
         first, last = self.map.view_offsets[view : view + 2]
         return self.seen_by_views(self.visibility.indices[first:last])
 
-    @cached_property
+    @lazy
     def seen_upright(self) -> bool:
         """Whether the map's own views were taken by a camera held upright."""
-        if not self.map.info.upright or len(self.map.T_map_camera) == 0:
+        if not self.map.info.upright or len(self.map.views.T_map_camera) == 0:
             return False
-        lean_rad = np.arcsin(np.clip(np.abs(self.map.T_map_camera[:, 2, 0]), 0, 1))  # of the camera's x axis
+        lean_rad = np.arcsin(np.clip(np.abs(self.map.views.T_map_camera[:, 2, 0]), 0, 1))  # of the camera's x axis
         return bool(np.quantile(lean_rad, _MOST_VIEWS) < _UPRIGHT_LEAN_RAD)
 
-    @cached_property
+    @lazy
     def chance_of_likeness(self) -> float:
         """How often two descriptors of different landmarks are as alike as a match must be."""
         return chance_of_likeness(self.map) if self._chance is None else self._chance
@@ -129,8 +128,8 @@ class MapIndex:
     ) -> NearestLandmarks:
         """What among some of the map's features a query's features are most like, as for :meth:`match_within`."""
         rows = self.descriptor_rows(landmarks) if some is None else self._medoids[landmarks]
-        channels = self.map.channels[self.map.descriptor_features[rows]]
-        index = DescriptorIndex(self.map.descriptors[rows], channels, self.metric)
+        channels = self.map.landmarks.channels[self.map.descriptors.features[rows]]
+        index = DescriptorIndex(self.map.descriptors.values[rows], channels, self.metric)
         return self._nearest(index, rows, features, some)
 
     def match_near(
@@ -173,13 +172,13 @@ class MapIndex:
     def distances_to(self, features: FeatureSet, detections: IntArray, landmarks: IntArray) -> FloatArray:
         """The distance (M,) of each detection to its landmark's nearest descriptor; inf across channels."""
         best = np.full(len(detections), np.inf, dtype=np.float32)
-        comparable = np.flatnonzero(features.channels[detections] == self.map.channels[landmarks])
+        comparable = np.flatnonzero(features.channels[detections] == self.map.landmarks.channels[landmarks])
         if len(comparable) == 0:
             return best
         detections, landmarks = detections[comparable], landmarks[comparable]
         rows, counts = self.descriptor_rows(landmarks), self._descriptor_counts[landmarks]
         ours = np.take(features.descriptors, np.repeat(detections, counts), axis=0)  # quicker than by an index
-        distances = descriptor_distances(ours, np.take(self.map.descriptors, rows, axis=0), self.metric)
+        distances = descriptor_distances(ours, np.take(self.map.descriptors.values, rows, axis=0), self.metric)
         best[comparable] = np.minimum.reduceat(distances, np.cumsum(counts) - counts)
         return best
 
@@ -188,7 +187,7 @@ class MapIndex:
     ) -> NearestLandmarks:
         detections = np.arange(len(features)) if some is None else some
         distances, found = index.nearest(features if some is None else features.take(some), _CANDIDATES)
-        owners = np.where(found >= 0, self.map.descriptor_features[rows[np.maximum(found, 0)]], -1)
+        owners = np.where(found >= 0, self.map.descriptors.features[rows[np.maximum(found, 0)]], -1)
         return NearestLandmarks(detections, owners.astype(np.int64), distances, self.metric)
 
 
@@ -202,7 +201,8 @@ def chance_of_likeness(map_: Map) -> float:
     metric = get_extractor(map_.info.features).metric
     rng = np.random.default_rng(0)
     a, b = rng.integers(0, len(map_.descriptors), (2, _CHANCE_SAMPLES))
-    owners = map_.descriptor_features
-    strangers = (owners[a] != owners[b]) & (map_.channels[owners[a]] == map_.channels[owners[b]])
-    distances = descriptor_distances(map_.descriptors[a[strangers]], map_.descriptors[b[strangers]], metric)
+    owners = map_.descriptors.features
+    channels, values = map_.landmarks.channels[owners], map_.descriptors.values
+    strangers = (owners[a] != owners[b]) & (channels[a] == channels[b])
+    distances = descriptor_distances(values[a[strangers]], values[b[strangers]], metric)
     return float((distances <= LIMITS[metric].loose).mean()) if strangers.any() else 0.0

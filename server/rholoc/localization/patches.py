@@ -29,9 +29,11 @@ def patch_log_odds(
     Returns:
         (M,) nats, as seen from a pose (4, 4); NaN where a patch or a detection's orientation is not known.
     """
-    if map_.patches is None:
+    if map_.landmarks.patches is None:
         return np.full(len(detections), np.nan)
-    angles, sizes_px = patch_appearance(camera, T_map_camera, map_.landmarks[landmarks], map_.patches[landmarks])
+    angles, sizes_px = patch_appearance(
+        camera, T_map_camera, map_.landmarks.positions[landmarks], map_.landmarks.patches[landmarks]
+    )
     with np.errstate(divide="ignore", invalid="ignore"):
         grown_octaves = np.log2(features.sizes[detections] / sizes_px)
     return turn_log_odds(features.angles[detections] - angles) + size_log_odds(grown_octaves)

@@ -31,7 +31,7 @@ def likeliest_views(localizer: AnyLocalizer, features: FeatureSet, most: int) ->
     votes = localizer.view_votes(features)
     best = np.argsort(-votes, kind="stable")[:most]
     return [
-        LikelyView(int(view), Pose(localizer.map.T_map_camera[view]), float(votes[view]))
+        LikelyView(int(view), Pose(localizer.map.views.T_map_camera[view]), float(votes[view]))
         for view in best
         if votes[view] > 0
     ]

@@ -11,14 +11,12 @@ from collections.abc import Iterator
 from itertools import islice
 
 import numpy as np
-from scipy.special import expit
 
 from rholoc.geometry import FloatArray, pose_distances
 from rholoc.localization.map_index import MapIndex
 from rholoc.localization.matches import Matches, NearestLandmarks
 from rholoc.localization.ransac import lo_ransac
 from rholoc.localization.seeds import places_by_votes
-from rholoc.localization.support import Support
 from rholoc.localization.types import Query
 from rholoc.localization.verification import Verified
 
@@ -80,6 +78,16 @@ def are_rivals(a: Verified, b: Verified) -> bool:
     return bool(apart_m > _APART_M or turned_rad > _APART_RAD)
 
 
-def sureness(own: Support, rival: Support) -> float:
-    """0..1, the probability that the first of two poses is the right one, by what supports each."""
-    return float(expit((own.net - rival.net) / _TELLING_NATS))
+def shares(places: FloatArray, nets: FloatArray) -> FloatArray:
+    """How a frame's one true place is divided among M poses that exclude each other.
+
+    Args:
+        places: (M,) the probability that each is of the right place, were it the only one.
+        nets: (M,) nats, what supports each.
+
+    Returns:
+        (M,) shares that add up to 1: of the probability of a pose they leave what its rivals do not take.
+    """
+    log_odds = np.log(np.maximum(places, 1e-12)) + nets / _TELLING_NATS
+    weights = np.exp(log_odds - log_odds.max())
+    return np.asarray(weights / weights.sum())

@@ -10,7 +10,6 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 import poselib
@@ -18,18 +17,19 @@ import poselib
 from rholoc.density import Evidence
 from rholoc.errors import InvalidInput
 from rholoc.geometry import FloatArray, Pose, is_rotation, pose_matrix
+from rholoc.lazy import lazy
 from rholoc.localization.ascent import Optimum
-from rholoc.localization.confidence import MIN_CONFIDENCE, joint_confidence
+from rholoc.localization.confidence import MIN_RECOGNIZED, joint_belief
 from rholoc.localization.joint_ascent import Link, ascend_together, joint_covariances
 from rholoc.localization.large_map import AnyLocalizer
 from rholoc.localization.localizer import Localizer, check_kind
 from rholoc.localization.map_index import MapIndex
-from rholoc.localization.map_uncertainty import with_map_error
+from rholoc.localization.map_uncertainty import gated, with_map_error
 from rholoc.localization.matches import Matches, NearestLandmarks
-from rholoc.localization.rivals import RIVAL_PLACES, are_rivals, fewest_agreeing, sureness, unexplained_by_place
+from rholoc.localization.rivals import RIVAL_PLACES, are_rivals, fewest_agreeing, shares, unexplained_by_place
 from rholoc.localization.seeds import vote_for_places
 from rholoc.localization.support import Support, support_of
-from rholoc.localization.types import Dof, Intrinsics, Localization, Query, Reason
+from rholoc.localization.types import NO_BELIEF, Belief, Dof, Intrinsics, Localization, Query, Reason
 from rholoc.localization.verification import FINAL_TOLERANCE_PX, SEARCH_RADII_PX, Verified, evidence_of
 
 FEWEST_FRAMES, MOST_FRAMES = 2, 10
@@ -45,8 +45,8 @@ class SeveralFrames:
     """Frames whose poses relative to each other are known.
 
     Attributes:
-        frames: 2 to 10 of them; of each its features, camera, gravity and picture count, and the first one's ``dof``
-            and ``deadline_s``.
+        frames: 2 to 10 of them; of each its features, camera, gravity and picture count, and the first one's ``dof``,
+            ``deadline_s`` and ``max_sigma_…``.
         T_rig_cameras: (N, 4, 4) each camera's pose in one common frame, whatever it is: a rig's, or odometry's.
         sigma_m: one sigma of the position of a frame as its predecessor sees it, metres along each axis.
         sigma_rad: one sigma of its rotation, radians about each axis.
@@ -136,11 +136,11 @@ def localize_together(localizer: AnyLocalizer, asked: SeveralFrames) -> JointLoc
 
 @dataclass(frozen=True, eq=False)
 class _Candidate:
-    """Poses (N, 4, 4) that may be the answer, what speaks for them in each frame, and how probably they are right."""
+    """Poses (N, 4, 4) that may be the answer, what speaks for them in each frame, and how surely they are right."""
 
     verified: tuple[Verified, ...]
     covariances: FloatArray
-    confidence: float
+    belief: Belief
 
     @property
     def support(self) -> Support:
@@ -175,8 +175,8 @@ class _Joint:
             candidate = self._candidate(matches)
             if candidate is not None:
                 found.append(candidate)
-                best = candidate if best is None or candidate.confidence > best.confidence else best
-            if best is not None and best.confidence >= self.localizer.options.conclusive:
+                best = candidate if best is None or candidate.belief.recognized > best.belief.recognized else best
+            if best is not None and best.belief.confidence >= self.localizer.options.conclusive:
                 break
             if self._late():
                 reason = Reason.DEADLINE
@@ -190,11 +190,15 @@ class _Joint:
     def _contested(self, best: _Candidate, found: list[_Candidate]) -> _Candidate:
         """The poses, as sure as they are better than the next best: one that was found, or that is looked for now."""
         rivals = [*found]
-        if best.confidence >= MIN_CONFIDENCE:
+        if best.belief.recognized >= MIN_RECOGNIZED:
             rivals += self._looked_for(best)
-        supports = [one.support for one in rivals if one is not best and one.is_rival_of(best)]
-        rival = max(supports, key=lambda support: support.net, default=None)
-        return best if rival is None else replace(best, confidence=best.confidence * sureness(best.support, rival))
+        others = [one for one in rivals if one is not best and one.is_rival_of(best)]
+        rival = max(others, key=lambda one: one.support.net, default=None)
+        if rival is None:
+            return best
+        places = np.array([best.belief.recognized, rival.belief.recognized])
+        share = float(shares(places, np.array([best.support.net, rival.support.net]))[0])
+        return replace(best, belief=replace(best.belief, recognized=best.belief.recognized * share))
 
     def _looked_for(self, best: _Candidate) -> Iterator[_Candidate]:
         """Poses that matches other than those of the best agree with."""
@@ -215,7 +219,7 @@ class _Joint:
         deadline_s = self.frames[0].deadline_s
         return deadline_s is not None and time.perf_counter() - self.started > deadline_s
 
-    @cached_property
+    @lazy
     def _nearest(self) -> list[NearestLandmarks]:
         """What in the whole map each frame's features are most like."""
         return [self.index.nearest_everywhere(frame.features) for frame in self.frames]
@@ -289,24 +293,25 @@ class _Joint:
                 )
             )
         covariances = joint_covariances([one.evidence for one in verified], [one.optimum for one in verified], links)
-        return _Candidate(verified, covariances, joint_confidence(verified, covariances[0], self.localizer.weights))
+        return _Candidate(verified, covariances, joint_belief(verified, covariances[0]))
 
     def _answer(self, best: _Candidate | None, reason: Reason, matched: int) -> JointLocalization:
         timings_ms = {"match": 1e3 * (time.perf_counter() - self.started)}
         nothing = np.zeros(0, dtype=np.int64)
         if best is None:
-            refusal = Localization(False, reason, None, None, 0.0, matched, 0, np.zeros((0, 2)), nothing, timings_ms)
+            refusal = Localization(
+                False, reason, None, None, NO_BELIEF, matched, 0, np.zeros((0, 2)), nothing, timings_ms
+            )
             return JointLocalization(refusal, (), ())
-        localized = best.confidence >= self.localizer.min_confidence
         poses = tuple(Pose(one.optimum.T_map_camera) for one in best.verified)
         inliers = tuple(one.inliers for one in best.verified)
         agreeing = [one.optimum.density > 0 for one in best.verified]
         first = Localization(
-            localized=localized,
-            reason=None if localized else Reason.LOW_CONFIDENCE,
-            pose=poses[0] if localized else None,
-            covariance=best.covariances[0] if localized else None,
-            confidence=best.confidence,
+            localized=True,
+            reason=None,
+            pose=poses[0],
+            covariance=best.covariances[0],
+            belief=best.belief,
             matches=max(matched, sum(len(one.matches) for one in best.verified)),
             inliers=sum(inliers),
             inlier_pixels=best.verified[0].pixels[agreeing[0]],
@@ -315,7 +320,8 @@ class _Joint:
             ),
             timings_ms=timings_ms,
         )
-        return JointLocalization(with_map_error(self.index, first), poses if localized else (), inliers)
+        first = gated(with_map_error(self.index, first), self.localizer.min_recognized, self.asked.frames[0])
+        return JointLocalization(first, poses if first.localized else (), inliers)
 
 
 def _verified(
@@ -328,8 +334,7 @@ def _verified(
     wide: Matches,
 ) -> Verified:
     support = support_of(index, frame, matches, evidence, optimum, by_chance, wide)
-    chance = float(by_chance.sum())
-    return Verified(optimum, matches, evidence, frame.features.pixels[matches.detections], chance, wide, support)
+    return Verified(optimum, matches, evidence, frame.features.pixels[matches.detections], wide, support)
 
 
 def _plane(rays: FloatArray) -> FloatArray:

@@ -135,7 +135,7 @@ def _beyond_chance(
 
 def _colour_agreement(index: MapIndex, query: Query, detections: IntArray, landmarks: IntArray) -> float:
     """How well the colours of detections (M,) are those of their landmarks (M,)."""
-    shown, known = query.colours, index.map.colours
+    shown, known = query.colours, index.map.landmarks.colours
     if shown is None or known is None:
         return np.nan
     return colour_agreement(shown[detections], known[landmarks])

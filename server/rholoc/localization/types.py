@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import Enum, StrEnum
-from functools import cached_property
 from typing import Any
 
 from rholoc.features import Extractor, FeatureSet
 from rholoc.geometry import ByteArray, Camera, FloatArray, IntArray, Pose
+from rholoc.lazy import lazy
 from rholoc.localization.diagnosis import Diagnosis
 
 
@@ -34,7 +35,8 @@ class Reason(StrEnum):
     NO_FEATURES = "no_features"  # the image has too few features: blank, dark or blurred
     NO_MATCHES = "no_matches"  # too few of its features look like any of the map's
     NO_AGREEMENT = "no_agreement"  # no pose explains enough of the matches
-    LOW_CONFIDENCE = "low_confidence"  # a pose was found, but it is likelier wrong than the threshold allows
+    NOT_RECOGNIZED = "not_recognized"  # a pose was found, but it is too improbably of the right place
+    TOO_INEXACT = "too_inexact"  # the place was recognized, but the pose is less exact than was asked for
     DEADLINE = "deadline"  # the deadline passed before an answer was found
 
 
@@ -68,6 +70,8 @@ class Query:
         intrinsics: whether the camera's focal length is known.
         image: the picture itself, (H, W, 3) BGR, for the diagnosis of a refusal and the features' colours; or None.
         more_features: finds more of them, and is asked where ``features`` do not suffice; None: those are all.
+        max_sigma_m: the position's greatest standard deviation along any axis that is of use, metres.
+        max_sigma_rad: the rotation's, radians.
     """
 
     features: FeatureSet
@@ -79,6 +83,8 @@ class Query:
     intrinsics: Intrinsics = Intrinsics.GIVEN
     image: ByteArray | None = None
     more_features: Callable[[], FeatureSet] | None = None
+    max_sigma_m: float = math.inf
+    max_sigma_rad: float = math.inf
 
     @classmethod
     def of_picture(cls, image: ByteArray, extractor: Extractor, camera: Camera, **others: Any) -> Query:
@@ -87,12 +93,53 @@ class Query:
         more = None if quick is extractor else lambda: extractor.extract(image)
         return cls(quick.extract(image), camera, image=image, more_features=more, **others)
 
-    @cached_property
+    @lazy
     def colours(self) -> ByteArray | None:
         """(N, 3) uint8, red, green and blue of the picture at each feature; None where they are not known."""
         if self.features.colours is not None or self.image is None or self.image.ndim != 3:
             return self.features.colours
         return self.features.coloured(self.image).colours
+
+
+@dataclass(frozen=True)
+class Belief:
+    """How surely a pose is right.
+
+    Attributes:
+        recognized: 0..1, the probability that the pose is of the right place: within 50 cm and 20° of the truth.
+        exact: 0..1, the probability that it is within 10 cm and 5° of the truth if the place is right.
+    """
+
+    recognized: float
+    exact: float
+
+    @property
+    def confidence(self) -> float:
+        """0..1, the probability that the pose is within 10 cm and 5° of the truth."""
+        return self.recognized * self.exact
+
+
+NO_BELIEF = Belief(0.0, 0.0)
+"""Of an answer without any candidate."""
+
+
+MAX_ALTERNATIVES, MIN_WEIGHT = 4, 0.01
+"""How many alternatives an answer has at most, and the least weight of each."""
+
+
+@dataclass(frozen=True, eq=False)
+class Alternative:
+    """Another pose that the frame may have been taken from.
+
+    Attributes:
+        weight: 0..1, the probability that it is of the right place.
+        pose: the pose.
+        covariance: (6, 6) as of :class:`Localization`.
+    """
+
+    weight: float
+    pose: Pose
+    covariance: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,7 +152,7 @@ class Localization:
         pose: the pose, or None.
         covariance: (6, 6) of position (metres, map frame) and rotation (radians, a small rotation in the map frame
             applied from the left), in this order, or None. The map's own uncertainty at that place is part of it.
-        confidence: 0..1, the probability that the pose is within 10 cm and 5° of the truth.
+        belief: how surely the pose, or the one that was withheld, is right.
         matches: how many matches of features spoke.
         inliers: how many of them agree with the pose.
         inlier_pixels: (I, 2) pixels of those.
@@ -118,13 +165,16 @@ class Localization:
         map_trusted: whether the frame poses that the map was built on passed every check; None where it does not say.
         expected_error_m: how far the map itself is expected to be off at the pose (root mean square, metres); None
             where the map does not know, or there is no pose.
+        alternatives: at most four other poses that the frame may have been taken from, the likeliest first; a pose
+            that was withheld as not recognized is the first of them. The weights of all poses add up to at most one;
+            what is missing is the probability of none of them.
     """
 
     localized: bool
     reason: Reason | None
     pose: Pose | None
     covariance: FloatArray | None
-    confidence: float
+    belief: Belief
     matches: int
     inliers: int
     inlier_pixels: FloatArray
@@ -136,3 +186,14 @@ class Localization:
     diagnosis: Diagnosis | None = None
     map_trusted: bool | None = None
     expected_error_m: float | None = None
+    alternatives: tuple[Alternative, ...] = ()
+
+    @property
+    def recognized(self) -> float:
+        """0..1, the probability that the pose is of the right place: within 50 cm and 20° of the truth."""
+        return self.belief.recognized
+
+    @property
+    def confidence(self) -> float:
+        """0..1, the probability that the pose is within 10 cm and 5° of the truth; at most ``recognized``."""
+        return self.belief.confidence

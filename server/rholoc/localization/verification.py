@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
 from rholoc.density import Evidence
 from rholoc.geometry import Camera, FloatArray
+from rholoc.lazy import lazy
 from rholoc.localization.ascent import Optimum, ascend, covariance_at, end_of_climb, sharpen
 from rholoc.localization.map_index import MapIndex
 from rholoc.localization.matches import Matches
@@ -32,7 +32,6 @@ class Verified:
         matches: the matches found there.
         evidence: what they say.
         pixels: (M, 2) the pixels of the matched detections.
-        by_chance: how many detections chance alone would match.
         wide: the matches of the first, widest search.
         support: what the picture says for the pose and against it.
         focal_free: whether the focal length is an estimate, too: the covariance then knows it.
@@ -42,12 +41,11 @@ class Verified:
     matches: Matches
     evidence: Evidence
     pixels: FloatArray
-    by_chance: float
     wide: Matches
     support: Support
     focal_free: bool = False
 
-    @cached_property
+    @lazy
     def covariance(self) -> FloatArray:
         """(6, 6) of position (m) and rotation (rad, map frame, from the left)."""
         return covariance_at(self.evidence, self.optimum, self.focal_free)
@@ -125,6 +123,5 @@ def verify(
     optimum = ascend(densities, evidence, T, (narrow_px, FINAL_TOLERANCE_PX), dof)
     optimum = settle(index, matches, evidence, optimum, dof)
     support = support_of(index, query, matches, evidence, optimum, by_chance, wide)
-    chance = float(by_chance.sum())
     pixels = query.features.pixels[matches.detections]
-    return Verified(optimum, matches, evidence, pixels, chance, wide, support, focal_free)
+    return Verified(optimum, matches, evidence, pixels, wide, support, focal_free)

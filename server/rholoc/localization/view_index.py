@@ -50,12 +50,12 @@ class LikelyMap:
 
 def view_descriptors(map_: Map) -> list[ByteArray]:
     """The descriptors (N, B) that each of a map's views saw: of each landmark the first; at most ``MOST_VECTORS``."""
-    first = np.searchsorted(map_.descriptor_features, np.arange(len(map_)))
-    views = np.arange(len(map_.view_times))
+    first = np.searchsorted(map_.descriptors.features, np.arange(len(map_)))
+    views = np.arange(len(map_.views))
     if len(views) > MOST_VECTORS:
         views = np.linspace(0, len(views) - 1, MOST_VECTORS).astype(np.int64)
     start, end = map_.view_offsets[views].tolist(), map_.view_offsets[views + 1].tolist()
-    return [map_.descriptors[first[map_.observation_features[a:b]]] for a, b in zip(start, end, strict=True)]
+    return [map_.descriptors.values[first[map_.observations.features[a:b]]] for a, b in zip(start, end, strict=True)]
 
 
 class ViewIndex:

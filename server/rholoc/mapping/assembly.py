@@ -16,7 +16,17 @@ from rholoc.geometry import (
 )
 from rholoc.mapping.landmarks import Landmarks, representative_rows
 from rholoc.mapping.observations import Views
-from rholoc.maps import Map, MapInfo, Observations, packed_pixels, storable_patches, unpacked_pixels
+from rholoc.maps import (
+    Map,
+    MapDescriptors,
+    MapInfo,
+    MapLandmarks,
+    MapObservations,
+    MapViews,
+    packed_pixels,
+    storable_patches,
+    unpacked_pixels,
+)
 
 DESCRIPTORS_PER_FEATURE = 2
 
@@ -45,26 +55,28 @@ def assemble(info: MapInfo, views: Views, landmarks: Landmarks, view_sources: In
     channels[features] = views.features.channels[observed]
     return Map(
         info=info,
-        channels=channels,
-        landmarks=landmarks.positions.astype(np.float32),
-        covariances=landmarks.covariances.astype(np.float32),
-        descriptors=views.features.descriptors[rows],
-        descriptor_features=owners.astype(np.int32),
-        view_times=views.times.astype(np.float64),
-        T_map_camera=poses_from_rows(rows_from_poses(views.T_map_camera).astype(np.float32)),
-        colours=(
-            None
-            if views.features.colours is None
-            else mean_colours(views.features.colours[observed], features, len(landmarks))
+        landmarks=MapLandmarks(
+            channels=channels,
+            positions=landmarks.positions.astype(np.float32),
+            covariances=landmarks.covariances.astype(np.float32),
+            colours=(
+                None
+                if views.features.colours is None
+                else mean_colours(views.features.colours[observed], features, len(landmarks))
+            ),
+            patches=_patches(views, landmarks),
         ),
-        patches=_patches(views, landmarks),
-        observation_views=of_view.astype(np.int32),
-        observation_features=features.astype(np.int32),
-        observations=Observations(
-            pixels,
-            view_sources=view_sources.astype(np.int32),
-            descriptor_sources=view_sources[views.view_of[rows]].astype(np.int32),
+        descriptors=MapDescriptors(
+            values=views.features.descriptors[rows],
+            features=owners.astype(np.int32),
+            sources=view_sources[views.view_of[rows]].astype(np.int32),
         ),
+        views=MapViews(
+            times=views.times.astype(np.float64),
+            T_map_camera=poses_from_rows(rows_from_poses(views.T_map_camera).astype(np.float32)),
+            sources=view_sources.astype(np.int32),
+        ),
+        observations=MapObservations(of_view.astype(np.int32), features.astype(np.int32), pixels),
     )
 
 

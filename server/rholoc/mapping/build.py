@@ -57,7 +57,7 @@ class BuildOptions:
 
     density: DensityKind = DensityKind.RAY
     features: str = DEFAULT_FEATURES
-    poses: PoseMethod = PoseMethod.VISUAL_INERTIAL
+    poses: PoseMethod = PoseMethod.AUTO
     report: bool = True
     degree: int = DEFAULT_DEGREE
     pictures: bool = False
@@ -114,7 +114,7 @@ def build_map(
             for number, walk in enumerate(walks)
         ),
     )
-    map_ = replace(map_, cloud=cloud, pictures=pictures)
+    map_ = replace(map_, views=replace(map_.views, pictures=pictures), cloud=cloud)
     map_ = fit_densities(map_, options.density, options.degree, progress)
     progress(Stage.DENSITIES, 1.0, f"{len(map_.descriptors)} descriptors")
     report = replace(
@@ -177,12 +177,10 @@ def _look(
             looks[-1].append(look)
             if row in is_view:
                 pictures.append(picture)
-                if trajectory.rolling_shutter is not None:
-                    found = trajectory.rolling_shutter.at_once(row, found)
                 cameras.append(trajectory.camera)
                 poses.append(trajectory.T_map_camera[row])
                 times.append(float(trajectory.times[row]))
-                features.append(found)
+                features.append(trajectory.at_once(row, found))
             else:
                 held.append((trajectory.camera, trajectory.T_map_camera[row], found))
             done += 1
@@ -238,7 +236,7 @@ def _assemble(
         waypoints=tuple(_waypoint(waypoint, walk) for walk in walks for waypoint in walk.recording.waypoints),
     )
     map_ = assemble(info, views, landmarks, walk_of_view, extractor.metric)
-    return with_landmarks(replace(map_, view_covariances=_view_covariances(walks)))
+    return with_landmarks(replace(map_, views=replace(map_.views, covariances=_view_covariances(walks))))
 
 
 def _view_covariances(walks: Sequence[_Walk]) -> FloatArray | None:

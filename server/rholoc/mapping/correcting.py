@@ -118,7 +118,7 @@ def remove_region(
         Conflict: there is nothing to remove, or too little would be left.
     """
     landmarks, points = (
-        in_region(positions, outline, bottom_m, top_m) for positions in (map_.landmarks, map_.cloud.positions)
+        in_region(positions, outline, bottom_m, top_m) for positions in (map_.landmarks.positions, map_.cloud.positions)
     )
     left = without_landmarks(map_, landmarks != keep_inside, points != keep_inside)
     return _cut(map_, left, CorrectionKind.REGION)
@@ -192,7 +192,7 @@ def _cut(before: Map, after: Map, kind: CorrectionKind) -> Map:
     removed = replace(
         _correction(before.info, kind),
         landmarks_removed=len(before) - len(after),
-        views_removed=len(before.view_times) - len(after.view_times),
+        views_removed=len(before.views) - len(after.views),
     )
     return as_corrected(before, after, removed)
 

@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 
 from rholoc.errors import Conflict, InvalidInput
-from rholoc.geometry import BoolArray, FloatArray
+from rholoc.geometry import BoolArray, FloatArray, IntArray
 from rholoc.mapping.fitting import ray_form
-from rholoc.mapping.memory import keep_features, with_landmarks
-from rholoc.maps import Map, Observations, Source, check_outline, within_outline
+from rholoc.mapping.memory import keep_features, keep_view_rows, with_landmarks
+from rholoc.maps import Map, MapInfo, Source, check_outline, memory_of, within_outline
 
 _LEAST_LEFT = 12  # landmarks; fewer than that no camera is localized by
 
@@ -52,7 +52,7 @@ def without_views(map_: Map, first: int, last: int) -> Map:
         InvalidInput: there are no such views.
         Conflict: too little would be left.
     """
-    count = len(map_.view_times)
+    count = len(map_.views)
     if not 0 <= first <= last < count:
         raise InvalidInput(f"The map has the views 0 to {count - 1}.", "Give the first and the last to remove.")
     stays = np.ones(count, dtype=bool)
@@ -69,35 +69,24 @@ def keep_views(map_: Map, stays: BoolArray) -> Map:
 
     Where the map remembers its observations, landmarks that the others saw too are those of a map that never had them.
     """
-    seen = stays[map_.observation_views]
+    seen = stays[map_.observations.views]
     touched = np.zeros(len(map_), dtype=bool)
-    touched[map_.observation_features[~seen]] = True
-    kept = map_.observations
-    left = replace(
-        map_,
-        info=map_.info if kept is None else replace(map_.info, sources=_recounted(map_, kept, stays)),
-        view_times=map_.view_times[stays],
-        T_map_camera=map_.T_map_camera[stays],
-        view_covariances=None if map_.view_covariances is None else map_.view_covariances[stays],
-        pictures=map_.pictures_of(stays),
-        observation_views=(np.cumsum(stays) - 1)[map_.observation_views[seen]].astype(np.int32),
-        observation_features=map_.observation_features[seen],
-        observations=(
-            None if kept is None else Observations(kept.pixels[seen], kept.view_sources[stays], kept.descriptor_sources)
-        ),
-    )
-    left = ray_form(left)
-    if kept is None:
-        still_seen = np.bincount(left.observation_features, minlength=len(left)) > 0
+    touched[map_.observations.features[~seen]] = True
+    memory = memory_of(map_)
+    left = keep_view_rows(ray_form(map_), stays)
+    if memory is not None:
+        left = replace(left, info=replace(left.info, sources=_recounted(map_.info, memory.view_sources[stays])))
+    if memory is None:
+        still_seen = np.bincount(left.observations.features, minlength=len(left)) > 0
         left = keep_features(left, still_seen | ~touched)
     else:
         left = with_landmarks(left, touched)
     return left
 
 
-def _recounted(map_: Map, kept: Observations, stays: BoolArray) -> tuple[Source, ...]:
-    counts = np.bincount(kept.view_sources[stays], minlength=len(map_.info.sources))
-    return tuple(replace(source, views=int(views)) for source, views in zip(map_.info.sources, counts, strict=True))
+def _recounted(info: MapInfo, view_sources: IntArray) -> tuple[Source, ...]:
+    counts = np.bincount(view_sources, minlength=len(info.sources))
+    return tuple(replace(source, views=int(views)) for source, views in zip(info.sources, counts, strict=True))
 
 
 def _check_left(count: int) -> None:

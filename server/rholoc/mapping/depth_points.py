@@ -7,22 +7,18 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import cv2
 import numpy as np
 
-from rholoc.errors import InvalidCamera
-from rholoc.geometry import BoolArray, ByteArray, Camera, FloatArray, IntArray
+from rholoc.geometry import ByteArray, FloatArray, IntArray
 from rholoc.mapping.landmarks import Landmarks
 from rholoc.mapping.observations import Views
 from rholoc.maps import Cloud
 from rholoc.recordings import Recording
-from rholoc.recordings.frames.depth import DepthImages
+from rholoc.recordings.frames.depth import DepthImage, DepthImages
 
 _MOST_VIEWS = 100  # that points are taken from
 _MOST_POINTS = 200_000
 _APART_M = 0.02  # no two points are within the same cube of this size
-_FARTHEST_M = 10.0  # beyond, depth cameras say little
-_STEEPEST = 0.05  # by how much neighbouring depths differ on a surface, as a share of the depth
 _FEWEST_LANDMARKS = 30  # that give the scale
 _LARGEST_MISFIT = 0.1  # of depths to the landmarks', in the median, as a share
 
@@ -78,47 +74,30 @@ def _look(
     depth: DepthImages, row: int, image: ByteArray, views: Views, view: int, landmarks: Landmarks, budget: int
 ) -> _Seen | None:
     """At most about ``budget`` points of one frame; None where its depth image cannot be used."""
-    metres = depth.read(row)
-    if metres is None:
-        return None
     camera = views.cameras[view]
-    try:
-        own = (depth.camera or camera).fitted(metres.shape[1], metres.shape[0])
-    except InvalidCamera:
+    found = depth.of_frame(row, camera)
+    if found is None:
         return None
-    smooth = _on_surfaces(metres)
+    metres, smooth = found.metres, found.reliable
     step = max(1, int(np.ceil(np.sqrt(metres.size / max(budget, 1)))))
     v, u = (grid.ravel() for grid in np.mgrid[step // 2 : metres.shape[0] : step, step // 2 : metres.shape[1] : step])
     v, u = v[smooth[v, u]], u[smooth[v, u]]
-    rays = own.rays(np.column_stack([u, v]).astype(np.float64))
+    rays = found.camera.rays(np.column_stack([u, v]).astype(np.float64))
     points = rays / rays[:, 2:] * metres[v, u][:, None]
     pixels = camera.project(points)
     inside = camera.contains(pixels)
     at = np.round(pixels[inside]).astype(np.int64)
-    return _Seen(points[inside], image[at[:, 1], at[:, 0], ::-1], _ratios(metres, smooth, own, views, view, landmarks))
+    return _Seen(points[inside], image[at[:, 1], at[:, 0], ::-1], _ratios(found, views, view, landmarks))
 
 
-def _on_surfaces(metres: FloatArray) -> BoolArray:
-    """(H, W) where depth is known and about the same next to it: at edges it is of neither side."""
-    known = np.nan_to_num(metres, nan=0.0).astype(np.float32)
-    around = np.ones((3, 3), np.uint8)
-    least, most = cv2.erode(known, around), cv2.dilate(known, around)
-    return np.asarray((least > 0) & (most < _FARTHEST_M) & (most - least < _STEEPEST * known))
-
-
-def _ratios(
-    metres: FloatArray, smooth: BoolArray, own: Camera, views: Views, view: int, landmarks: Landmarks
-) -> FloatArray:
+def _ratios(depth: DepthImage, views: Views, view: int, landmarks: Landmarks) -> FloatArray:
     """The ratios (L,) of the depths of the landmarks that a view shows to those in its depth image."""
     seen = np.arange(views.offsets[view], views.offsets[view + 1])
     seen = seen[landmarks.labels[seen] >= 0]
     T = views.T_map_camera[view]
     points = (landmarks.positions[landmarks.labels[seen]] - T[:3, 3]) @ T[:3, :3]
-    pixels = own.project(points)
-    ahead = (points[:, 2] > 0) & own.contains(pixels)
-    at = np.round(pixels[ahead]).astype(np.int64)
-    found = smooth[at[:, 1], at[:, 0]]
-    return np.asarray(points[ahead][found, 2] / metres[at[found, 1], at[found, 0]])
+    ratios = points[:, 2] / depth.at(points)
+    return np.asarray(ratios[np.isfinite(ratios)])
 
 
 def _scale(ratios: list[FloatArray]) -> float | None:

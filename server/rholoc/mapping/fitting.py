@@ -38,9 +38,9 @@ def sightings_of(map_: Map) -> Sightings:
 
 def _without_bearings(map_: Map) -> Sightings:
     return Sightings(
-        map_.landmarks.astype(np.float64),
-        map_.observation_features,
-        map_.view_positions[map_.observation_views],
+        map_.landmarks.positions.astype(np.float64),
+        map_.observations.features,
+        map_.views.positions[map_.observations.views],
     )
 
 

@@ -6,7 +6,7 @@ from rholoc.errors import Conflict, InvalidInput
 from rholoc.mapping.fitting import ray_form
 from rholoc.mapping.joining import without_source
 from rholoc.mapping.versions import as_learned
-from rholoc.maps import Map, MapInfo, check_observations
+from rholoc.maps import Map, MapInfo, check_memory
 from rholoc.progress import ProgressListener, silent
 from rholoc.reports import LearningReport
 
@@ -19,7 +19,7 @@ def forget_recording(map_: Map, recording: str, progress: ProgressListener = sil
             that name; says which it did.
         Conflict: it learned nothing else.
     """
-    check_observations(map_, "The map")
+    check_memory(map_, "The map")
     row = _source_row(map_.info, recording)
     if len(map_.info.sources) == 1:
         raise Conflict(f"{recording} is the only recording in the map.", "Delete the map instead.")

@@ -8,8 +8,9 @@ from typing import NamedTuple
 import cv2
 
 from rholoc.features import Extractor, FeatureSet
-from rholoc.geometry import ByteArray
+from rholoc.geometry import ByteArray, IntArray
 from rholoc.recordings import FrameSource, Look, look_at
+from rholoc.trajectory import Trajectory
 
 _PICTURE_PX = 240  # the longer side of a small picture
 _PICTURE_QUALITY = 70  # of its JPEG
@@ -50,6 +51,16 @@ class FrameFeatures:
             shown = self._shown.pop(row, None)
             yield self._extracted(next(images)) if shown is None else shown
         self._shown.clear()
+
+    def of_keyframes(self, trajectory: Trajectory, keyframes: IntArray) -> Iterator[Shown]:
+        """What each of the ``keyframes`` (rows of the trajectory, increasing) shows, as if read at once.
+
+        Raises:
+            InvalidRecording: a frame cannot be decoded.
+        """
+        shown = self.of(trajectory.rows[keyframes].tolist())
+        for k, one in zip(keyframes.tolist(), shown, strict=True):
+            yield one._replace(features=trajectory.at_once(k, one.features))
 
     def _extracted(self, image: ByteArray) -> Shown:
         picture = small_picture(image) if self._pictures else b""

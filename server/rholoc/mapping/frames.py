@@ -63,7 +63,7 @@ def estimated_up(map_: Map) -> FloatArray:
     Raises:
         InvalidInput: the views do not agree on any.
     """
-    ups, across = -map_.T_map_camera[:, :3, 1], map_.T_map_camera[:, :3, 0]
+    ups, across = -map_.views.T_map_camera[:, :3, 1], map_.views.T_map_camera[:, :3, 0]
     mean = ups.mean(axis=0) if len(ups) else np.zeros(3)
     length = float(np.linalg.norm(mean))
     if length < 0.5:
@@ -86,7 +86,7 @@ def levelled(map_: Map) -> FloatArray | None:
         upright = upward(estimated_up(map_)).rotation
     except InvalidInput:
         return None
-    landmarks = map_.landmarks[:: max(1, len(map_) // _LANDMARKS_LOOKED_AT)].astype(np.float64)
+    landmarks = map_.landmarks.positions[:: max(1, len(map_) // _LANDMARKS_LOOKED_AT)].astype(np.float64)
     plane = landmarks @ upright[:2].T
     turns = np.deg2rad(np.arange(0.0, 90.0, _WALL_STEP_DEG))
     turn = turns[np.argmin([_entropy(plane, turn) for turn in turns])]

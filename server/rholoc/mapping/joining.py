@@ -7,18 +7,22 @@ of both built at once, and a recording that is taken out leaves the landmarks of
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import TypeVar
 
 import numpy as np
 
-from rholoc.geometry import BoolArray, ByteArray, FloatArray, IntArray
+from rholoc.geometry import BoolArray, IntArray
 from rholoc.mapping.assembly import DESCRIPTORS_PER_FEATURE
 from rholoc.mapping.memory import (
     keep_features,
+    keep_view_rows,
     observed_rays,
     solve_landmarks,
     with_landmarks,
 )
-from rholoc.maps import Cloud, Map, Observations, check_observations
+from rholoc.maps import Cloud, Map, MapDescriptors, MapLandmarks, MapObservations, MapViews, check_memory
+
+_Sourced = TypeVar("_Sourced", MapDescriptors, MapViews)
 
 
 def join(a: Map, b: Map, same: IntArray) -> Map:
@@ -48,36 +52,26 @@ def without_source(map_: Map, source: int) -> Map:
 
     Features that only it saw, or described, vanish.
     """
-    observations = check_observations(map_, "The map")
-    stays = observations.view_sources != source
-    seen, described = stays[map_.observation_views], observations.descriptor_sources != source
-    number = np.cumsum(stays) - 1
+    memory = check_memory(map_, "The map")
+    seen = memory.view_sources[map_.observations.views] != source
     touched = np.zeros(len(map_), dtype=bool)
-    touched[map_.observation_features[~seen]] = True
-
-    def renumbered(sources: IntArray) -> IntArray:
-        return (sources - (sources > source)).astype(np.int32)
-
+    touched[map_.observations.features[~seen]] = True
+    left = keep_view_rows(map_, memory.view_sources != source)
     left = replace(
-        map_,
+        left,
         info=replace(map_.info, sources=tuple(one for row, one in enumerate(map_.info.sources) if row != source)),
-        descriptors=map_.descriptors[described],
-        descriptor_features=map_.descriptor_features[described],
-        view_times=map_.view_times[stays],
-        T_map_camera=map_.T_map_camera[stays],
-        view_covariances=None if map_.view_covariances is None else map_.view_covariances[stays],
-        pictures=map_.pictures_of(stays),
+        descriptors=_without_source(map_.descriptors.take(memory.descriptor_sources != source), source),
+        views=_without_source(left.views, source),
         cloud=map_.cloud.without_source(source),
-        observation_views=number[map_.observation_views[seen]].astype(np.int32),
-        observation_features=map_.observation_features[seen],
-        observations=Observations(
-            observations.pixels[seen],
-            renumbered(observations.view_sources[stays]),
-            renumbered(observations.descriptor_sources[described]),
-        ),
     )
-    described_still = np.bincount(left.descriptor_features, minlength=len(left)) > 0
+    described_still = np.bincount(left.descriptors.features, minlength=len(left)) > 0
     return with_landmarks(keep_features(left, described_still), touched[described_still])
+
+
+def _without_source(table: _Sourced, source: int) -> _Sourced:
+    """A table, none of whose rows comes from ``source``, where that source is no longer counted."""
+    assert table.sources is not None
+    return replace(table, sources=(table.sources - (table.sources > source)).astype(np.int32))
 
 
 def with_sources_once(map_: Map) -> Map:
@@ -85,23 +79,22 @@ def with_sources_once(map_: Map) -> Map:
 
     Of the descriptors that they brought for a feature the last stay, as many as one source brings.
     """
-    kept, sources = check_observations(map_, "The map"), map_.info.sources
+    memory, sources = check_memory(map_, "The map"), map_.info.sources
     ids = [source.id for source in sources]
     first = np.array([ids.index(one) for one in ids])
     stays = np.unique(first)
     number = np.searchsorted(stays, first).astype(np.int32)
-    view_sources, descriptor_sources = number[kept.view_sources], number[kept.descriptor_sources]
-    latest = _latest(map_.descriptor_features, descriptor_sources)
-    views = np.bincount(view_sources, minlength=len(stays)).tolist()
+    descriptors = replace(map_.descriptors, sources=number[memory.descriptor_sources])
+    views = replace(map_.views, sources=number[memory.view_sources])
+    counts = np.bincount(number[memory.view_sources], minlength=len(stays)).tolist()
     return replace(
         map_,
         info=replace(
-            map_.info, sources=tuple(replace(sources[row], views=n) for row, n in zip(stays, views, strict=True))
+            map_.info, sources=tuple(replace(sources[row], views=n) for row, n in zip(stays, counts, strict=True))
         ),
-        descriptors=map_.descriptors[latest],
-        descriptor_features=map_.descriptor_features[latest],
+        descriptors=descriptors.take(_latest(descriptors.features, number[memory.descriptor_sources])),
+        views=views,
         cloud=replace(map_.cloud, sources=number[map_.cloud.sources]),
-        observations=Observations(kept.pixels, view_sources, descriptor_sources[latest]),
     )
 
 
@@ -122,61 +115,37 @@ def _numbers(a: Map, same: IntArray) -> IntArray:
 
 
 def _joined(a: Map, b: Map, same: IntArray) -> Map:
-    """All arrays of both; landmarks as they were."""
-    numbers, new = _numbers(a, same), same < 0
-    owners = np.concatenate([a.descriptor_features, numbers[b.descriptor_features]])
-    order = np.argsort(owners, kind="stable")
-    of_a, of_b = check_observations(a, "The map"), check_observations(b, "The map")
-    shift, views = np.int32(len(a.info.sources)), np.int32(len(a.view_times))
+    """All rows of both; landmarks as they were."""
+    numbers, views = _numbers(a, same).astype(np.int32), np.int32(len(a.views))
+    of_b, first_source = check_memory(b, "The map"), np.int32(len(a.info.sources))
+    descriptors = MapDescriptors.concat(
+        [
+            a.descriptors,
+            replace(
+                b.descriptors,
+                features=numbers[b.descriptors.features],
+                sources=of_b.descriptor_sources + first_source,
+            ),
+        ]
+    )
+    seen_by_b = replace(b.observations, views=views + b.observations.views, features=numbers[b.observations.features])
     return replace(
         a,
         info=replace(a.info, sources=a.info.sources + b.info.sources, waypoints=a.info.waypoints + b.info.waypoints),
-        channels=np.concatenate([a.channels, b.channels[new]]),
-        landmarks=np.concatenate([a.landmarks, b.landmarks[new]]),
-        covariances=np.concatenate([a.covariances, b.covariances[new]]),
-        colours=_both_colours(a, b, new),
-        patches=_both_patches(a, b, same),
-        descriptors=np.concatenate([a.descriptors, b.descriptors])[order],
-        descriptor_features=owners[order].astype(np.int32),
-        view_times=np.concatenate([a.view_times, b.view_times]),
-        T_map_camera=np.concatenate([a.T_map_camera, b.T_map_camera]),
-        view_covariances=_both_covariances(a, b),
-        pictures=_both_pictures(a, b),
+        landmarks=MapLandmarks.concat([_with_patches(a, b, same), b.landmarks.take(same < 0)]),
+        descriptors=descriptors.take(np.argsort(descriptors.features, kind="stable")),
+        views=MapViews.concat([a.views, replace(b.views, sources=of_b.view_sources + first_source)]),
+        observations=MapObservations.concat([a.observations, seen_by_b]),
         cloud=Cloud.joined(a.cloud, b.cloud.with_sources_after(len(a.info.sources))),
-        observation_views=np.concatenate([a.observation_views, views + b.observation_views]),
-        observation_features=np.concatenate([a.observation_features, numbers[b.observation_features].astype(np.int32)]),
-        observations=Observations(
-            np.concatenate([of_a.pixels, of_b.pixels]),
-            np.concatenate([of_a.view_sources, of_b.view_sources + shift]),
-            np.concatenate([of_a.descriptor_sources, of_b.descriptor_sources + shift])[order],
-        ),
     )
 
 
-def _both_patches(a: Map, b: Map, same: IntArray) -> FloatArray | None:
-    """Of each feature the patch that ``a`` knows, else that of ``b``."""
-    if a.patches is None and b.patches is None:
-        return None
-    known, other = a.known_patches.copy(), b.known_patches
+def _with_patches(a: Map, b: Map, same: IntArray) -> MapLandmarks:
+    """The landmarks of ``a``, with the patches of ``b`` where ``a`` knows none."""
+    if b.landmarks.patches is None:
+        return a.landmarks
+    patches = a.landmarks.known_patches.copy()
     further = same >= 0
-    further[further] = np.isnan(known[same[further], 0])
-    known[same[further]] = other[further]
-    return np.concatenate([known, other[same < 0]])
-
-
-def _both_covariances(a: Map, b: Map) -> FloatArray | None:
-    if a.view_covariances is None and b.view_covariances is None:
-        return None
-    return np.concatenate([a.known_view_covariances, b.known_view_covariances])
-
-
-def _both_pictures(a: Map, b: Map) -> tuple[bytes, ...] | None:
-    if a.pictures is None and b.pictures is None:
-        return None
-    return a.known_pictures + b.known_pictures
-
-
-def _both_colours(a: Map, b: Map, new: BoolArray) -> ByteArray | None:
-    if a.colours is None and b.colours is None:
-        return None
-    return np.concatenate([a.known_colours, b.known_colours[new]])
+    further[further] = np.isnan(patches[same[further], 0])
+    patches[same[further]] = b.landmarks.patches[further]
+    return replace(a.landmarks, patches=patches)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -23,7 +24,7 @@ from rholoc.mapping.memory import recording_id
 from rholoc.mapping.observations import Views, link_observations
 from rholoc.mapping.recursive_learning import check_forgetting
 from rholoc.mapping.registration import (
-    LEARNING_CONFIDENCE,
+    LEARNING_RECOGNIZED,
     MIN_FOUND,
     Alignment,
     Found,
@@ -34,11 +35,11 @@ from rholoc.mapping.registration import (
 from rholoc.mapping.uncertainty import uncertainty_in
 from rholoc.mapping.versions import as_learned
 from rholoc.mapping.views import choose_views
-from rholoc.maps import Cloud, Map, MapInfo, Source, check_observations
+from rholoc.maps import Cloud, Map, MapInfo, Source, check_memory
 from rholoc.progress import ProgressListener, Stage, silent
 from rholoc.recordings import Recording, look_through
 from rholoc.reports import LearningReport
-from rholoc.trajectory import PoseMethod, Scale, estimate_trajectory
+from rholoc.trajectory import PoseMethod, Scale, estimate_trajectory, rolling_shutter_of
 
 _FEATURES_PER_VIEW = 400
 _VIEW_STEP = 0.1  # wider than while building: most of what is seen is known already
@@ -101,14 +102,14 @@ def update_map(
         Cancelled: ``progress`` asked to stop.
     """
     options = options or UpdateOptions()
-    check_observations(map_, "The map")
+    check_memory(map_, "The map")
     if options.forgetting is not None:
         check_forgetting(map_, options.forgetting)
     id_ = recording_id(recording)
     if any(source.id == id_ for source in map_.info.sources):
         raise Conflict(f"The map has already learned {recording.name}.", "Forget it first to learn it again.")
     known = ray_form(map_)
-    localizer = Localizer(known, min_confidence=LEARNING_CONFIDENCE)
+    localizer = Localizer(known, min_recognized=LEARNING_RECOGNIZED)
     method = options.poses or (PoseMethod.GIVEN if recording.poses is not None else None)
     if method is None:
         walk = _localized_walk(localizer, recording, options.pictures, progress)
@@ -130,10 +131,11 @@ def update_map(
     learned = assemble(info, views, landmarks, np.zeros(len(views), dtype=np.int64), localizer.extractor.metric)
     pictures = tuple(one.picture for one in walk.shown) if options.pictures else None
     surfaces = depth_cloud(recording, walk.rows, views, np.arange(len(views)), landmarks, 0)
-    learned = replace(learned, cloud=Cloud.joined(cloud, surfaces), pictures=pictures)
-    if known.view_covariances is not None:
-        spread = uncertainty_in(known, learned.T_map_camera, *walk.residual)
-        learned = replace(learned, view_covariances=spread)
+    spread = None
+    if known.views.covariances is not None:
+        spread = uncertainty_in(known, learned.views.T_map_camera, *walk.residual)
+    remembered = replace(learned.views, covariances=spread, pictures=pictures)
+    learned = replace(learned, views=remembered, cloud=Cloud.joined(cloud, surfaces))
     joined = join(known, learned, seen)
     progress(Stage.DENSITIES, 0.9, f"{len(joined)} features, {len(known)} of them known before")
     report = replace(
@@ -152,9 +154,13 @@ def _localized_walk(localizer: Localizer, recording: Recording, pictures: bool, 
     """Each frame where it is localized; frames that are not found are left out."""
     camera = _camera_of(recording, localizer.map.info)
     times = recording.frames.times
-    count = int(np.clip((times[-1] - times[0]) * _FRAMES_PER_S, MIN_FOUND, _MAX_FRAMES))
+    wanted = (times[-1] - times[0]) * _FRAMES_PER_S if recording.frames.timed else len(times)
+    count = int(np.clip(wanted, MIN_FOUND, _MAX_FRAMES))
     rows = np.unique(np.linspace(0, len(times) - 1, count).round().astype(np.int64))
-    shown = _all_shown(_frame_features(localizer, recording, pictures), rows, progress)
+    shutter = rolling_shutter_of(recording, rows, progress)
+    shown = _collected(_frame_features(localizer, recording, pictures).of(rows.tolist()), len(rows), progress)
+    if shutter is not None:
+        shown = [one._replace(features=shutter.at_once(k, one.features)) for k, one in enumerate(shown)]
     frames = [(camera, one.features) for one in shown]
     found = find_frames(localizer, frames, np.arange(len(rows)), recording.name, progress)
     found = without_jumps(found, times[rows], recording.name)
@@ -183,7 +189,7 @@ def _aligned_walk(
         raise MappingFailed(
             f"Only {len(views)} frames of {recording.name} with different views have a pose.", "Record a longer walk."
         )
-    shown = _all_shown(frame_features, trajectory.rows[views], progress)
+    shown = _collected(frame_features.of_keyframes(trajectory, views), len(views), progress)
     frames = [(trajectory.camera, one.features) for one in shown]
     tried = np.unique(np.linspace(0, len(views) - 1, _MAX_LOCALIZED).round().astype(np.int64))
     found = find_frames(localizer, frames, tried, recording.name, progress)
@@ -219,11 +225,11 @@ def _frame_features(localizer: Localizer, recording: Recording, pictures: bool) 
     return FrameFeatures(recording.frames, get_extractor(localizer.map.info.features), pictures)
 
 
-def _all_shown(frames: FrameFeatures, rows: IntArray, progress: ProgressListener) -> list[Shown]:
+def _collected(frames: Iterable[Shown], count: int, progress: ProgressListener) -> list[Shown]:
     shown: list[Shown] = []
-    for one in frames.of(rows.tolist()):
+    for one in frames:
         shown.append(one)
-        progress(Stage.FEATURES, len(shown) / len(rows), f"features of {len(shown)} of {len(rows)} frames")
+        progress(Stage.FEATURES, len(shown) / count, f"features of {len(shown)} of {count} frames")
     return shown
 
 
@@ -278,7 +284,7 @@ def seen_landmarks(known: Map, labels: IntArray, new: Landmarks) -> tuple[IntArr
         np.concatenate([unknown, new.information]),
         np.concatenate([unknown[:, 0], new.eta]),
         together,
-        np.concatenate([known.landmarks[again].astype(np.float64), new.positions]),
-        np.concatenate([known.covariances[again].astype(np.float64), new.covariances]),
+        np.concatenate([known.landmarks.positions[again].astype(np.float64), new.positions]),
+        np.concatenate([known.landmarks.covariances[again].astype(np.float64), new.covariances]),
     )
     return np.concatenate([again, np.full(len(new), -1, dtype=np.int64)]), landmarks

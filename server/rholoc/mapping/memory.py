@@ -12,7 +12,7 @@ from rholoc.density.ray import landmarks_from_information
 from rholoc.errors import InvalidRecording
 from rholoc.geometry import BoolArray, FloatArray, IntArray
 from rholoc.mapping.landmarks import estimate_information
-from rholoc.maps import Map, Observations, check_observations, source_cameras, validate_map
+from rholoc.maps import Map, check_memory, source_cameras, validate_map
 from rholoc.recordings import Recording
 
 _MIN_OBSERVATIONS = 2
@@ -54,17 +54,17 @@ def observed_rays(map_: Map) -> ObservedRays:
         InvalidInput: it keeps none.
         InvalidMap: they contradict the rest of it.
     """
-    kept = check_observations(map_, "The map")
-    views = map_.observation_views
+    kept = check_memory(map_, "The map")
+    views = map_.observations.views
     sources = kept.view_sources[views]
     rays, focal_px = np.zeros((len(views), 3)), np.zeros(len(views))
-    for source, camera in enumerate(source_cameras(map_)):
+    for source, camera in enumerate(source_cameras(map_.info)):
         mine = np.flatnonzero(sources == source)
         rays[mine] = camera.rays(kept.pixels[mine])
         focal_px[mine] = camera.focal
-    bearings = np.einsum("vij,vj->vi", map_.T_map_camera[views, :3, :3], rays)
-    features = map_.observation_features.astype(np.int64)
-    return ObservedRays(features, views, kept.pixels, bearings, map_.view_positions[views], focal_px)
+    bearings = np.einsum("vij,vj->vi", map_.views.T_map_camera[views, :3, :3], rays)
+    features = map_.observations.features.astype(np.int64)
+    return ObservedRays(features, views, kept.pixels, bearings, map_.views.positions[views], focal_px)
 
 
 def solve_landmarks(
@@ -102,9 +102,10 @@ def with_landmarks(map_: Map, wanted: BoolArray | None = None) -> Map:
     wanted = np.ones(len(map_), dtype=bool) if wanted is None else wanted
     positions, covariances, determined = solve_landmarks(observed_rays(map_), len(map_), wanted)
     solved = wanted & determined
-    landmarks, spread = map_.landmarks.copy(), map_.covariances.copy()
-    landmarks[solved], spread[solved] = positions[solved], covariances[solved]
-    map_ = keep_features(replace(map_, landmarks=landmarks, covariances=spread), solved | ~wanted)
+    places, spread = map_.landmarks.positions.copy(), map_.landmarks.covariances.copy()
+    places[solved], spread[solved] = positions[solved], covariances[solved]
+    landmarks = replace(map_.landmarks, positions=places, covariances=spread)
+    map_ = keep_features(replace(map_, landmarks=landmarks), solved | ~wanted)
     validate_map(map_)
     return map_
 
@@ -113,25 +114,21 @@ def keep_features(map_: Map, kept: BoolArray) -> Map:
     """The map, of ``ray`` form, with only the features where ``kept`` (F,) holds, renumbered."""
     if kept.all():
         return map_
-    number = np.cumsum(kept) - 1
-    seen, described = kept[map_.observation_features], kept[map_.descriptor_features]
-    observations = map_.observations
+    number = (np.cumsum(kept) - 1).astype(np.int32)
+    descriptors = map_.descriptors.take(kept[map_.descriptors.features])
+    observations = map_.observations.take(kept[map_.observations.features])
     return replace(
         map_,
-        channels=map_.channels[kept],
-        landmarks=map_.landmarks[kept],
-        covariances=map_.covariances[kept],
-        colours=None if map_.colours is None else map_.colours[kept],
-        patches=None if map_.patches is None else map_.patches[kept],
-        descriptors=map_.descriptors[described],
-        descriptor_features=number[map_.descriptor_features[described]].astype(np.int32),
-        observation_views=map_.observation_views[seen],
-        observation_features=number[map_.observation_features[seen]].astype(np.int32),
-        observations=(
-            None
-            if observations is None
-            else Observations(
-                observations.pixels[seen], observations.view_sources, observations.descriptor_sources[described]
-            )
-        ),
+        landmarks=map_.landmarks.take(kept),
+        descriptors=replace(descriptors, features=number[descriptors.features]),
+        observations=replace(observations, features=number[observations.features]),
+    )
+
+
+def keep_view_rows(map_: Map, kept: BoolArray) -> Map:
+    """The map with only the views where ``kept`` (K,) holds, renumbered, and what they saw; all features stay."""
+    number = (np.cumsum(kept) - 1).astype(np.int32)
+    observations = map_.observations.take(kept[map_.observations.views])
+    return replace(
+        map_, views=map_.views.take(kept), observations=replace(observations, views=number[observations.views])
     )

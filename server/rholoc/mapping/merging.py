@@ -18,10 +18,10 @@ from rholoc.mapping.fitting import ray_form
 from rholoc.mapping.joining import join, without_source
 from rholoc.mapping.learning import alignment_report
 from rholoc.mapping.moving import move_map
-from rholoc.mapping.registration import LEARNING_CONFIDENCE, align_to_found, find_frames
+from rholoc.mapping.registration import LEARNING_RECOGNIZED, align_to_found, find_frames
 from rholoc.mapping.uncertainty import uncertainty_in
 from rholoc.mapping.versions import as_learned
-from rholoc.maps import DensityKind, Map, check_observations, source_cameras
+from rholoc.maps import DensityKind, Map, check_memory, source_cameras
 from rholoc.progress import ProgressListener, Stage, silent
 
 _MAX_LOCALIZED = 60
@@ -48,8 +48,8 @@ def merge_maps(a: Map, b: Map, progress: ProgressListener = silent) -> Map:
     if all(source.id in shared for source in b.info.sources):
         raise Conflict("The first map already contains all that the second does.", "There is nothing to merge.")
     b = _without_shared(ray_form(b), shared)
-    localizer = Localizer(ray_form(a), min_confidence=LEARNING_CONFIDENCE)
-    frames, own = remembered_frames(b), b.T_map_camera
+    localizer = Localizer(ray_form(a), min_recognized=LEARNING_RECOGNIZED)
+    frames, own = remembered_frames(b), b.views.T_map_camera
     tried = np.unique(np.linspace(0, len(frames) - 1, _MAX_LOCALIZED).round().astype(np.int64))
     found = find_frames(localizer, frames, tried, "The second map", progress)
     alignment = align_to_found(own, found, a.info.metric and b.info.metric, "The second map")
@@ -72,9 +72,10 @@ def merge_maps(a: Map, b: Map, progress: ProgressListener = silent) -> Map:
 
 def _placed_in(a: Map, b: Map) -> Map:
     """``b``, which was brought into the frame of ``a``, as uncertain as that makes it: as both are."""
-    if b.view_covariances is None:
+    if b.views.covariances is None:
         return b
-    return replace(b, view_covariances=b.view_covariances + uncertainty_in(a, b.T_map_camera))
+    covariances = b.views.covariances + uncertainty_in(a, b.views.T_map_camera)
+    return replace(b, views=replace(b.views, covariances=covariances))
 
 
 def check_alike(a: Map, b: Map) -> None:
@@ -85,7 +86,7 @@ def check_alike(a: Map, b: Map) -> None:
             ``ray``.
     """
     for map_, which in ((a, "The first map"), (b, "The second map")):
-        check_observations(map_, which)
+        check_memory(map_, which)
         if map_.info.density is not DensityKind.RAY:
             raise InvalidInput(
                 f"{which} has {map_.info.density} densities, which cannot be merged.",
@@ -107,20 +108,20 @@ def _without_shared(map_: Map, shared: set[str | None]) -> Map:
 def remembered_frames(map_: Map) -> list[tuple[Camera, FeatureSet]]:
     """What the map remembers of its views, as frames: the features seen, each with its first descriptor, and its patch
     as it looks from there."""
-    observations = check_observations(map_, "The map")
-    first = np.searchsorted(map_.descriptor_features, np.arange(len(map_)))
-    cameras, patches = source_cameras(map_), map_.known_patches
+    observations = check_memory(map_, "The map")
+    first = np.searchsorted(map_.descriptors.features, np.arange(len(map_)))
+    cameras, patches = source_cameras(map_.info), map_.landmarks.known_patches
     frames = []
     for k, source in enumerate(observations.view_sources):
         rows = slice(int(map_.view_offsets[k]), int(map_.view_offsets[k + 1]))
-        features = map_.observation_features[rows]
+        features = map_.observations.features[rows]
         angles, sizes = patch_appearance(
-            cameras[source], map_.T_map_camera[k], map_.landmarks[features], patches[features]
+            cameras[source], map_.views.T_map_camera[k], map_.landmarks.positions[features], patches[features]
         )
         seen = FeatureSet(
             observations.pixels[rows].astype(np.float32),
-            map_.channels[features],
-            map_.descriptors[first[features]],
+            map_.landmarks.channels[features],
+            map_.descriptors.values[first[features]],
             np.nan_to_num(sizes).astype(np.float32),
             angles.astype(np.float32),
         )
@@ -131,12 +132,12 @@ def remembered_frames(map_: Map) -> list[tuple[Camera, FeatureSet]]:
 def _same_features(localizer: Localizer, moved: Map, progress: ProgressListener) -> IntArray:
     """For each feature of the second map the one of the first that it is, or -1; by votes of the views."""
     index, metric = localizer.index, localizer.extractor.metric
-    frames, poses = remembered_frames(moved), moved.T_map_camera
+    frames, poses = remembered_frames(moved), moved.views.T_map_camera
     pairs = [np.zeros((0, 2), dtype=np.int64)]
     for k, (camera, features) in enumerate(frames):
         matches, _ = index.match_near(features, camera, poses[k], _RADIUS_PX)
         alike = index.distances_to(features, matches.detections, matches.landmarks) <= LIMITS[metric].strict
-        of_b = moved.observation_features[moved.view_offsets[k] + matches.detections[alike]]
+        of_b = moved.observations.features[moved.view_offsets[k] + matches.detections[alike]]
         pairs.append(np.column_stack([of_b, matches.landmarks[alike]]))
         progress(Stage.OBSERVATIONS, (k + 1) / len(frames), f"{k + 1} of {len(frames)} views compared")
     voted = np.concatenate(pairs)

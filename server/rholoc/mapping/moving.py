@@ -24,25 +24,29 @@ def move_map(map_: Map, similarity: Similarity) -> Map:
     Raises:
         InvalidInput: some of it would lie more than 10 km from the origin.
     """
-    landmarks = similarity.points(map_.landmarks.astype(np.float64)).astype(np.float32)
-    T_map_camera = similarity.poses(map_.T_map_camera)
+    positions = similarity.points(map_.landmarks.positions.astype(np.float64)).astype(np.float32)
+    T_map_camera = similarity.poses(map_.views.T_map_camera)
     cloud = map_.cloud.moved(similarity)
-    _check_near(landmarks, T_map_camera[:, :3, 3], cloud.positions)
-    covariances, R = map_.covariances.astype(np.float64), similarity.rotation
+    _check_near(positions, T_map_camera[:, :3, 3], cloud.positions)
+    covariances, R = map_.landmarks.covariances.astype(np.float64), similarity.rotation
     turned = similarity.scale**2 * R @ covariances @ R.T
-    densities = FORMS[map_.info.density].from_arrays(map_.densities.moved(similarity).arrays(), landmarks)
-    info = _moved_info(map_.info, similarity)
+    densities = FORMS[map_.info.density].from_arrays(map_.densities.moved(similarity).arrays(), positions)
+    info, of_views = _moved_info(map_.info, similarity), map_.views.covariances
     moved = replace(
         map_,
         info=info,
         plan=b"" if info.plan is None else map_.plan,
-        landmarks=landmarks,
-        covariances=((turned + turned.transpose(0, 2, 1)) / 2).astype(np.float32),
-        T_map_camera=poses_from_rows(rows_from_poses(T_map_camera).astype(np.float32)),  # as files keep them
-        view_covariances=(
-            None if map_.view_covariances is None else moved_covariances(map_.view_covariances, similarity)
+        landmarks=replace(
+            map_.landmarks,
+            positions=positions,
+            covariances=((turned + turned.transpose(0, 2, 1)) / 2).astype(np.float32),
+            patches=moved_patches(map_.landmarks.patches, similarity),
         ),
-        patches=moved_patches(map_.patches, similarity),
+        views=replace(
+            map_.views,
+            T_map_camera=poses_from_rows(rows_from_poses(T_map_camera).astype(np.float32)),  # as files keep them
+            covariances=None if of_views is None else moved_covariances(of_views, similarity),
+        ),
         cloud=cloud,
         densities=densities,
     )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from rholoc.maps import Map, ObservationTable, check_observations
+from rholoc.maps import Map, ObservationTable, check_memory
 
 
 def observation_table(map_: Map, what: str = "The map") -> ObservationTable:
@@ -17,13 +17,13 @@ def observation_table(map_: Map, what: str = "The map") -> ObservationTable:
         InvalidInput: the map does not remember its observations.
         InvalidMap: its memory contradicts itself.
     """
-    pixels = check_observations(map_, what).pixels
-    features, views = map_.observation_features, map_.observation_views
-    first_descriptor = np.searchsorted(map_.descriptor_features, np.arange(len(map_)))
+    pixels = check_memory(map_, what).pixels
+    features, views = map_.observations.features, map_.observations.views
+    first_descriptor = np.searchsorted(map_.descriptors.features, np.arange(len(map_)))
     return ObservationTable(
-        channels=map_.channels[features],
-        descriptors=map_.descriptors[first_descriptor[features]],
+        channels=map_.landmarks.channels[features],
+        descriptors=map_.descriptors.values[first_descriptor[features]],
         pixels=pixels,
-        positions=map_.view_positions[views],
-        headings=map_.view_headings[views],
+        positions=map_.views.positions[views],
+        headings=map_.views.headings[views],
     )

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
 from rholoc.features import FeatureSet, Metric
 from rholoc.features.matching import LIMITS, descriptor_distances, mutual_matches
 from rholoc.geometry import BoolArray, Camera, FloatArray, IntArray, direction_angles
+from rholoc.lazy import lazy
 from rholoc.progress import ProgressListener, Stage, silent
 
 _TEMPORAL_NEIGHBOURS = 8
@@ -70,7 +70,7 @@ class Views:
         """(K,) focal lengths, pixels."""
         return np.array([camera.focal for camera in self.cameras])
 
-    @cached_property
+    @lazy
     def view_of(self) -> IntArray:
         """(N,) the view of each detection."""
         return np.repeat(np.arange(len(self)), np.diff(self.offsets))

@@ -6,6 +6,7 @@ import numpy as np
 
 from rholoc.features import FeatureSet, get_extractor
 from rholoc.geometry import Camera, Pose
+from rholoc.mapping.frame_features import FrameFeatures
 from rholoc.mapping.views import choose_views
 from rholoc.maps import ObservationTable
 from rholoc.progress import ProgressListener, Stage, silent
@@ -31,16 +32,12 @@ def observe_recording(
         Cancelled: ``progress`` asked to stop.
     """
     extractor = get_extractor(features)
-    trajectory = estimate_trajectory(recording, poses, progress)
+    frames = FrameFeatures(recording.frames, extractor)
+    trajectory = estimate_trajectory(recording, poses, progress, frames.show)
     chosen, _ = choose_views(trajectory.T_map_camera, hold_out=False)
     found: list[FeatureSet] = []
-    for row, image in zip(
-        trajectory.rows[chosen].tolist(),
-        recording.frames.images(trajectory.rows[chosen].tolist()),
-        strict=True,
-    ):
-        seen = extractor.extract(image)
-        found.append(seen if trajectory.rolling_shutter is None else trajectory.rolling_shutter.at_once(row, seen))
+    for shown in frames.of_keyframes(trajectory, chosen):
+        found.append(shown.features)
         progress(Stage.FEATURES, len(found) / len(chosen), f"features of {len(found)} of {len(chosen)} frames")
     views = [Pose(T) for T in trajectory.T_map_camera[chosen]]
     view_of = np.repeat(np.arange(len(chosen)), [len(one) for one in found])

@@ -49,7 +49,7 @@ def with_learned_densities(before: Map, after: Map, forgetting: float) -> Map:
     known = before.densities
     assert isinstance(known, ObservedDensities)
     sightings = sightings_of(after)
-    is_new = np.arange(len(sightings.features)) >= len(before.observation_features)
+    is_new = np.arange(len(sightings.features)) >= len(before.observations)
     taken, learned = _learned(known, sightings, np.flatnonzero(is_new), forgetting)
     left = is_new & ~taken
     left |= ~np.isin(sightings.features, known.features)  # features without a density so far

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -22,7 +22,9 @@ from rholoc.geometry import (
 from rholoc.localization import Dof, Localizer, Prior, Query
 from rholoc.progress import ProgressListener, Stage, silent
 
-LEARNING_CONFIDENCE = 0.7  # required of a frame that a map learns from: surely of the right place, if not to 20 cm
+LEARNING_RECOGNIZED = 0.8
+"""Required of a frame that a map learns from: the least probability of the right place."""
+
 _PROBES = 12  # frames, spread over all, by which a recording of another place is recognized at once
 MIN_FOUND = 5
 _MIN_SHARE = 0.1
@@ -169,8 +171,7 @@ def _localize(
     camera, features = frames[row]
     query = Query(features, camera, Dof.FREE)
     if last is not None:
-        from_last = Query(features, camera, Dof.FREE, prior=Prior(Pose(T[last])))
-        answer = localizer.localize(from_last)
+        answer = localizer.localize(replace(query, prior=Prior(Pose(T[last]))))
         if answer.pose is not None:
             T[row] = answer.pose.T_map_camera
             return

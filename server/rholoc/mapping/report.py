@@ -48,8 +48,8 @@ def map_statistics(map_: Map) -> MapReport:
     return MapReport(
         features=len(map_),
         descriptors=len(map_.descriptors),
-        views=len(map_.view_times),
-        views_per_feature_median=float(np.median(np.bincount(map_.observation_features, minlength=len(map_)))),
+        views=len(map_.views),
+        views_per_feature_median=float(np.median(np.bincount(map_.observations.features, minlength=len(map_)))),
         features_per_view_median=float(np.median(np.diff(map_.view_offsets))),
         landmark_sigma_median_m=float(np.median(sigma_m)),
         landmark_sigma_p90_m=float(np.percentile(sigma_m, 90)),

@@ -82,7 +82,7 @@ class Sights:
                 others may have come after they were gone.
         """
         by_recording = np.zeros(len(index.map), dtype=bool)
-        by_recording[index.map.observation_features[recorded[index.map.observation_views]]] = True
+        by_recording[index.map.observations.features[recorded[index.map.observations.views]]] = True
         found = [_sight(index, one, recorded, by_recording) for one in cameras]
         counts = [len(landmarks) for landmarks, _, _ in found]
         landmarks, chances, seen = (np.concatenate(column) for column in zip(_NOTHING, *found, strict=True))

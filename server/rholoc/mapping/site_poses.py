@@ -15,7 +15,7 @@ from rholoc.geometry import FloatArray, Pose, kabsch, pose_distances, pose_matri
 from rholoc.localization import Localizer
 from rholoc.mapping.fitting import ray_form
 from rholoc.mapping.merging import check_alike, remembered_frames
-from rholoc.mapping.registration import LEARNING_CONFIDENCE, align_to_found, find_frames
+from rholoc.mapping.registration import LEARNING_RECOGNIZED, align_to_found, find_frames
 from rholoc.maps import FramePose, LinkOrigin, Map, Site, SiteLink, SiteMap
 from rholoc.progress import ProgressListener, silent
 
@@ -245,11 +245,11 @@ def _points(map_: Map) -> dict[str, tuple[float, float, float]]:
 
 def _link_by_overlap(first: str, a: Map, second: str, b: Map, progress: ProgressListener) -> SiteLink:
     check_alike(a, b)
-    localizer = Localizer(ray_form(a), min_confidence=LEARNING_CONFIDENCE)
+    localizer = Localizer(ray_form(a), min_recognized=LEARNING_RECOGNIZED)
     frames = remembered_frames(b)
     tried = np.unique(np.linspace(0, len(frames) - 1, _MOST_LOCALIZED).round().astype(np.int64))
     found = find_frames(localizer, frames, tried, f"The map {second}", progress)
-    alignment = align_to_found(b.T_map_camera, found, True, f"The map {second}")
+    alignment = align_to_found(b.views.T_map_camera, found, True, f"The map {second}")
     similarity = alignment.similarity
     T = pose_matrix(similarity.rotation, similarity.translation)
     sigma_m = max(alignment.residual_m, _LEAST_SIGMA_M)

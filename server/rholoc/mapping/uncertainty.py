@@ -28,7 +28,7 @@ def uncertainty_in(
     Each also errs by what it is off from the map on its own: ``residual_m`` and ``residual_rad``, standard deviations
     of an axis. NaN where the map does not say how uncertain it is.
     """
-    covariances, positions = map_.known_view_covariances.astype(np.float64), map_.view_positions
+    covariances, positions = map_.views.known_covariances.astype(np.float64), map_.views.positions
     own = np.diag([residual_m**2] * 3 + [residual_rad**2] * 3)
     found = np.full((len(T_map_camera), 6, 6), np.nan)
     for k, at in enumerate(T_map_camera[:, :3, 3]):
@@ -50,7 +50,7 @@ def moved_covariances(covariances: FloatArray, similarity: Similarity) -> FloatA
 
 def expected_error(map_: Map) -> ExpectedError | None:
     """How far a map's views are expected to be from the truth; None where it is not known."""
-    errors_m = map_.expected_errors_m
+    errors_m = map_.views.expected_errors_m
     known = np.flatnonzero(np.isfinite(errors_m))
     if len(known) == 0:
         return None
@@ -58,6 +58,6 @@ def expected_error(map_: Map) -> ExpectedError | None:
     return ExpectedError(
         rms_m=float(np.sqrt(np.mean(errors_m[known] ** 2))),
         worst_m=float(errors_m[worst]),
-        worst_time_s=float(map_.view_times[worst]),
+        worst_time_s=float(map_.views.times[worst]),
         views_m=tuple(round(float(error), 5) if np.isfinite(error) else None for error in errors_m),
     )

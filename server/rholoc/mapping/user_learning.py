@@ -24,12 +24,12 @@ from rholoc.mapping.learning import recognize, seen_landmarks
 from rholoc.mapping.memory import keep_features
 from rholoc.mapping.merging import remembered_frames
 from rholoc.mapping.observations import Views
-from rholoc.mapping.registration import LEARNING_CONFIDENCE
+from rholoc.mapping.registration import LEARNING_RECOGNIZED
 from rholoc.mapping.sights import Looked, Sights
 from rholoc.mapping.uncertainty import storable_covariances
 from rholoc.mapping.vanishing import vanished
 from rholoc.mapping.versions import as_learned
-from rholoc.maps import Map, MapInfo, Source, check_observations
+from rholoc.maps import Map, MapInfo, Source, check_memory
 from rholoc.progress import ProgressListener, Stage, silent
 from rholoc.reports import LearningReport, QueriesReport
 
@@ -81,11 +81,11 @@ def learn_from_queries(map_: Map, queries: Sequence[AnsweredQuery], progress: Pr
         MappingFailed: there is nothing to learn, or the map would be worse; says by how much.
         Cancelled: ``progress`` asked to stop.
     """
-    check_observations(map_, "The map")
+    check_memory(map_, "The map")
     if len(queries) < FEWEST_QUERIES:
         raise too_few_queries(len(queries))
     known = ray_form(map_)
-    localizer = Localizer(known, min_confidence=LEARNING_CONFIDENCE)
+    localizer = Localizer(known, min_recognized=LEARNING_RECOGNIZED)
     queries = sorted(queries, key=lambda query: query.time_s)
     placed = _placed(localizer, queries, progress)
     believed = _believed(localizer, placed)
@@ -100,13 +100,13 @@ def learn_from_queries(map_: Map, queries: Sequence[AnsweredQuery], progress: Pr
     for _ in range(_ROUNDS):  # what was hard to place by the old landmarks alone is easier by the new ones too
         if lesson.is_empty:
             break
-        better = Localizer(lesson.map_, min_confidence=LEARNING_CONFIDENCE)
+        better = Localizer(lesson.map_, min_recognized=LEARNING_RECOGNIZED)
         believed_again = _believed(better, _placed(better, queries, progress))
         lesson = _lesson(localizer, believed_again, progress)
     if lesson.is_empty:
         raise MappingFailed("The queries show nothing new, and miss nothing.", "The map is unchanged.")
     after = _bounded(lesson.map_)
-    learned = Localizer(after, min_confidence=LEARNING_CONFIDENCE)
+    learned = Localizer(after, min_recognized=LEARNING_RECOGNIZED)
     held_back = [one for one in _settled(placed, believed, believed_again) if _is_held_back(one.query)]
     questions, remembered = _questions(held_back), _remembered(known, lesson.gone)
     before_answers, after_answers = _answers(localizer, questions), _answers(learned, questions)
@@ -213,7 +213,7 @@ def _occasions(queries: Sequence[AnsweredQuery]) -> IntArray:
 
 def _is_recorded(map_: Map) -> BoolArray:
     """(K,) which views are of recordings, not of queries."""
-    return ~_is_of_queries(map_.info)[check_observations(map_, "The map").view_sources]
+    return ~_is_of_queries(map_.info)[check_memory(map_, "The map").view_sources]
 
 
 def _is_of_queries(info: MapInfo) -> BoolArray:
@@ -223,7 +223,7 @@ def _is_of_queries(info: MapInfo) -> BoolArray:
 
 def _fresh_views(known: Map, teaching: Sequence[_Placed]) -> list[_Placed]:
     """The queries that become views: exact, not views already, by the commonest cameras, spread."""
-    learned = set(known.view_times[~_is_recorded(known)].tolist())
+    learned = set(known.views.times[~_is_recorded(known)].tolist())
     new = [one for one in _exact(teaching, _MAX_VIEW_SIGMA_RATIO) if one.query.time_s not in learned]
     cameras = [one.query.camera for one in new]
     common = sorted(set(cameras), key=lambda camera: (-cameras.count(camera), astuple(camera)))[:_MOST_CAMERAS]
@@ -289,7 +289,7 @@ def _lesson(localizer: Localizer, placed: Sequence[_Placed], progress: ProgressL
 
 def _joined(left: Map, fresh: Sequence[_Placed], most: int, progress: ProgressListener) -> tuple[Map, int, int]:
     """A map with the views of queries and at most so many landmarks; how many they see again, how many are new."""
-    localizer = Localizer(left, min_confidence=LEARNING_CONFIDENCE)
+    localizer = Localizer(left, min_recognized=LEARNING_RECOGNIZED)
     cameras = [one.query.camera for one in fresh]
     T = np.array([one.T_map_camera for one in fresh])
     times = np.array([one.query.time_s for one in fresh])
@@ -303,8 +303,9 @@ def _joined(left: Map, fresh: Sequence[_Placed], most: int, progress: ProgressLi
     info = replace(left.info, sources=tuple(sources), waypoints=())
     view_sources = np.array([rows[camera] for camera in cameras], dtype=np.int64)
     learned = assemble(info, views, landmarks, view_sources, localizer.extractor.metric)
-    if left.view_covariances is not None:
-        learned = replace(learned, view_covariances=storable_covariances(np.array([one.covariance for one in fresh])))
+    if left.views.covariances is not None:
+        covariances = storable_covariances(np.array([one.covariance for one in fresh]))
+        learned = replace(learned, views=replace(learned.views, covariances=covariances))
     joined = _without_like_descriptors(with_sources_once(join(left, learned, seen)), localizer.extractor.metric)
     return joined, int((seen >= 0).sum()), int((seen < 0).sum())
 
@@ -322,24 +323,19 @@ def _some_of_each_view(views: Views, labels: IntArray) -> IntArray:
 
 def _without_like_descriptors(map_: Map, metric: Metric) -> Map:
     """The map without those descriptors of queries that are like one that a recording brought for the same feature."""
-    kept = check_observations(map_, "The map")
+    kept = check_memory(map_, "The map")
     of_queries = _is_of_queries(map_.info)[kept.descriptor_sources]
-    features = map_.descriptor_features
+    features = map_.descriptors.features
     first = np.searchsorted(features, features)
     last = np.searchsorted(features, features, side="right")
     ours = np.flatnonzero(of_queries)
     others = ranges(first[ours], last[ours])
     owner = np.repeat(ours, last[ours] - first[ours])
-    distances = descriptor_distances(map_.descriptors[owner], map_.descriptors[others], metric)
+    distances = descriptor_distances(map_.descriptors.values[owner], map_.descriptors.values[others], metric)
     like = ~of_queries[others] & (distances <= 0.5 * LIMITS[metric].strict)
     stays = np.ones(len(features), dtype=bool)
     stays[owner[like]] = False
-    return replace(
-        map_,
-        descriptors=map_.descriptors[stays],
-        descriptor_features=features[stays],
-        observations=replace(kept, descriptor_sources=kept.descriptor_sources[stays]),
-    )
+    return replace(map_, descriptors=map_.descriptors.take(stays))
 
 
 def _source(map_: Map, camera: Camera) -> Source:
@@ -378,18 +374,18 @@ def _most_landmarks(known: Map) -> int:
 
     What is forgotten makes room for what is new.
     """
-    recorded = np.unique(known.observation_features[_is_recorded(known)[known.observation_views]])
+    recorded = np.unique(known.observations.features[_is_recorded(known)[known.observations.views]])
     return max(len(known), int(_MOST_LANDMARKS_RATIO * len(recorded)))
 
 
 def _bounded(map_: Map) -> Map:
     """The map without the oldest of its views of queries, where there are too many."""
     of_queries = np.flatnonzero(~_is_recorded(map_))
-    oldest_first = of_queries[np.argsort(map_.view_times[of_queries], kind="stable")]
+    oldest_first = of_queries[np.argsort(map_.views.times[of_queries], kind="stable")]
     excess = len(of_queries) - _most_views(map_)
     if excess <= 0:
         return map_
-    stays = np.ones(len(map_.view_times), dtype=bool)
+    stays = np.ones(len(map_.views), dtype=bool)
     stays[oldest_first[:excess]] = False
     return keep_views(map_, stays)
 
@@ -448,8 +444,8 @@ def _remembered(map_: Map, gone: BoolArray) -> list[tuple[Camera, FloatArray, Fe
     found = []
     for view in chosen.tolist():
         camera, features = frames[view]
-        seen = map_.observation_features[map_.view_offsets[view] : map_.view_offsets[view + 1]]
-        found.append((camera, map_.T_map_camera[view], features.take(np.flatnonzero(~gone[seen]))))
+        seen = map_.observations.features[map_.view_offsets[view] : map_.view_offsets[view + 1]]
+        found.append((camera, map_.views.T_map_camera[view], features.take(np.flatnonzero(~gone[seen]))))
     return found
 
 

@@ -14,6 +14,7 @@ from rholoc.maps.gltf import map_to_gltf
 from rholoc.maps.info import MapInfo, MapWaypoint, Source
 from rholoc.maps.library import MapLibrary, MapStat, check_map_name
 from rholoc.maps.map import Map
+from rholoc.maps.map_tables import MapDescriptors, MapLandmarks, MapObservations, MapViews
 from rholoc.maps.names import (
     MapLabels,
     MapNames,
@@ -27,15 +28,17 @@ from rholoc.maps.names import (
     within_outline,
 )
 from rholoc.maps.observations import (
-    Observations,
-    check_observations,
+    Memory,
+    check_memory,
+    memory_of,
     packed_pixels,
     source_cameras,
     unpacked_pixels,
+    without_memory,
 )
 from rholoc.maps.part import MapPart, part_of
 from rholoc.maps.patches import moved_patches, packed_patches, storable_patches, unpacked_patches
-from rholoc.maps.rho_file import load_info, load_map, map_to_bytes, save_map
+from rholoc.maps.rho_file import MapOutline, load_info, load_map, map_to_bytes, save_map
 from rholoc.maps.scene import cloud_to_bytes, map_to_scene
 from rholoc.maps.sites import (
     MOST_MAPS,
@@ -78,17 +81,22 @@ __all__ = [
     "FramePose",
     "LinkOrigin",
     "Map",
+    "MapDescriptors",
     "MapInfo",
     "MapLabels",
+    "MapLandmarks",
     "MapLibrary",
     "MapNames",
+    "MapObservations",
+    "MapOutline",
     "MapPart",
     "MapStat",
+    "MapViews",
     "MapWaypoint",
+    "Memory",
     "NamedArea",
     "NamedPoint",
     "ObservationTable",
-    "Observations",
     "Site",
     "SiteLibrary",
     "SiteLink",
@@ -101,8 +109,8 @@ __all__ = [
     "check_camera_name",
     "check_labels",
     "check_map_name",
+    "check_memory",
     "check_names",
-    "check_observations",
     "check_outline",
     "check_plan",
     "check_site",
@@ -122,6 +130,7 @@ __all__ = [
     "map_to_ply",
     "map_to_scene",
     "map_to_vtp",
+    "memory_of",
     "moved_patches",
     "observations_csv",
     "packed_patches",
@@ -140,6 +149,7 @@ __all__ = [
     "validate_map",
     "view_trajectory",
     "within_outline",
+    "without_memory",
     "write_coefficient_table",
     "write_trajectory_csv",
 ]

@@ -22,6 +22,7 @@ from rholoc.maps.coefficient_table import (
 )
 from rholoc.maps.info import MapInfo, Source
 from rholoc.maps.map import Map
+from rholoc.maps.map_tables import MapDescriptors, MapLandmarks, MapObservations, MapViews
 from rholoc.maps.rho_file import unpacked_covariances, unpacked_poses
 from rholoc.maps.validation import validate_map
 
@@ -75,7 +76,7 @@ def read_coefficient_table(path: Path, called: str = "") -> Map:
             descriptor is repeated for the same density, rows contradict each other, or the file is truncated.
     """
     if not path.is_file():
-        raise UnknownMap(f"There is no map {path}.", "Check the path.")
+        raise UnknownMap(f"There is no map {path.name}.", "It may have been deleted or renamed.")
     name = called or path.name
     features: dict[int, _Feature] = {}
     shared: list[str] | None = None
@@ -225,17 +226,19 @@ def _assemble(name: str, header: _Header, shared: list[str], features: dict[int,
     times, poses, views, seen = _views(name, [feature.texts[-1] for feature in ordered])
     map_ = Map(
         info=info,
-        channels=np.array([feature.channel for feature in ordered], dtype=np.uint8),
-        landmarks=np.array([feature.landmark for feature in ordered], dtype=np.float32),
-        covariances=unpacked_covariances(np.reshape([feature.covariance for feature in ordered], (-1, 6))),
-        descriptors=np.frombuffer(b"".join(b"".join(f.descriptors) for f in ordered), np.uint8).reshape(-1, length),
-        descriptor_features=np.repeat(np.arange(len(ordered)), [len(f.descriptors) for f in ordered]).astype(np.int32),
-        view_times=times,
-        T_map_camera=unpacked_poses(poses),
-        observation_views=views,
-        observation_features=seen,
+        landmarks=MapLandmarks(
+            channels=np.array([feature.channel for feature in ordered], dtype=np.uint8),
+            positions=np.array([feature.landmark for feature in ordered], dtype=np.float32),
+            covariances=unpacked_covariances(np.reshape([feature.covariance for feature in ordered], (-1, 6))),
+        ),
+        descriptors=MapDescriptors(
+            np.frombuffer(b"".join(b"".join(f.descriptors) for f in ordered), np.uint8).reshape(-1, length),
+            np.repeat(np.arange(len(ordered)), [len(f.descriptors) for f in ordered]).astype(np.int32),
+        ),
+        views=MapViews(times, unpacked_poses(poses)),
+        observations=MapObservations(views, seen),
     )
-    map_ = replace(map_, densities=_densities(name, header, map_.landmarks, ordered))
+    map_ = replace(map_, densities=_densities(name, header, map_.landmarks.positions, ordered))
     validate_map(map_)
     return map_
 

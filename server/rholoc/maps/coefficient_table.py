@@ -60,7 +60,9 @@ def coefficient_table(map_: Map) -> Iterator[str]:
         InvalidMap: the map's densities contradict each other, or a feature has no descriptor or density.
     """
     densities = map_.densities
-    rows = densities.rows(_sightings(map_), np.trace(map_.covariances.astype(np.float64), axis1=1, axis2=2) / 3)
+    rows = densities.rows(
+        _sightings(map_), np.trace(map_.landmarks.covariances.astype(np.float64), axis1=1, axis2=2) / 3
+    )
     pairs = _pairs(map_, rows.features)
     yield ",".join(table_columns(type(densities), densities.degree)) + "\n"
     map_values = ",".join(
@@ -70,16 +72,16 @@ def coefficient_table(map_: Map) -> Iterator[str]:
     written, text = -1, ""
     for row, (feature, descriptor, density) in enumerate(pairs):
         if density != written:
-            coefficients = densities.coefficients_of(density, map_.landmarks[feature], rows.domain[density])
+            coefficients = densities.coefficients_of(density, map_.landmarks.positions[feature], rows.domain[density])
             written, text = density, _numbers(coefficients)
         yield ",".join(
             [
-                descriptor_hex(int(map_.channels[feature]), map_.descriptors[descriptor]),
+                descriptor_hex(int(map_.landmarks.channels[feature]), map_.descriptors.values[descriptor]),
                 text,
                 str(feature),
                 _numbers(rows.domain[density]),
-                _numbers(map_.landmarks[feature]),
-                _numbers(map_.covariances[feature][np.triu_indices(3)]),
+                _numbers(map_.landmarks.positions[feature]),
+                _numbers(map_.landmarks.covariances[feature][np.triu_indices(3)]),
                 map_values,
                 seen_from[feature],
                 f"{row + 1}/{len(pairs)}\n",
@@ -88,14 +90,14 @@ def coefficient_table(map_: Map) -> Iterator[str]:
 
 
 def _sightings(map_: Map) -> Sightings:
-    seen_from = map_.view_positions[map_.observation_views]
-    return Sightings(map_.landmarks, map_.observation_features, seen_from)
+    seen_from = map_.views.positions[map_.observations.views]
+    return Sightings(map_.landmarks.positions, map_.observations.features, seen_from)
 
 
 def _pairs(map_: Map, density_features: IntArray) -> list[tuple[int, int, int]]:
     """Feature, descriptor and density of every row: each of a feature's descriptors and densities at least once."""
     features = np.arange(len(map_) + 1)
-    of_descriptors = np.searchsorted(map_.descriptor_features, features)
+    of_descriptors = np.searchsorted(map_.descriptors.features, features)
     of_densities = np.searchsorted(density_features, features)
     pairs = []
     for feature in range(len(map_)):
@@ -112,13 +114,13 @@ def _pairs(map_: Map, density_features: IntArray) -> list[tuple[int, int, int]]:
 
 def _seen_from(map_: Map) -> list[str]:
     """The views of each feature: number, time, position and quaternion separated by spaces, views by semicolons."""
-    poses = rows_from_poses(map_.T_map_camera).astype(np.float32)
+    poses = rows_from_poses(map_.views.T_map_camera).astype(np.float32)
     views = [
         f"{k} {float(time)!r} {' '.join(_each(pose))}"
-        for k, (time, pose) in enumerate(zip(map_.view_times, poses, strict=True))
+        for k, (time, pose) in enumerate(zip(map_.views.times, poses, strict=True))
     ]
     seen: list[list[str]] = [[] for _ in range(len(map_))]
-    for view, feature in zip(map_.observation_views.tolist(), map_.observation_features.tolist(), strict=True):
+    for view, feature in zip(map_.observations.views.tolist(), map_.observations.features.tolist(), strict=True):
         seen[feature].append(views[view])
     return [";".join(of_feature) for of_feature in seen]
 

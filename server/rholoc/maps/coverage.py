@@ -89,7 +89,7 @@ def coverage_of(map_: Map) -> Coverage:
     The plane is horizontal if the map is upright, else perpendicular to the views' mean up. The step is 0.25 m, or more
     if that would make more than 250 positions; in maps of arbitrary scale the landmarks' distance defines a metre.
     """
-    positions, rotations = map_.view_positions, map_.T_map_camera[:, :3, :3]
+    positions, rotations = map_.views.positions, map_.views.T_map_camera[:, :3, :3]
     up, axes = _plane(rotations, map_.info.upright)
     height, pitch = _height_and_pitch(positions, rotations, up)
     origin, step_m, cells = _grid(positions @ axes.T, _metre(map_, positions))
@@ -136,10 +136,10 @@ def _height_and_pitch(positions: FloatArray, rotations: FloatArray, up: FloatArr
 
 def _metre(map_: Map, positions: FloatArray) -> float:
     """The length of a metre in the map's unit."""
-    if map_.info.metric or len(map_.observation_features) == 0:
+    if map_.info.metric or len(map_.observations) == 0:
         return 1.0
-    seen_from = positions[map_.observation_views]
-    distances = np.linalg.norm(map_.landmarks[map_.observation_features] - seen_from, axis=1)
+    seen_from = positions[map_.observations.views]
+    distances = np.linalg.norm(map_.landmarks.positions[map_.observations.features] - seen_from, axis=1)
     return max(float(np.median(distances)) / _DEPTH_OF_A_ROOM_M, 1e-9)
 
 
@@ -163,8 +163,8 @@ def _grid(places: FloatArray, metre: float) -> tuple[FloatArray, float, IntArray
 
 def _count(map_: Map, coverage: Coverage) -> None:
     """Fill in the counts."""
-    landmarks = map_.landmarks.astype(np.float64)
-    presence = Presence.of(landmarks, map_.view_positions[map_.observation_views], map_.observation_features)
+    landmarks = map_.landmarks.positions.astype(np.float64)
+    presence = Presence.of(landmarks, map_.views.positions[map_.observations.views], map_.observations.features)
     R_camera_map = _upright_cameras(coverage)
     field = _field_of_view(map_.info.camera)
     for cell, position in enumerate(coverage.positions):

@@ -100,7 +100,9 @@ class FolderDocuments:
         try:
             self._folder.mkdir(mode=self._mode, parents=True, exist_ok=True)
         except OSError as error:
-            raise InvalidInput(f"{self._folder} cannot be created: {error.strerror}.", "Check the folder.") from error
+            raise InvalidInput(
+                f"The folder {self._folder.name} cannot be created: {error.strerror}.", "Check the folder."
+            ) from error
 
     def delete(self, name: str) -> None:
         """Remove a file. Raises FileNotFoundError."""

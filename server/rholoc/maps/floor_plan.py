@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import io
 import json
+import warnings
+import zlib
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
+from PIL import Image
 
 from rholoc.errors import InvalidInput, TooLarge
 from rholoc.geometry import Similarity
@@ -14,6 +19,10 @@ MAX_PLAN_BYTES = 8 * 2**20
 GEOJSON = "application/geo+json"
 _STARTS = {"image/png": b"\x89PNG\r\n\x1a\n", "image/jpeg": b"\xff\xd8\xff", "image/webp": b"RIFF"}
 MEDIA_TYPES = (*_STARTS, GEOJSON)
+_MAX_PIXELS = 50_000_000
+_MAX_TEXT_BYTES = 2**20
+_TEXTS = (b"tEXt", b"zTXt", b"iTXt", b"iCCP")  # chunks of a PNG file
+_CHUNK_BYTES, _MAX_CHUNKS = 12, 10_000  # around the data of a chunk
 _LEVEL = 1e-6  # how far the cosine of a tilt may be from one
 
 
@@ -56,9 +65,53 @@ def check_plan(content: bytes, plan: FloorPlan) -> FloorPlan:
         raise InvalidInput(f"{plan.media_type[:50]} is not a floor plan.", f"Send one of {', '.join(MEDIA_TYPES)}.")
     if not (_is_geojson(content) if plan.media_type == GEOJSON else content.startswith(_STARTS[plan.media_type])):
         raise InvalidInput(f"The floor plan is not {plan.media_type}.", "Send the file as it is, with its own type.")
+    if plan.media_type != GEOJSON:
+        _check_picture(content)
     if not (np.isfinite([*plan.corner, plan.turn_deg]).all() and np.isfinite(plan.m_per_unit) and plan.m_per_unit > 0):
         raise InvalidInput("The floor plan's place makes no sense.", "Give finite numbers, and a positive size.")
     return plan
+
+
+def _check_picture(content: bytes) -> None:
+    """Refuse a picture that would take much memory to show. Only its header is decoded. Raises InvalidInput."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", Image.DecompressionBombWarning)
+            with Image.open(io.BytesIO(content)) as image:
+                width, height = image.size
+    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
+        raise InvalidInput(
+            "The floor plan's picture cannot be read.", "Send it as a plain PNG or JPEG file."
+        ) from error
+    if width * height > _MAX_PIXELS:
+        raise InvalidInput(f"The floor plan has {width}×{height} pixels.", f"Send at most {_MAX_PIXELS}.")
+    if content.startswith(_STARTS["image/png"]) and _png_text_bytes(content) > _MAX_TEXT_BYTES:
+        raise InvalidInput("The floor plan's file holds too much text.", "Save the picture without its metadata.")
+
+
+def _png_text_bytes(content: bytes) -> int:
+    """Length of the texts and profiles of a PNG file once they are expanded; counted up to a little over the limit."""
+    at, chunks, found = len(_STARTS["image/png"]), 0, 0
+    while at + _CHUNK_BYTES <= len(content) and found <= _MAX_TEXT_BYTES:
+        length, kind = int.from_bytes(content[at : at + 4]), content[at + 4 : at + 8]
+        chunks += 1
+        if chunks > _MAX_CHUNKS:
+            return _MAX_TEXT_BYTES + 1
+        if kind in _TEXTS:
+            compressed = _compressed(kind, content[at + 8 : at + 8 + length])
+            with suppress(zlib.error):
+                found += len(zlib.decompressobj().decompress(compressed, _MAX_TEXT_BYTES + 1))
+            found += length
+        at += _CHUNK_BYTES + length
+    return found
+
+
+def _compressed(kind: bytes, data: bytes) -> bytes:
+    """The compressed part of a chunk of a PNG file; empty if it has none."""
+    rest = data.partition(b"\0")[2]  # after the keyword: the method, or for iTXt whether it is compressed
+    if kind == b"tEXt" or (kind == b"iTXt" and not rest.startswith(b"\1")):
+        return b""
+    return rest[1:] if kind != b"iTXt" else rest[2:].partition(b"\0")[2].partition(b"\0")[2]
 
 
 def _is_geojson(content: bytes) -> bool:

@@ -31,16 +31,16 @@ def map_to_gltf(map_: Map) -> bytes:
     file = _File()
     children: list[int] = []
     if len(map_):
-        attributes = {"POSITION": file.positions(map_.landmarks)}
-        if map_.colours is not None:
-            attributes["COLOR_0"] = file.colours(map_.colours)
+        attributes = {"POSITION": file.positions(map_.landmarks.positions)}
+        if map_.landmarks.colours is not None:
+            attributes["COLOR_0"] = file.colours(map_.landmarks.colours)
         children.append(file.mesh("landmarks", attributes, _POINTS))
     if len(map_.cloud):
         attributes = {"POSITION": file.positions(map_.cloud.positions), "COLOR_0": file.colours(map_.cloud.colours)}
         children.append(file.mesh("further points", attributes, _POINTS))
     for source, rows in _walks(map_):
         if len(rows) > 1:
-            children.append(file.mesh(source, {"POSITION": file.positions(map_.view_positions[rows])}, _LINE_STRIP))
+            children.append(file.mesh(source, {"POSITION": file.positions(map_.views.positions[rows])}, _LINE_STRIP))
     marks: list[NamedPoint | MapWaypoint] = [*map_.info.names.points, *map_.info.waypoints]
     for one in marks:
         children.append(file.node({"name": one.name, "translation": list(one.position)}))
@@ -51,8 +51,7 @@ def map_to_gltf(map_: Map) -> bytes:
 
 def _walks(map_: Map) -> list[tuple[str, NDArray[Any]]]:
     """The name of each recording and the rows of its views."""
-    count = len(map_.view_times)
-    sources = np.zeros(count, dtype=np.int64) if map_.observations is None else map_.observations.view_sources
+    sources = np.zeros(len(map_.views), dtype=np.int64) if map_.views.sources is None else map_.views.sources
     names = [source.name for source in map_.info.sources] or ["walk"]
     return [(name, np.flatnonzero(sources == row)) for row, name in enumerate(names)]
 

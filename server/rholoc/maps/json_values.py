@@ -9,12 +9,12 @@ MAX_VALUES = 100_000
 _MAX_INTEGER = 2**53  # larger ones are not exact in JavaScript, and beyond 2**1024 overflow a float
 
 
-def check_json_value(value: object) -> None:
+def check_json_value(value: object, max_values: int = MAX_VALUES) -> None:
     """Check a value made of dicts, lists, text, numbers, true, false and null.
 
     Raises:
-        ValueError: it is nested more than 16 deep, holds more than 100 000 values, a number that is not finite or an
-            integer beyond 2⁵³, text with an unpaired surrogate, or a type that JSON lacks; one line says which.
+        ValueError: it is nested more than 16 deep, holds more than ``max_values`` values, a number that is not finite
+            or an integer beyond 2⁵³, text with an unpaired surrogate, or a type that JSON lacks; one line says which.
     """
     waiting: list[tuple[object, int]] = [(value, 0)]
     seen = 0
@@ -23,8 +23,8 @@ def check_json_value(value: object) -> None:
         seen += 1
         if depth > MAX_DEPTH:
             raise ValueError(f"nested more than {MAX_DEPTH} deep")
-        if seen > MAX_VALUES:
-            raise ValueError(f"more than {MAX_VALUES} values")
+        if seen > max_values:
+            raise ValueError(f"more than {max_values} values")
         if isinstance(one, dict):
             waiting.extend((part, depth + 1) for pair in one.items() for part in pair)
         elif isinstance(one, list | tuple):

@@ -6,19 +6,20 @@ import contextlib
 import math
 import os
 import re
+import stat
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from uuid import uuid4
 
-from rholoc.errors import Conflict, InvalidInput, InvalidMap, InvalidName, UnknownMap
+from rholoc.errors import Conflict, InvalidInput, InvalidMap, InvalidName, RholocError, UnknownMap
 from rholoc.maps.documents import Documents
 from rholoc.maps.files import replace_file
 from rholoc.maps.info import MapInfo
 from rholoc.maps.map import Map
 from rholoc.maps.map_cache import MapCache, Signature
-from rholoc.maps.rho_file import SUFFIX, load_info, load_map, map_to_bytes
+from rholoc.maps.rho_file import SUFFIX, MapOutline, load_info, load_map, load_outline, map_to_bytes
 
 _NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9._-]{0,63}")
 _NAMES_SHOWN = 5
@@ -100,6 +101,7 @@ class MapLibrary:
     def __init__(self, folder: Path, cache_bytes: float = math.inf) -> None:
         self.folder = folder
         self._cache = MapCache(cache_bytes)
+        self._outlines: dict[str, tuple[Signature, MapOutline]] = {}
         self._known_readable: dict[str, Signature] = {}
         self._lock = threading.RLock()  # held while the folder is changed
         self._reading: dict[str, threading.Lock] = {}
@@ -143,6 +145,8 @@ class MapLibrary:
             status = path.stat()
         except FileNotFoundError as error:
             raise self._unknown(name) from error
+        if not stat.S_ISREG(status.st_mode):
+            raise self._unknown(name)
         return MapStat(name, status.st_size, status.st_mtime, (status.st_ino, status.st_mtime_ns, status.st_size))
 
     def map_id(self, name: str) -> str:
@@ -155,6 +159,20 @@ class MapLibrary:
         """
         self.stat(name)
         return load_info(self.path(name)).id
+
+    def outline(self, name: str) -> MapOutline:
+        """Description and size of the map of that name, by the header of its file; the map itself is not read.
+
+        Raises:
+            InvalidName: it is not a name.
+            UnknownMap: there is no such map.
+            InvalidMap: its file is not a map.
+        """
+        signature = self.stat(name).signature
+        known = self._outlines.get(name)
+        if known is None or known[0] != signature:
+            known = self._outlines[name] = (signature, load_outline(self.path(name)))
+        return known[1]
 
     def stamp(self) -> int | None:
         """Changes whenever a map is published, renamed or deleted, by any process; None where that is not known."""
@@ -180,12 +198,27 @@ class MapLibrary:
                 map_ = self._cache.get(name, signature)
                 if map_ is None:
                     # If the file has been replaced since the signature was taken, the next call just loads it again.
-                    map_ = load_map(self.path(name))
+                    map_ = self._load(name)
                     self._cache.put(name, signature, map_)
                 return map_
         except (UnknownMap, InvalidMap):
             self._cache.drop(name)
             raise
+
+    def _load(self, name: str) -> Map:
+        path = self.path(name)
+        try:
+            return load_map(path, f"{name}{SUFFIX}")
+        except UnknownMap as error:  # it was deleted meanwhile
+            raise self._unknown(name) from error
+
+    def is_known(self, name: str) -> bool:
+        """Whether a map of this name was seen lately, judged by what is in memory: no disk is asked, no database."""
+        return self._cache.has(name)
+
+    def is_here(self, name: str) -> bool:
+        """Whether :meth:`get` would need nothing but memory and this machine's disk."""
+        return True
 
     def keeps(self, name: str, map_: Map) -> bool:
         """Whether this very object is the cached map of that name: neither replaced nor evicted."""
@@ -228,10 +261,18 @@ class MapLibrary:
         replace_file(arrived, data, called=called)
         try:
             map_ = read(arrived)
-            self._publish(name, arrived, map_)
+            if not self._holds_same(name, arrived):
+                self._publish(name, arrived, map_)
         finally:
             arrived.unlink(missing_ok=True)
         return map_
+
+    def _holds_same(self, name: str, arrived: Path) -> bool:
+        """Whether the file of the map of a name has the same content: storing it again makes no version."""
+        try:
+            return self.outline(name).checksum == load_outline(arrived).checksum
+        except RholocError:  # there is none, or it cannot be read
+            return False
 
     def _publish(self, name: str, arrived: Path, map_: Map) -> None:
         """Put a file that holds a map in the place of the map of a name, which is kept."""
@@ -371,7 +412,7 @@ class MapLibrary:
             self.folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise InvalidInput(
-                f"{self.folder} cannot be created: {error.strerror}.", "Check the map folder."
+                f"The folder {self.folder.name} cannot be created: {error.strerror}.", "Check the map folder."
             ) from error
 
     def _unknown(self, name: str) -> UnknownMap:
@@ -419,4 +460,4 @@ def _pieces(path: Path) -> Iterator[bytes]:
             while piece := file.read(_PIECE_BYTES):
                 yield piece
     except OSError as error:
-        raise InvalidMap(f"{path} cannot be read: {error.strerror}.") from error
+        raise InvalidMap(f"{path.name} cannot be read: {error.strerror}.") from error

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections import OrderedDict
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -58,6 +58,10 @@ class MapCache:
         with self._lock:
             self._entries.pop(name, None)
 
+    def has(self, name: str) -> bool:
+        """Whether a map of that name is cached, whatever its file's signature is by now."""
+        return name in self._entries
+
     def holds(self, name: str, map_: Map) -> bool:
         """Whether this very object is the cached map of that name."""
         entry = self._entries.get(name)
@@ -66,9 +70,7 @@ class MapCache:
 
 def memory_bytes(map_: Map) -> int:
     """Roughly how much memory a map takes, including what a localizer derives from it."""
-    arrays = [getattr(map_, field.name) for field in fields(map_)]
-    arrays += (
-        [] if map_.observations is None else [getattr(map_.observations, f.name) for f in fields(map_.observations)]
-    )
+    tables = (map_.landmarks, map_.descriptors, map_.views, map_.observations)
+    arrays = [getattr(table, name) for table in tables for name in table.columns()]
     arrays += map_.densities.arrays().values()
     return _WITH_ITS_INDEX * sum(array.nbytes for array in arrays if isinstance(array, np.ndarray))

@@ -9,7 +9,7 @@ learning.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -18,14 +18,15 @@ from rholoc.errors import InvalidInput, InvalidMap
 from rholoc.geometry import Camera, FloatArray, IntArray
 
 if TYPE_CHECKING:
+    from rholoc.maps.info import MapInfo
     from rholoc.maps.map import Map
 
 _STEPS = 65536
 
 
 @dataclass(frozen=True, eq=False)
-class Observations:
-    """The pixels that were observed, and the recordings that they come from.
+class Memory:
+    """What a map remembers of its recordings, which learning and forgetting need.
 
     Attributes:
         pixels: (V, 2) u and v of each observation, in whole steps of :func:`packed_pixels`.
@@ -50,38 +51,54 @@ def unpacked_pixels(packed: IntArray, camera: Camera) -> FloatArray:
     return np.asarray(packed / _STEPS * np.array([camera.width, camera.height]) - 0.5)
 
 
-def check_observations(map_: Map, what: str) -> Observations:
-    """The observations of a map that is to learn or forget; error messages refer to it as ``what``.
+def memory_of(map_: Map) -> Memory | None:
+    """What a map remembers; None if it lacks a part of it."""
+    pixels, views, descriptors = map_.observations.pixels, map_.views.sources, map_.descriptors.sources
+    if pixels is None or views is None or descriptors is None:
+        return None
+    return Memory(pixels, views, descriptors)
+
+
+def without_memory(map_: Map) -> Map:
+    """The map without what it remembers: it localizes as before, and can no longer learn."""
+    return replace(
+        map_,
+        descriptors=replace(map_.descriptors, sources=None),
+        views=replace(map_.views, sources=None),
+        observations=replace(map_.observations, pixels=None),
+    )
+
+
+def check_memory(map_: Map, what: str) -> Memory:
+    """What a map that is to learn or forget remembers; error messages refer to the map as ``what``.
 
     Raises:
-        InvalidInput: it does not keep its observations.
-        InvalidMap: they contradict the rest of it.
+        InvalidInput: it remembers nothing.
+        InvalidMap: its memory contradicts the rest of it.
     """
-    if map_.observations is None:
+    memory = memory_of(map_)
+    if memory is None:
         raise InvalidInput(
             f"{what} does not keep what it was built from.",
             "Build it again from its recordings, with this version.",
         )
-    if not observations_fit(map_, map_.observations):
+    if not memory_fits(map_, memory):
         raise InvalidMap(f"The memory of {what} contradicts itself.", "Build it again, or take another copy.")
-    return map_.observations
+    return memory
 
 
-def observations_fit(map_: Map, observations: Observations) -> bool:
-    """Whether observations agree with their map, in number and in the recordings that they refer to."""
+def memory_fits(map_: Map, memory: Memory) -> bool:
+    """Whether a memory agrees with its map, in number and in the recordings that it refers to."""
     count = len(map_.info.sources)
     return (
-        observations.pixels.shape == (len(map_.observation_features), 2)
-        and observations.view_sources.shape == (len(map_.view_times),)
-        and observations.descriptor_sources.shape == (len(map_.descriptors),)
-        and all(
-            bool(((rows >= 0) & (rows < count)).all())
-            for rows in (observations.view_sources, observations.descriptor_sources)
-        )
+        memory.pixels.shape == (len(map_.observations), 2)
+        and memory.view_sources.shape == (len(map_.views),)
+        and memory.descriptor_sources.shape == (len(map_.descriptors),)
+        and all(bool(((rows >= 0) & (rows < count)).all()) for rows in (memory.view_sources, memory.descriptor_sources))
         and all(source.id is not None and source.camera is not None for source in map_.info.sources)
     )
 
 
-def source_cameras(map_: Map) -> list[Camera]:
+def source_cameras(info: MapInfo) -> list[Camera]:
     """The camera of each source; the map's own if a source has none."""
-    return [source.camera or map_.info.camera for source in map_.info.sources]
+    return [source.camera or info.camera for source in info.sources]

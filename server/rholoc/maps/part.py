@@ -17,7 +17,7 @@ class MapPart:
     """Some views of a map, and all landmarks that they saw.
 
     Attributes:
-        map: only these, without what learning needs.
+        map: only these, without the further points of the room.
         features: (P,) the rows of its features in the whole map, ascending.
     """
 
@@ -29,26 +29,19 @@ def part_of(map_: Map, views: IntArray) -> MapPart:
     """The part of a map of ``ray`` form with the ``views`` (N,), ascending; takes time by the part's size."""
     assert map_.info.density is DensityKind.RAY
     first, last = map_.view_offsets[views], map_.view_offsets[views + 1]
-    seen = map_.observation_features[ranges(first, last)]
-    features, own = np.unique(seen, return_inverse=True)
-    described = np.searchsorted(map_.descriptor_features, features, side="left")
-    described_end = np.searchsorted(map_.descriptor_features, features, side="right")
+    rows = ranges(first, last)
+    features, own = np.unique(map_.observations.features[rows], return_inverse=True)
+    described = np.searchsorted(map_.descriptors.features, features, side="left")
+    described_end = np.searchsorted(map_.descriptors.features, features, side="right")
+    descriptors = map_.descriptors.take(ranges(described, described_end))
+    owners = np.repeat(np.arange(len(features), dtype=np.int32), described_end - described)
+    own_views = np.repeat(np.arange(len(views), dtype=np.int32), last - first)
     part = replace(
         map_,
-        channels=map_.channels[features],
-        landmarks=map_.landmarks[features],
-        covariances=map_.covariances[features],
-        colours=None if map_.colours is None else map_.colours[features],
-        patches=None if map_.patches is None else map_.patches[features],
-        descriptors=map_.descriptors[ranges(described, described_end)],
-        descriptor_features=np.repeat(np.arange(len(features), dtype=np.int32), described_end - described),
-        view_times=map_.view_times[views],
-        T_map_camera=map_.T_map_camera[views],
-        view_covariances=None if map_.view_covariances is None else map_.view_covariances[views],
-        observation_views=np.repeat(np.arange(len(views), dtype=np.int32), last - first),
-        observation_features=own.astype(np.int32),
-        observations=None,
+        landmarks=map_.landmarks.take(features),
+        descriptors=replace(descriptors, features=owners),
+        views=map_.views.take(views),
+        observations=replace(map_.observations.take(rows), views=own_views, features=own.astype(np.int32)),
         cloud=Cloud(),
-        pictures=None,
     )
     return MapPart(part, features.astype(np.int64))

@@ -7,11 +7,13 @@ arrays. It contains no code, and nothing is unpickled. maps/README.md describes 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
-from dataclasses import replace
+import json
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,72 +27,128 @@ from rholoc.maps.cloud import Cloud
 from rholoc.maps.files import replace_file
 from rholoc.maps.info import MapInfo, info_from_json, info_to_json
 from rholoc.maps.map import Map
-from rholoc.maps.observations import Observations, packed_pixels, source_cameras, unpacked_pixels
+from rholoc.maps.map_tables import MapDescriptors, MapLandmarks, MapObservations, MapTable, MapViews
+from rholoc.maps.observations import packed_pixels, source_cameras, unpacked_pixels
 from rholoc.maps.patches import packed_patches, unpacked_patches
 from rholoc.maps.validation import validate_map
 
 SUFFIX = ".rho"
 FORMAT = "rholoc-map"
 FORMAT_VERSION = 2
-_READ_VERSIONS = ("1", "2")  # 1 has all indices as int32
 
 _CHECKSUM_BYTES = 16
 _HINT = "Take another copy, or build the map again."
-_UPPER = np.triu_indices(3)
-_UPPER_OF_POSE = np.triu_indices(6)
 _UNIT_TOLERANCE = 1e-3  # of a stored quaternion's length
 
-# name: kind of number, and the shape's known part; None is any length
-_ARRAYS: dict[str, tuple[str, tuple[int | None, ...]]] = {
-    "channels": ("u1", (None,)),
-    "landmarks": ("f4", (None, 3)),
-    "covariances": ("f4", (None, 6)),  # xx, xy, xz, yy, yz, zz
-    "descriptors": ("u1", (None, None)),
-    "descriptor_features": ("i4", (None,)),
-    "view_times": ("f8", (None,)),
-    "view_poses": ("f4", (None, 7)),  # x, y, z and the quaternion x, y, z, w
-    "view_offsets": ("i4", (None,)),
+Kind = tuple[str, tuple[int | None, ...]]  # of number, and the shape's known part; None is any length
+
+
+@dataclass(frozen=True)
+class _Stored:
+    """How a file keeps a column of one of the map's tables.
+
+    Attributes:
+        name: of the array in the file.
+        kind: of the array in the file.
+        pack: column → array.
+        unpack: array → column.
+    """
+
+    name: str
+    kind: Kind
+    pack: Callable[[Any], Any] = lambda column: column
+    unpack: Callable[[Any], Any] = lambda array: array
+
+
+def _upper(size: int) -> Callable[[FloatArray], FloatArray]:
+    """Covariances (N, size, size) → their upper triangles (N, …), row by row."""
+    rows, columns = np.triu_indices(size)
+    return lambda covariances: covariances[:, rows, columns]
+
+
+def _from_upper(size: int) -> Callable[[FloatArray], FloatArray]:
+    """Upper triangles (N, …), row by row → covariances (N, size, size) float32."""
+    rows, columns = np.triu_indices(size)
+
+    def unpack(triangles: FloatArray) -> FloatArray:
+        covariances = np.zeros((len(triangles), size, size), dtype=np.float32)
+        covariances[:, rows, columns] = triangles
+        covariances[:, columns, rows] = triangles
+        return covariances
+
+    return unpack
+
+
+unpacked_covariances = _from_upper(3)
+"""Rows (F, 6) of xx, xy, xz, yy, yz, zz → covariances (F, 3, 3) float32."""
+
+
+def unpacked_poses(rows: FloatArray) -> FloatArray:
+    """Rows (K, 7) of positions and quaternions → T_map_camera (K, 4, 4).
+
+    Raises:
+        InvalidMap: a number is not finite, or a quaternion not of unit length.
+    """
+    if not np.isfinite(rows).all():
+        raise InvalidMap("The map contradicts itself: view_poses has values that are not finite.", _HINT)
+    if not np.all(np.abs(np.linalg.norm(rows[:, 3:], axis=1) - 1) <= _UNIT_TOLERANCE):
+        raise InvalidMap("The map contradicts itself: a view's quaternion is not of unit length.", _HINT)
+    return poses_from_rows(rows)
+
+
+_LANDMARKS = {
+    "channels": _Stored("channels", ("u1", (None,))),
+    "positions": _Stored("landmarks", ("f4", (None, 3))),
+    "covariances": _Stored("covariances", ("f4", (None, 6)), _upper(3), unpacked_covariances),
+    "colours": _Stored("colours", ("u1", (None, 3))),
+    "patches": _Stored("patches", ("i1", (None, 3)), packed_patches, unpacked_patches),
+}
+_DESCRIPTORS = {
+    "values": _Stored("descriptors", ("u1", (None, None))),
+    "features": _Stored("descriptor_features", ("i4", (None,))),
+    "sources": _Stored("extras/descriptor_sources", ("i4", (None,))),
+}
+_VIEWS = {
+    "times": _Stored("view_times", ("f8", (None,))),
+    "T_map_camera": _Stored("view_poses", ("f4", (None, 7)), rows_from_poses, unpacked_poses),
+    "covariances": _Stored("view_covariances", ("f4", (None, 21)), _upper(6), _from_upper(6)),
+    "sources": _Stored("extras/view_sources", ("i4", (None,))),
+}
+_PICTURES: dict[str, Kind] = {
+    "picture_bytes": ("u1", (None,)),  # one JPEG after the other
+    "picture_offsets": ("i8", (None,)),
+}
+_OBSERVATIONS: dict[str, Kind] = {
+    "view_offsets": ("i4", (None,)),  # the observations of view k are rows view_offsets[k] : view_offsets[k + 1]
     "view_features": ("i4", (None,)),
 }
-_VIEW_COVARIANCES: dict[str, tuple[str, tuple[int | None, ...]]] = {
-    "view_covariances": ("f4", (None, 21)),  # the upper triangle, row by row; older files have none
+_PIXELS: dict[str, Kind] = {
+    "extras/observation_pixels": ("u2", (None, 2)),
 }
-_COLOURS: dict[str, tuple[str, tuple[int | None, ...]]] = {
-    "colours": ("u1", (None, 3)),  # red, green, blue; older files have none
-}
-_PATCHES: dict[str, tuple[str, tuple[int | None, ...]]] = {
-    "patches": ("i1", (None, 3)),  # as :mod:`rholoc.maps.patches` packs them; older files have none
-}
-_CLOUD: dict[str, tuple[str, tuple[int | None, ...]]] = {
+_CLOUD: dict[str, Kind] = {
     "cloud_positions": ("f4", (None, 3)),
     "cloud_colours": ("u1", (None, 3)),
     "cloud_sources": ("i4", (None,)),
 }
-_PICTURES: dict[str, tuple[str, tuple[int | None, ...]]] = {
-    "picture_bytes": ("u1", (None,)),  # one JPEG after the other
-    "picture_offsets": ("i8", (None,)),
-}
-_PLAN: dict[str, tuple[str, tuple[int | None, ...]]] = {
+_PLAN: dict[str, Kind] = {
     "plan_bytes": ("u1", (None,)),
 }
-_OBSERVATIONS: dict[str, tuple[str, tuple[int | None, ...]]] = {
-    "extras/observation_pixels": ("u2", (None, 2)),
-    "extras/view_sources": ("i4", (None,)),
-    "extras/descriptor_sources": ("i4", (None,)),
-}
-# int32 in memory; in a file of the smallest type that holds them
-_INDICES = (
-    "descriptor_features",
-    "view_offsets",
-    "view_features",
-    "cloud_sources",
-    "extras/view_sources",
-    "extras/descriptor_sources",
+_MEMORY = ("extras/observation_pixels", "extras/view_sources", "extras/descriptor_sources")
+_KINDS = {stored.name: stored.kind for table in (_LANDMARKS, _DESCRIPTORS, _VIEWS) for stored in table.values()} | (
+    _PICTURES | _OBSERVATIONS | _PIXELS | _CLOUD | _PLAN
 )
+# int32 in memory; in a file of the smallest type that holds them
+_INDICES = tuple(name for name, (number, _) in _KINDS.items() if number == "i4")
 Arrays = dict[str, NDArray[Any]]
+Table = TypeVar("Table", bound=MapTable)
+_ABSENT = {"shape": [0]}
+LENGTH_BYTES = 8  # of a file, which say how long its header is
+_MAX_HEADER_BYTES = 2**25  # twice the longest description: it is text within text
+_MAX_HEADER_TOKENS = 5000  # a map has a few dozen arrays of five texts each
+_TOKEN = re.compile(rb'"(?:[^"\\]++|\\.)*+"', re.DOTALL)
 
 
-def save_map(map_: Map, path: Path) -> None:
+def save_map(map_: Map, path: Path | str) -> None:
     """Write a map; an existing file is replaced atomically.
 
     Raises:
@@ -98,7 +156,7 @@ def save_map(map_: Map, path: Path) -> None:
         StorageFull: the disk is full; an existing file is unchanged.
         InvalidInput: the folder does not exist or cannot be written to.
     """
-    replace_file(path, map_to_bytes(map_))
+    replace_file(Path(path), map_to_bytes(map_))
 
 
 def map_to_bytes(map_: Map) -> bytes:
@@ -119,7 +177,7 @@ def map_to_bytes(map_: Map) -> bytes:
     return bytes(save(arrays, metadata))
 
 
-def load_map(path: Path, called: str | None = None) -> Map:
+def load_map(path: Path | str, called: str | None = None) -> Map:
     """Read a map. The file is memory-mapped while it is read and not needed afterwards: it may be overwritten any time.
 
     Args:
@@ -130,16 +188,18 @@ def load_map(path: Path, called: str | None = None) -> Map:
         UnknownMap: there is no such file.
         InvalidMap: the file is corrupt, truncated, of a later version, or not a map.
     """
+    path = Path(path)
     if not path.is_file():
-        raise UnknownMap(f"There is no map {path}.", "Check the path.")
+        raise UnknownMap(f"There is no map {called or path.name}.", "It may have been deleted or renamed.")
     called = called or path.name
+    outline_of(_header(path, called), called)
     try:
         with safe_open(path, framework="numpy") as file:
             metadata = file.metadata() or {}
             _check_format(called, metadata)
             arrays = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
     except (SafetensorError, OSError, ValueError, TypeError, KeyError, AttributeError) as error:
-        raise InvalidMap(f"{called} is corrupt, truncated, or not a map: {error}.", _HINT) from error
+        raise InvalidMap(f"{called} is corrupt, truncated, or not a map: {_reason(error)}.", _HINT) from error
     info = metadata.get("info", "")
     if metadata.get("checksum") != _checksum(info, arrays):
         raise InvalidMap(f"{called} is corrupt: its checksum does not match its content.", _HINT)
@@ -151,76 +211,125 @@ def load_map(path: Path, called: str | None = None) -> Map:
     return map_
 
 
+@dataclass(frozen=True)
+class MapOutline:
+    """What the header of a map's file says.
+
+    Attributes:
+        info: the map's description.
+        landmarks, views: how many it has.
+        checksum: of the description and all arrays.
+    """
+
+    info: MapInfo
+    landmarks: int
+    views: int
+    checksum: str = ""
+
+
 def load_info(path: Path) -> MapInfo:
-    """The description in a map's file, without its arrays.
+    """The description in a map's file. Raises as :func:`load_outline`."""
+    return load_outline(path).info
+
+
+def load_outline(path: Path) -> MapOutline:
+    """The description in a map's file and the lengths of its arrays; these themselves are not read.
 
     Raises:
         InvalidMap: it is not a map, or cannot be read.
     """
+    return outline_of(_header(path, path.name), path.name)
+
+
+def header_bytes(start: bytes, called: str) -> int:
+    """Length in bytes of the header that follows the first :data:`LENGTH_BYTES` of a map's file.
+
+    Raises:
+        InvalidMap: it is longer than that of any map.
+    """
+    length = int.from_bytes(start[:LENGTH_BYTES], "little")
+    if len(start) < LENGTH_BYTES or length > _MAX_HEADER_BYTES:
+        raise InvalidMap(f"{called} is corrupt, truncated, or has a header that no map has.", _HINT)
+    return length
+
+
+def outline_of(header: bytes, called: str) -> MapOutline:
+    """The outline of a map by the header of its file.
+
+    Raises:
+        InvalidMap: it is not that of a map, or describes more arrays than a map has.
+    """
+    for count, _ in enumerate(_TOKEN.finditer(header)):
+        if count > _MAX_HEADER_TOKENS:
+            raise InvalidMap(f"{called} has a header of more than {_MAX_HEADER_TOKENS} texts.", _HINT)
     try:
-        with safe_open(path, framework="numpy") as file:
-            metadata = file.metadata() or {}
-    except (SafetensorError, OSError, ValueError) as error:
-        raise InvalidMap(f"{path.name} is corrupt, truncated, or not a map: {error}.", _HINT) from error
-    _check_format(path.name, metadata)
-    return info_from_json(metadata.get("info", ""))
+        arrays = json.loads(header)
+        metadata = arrays.get("__metadata__", {})
+        _check_format(called, metadata)
+        landmarks, views = (int(arrays.get(name, _ABSENT)["shape"][0]) for name in ("landmarks", "view_times"))
+        return MapOutline(info_from_json(metadata.get("info", "")), landmarks, views, metadata.get("checksum", ""))
+    except (ValueError, TypeError, LookupError, AttributeError, RecursionError) as error:
+        raise InvalidMap(f"{called} is corrupt, truncated, or not a map.", _HINT) from error
+
+
+def _header(path: Path, called: str) -> bytes:
+    """The header of a map's file, which is checked to be quick to parse. Raises InvalidMap."""
+    try:
+        with path.open("rb") as file:
+            header = file.read(header_bytes(file.read(LENGTH_BYTES), called))
+    except OSError as error:
+        raise InvalidMap(f"{called} cannot be read: {error.strerror}.", _HINT) from error
+    return header
+
+
+def _reason(error: Exception) -> str:
+    """The text of an exception, without the path that those of the operating system have."""
+    return error.strerror or type(error).__name__ if isinstance(error, OSError) else str(error)
 
 
 def _check_format(called: str, metadata: Mapping[str, str]) -> None:
     if metadata.get("format") != FORMAT:
         raise InvalidMap(f"{called} is not a rholoc map.", "Give a .rho file.")
     version = metadata.get("format_version", "")
-    if version not in _READ_VERSIONS:
+    if version != str(FORMAT_VERSION):
         raise InvalidMap(
-            f"{called} has format version {version}; this rholoc reads up to {FORMAT_VERSION}.", "Update rholoc."
+            f"{called} has format version {version}; this rholoc reads {FORMAT_VERSION}.",
+            "Update rholoc, or build the map again.",
         )
 
 
 def _packed(map_: Map) -> Arrays:
     """The arrays of a map's file, in C order and little-endian, as safetensors expects them."""
     arrays: dict[str, Any] = {
-        "channels": map_.channels,
-        "landmarks": map_.landmarks,
-        "covariances": map_.covariances[:, _UPPER[0], _UPPER[1]],
-        "descriptors": map_.descriptors,
-        "descriptor_features": map_.descriptor_features,
-        "view_times": map_.view_times,
-        "view_poses": rows_from_poses(map_.T_map_camera),
+        **_packed_table(map_.landmarks, _LANDMARKS),
+        **_packed_table(map_.descriptors, _DESCRIPTORS),
+        **_packed_table(map_.views, _VIEWS),
         "view_offsets": map_.view_offsets,
-        "view_features": map_.observation_features,
+        "view_features": map_.observations.features,
     }
-    if map_.view_covariances is not None:
-        arrays["view_covariances"] = map_.view_covariances[:, _UPPER_OF_POSE[0], _UPPER_OF_POSE[1]]
-    if map_.colours is not None:
-        arrays["colours"] = map_.colours
-    if map_.patches is not None:
-        arrays["patches"] = packed_patches(map_.patches)
+    if map_.observations.pixels is not None:
+        arrays["extras/observation_pixels"] = _packed_pixels(map_, map_.observations.pixels)
+    if map_.views.pictures is not None:
+        ends = np.cumsum([len(picture) for picture in map_.views.pictures], dtype=np.int64)
+        arrays["picture_bytes"] = np.frombuffer(b"".join(map_.views.pictures), dtype=np.uint8)
+        arrays["picture_offsets"] = np.concatenate([[0], ends])
     if len(map_.cloud):
-        arrays |= {
-            "cloud_positions": map_.cloud.positions,
-            "cloud_colours": map_.cloud.colours,
-            "cloud_sources": map_.cloud.sources,
-        }
-    if map_.pictures is not None:
-        ends = np.cumsum([len(picture) for picture in map_.pictures], dtype=np.int64)
-        arrays |= {
-            "picture_bytes": np.frombuffer(b"".join(map_.pictures), dtype=np.uint8),
-            "picture_offsets": np.concatenate([[0], ends]),
-        }
+        arrays["cloud_positions"] = map_.cloud.positions
+        arrays["cloud_colours"] = map_.cloud.colours
+        arrays["cloud_sources"] = map_.cloud.sources
     if map_.plan:
         arrays["plan_bytes"] = np.frombuffer(map_.plan, dtype=np.uint8)
-    if map_.observations is not None:
-        arrays |= {
-            "extras/observation_pixels": _packed_pixels(map_, map_.observations),
-            "extras/view_sources": map_.observations.view_sources,
-            "extras/descriptor_sources": map_.observations.descriptor_sources,
-        }
-    kinds = _ARRAYS | _VIEW_COVARIANCES | _COLOURS | _PATCHES | _CLOUD | _PICTURES | _PLAN | _OBSERVATIONS
-    packed = {name: np.asarray(array, dtype=f"<{kinds[name][0]}", order="C") for name, array in arrays.items()}
+    packed = {name: np.asarray(array, dtype=f"<{_KINDS[name][0]}", order="C") for name, array in arrays.items()}
     for name, array in map_.densities.arrays().items():
         little_endian = array.dtype.newbyteorder("<")
         packed[_prefix(map_.info.density) + name] = np.asarray(array, dtype=little_endian, order="C")
     return packed | {name: _narrowed(packed[name]) for name in _INDICES if name in packed}
+
+
+def _packed_table(table: MapTable, columns: Mapping[str, _Stored]) -> dict[str, Any]:
+    """A table's columns as the file keeps them, without those that are None."""
+    found = ((stored, getattr(table, column)) for column, stored in columns.items())
+    return {stored.name: stored.pack(values) for stored, values in found if values is not None}
 
 
 def _narrowed(indices: IntArray) -> IntArray:
@@ -242,64 +351,41 @@ def _prefix(kind: DensityKind) -> str:
 
 
 def _unpacked(info: MapInfo, arrays: Arrays) -> Map:
-    """The map of a file's arrays; unknown arrays are ignored.
+    """The map of a file's arrays; unknown arrays are ignored, and a memory of which a part is missing.
 
     Raises:
         InvalidMap: one is missing, of another type or shape, or contradicts another in length.
     """
-    _check_arrays(arrays, _ARRAYS)
-    if "colours" in arrays:
-        _check_arrays(arrays, _COLOURS)
-    map_ = Map(
+    if not all(name in arrays for name in _MEMORY):
+        arrays = {name: array for name, array in arrays.items() if name not in _MEMORY}
+    _check_arrays(arrays, _OBSERVATIONS)
+    views = _unpacked_table(MapViews, arrays, _VIEWS)
+    views = replace(views, pictures=_unpacked_pictures(arrays, len(views)))
+    seen_from = _views_of(arrays["view_offsets"], len(views), len(arrays["view_features"]))
+    return Map(
         info=info,
-        channels=arrays["channels"],
-        landmarks=arrays["landmarks"],
-        covariances=unpacked_covariances(arrays["covariances"]),
-        descriptors=arrays["descriptors"],
-        descriptor_features=arrays["descriptor_features"],
-        view_times=arrays["view_times"],
-        T_map_camera=unpacked_poses(arrays["view_poses"]),
-        observation_views=_views_of(arrays["view_offsets"], len(arrays["view_times"]), len(arrays["view_features"])),
-        observation_features=arrays["view_features"],
-        view_covariances=_unpacked_view_covariances(arrays),
-        colours=arrays.get("colours"),
-        patches=_unpacked_patches(arrays),
+        landmarks=_unpacked_table(MapLandmarks, arrays, _LANDMARKS),
+        descriptors=_unpacked_table(MapDescriptors, arrays, _DESCRIPTORS),
+        views=views,
+        observations=MapObservations(
+            seen_from, arrays["view_features"], _unpacked_pixels(info, views, seen_from, arrays)
+        ),
         cloud=_unpacked_cloud(arrays),
-        pictures=_unpacked_pictures(arrays, len(arrays["view_times"])),
         plan=_unpacked_plan(arrays),
         densities=_unpacked_densities(info.density, arrays),
-        observations=None,
     )
-    if not _OBSERVATIONS.keys() <= arrays.keys():
-        return map_
-    _check_arrays(arrays, _OBSERVATIONS)
-    return replace(map_, observations=_unpacked_observations(map_, arrays))
 
 
-def unpacked_covariances(rows: FloatArray) -> FloatArray:
-    """Rows (F, 6) of xx, xy, xz, yy, yz, zz → covariances (F, 3, 3) float32."""
-    covariances = np.zeros((len(rows), 3, 3), dtype=np.float32)
-    covariances[:, _UPPER[0], _UPPER[1]] = rows
-    covariances[:, _UPPER[1], _UPPER[0]] = rows
-    return covariances
+def _unpacked_table(table: type[Table], arrays: Arrays, columns: Mapping[str, _Stored]) -> Table:
+    """A table of a map, of the arrays of its file.
 
-
-def _unpacked_view_covariances(arrays: Arrays) -> FloatArray | None:
-    if "view_covariances" not in arrays:
-        return None
-    _check_arrays(arrays, _VIEW_COVARIANCES)
-    rows = arrays["view_covariances"]
-    covariances = np.zeros((len(rows), 6, 6), dtype=np.float32)
-    covariances[:, _UPPER_OF_POSE[0], _UPPER_OF_POSE[1]] = rows
-    covariances[:, _UPPER_OF_POSE[1], _UPPER_OF_POSE[0]] = rows
-    return covariances
-
-
-def _unpacked_patches(arrays: Arrays) -> FloatArray | None:
-    if "patches" not in arrays:
-        return None
-    _check_arrays(arrays, _PATCHES)
-    return unpacked_patches(arrays["patches"])
+    Raises:
+        InvalidMap: one that is required is missing, or one is of another type or shape.
+    """
+    optional = {column for column, described in table.columns().items() if described.optional}
+    kept = {column: stored for column, stored in columns.items() if stored.name in arrays or column not in optional}
+    _check_arrays(arrays, {stored.name: stored.kind for stored in kept.values()})
+    return table(**{column: stored.unpack(arrays[stored.name]) for column, stored in kept.items()})
 
 
 def _unpacked_cloud(arrays: Arrays) -> Cloud:
@@ -332,19 +418,6 @@ def _unpacked_plan(arrays: Arrays) -> bytes:
     return bytes(arrays["plan_bytes"].tobytes())
 
 
-def unpacked_poses(rows: FloatArray) -> FloatArray:
-    """Rows (K, 7) of positions and quaternions → T_map_camera (K, 4, 4).
-
-    Raises:
-        InvalidMap: a number is not finite, or a quaternion not of unit length.
-    """
-    if not np.isfinite(rows).all():
-        raise InvalidMap("The map contradicts itself: view_poses has values that are not finite.", _HINT)
-    if not np.all(np.abs(np.linalg.norm(rows[:, 3:], axis=1) - 1) <= _UNIT_TOLERANCE):
-        raise InvalidMap("The map contradicts itself: a view's quaternion is not of unit length.", _HINT)
-    return poses_from_rows(rows)
-
-
 def _views_of(offsets: IntArray, views: int, observations: int) -> IntArray:
     """The view (V,) of each observation, from the offsets (K + 1,) of the views' lists."""
     parts = np.diff(offsets)
@@ -353,25 +426,31 @@ def _views_of(offsets: IntArray, views: int, observations: int) -> IntArray:
     return np.repeat(np.arange(views, dtype=np.int32), parts)
 
 
-def _packed_pixels(map_: Map, observations: Observations) -> IntArray:
-    packed = np.zeros(observations.pixels.shape, dtype=np.uint16)
-    sources = observations.view_sources[map_.observation_views]
-    for source, camera in enumerate(source_cameras(map_)):
+def _packed_pixels(map_: Map, pixels: FloatArray) -> IntArray:
+    assert map_.views.sources is not None
+    packed = np.zeros(pixels.shape, dtype=np.uint16)
+    sources = map_.views.sources[map_.observations.views]
+    for source, camera in enumerate(source_cameras(map_.info)):
         rows = np.flatnonzero(sources == source)
-        packed[rows] = packed_pixels(observations.pixels[rows], camera)
+        packed[rows] = packed_pixels(pixels[rows], camera)
     return packed
 
 
-def _unpacked_observations(map_: Map, arrays: Arrays) -> Observations:
-    packed, view_sources = arrays["extras/observation_pixels"], arrays["extras/view_sources"]
-    if len(packed) != len(map_.observation_views) or len(view_sources) != len(map_.view_times):
+def _unpacked_pixels(info: MapInfo, views: MapViews, seen_from: IntArray, arrays: Arrays) -> FloatArray | None:
+    """The pixels (V, 2) of observations from views (V,); None if the file has none."""
+    if _PIXELS.keys().isdisjoint(arrays):
+        return None
+    _check_arrays(arrays, _PIXELS)
+    packed = arrays["extras/observation_pixels"]
+    assert views.sources is not None
+    if len(packed) != len(seen_from) or len(views.sources) != len(views):
         raise InvalidMap("The map contradicts itself: its arrays of observations differ in length.", _HINT)
     pixels = np.zeros(packed.shape)
-    sources = view_sources[map_.observation_views]
-    for source, camera in enumerate(source_cameras(map_)):
+    sources = views.sources[seen_from]
+    for source, camera in enumerate(source_cameras(info)):
         rows = np.flatnonzero(sources == source)
         pixels[rows] = unpacked_pixels(packed[rows], camera)
-    return Observations(pixels, view_sources, arrays["extras/descriptor_sources"])
+    return pixels
 
 
 def _unpacked_densities(kind: DensityKind, arrays: Arrays) -> Densities:
@@ -383,7 +462,7 @@ def _unpacked_densities(kind: DensityKind, arrays: Arrays) -> Densities:
         raise InvalidMap(f"The map contradicts itself: {error}.", _HINT) from error
 
 
-def _check_arrays(arrays: Arrays, kinds: Mapping[str, tuple[str, tuple[int | None, ...]]]) -> None:
+def _check_arrays(arrays: Arrays, kinds: Mapping[str, Kind]) -> None:
     missing = [name.removeprefix("extras/") for name in kinds if name not in arrays]
     if missing:
         raise InvalidMap(f"The map has no {', '.join(missing)}.", _HINT)

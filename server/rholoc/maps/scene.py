@@ -17,16 +17,16 @@ def map_to_scene(map_: Map, most_landmarks: int | None = None, rotation: FloatAr
     its landmarks, (F, 3) uint8, red, green and blue. Lengths in metres. If there are more than ``most_landmarks``, that
     many are chosen evenly. ``rotation`` (3, 3) rotates everything.
     """
-    views = len(map_.view_times)
-    sources = np.zeros(views) if map_.observations is None else map_.observations.view_sources
+    views = len(map_.views)
+    sources = np.zeros(views) if map_.views.sources is None else map_.views.sources
     R = np.eye(3) if rotation is None else rotation
-    landmarks = np.column_stack([map_.landmarks @ R.T, landmark_sigmas(map_)])
-    path = np.column_stack([map_.view_positions @ R.T, map_.view_headings @ R.T, sources])
+    landmarks = np.column_stack([map_.landmarks.positions @ R.T, landmark_sigmas(map_)])
+    path = np.column_stack([map_.views.positions @ R.T, map_.views.headings @ R.T, sources])
     chosen = evenly(len(landmarks), most_landmarks)
     counts = np.array([len(chosen), views])
     arrays = [counts.astype("<u4"), landmarks[chosen].astype("<f4"), path.astype("<f4")]
-    if map_.colours is not None:
-        arrays.append(map_.colours[chosen])
+    if map_.landmarks.colours is not None:
+        arrays.append(map_.landmarks.colours[chosen])
     return b"".join(array.tobytes() for array in arrays)
 
 

@@ -8,7 +8,6 @@ from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +15,7 @@ import numpy as np
 from rholoc.errors import Conflict, InvalidInput, UnknownSite
 from rholoc.geometry import FloatArray, Pose
 from rholoc.geometry.earth import EarthPlace, enu_of, place_at
+from rholoc.lazy import lazy
 from rholoc.maps.documents import Documents, FolderDocuments
 from rholoc.maps.library import check_map_name, check_name, some_of, stored_names
 from rholoc.reports import report_from_json, report_to_json
@@ -249,7 +249,7 @@ class _AllSites:
     stamp: object
     sites: Mapping[str, Site]
 
-    @cached_property
+    @lazy
     def site_by_map(self) -> dict[str, str]:
         """The name of the first site in which each map has a pose."""
         found: dict[str, str] = {}

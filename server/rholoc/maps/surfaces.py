@@ -34,7 +34,7 @@ def map_surfaces_vtp(map_: Map, features: Sequence[int]) -> bytes:
     """
     chosen = _checked(map_, features)
     ball, triangles = _ball()
-    points = map_.landmarks[chosen].astype(np.float64)[:, None] + SIGMAS * ball @ _roots(map_, chosen)
+    points = map_.landmarks.positions[chosen].astype(np.float64)[:, None] + SIGMAS * ball @ _roots(map_, chosen)
     faces = triangles + _POINTS * np.arange(len(chosen))[:, None, None]
     owners = np.repeat(chosen, len(triangles))
     surfaces = _piece(
@@ -42,13 +42,13 @@ def map_surfaces_vtp(map_: Map, features: Sequence[int]) -> bytes:
         faces.reshape(-1, 3),
         Cells.TRIANGLES,
         owners,
-        map_.channels[owners],
+        map_.landmarks.channels[owners],
         landmark_sigmas(map_)[owners],
     )
-    views = len(map_.view_times)
+    views = len(map_.views)
     line = np.arange(views)[None] if views > 1 else np.zeros((0, 0), dtype=np.int64)
     of_path = np.full(len(line), _PATH)
-    path = _piece(map_.view_positions, line, Cells.LINES, of_path, np.full(len(line), 255), np.zeros(len(line)))
+    path = _piece(map_.views.positions, line, Cells.LINES, of_path, np.full(len(line), 255), np.zeros(len(line)))
     return polydata(surfaces, path)
 
 
@@ -78,7 +78,7 @@ def _ball() -> tuple[FloatArray, IntArray]:
 
 def _roots(map_: Map, features: IntArray) -> FloatArray:
     """(N, 3, 3) symmetric square roots of the landmarks' covariances, metres."""
-    variances, directions = np.linalg.eigh(map_.covariances[features].astype(np.float64))
+    variances, directions = np.linalg.eigh(map_.landmarks.covariances[features].astype(np.float64))
     deviations = np.sqrt(np.maximum(variances, 0))
     return np.asarray((directions * deviations[:, None]) @ directions.transpose(0, 2, 1))
 

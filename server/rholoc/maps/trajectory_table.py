@@ -82,16 +82,16 @@ class TrajectoryTable:
 
 def view_trajectory(map_: Map) -> TrajectoryTable:
     """A map's views as a trajectory, in order; frames and confidences are unknown, ``inliers`` count what each saw."""
-    views = len(map_.view_times)
+    views = len(map_.views)
     trusted = trust_of(map_.info).trusted
     return TrajectoryTable(
-        times=map_.view_times,
+        times=map_.views.times,
         frames=np.full(views, -1),
-        T_map_camera=map_.T_map_camera,
+        T_map_camera=map_.views.T_map_camera,
         confidences=np.full(views, np.nan),
         inliers=np.diff(map_.view_offsets).astype(np.int64),
         map_trusted=np.full(views, np.nan if trusted is None else float(trusted)),
-        expected_errors_m=map_.expected_errors_m,
+        expected_errors_m=map_.views.expected_errors_m,
     )
 
 
@@ -161,7 +161,7 @@ def _read_values(path: Path) -> tuple[list[str], FloatArray]:
     try:
         rows = list(csv.reader(io.StringIO(path.read_text(encoding="utf-8-sig"))))
     except OSError as error:
-        raise InvalidTrajectory(f"{path} cannot be read: {error.strerror}.", "Check the path.") from error
+        raise InvalidTrajectory(f"{path.name} cannot be read: {error.strerror}.", "Check the path.") from error
     except (UnicodeDecodeError, csv.Error) as error:
         raise InvalidTrajectory(f"{path.name} is not a CSV table.", _HINT) from error
     header = [name.strip().lower() for name in rows[0]] if rows else []

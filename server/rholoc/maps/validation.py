@@ -8,26 +8,13 @@ from rholoc.errors import InvalidMap, RholocError
 from rholoc.geometry import FloatArray, IntArray
 from rholoc.maps.floor_plan import FloorPlan, check_plan
 from rholoc.maps.map import Map
-from rholoc.maps.observations import observations_fit
+from rholoc.maps.map_tables import MapTable
+from rholoc.maps.observations import memory_fits, memory_of
 
 _ROTATION_TOLERANCE = 1e-3
 _COVARIANCE_TOLERANCE = 1e-5  # how far below zero rounding may put an eigenvalue, relative to the largest
 _JPEG = b"\xff\xd8\xff"  # the first bytes of every JPEG
 _HINT = "Build it again, or take another copy."
-
-# name: dtype and the shape's known part; None is any length
-_ARRAYS: dict[str, tuple[type[np.generic], tuple[int | None, ...]]] = {
-    "channels": (np.uint8, (None,)),
-    "landmarks": (np.float32, (None, 3)),
-    "covariances": (np.float32, (None, 3, 3)),
-    "descriptors": (np.uint8, (None, None)),
-    "descriptor_features": (np.int32, (None,)),
-    "view_times": (np.float64, (None,)),
-    "T_map_camera": (np.float64, (None, 4, 4)),
-    "observation_views": (np.int32, (None,)),
-    "observation_features": (np.int32, (None,)),
-}
-ARRAY_NAMES = tuple(_ARRAYS)
 
 
 def validate_map(map_: Map) -> None:
@@ -36,38 +23,35 @@ def validate_map(map_: Map) -> None:
     Raises:
         InvalidMap: an array has another shape or type, holds values that are not finite, or contradicts another.
     """
-    for name, (dtype, shape) in _ARRAYS.items():
-        _check_array(name, getattr(map_, name), dtype, shape)
-    features, views = len(map_.landmarks), len(map_.view_times)
-    _check(len(map_.channels) == features, "channels and landmarks differ in number")
-    _check(len(map_.covariances) == features, "covariances and landmarks differ in number")
-    _check(bool(np.all(np.diagonal(map_.covariances, axis1=1, axis2=2) >= 0)), "a landmark has a negative variance")
-    _check(len(map_.descriptors) == len(map_.descriptor_features), "descriptors and their features differ in number")
-    _check(_all_in_range(map_.descriptor_features, features), "a descriptor belongs to a feature that is not there")
-    _check(bool(np.all(np.diff(map_.descriptor_features) >= 0)), "descriptors are not sorted by feature")
-    _check(len(map_.T_map_camera) == views, "view poses and times differ in number")
-    _check(_all_rotations(map_.T_map_camera[:, :3, :3]), "a view's pose is not a rotation and a position")
-    _check(len(map_.observation_views) == len(map_.observation_features), "the views' lists of features are broken")
-    _check(_all_in_range(map_.observation_views, views), "an observation is from a view that is not there")
-    _check(bool(np.all(np.diff(map_.observation_views) >= 0)), "observations are not sorted by view")
-    _check(_all_in_range(map_.observation_features, features), "a view saw a feature that is not there")
-    if map_.colours is not None:
-        _check_array("colours", map_.colours, np.uint8, (None, 3))
-        _check(len(map_.colours) == features, "colours and landmarks differ in number")
-    if map_.patches is not None:
-        _check(_all_patches(map_.patches, features), "its landmarks' patches are not valid")
+    for table in (map_.landmarks, map_.descriptors, map_.views, map_.observations):
+        _check_table(table)
+    landmarks, descriptors, views, observations = map_.landmarks, map_.descriptors, map_.views, map_.observations
+    features = len(landmarks)
+    _check(
+        bool(np.all(np.diagonal(landmarks.covariances, axis1=1, axis2=2) >= 0)), "a landmark has a negative variance"
+    )
+    _check(_all_in_range(descriptors.features, features), "a descriptor belongs to a feature that is not there")
+    _check(bool(np.all(np.diff(descriptors.features) >= 0)), "descriptors are not sorted by feature")
+    _check(_all_rotations(views.T_map_camera[:, :3, :3]), "a view's pose is not a rotation and a position")
+    _check(_all_in_range(observations.views, len(views)), "an observation is from a view that is not there")
+    _check(bool(np.all(np.diff(observations.views) >= 0)), "observations are not sorted by view")
+    _check(_all_in_range(observations.features, features), "a view saw a feature that is not there")
+    if landmarks.patches is not None:
+        _check(_all_patches(landmarks.patches), "its landmarks' patches are not valid")
     if len(map_.cloud):
         _check_cloud(map_)
-    if map_.pictures is not None:
-        _check(len(map_.pictures) == views, "views and their pictures differ in number")
-        _check(all(one.startswith(_JPEG) for one in map_.pictures if one), "a view's picture is not a JPEG")
+    if views.pictures is not None:
+        _check(all(one.startswith(_JPEG) for one in views.pictures if one), "a view's picture is not a JPEG")
     _check(bool(map_.plan) == (map_.info.plan is not None), "its floor plan and what it says of it do not fit together")
     if map_.info.plan is not None:
         _check(_is_plan(map_.plan, map_.info.plan), "its floor plan is not one")
-    if map_.view_covariances is not None:
-        _check(_all_covariances(map_.view_covariances, views), "its views' covariances are not valid")
-    if map_.observations is not None:
-        _check(observations_fit(map_, map_.observations), "its observations and its recordings do not fit together")
+    if views.covariances is not None:
+        _check(_all_covariances(views.covariances), "its views' covariances are not valid")
+    parts = (observations.pixels, views.sources, descriptors.sources)
+    if any(part is not None for part in parts):
+        memory = memory_of(map_)
+        fits = memory is not None and memory_fits(map_, memory)
+        _check(fits, "its observations and its recordings do not fit together")
     _check(map_.densities.kind is map_.info.density, "it has densities of another form")
     _check(not (problem := map_.densities.problem(features)), problem)
 
@@ -94,7 +78,7 @@ def check_usable(map_: Map) -> None:
     Raises:
         InvalidMap: it has no landmarks, no descriptors or no views.
     """
-    if not (len(map_) and len(map_.descriptors) and len(map_.view_times)):
+    if not (len(map_) and len(map_.descriptors) and len(map_.views)):
         raise InvalidMap("The map has no landmarks, descriptors or views to localize in.", "Build it from a recording.")
 
 
@@ -103,7 +87,23 @@ def _check(condition: bool, complaint: str) -> None:
         raise InvalidMap(f"The map contradicts itself: {complaint}.", _HINT)
 
 
-def _check_array(name: str, array: object, dtype: type[np.generic], shape: tuple[int | None, ...]) -> None:
+def _check_table(table: MapTable) -> None:
+    """Check a table's columns by their own description; NaN is allowed where it means that a row is not known."""
+    for name, column in table.columns().items():
+        values = getattr(table, name)
+        if values is None and column.optional:
+            continue
+        called = f"{type(table).__name__.removeprefix('Map').lower()}.{name}"
+        if column.dtype is object:
+            _check(isinstance(values, tuple) and len(values) == len(table), f"{called} has not one entry for each row")
+        else:
+            _check_array(called, values, column.dtype, (None, *column.shape), finite=column.unknown is None)
+            _check(len(values) == len(table), f"{called} is not as long as the other columns")
+
+
+def _check_array(
+    name: str, array: object, dtype: type[np.generic], shape: tuple[int | None, ...], finite: bool = True
+) -> None:
     fits = (
         isinstance(array, np.ndarray)
         and array.dtype == dtype
@@ -111,22 +111,18 @@ def _check_array(name: str, array: object, dtype: type[np.generic], shape: tuple
         and all(wanted is None or wanted == length for wanted, length in zip(shape, array.shape, strict=True))
     )
     _check(fits, f"{name} is not an array of {np.dtype(dtype).name} of the right shape")
-    if isinstance(array, np.ndarray) and np.issubdtype(dtype, np.floating):
+    if finite and isinstance(array, np.ndarray) and np.issubdtype(dtype, np.floating):
         _check(bool(np.isfinite(array).all()), f"{name} has values that are not finite")
 
 
-def _all_patches(patches: FloatArray, features: int) -> bool:
+def _all_patches(patches: FloatArray) -> bool:
     """Whether each is a vector with a length, or all NaN."""
-    if patches.shape != (features, 3) or patches.dtype != np.float32:
-        return False
     known = patches[~np.isnan(patches).all(axis=1)]
     return bool(np.isfinite(known).all() and known.any(axis=1).all())
 
 
-def _all_covariances(covariances: FloatArray, views: int) -> bool:
+def _all_covariances(covariances: FloatArray) -> bool:
     """Whether each is a covariance, or all NaN."""
-    if covariances.shape != (views, 6, 6) or covariances.dtype != np.float32:
-        return False
     known = covariances[~np.isnan(covariances).all(axis=(1, 2))].astype(np.float64)
     if not np.isfinite(known).all() or not np.array_equal(known, known.transpose(0, 2, 1)):
         return False

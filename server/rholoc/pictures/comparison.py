@@ -111,8 +111,8 @@ def _draw_from_above(
     axes: Axes, comparison: Comparison, split: SplitResult, method: MethodResult, norm: LogNorm
 ) -> None:
     map_ = comparison.map_
-    views, truth = map_.view_positions, split.truth
-    axes.plot(*map_.landmarks[:, :2].T, ".", ms=1, color="0.75", zorder=1)
+    views, truth = map_.views.positions, split.truth
+    axes.plot(*map_.landmarks.positions[:, :2].T, ".", ms=1, color="0.75", zorder=1)
     axes.plot(*views[:, :2].T, ".", ms=3, color="0.3", zorder=2, label=f"{len(views)} views of the map")
     placed = method.errors.localized
     axes.quiver(
@@ -136,8 +136,8 @@ def _extent(comparison: Comparison, split: SplitResult) -> tuple[FloatArray, Flo
     """The corners (2,) of the picture: it shows all views and queries, and nearly all landmarks, without outliers that
     would shrink the rest."""
     map_ = comparison.map_
-    bulk = np.percentile(map_.landmarks[:, :2], [3, 97], axis=0)
-    points = np.concatenate([map_.view_positions[:, :2], split.truth[:, :2, 3], bulk])
+    bulk = np.percentile(map_.landmarks.positions[:, :2], [3, 97], axis=0)
+    points = np.concatenate([map_.views.positions[:, :2], split.truth[:, :2, 3], bulk])
     return points.min(axis=0) - 0.2, points.max(axis=0) + 0.2
 
 

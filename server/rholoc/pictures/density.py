@@ -54,7 +54,7 @@ def feature_frames(map_: Map, looks: Sequence[Look], tolerance_px: float, title:
 
 def feature_grid(map_: Map, look: Look) -> Grid:
     """The region of space for a feature's density: from the landmark to behind the camera, and as far to the sides."""
-    landmark, position = map_.landmarks[look.feature].astype(np.float64), look.T_map_camera[:3, 3]
+    landmark, position = map_.landmarks.positions[look.feature].astype(np.float64), look.T_map_camera[:3, 3]
     distance = float(np.linalg.norm(landmark - position))
     half = max(1.1 * distance, 0.5)
     return Grid.about((landmark + position) / 2, (half, half, min(half, 1.0)), 2 * half / _VOLUME_STEPS)
@@ -87,7 +87,7 @@ def _draw_picture(axes: Axes, map_: Map, look: Look, tolerance_px: float) -> Any
 
 def _draw_positions(axes: Axes, map_: Map, look: Look, tolerance_px: float) -> None:
     """At the camera's height, from above."""
-    landmark, position = map_.landmarks[look.feature].astype(np.float64), look.T_map_camera[:3, 3]
+    landmark, position = map_.landmarks.positions[look.feature].astype(np.float64), look.T_map_camera[:3, 3]
     half = max(1.1 * float(np.linalg.norm(landmark[:2] - position[:2])), 0.5)
     centre = np.array([*(landmark[:2] + position[:2]) / 2, position[2]])
     grid = Grid.about(centre, (half, half, 0.0), 2 * half / _STEPS)
@@ -97,8 +97,8 @@ def _draw_positions(axes: Axes, map_: Map, look: Look, tolerance_px: float) -> N
     may = seen_from(map_, look.feature, grid)[0]
     if may.any() and not may.all():
         axes.contour(x, y, may, levels=[0.5], colors="white", linewidths=0.8, linestyles=":")
-    mine = np.unique(map_.observation_views[map_.observation_features == look.feature])
-    axes.plot(*map_.view_positions[mine, :2].T, ".", color="#7fd1c7", markersize=3)
+    mine = np.unique(map_.observations.views[map_.observations.features == look.feature])
+    axes.plot(*map_.views.positions[mine, :2].T, ".", color="#7fd1c7", markersize=3)
     axes.plot(*landmark[:2], "*", color="white", markersize=9)
     _draw_camera(axes, look.T_map_camera, half)
     axes.set_xlim(x[0], x[-1])

@@ -44,8 +44,8 @@ def _plot_landmarks(axes: Axes, map_: Map) -> PathCollection | None:
     low, high = np.percentile(sigmas, _VISIBLE_SHARE)
     order = np.argsort(-sigmas)  # the best on top
     return axes.scatter(
-        map_.landmarks[order, 0],
-        map_.landmarks[order, 1],
+        map_.landmarks.positions[order, 0],
+        map_.landmarks.positions[order, 1],
         c=sigmas[order],
         s=float(np.clip(12000 / len(map_), 2, 14)),
         cmap="viridis",
@@ -66,10 +66,10 @@ def _plot_colour_scale(figure: Figure, axes: Axes, shown: PathCollection, unit: 
 
 
 def _plot_path(axes: Axes, map_: Map) -> None:
-    if len(map_.view_times) == 0:
+    if len(map_.views) == 0:
         return
-    x, y = map_.view_positions[:, :2].T
-    hx, hy = map_.view_headings[:, :2].T
+    x, y = map_.views.positions[:, :2].T
+    hx, hy = map_.views.headings[:, :2].T
     axes.plot(x, y, color=INK, linewidth=1.2, zorder=3)
     axes.quiver(x, y, hx, hy, color=INK, angles="xy", scale=28, width=0.002, headwidth=4, zorder=3)
     axes.plot(x[0], y[0], marker="o", markersize=6, color=INK, markerfacecolor="white", zorder=4)
@@ -93,11 +93,11 @@ def _plot_waypoints(axes: Axes, map_: Map) -> None:
 
 def _frame(axes: Axes, map_: Map) -> None:
     """Equal axes around the visible part, without a box, with a scale bar."""
-    ground = np.vstack([map_.landmarks[:, :2], map_.view_positions[:, :2], np.zeros((1, 2))])
+    ground = np.vstack([map_.landmarks.positions[:, :2], map_.views.positions[:, :2], np.zeros((1, 2))])
     low, high = np.percentile(ground, _VISIBLE_SHARE, axis=0)
-    if len(map_.view_times):
-        low = np.minimum(low, map_.view_positions[:, :2].min(axis=0))
-        high = np.maximum(high, map_.view_positions[:, :2].max(axis=0))
+    if len(map_.views):
+        low = np.minimum(low, map_.views.positions[:, :2].min(axis=0))
+        high = np.maximum(high, map_.views.positions[:, :2].max(axis=0))
     margin = _MARGIN * max(float((high - low).max()), 1.0)
     axes.set_xlim(low[0] - margin, high[0] + margin)
     axes.set_ylim(low[1] - 2 * margin, high[1] + margin)
@@ -116,7 +116,7 @@ def _caption(map_: Map) -> str:
     """One line on the map."""
     parts = [
         f"{len(map_)} landmarks",
-        f"{len(map_.view_times)} views",
+        f"{len(map_.views)} views",
         f"{map_.info.features}, {map_.info.density.value}",
     ]
     if len(map_):

@@ -50,7 +50,7 @@ def report_png(map_: Map, title: str = "") -> bytes:
     _plot_coverage(figure, figure.add_subplot(grid[:, 0]), map_, coverage_of(map_))
     unit, factor = ("cm", 100.0) if map_.info.metric else ("units", 1.0)
     _plot_errors(figure.add_subplot(grid[0, 1]), map_.info.report, unit, factor)
-    if np.isfinite(map_.expected_errors_m).any():
+    if np.isfinite(map_.views.expected_errors_m).any():
         _plot_expected_error(figure.add_subplot(grid[0, 2]), map_, unit, factor)
     else:
         _plot_confidences(figure.add_subplot(grid[0, 2]), _held_out(map_.info.report), unit, factor)
@@ -71,7 +71,7 @@ def _held_out(report: MapReport) -> _HeldOut | None:
 def _plot_coverage(figure: Figure, axes: Axes, map_: Map, coverage: Coverage) -> None:
     colours: Colormap = ListedColormap(_COLOURS)
     norm = BoundaryNorm(_LEVELS, colours.N)
-    landmarks, places = map_.landmarks @ coverage.axes.T, map_.view_positions @ coverage.axes.T
+    landmarks, places = map_.landmarks.positions @ coverage.axes.T, map_.views.positions @ coverage.axes.T
     axes.scatter(landmarks[:, 0], landmarks[:, 1], s=2.0, color=MUTED, alpha=0.35, linewidths=0, zorder=1)
     axes.add_collection(
         PolyCollection(
@@ -84,7 +84,7 @@ def _plot_coverage(figure: Figure, axes: Axes, map_: Map, coverage: Coverage) ->
             zorder=2,
         )
     )
-    _plot_path(axes, places, map_.view_headings @ coverage.axes.T)
+    _plot_path(axes, places, map_.views.headings @ coverage.axes.T)
     _plot_waypoints(axes, map_, coverage)
     _frame(axes, coverage, places, "m" if map_.info.metric else "units")
     axes.set_title(_caption(map_, coverage), loc="left", fontsize=9, linespacing=1.5, color=MUTED)
@@ -161,7 +161,7 @@ def _caption(map_: Map, coverage: Coverage) -> str:
     scale = "" if info.metric else " · scale arbitrary"
     upright = "" if info.upright else " · not upright"
     return (
-        f"{len(map_)} landmarks · {len(map_.view_times)} views · {info.features}, {info.density.value}"
+        f"{len(map_)} landmarks · {len(map_.views)} views · {info.features}, {info.density.value}"
         f"{scale}{upright}\n"
         f"{coverage.share_sufficient:.0%} of positions and headings see {SUFFICIENT} landmarks or more (green); "
         f"{coverage.step_m:.2g} {unit} grid, camera {coverage.pitch_deg:+.0f}°\n"
@@ -244,7 +244,7 @@ def _plot_confidences(axes: Axes, held_out: _HeldOut | None, unit: str, factor: 
 def _plot_expected_error(axes: Axes, map_: Map, unit: str, factor: float) -> None:
     """How far the views are expected to be from the truth, over the walk."""
     _panel(axes, "Expected error over the walk", "view", f"root mean square, {unit}")
-    errors = factor * map_.expected_errors_m
+    errors = factor * map_.views.expected_errors_m
     numbers = np.arange(len(errors))
     axes.plot(numbers, errors, color=GREEN, linewidth=1.5)
     axes.fill_between(numbers, errors, color=GREEN, alpha=0.12, linewidth=0)
@@ -269,7 +269,7 @@ def _plot_views_per_landmark(axes: Axes, map_: Map) -> None:
     if len(map_) == 0:
         _say(axes, "no landmarks")
         return
-    views = np.bincount(map_.observation_features, minlength=len(map_))
+    views = np.bincount(map_.observations.features, minlength=len(map_))
     last = int(np.ceil(np.percentile(views, _HIDDEN_SHARE[1]))) + 1
     width = -(-last // 40)
     axes.hist(views, bins=(np.arange(1, last + width + 1, width) - 0.5).tolist(), color=GREEN, alpha=0.75)

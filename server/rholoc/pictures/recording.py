@@ -63,6 +63,9 @@ def _plot_vectors(axis: Axes, times: FloatArray, values: FloatArray) -> None:
 
 def _plot_intervals(axis: Axes, frames: FrameSource, start_s: float) -> None:
     axis.set_ylabel("frame interval [ms]", color=INK)
+    if not frames.timed:
+        axis.text(0.5, 0.5, "no times", transform=axis.transAxes, ha="center", color=MUTED)
+        return
     intervals_ms = 1000 * np.diff(frames.times)
     axis.plot(frames.times[1:] - start_s, intervals_ms, ".", markersize=3, color=INK)
     axis.set_ylim(0, 1.15 * float(intervals_ms.max(initial=1.0)))

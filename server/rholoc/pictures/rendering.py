@@ -1,7 +1,8 @@
 """Pictures and figures of a map for people. As a program, a process that does nothing else.
 
 It reads requests from its standard input, a line of JSON each, ``{"source", "name", "kind", "target"}``, and answers
-with a line, ``{}`` once the rendering is in the file ``target``, else ``{"error", "hint"}``. It ends with its input.
+with a line, ``{}`` once the rendering is in the file ``target``, else ``{"code", "error", "hint"}``. It ends with its
+input.
 """
 
 from __future__ import annotations
@@ -47,7 +48,7 @@ def _answer(request: dict[str, str]) -> dict[str, str]:
         map_ = load_map(Path(request["source"]), f"{name}.rho")
         replace_file(Path(request["target"]), render(map_, name, Rendering(request["kind"])), called="a picture")
     except RholocError as error:
-        return {"error": error.message, "hint": error.hint}
+        return {"code": error.code, "error": error.message, "hint": error.hint}
     return {}
 
 

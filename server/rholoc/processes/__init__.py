@@ -1,7 +1,7 @@
 """Other processes: starts, watches, limits and ends them, together with those that they started in turn."""
 
 from rholoc.processes.async_program import AsyncProgram
-from rholoc.processes.child import ChildDied, ChildFailed, run_in_child
+from rholoc.processes.child import ChildDied, ChildFailed, named, run_in_child
 from rholoc.processes.interrupts import interruptible
 from rholoc.processes.limits import LimitExceeded, Limits, MemoryLimitExceeded, TimeLimitExceeded, machine_memory_bytes
 from rholoc.processes.program import BACKGROUND_NICENESS, Program, call_when_input_ends, running_program
@@ -19,6 +19,7 @@ __all__ = [
     "call_when_input_ends",
     "interruptible",
     "machine_memory_bytes",
+    "named",
     "run_in_child",
     "running_program",
 ]

@@ -8,11 +8,12 @@ import os
 import signal
 import threading
 import time
+import traceback
 from collections.abc import Callable
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from multiprocessing.context import SpawnProcess
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 from rholoc.errors import Cancelled, RholocError
 from rholoc.processes.interrupts import interrupts_deferred
@@ -42,7 +43,7 @@ class ChildDied(Exception):
 
 
 class ChildFailed(Exception):
-    """The function raised an error other than RholocError; this one has its text."""
+    """The function raised an error other than RholocError: its type and text, and its traceback as a note."""
 
 
 @dataclass(frozen=True)
@@ -111,13 +112,14 @@ def run_in_child(
     conditions = _Conditions(limits, niceness, own_group, quiet)
     context = multiprocessing.get_context("spawn")
     ours, theirs = context.Pipe()
-    process = context.Process(
-        target=_main, args=(theirs, conditions, function, args), name=f"rholoc-{function.__name__}"
-    )
+    # Not among the process's own arguments: multiprocessing would wait for ever for a child that dies while it starts.
+    process = context.Process(target=_main, args=(theirs,), name=f"rholoc-{function.__name__}")
     try:
         with interrupts_deferred():
             process.start()
         theirs.close()
+        with contextlib.suppress(OSError):  # it has died, which is noticed below
+            ours.send((conditions, function, args))
         answer = _follow(process, ours, progress, check, poll_s, limits)
     except Cancelled:
         with contextlib.suppress(OSError):
@@ -191,8 +193,9 @@ def _kill(process: SpawnProcess) -> None:
     process.close()
 
 
-def _main(connection: Connection, conditions: _Conditions, function: Callable[..., Any], args: tuple[Any, ...]) -> None:
-    """The child process."""
+def _main(connection: Connection) -> None:
+    """The child process: receives what to do, and answers."""
+    conditions, function, args = cast(tuple[_Conditions, Callable[..., Any], tuple[Any, ...]], connection.recv())
     signal.signal(signal.SIGTERM, signal.SIG_DFL)  # pycolmap's own handler may deadlock
     if conditions.own_group:
         os.setsid()
@@ -212,7 +215,15 @@ def _answer(function: Callable[..., Any], args: tuple[Any, ...], listener: Progr
     except (RholocError, MemoryError) as error:
         return _Raised(error)
     except Exception as error:
-        return _Raised(ChildFailed(next(iter(str(error).splitlines()), type(error).__name__)))
+        failed = ChildFailed(named(error))
+        failed.add_note(traceback.format_exc())
+        return _Raised(failed)
+
+
+def named(error: Exception) -> str:
+    """One line: the error's type, and the first line of its text that is not empty, if there is one."""
+    line = next((line.strip() for line in str(error).splitlines() if line.strip()), "")
+    return f"{type(error).__name__}: {line}" if line else type(error).__name__
 
 
 class _Listener:

@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 import os
 import resource
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-_CONTAINER_MEMORY = Path("/sys/fs/cgroup/memory.max")
+_OWN_GROUPS, _GROUPS = Path("/proc/self/cgroup"), Path("/sys/fs/cgroup")
 _RESERVED_BYTES = 2**30  # address space that libraries and threads reserve and never touch
 
 
@@ -44,11 +45,33 @@ class MemoryLimitExceeded(LimitExceeded):
 def machine_memory_bytes() -> float:
     """How much memory this machine has, or its container may use, whichever is less."""
     machine = float(os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
+    return min(machine, *_control_group_limits(_OWN_GROUPS, _GROUPS))
+
+
+def _control_group_limits(own_groups: Path, groups: Path) -> list[float]:
+    """Memory limits of this process's control groups and of those around them [bytes], of either version of them.
+
+    Args:
+        own_groups: /proc/self/cgroup, with lines ``number:controllers:path``.
+        groups: where the groups are mounted.
+    """
+    limits = [math.inf]
     try:
-        container = _CONTAINER_MEMORY.read_text(encoding="ascii").strip()
+        lines = own_groups.read_text(encoding="utf-8").splitlines()
     except OSError:
-        return machine
-    return min(machine, float(container)) if container.isdigit() else machine
+        return limits
+    for _, controllers, path in (line.split(":", 2) for line in lines if line.count(":") >= 2):
+        if controllers and "memory" not in controllers.split(","):
+            continue
+        root, name = (groups / "memory", "memory.limit_in_bytes") if controllers else (groups, "memory.max")
+        group = root / path.lstrip("/")
+        for folder in (group, *group.parents):  # within a container the outermost may be all that is seen
+            if folder != root and root not in folder.parents:
+                break
+            with suppress(OSError):
+                limit = (folder / name).read_text(encoding="ascii").strip()
+                limits += [float(limit)] if limit.isdigit() else []
+    return limits
 
 
 def limit_own_memory(memory_bytes: float) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import subprocess
 import sys
 import threading
+from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from typing import IO
@@ -13,6 +14,10 @@ from rholoc.processes.interrupts import interrupts_deferred
 from rholoc.processes.tree import descendants, kill
 
 BACKGROUND_NICENESS = 10  # for work that is not urgent: localization requests come first
+
+
+_KEPT_LINES = 20
+_COPYING_ENDS_S = 1.0  # after the program has, unless it left processes that hold the pipe open
 
 
 class Program:
@@ -24,6 +29,7 @@ class Program:
         first_input: written to its standard input, which then stays open: closing it asks the program to end.
         stdout: as for :class:`subprocess.Popen`.
         stderr: likewise.
+        keep_errors: whether the last lines of its standard error, which also go to ours, are kept in ``last_errors``.
     """
 
     def __init__(
@@ -33,14 +39,19 @@ class Program:
         first_input: bytes | None = None,
         stdout: int | IO[bytes] | None = None,
         stderr: int | IO[bytes] | None = None,
+        keep_errors: bool = False,
     ) -> None:
+        self._errors: deque[str] = deque(maxlen=_KEPT_LINES)
         self._process = subprocess.Popen(
             [sys.executable, "-m", module, *map(str, arguments)],
             stdin=None if first_input is None else subprocess.PIPE,
             stdout=stdout,
-            stderr=stderr,
+            stderr=subprocess.PIPE if keep_errors else stderr,
             start_new_session=True,
         )
+        self._copier = threading.Thread(target=self._copy_errors, name="rholoc-errors", daemon=True)
+        if keep_errors:
+            self._copier.start()
         if first_input is not None:
             assert self._process.stdin is not None
             with suppress(BrokenPipeError):  # it has already died
@@ -56,6 +67,17 @@ class Program:
     def running(self) -> bool:
         """Whether it is still running."""
         return self._process.poll() is None
+
+    @property
+    def status(self) -> int | None:
+        """Its exit status, negative for a signal; None while it is running."""
+        return self._process.poll()
+
+    def last_errors(self) -> list[str]:
+        """The last lines of its standard error, all of them once it has ended."""
+        if not self.running and self._copier.is_alive():
+            self._copier.join(_COPYING_ENDS_S)
+        return list(self._errors)
 
     def wait(self) -> tuple[int, str]:
         """Wait for its end; returns its exit status and, if that is a pipe, its standard error."""
@@ -73,10 +95,21 @@ class Program:
         self._process.kill()  # first, or it could start others again
         kill(left)
         self._process.wait()
+        if self._copier.is_alive():
+            self._copier.join(_COPYING_ENDS_S)
         for stream in (self._process.stdin, self._process.stdout, self._process.stderr):
-            if stream is not None:
+            if stream is not None and not (stream is self._process.stderr and self._copier.is_alive()):
                 with suppress(BrokenPipeError):
                     stream.close()
+
+    def _copy_errors(self) -> None:
+        assert self._process.stderr is not None
+        with suppress(ValueError):  # the pipe was closed
+            for line in self._process.stderr:
+                self._errors.append(line.decode(errors="replace").rstrip())
+                with suppress(OSError, AttributeError, ValueError):  # our own standard error is closed, or not a file
+                    sys.stderr.buffer.write(line)
+                    sys.stderr.flush()
 
     def _ask_to_end(self) -> None:
         if self._process.stdin is None:

@@ -8,7 +8,17 @@ from rholoc.recordings.frames.image import decode_image, read_image
 from rholoc.recordings.frames.memory_frames import MemoryFrames
 from rholoc.recordings.frames.video import MAX_FRAME_PIXELS, frame_pixels_limited
 from rholoc.recordings.reader import read_recording
-from rholoc.recordings.recording import GRAVITY, FrameSource, GivenPoses, Imu, Recording, RecordingFormat, Waypoint
+from rholoc.recordings.recording import (
+    GRAVITY,
+    FrameSource,
+    GivenPoses,
+    Imu,
+    KnownLength,
+    PoseKind,
+    Recording,
+    RecordingFormat,
+    Waypoint,
+)
 from rholoc.recordings.selection import parse_frame_slice
 from rholoc.recordings.tables.frames_table import read_frames_csv, write_frames_csv
 from rholoc.recordings.tables.imu_table import read_imu_csv, write_imu_csv
@@ -31,8 +41,10 @@ __all__ = [
     "FrameSource",
     "GivenPoses",
     "Imu",
+    "KnownLength",
     "Look",
     "MemoryFrames",
+    "PoseKind",
     "PoseTable",
     "Recording",
     "RecordingFormat",

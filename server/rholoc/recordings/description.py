@@ -50,15 +50,15 @@ def _known_poses(recording: Recording) -> tuple[FloatArray, FloatArray]:
 
 
 def _frames(frames: FrameSource) -> dict[str, Any]:
-    steps = np.diff(frames.times)
+    steps = np.diff(frames.times) if frames.timed else np.zeros(0)
     width, height = frames.size
     return {
         "count": len(frames.times),
         "numbers": [int(frames.numbers[0]), int(frames.numbers[-1])],
         "width": width,
         "height": height,
-        "start_s": float(frames.times[0]),
-        "end_s": float(frames.times[-1]),
+        "start_s": float(frames.times[0]) if frames.timed else None,
+        "end_s": float(frames.times[-1]) if frames.timed else None,
         "rate_hz": 1 / float(np.median(steps)) if len(steps) else None,
         "longest_interval_s": float(steps.max()) if len(steps) else None,
     }

@@ -6,6 +6,7 @@ import os
 import shutil
 import tempfile
 import weakref
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from rholoc.recordings.frames.video import VIDEO_SUFFIXES, read_video
 from rholoc.recordings.readers import read_folder
 from rholoc.recordings.recording import Recording, RecordingFormat
 from rholoc.recordings.selection import parse_frame_slice, select_frames
+from rholoc.recordings.tables.lengths import parse_length
 from rholoc.recordings.tables.waypoints import read_waypoints_csv
 from rholoc.recordings.walk.checks import whole_warnings
 
@@ -27,12 +29,13 @@ _KNOWN = (
 
 
 def read_recording(
-    path: Path,
+    path: Path | str,
     camera: Camera | str | None = None,
     frames: str | None = None,
-    waypoints: Path | None = None,
+    waypoints: Path | str | None = None,
     workdir: Path | None = None,
     max_unpacked_bytes: int = DEFAULT_MAX_BYTES,
+    lengths: Sequence[str] = (),
 ) -> Recording:
     """Read a recording: a video, a folder of images, or a folder or ZIP file of any format of ``RecordingFormat``.
 
@@ -45,16 +48,18 @@ def read_recording(
         workdir: an existing folder; a ZIP file is unpacked into a new folder in it, which the caller removes. Without
             it a temporary folder is used, which lives as long as the recording's frames do.
         max_unpacked_bytes: what a ZIP file may unpack to.
+        lengths: measured distances, instead of the recording's own: ``12,340,2.40``, the camera was 2.40 m further in
+            frame 340 than in frame 12.
 
     Raises:
-        InvalidRecording: the recording or the choice of frames cannot be used; says what is wrong.
+        InvalidRecording: the recording, a length or the choice of frames cannot be used; says what is wrong.
         InvalidCamera: the intrinsics are impossible or do not fit the frames.
         InvalidWaypoints: the waypoints are malformed, or outside the recording.
         InvalidTrajectory: the poses beside the frames are malformed.
         TooLarge: a ZIP file would unpack to too much.
         StorageFull: no room to unpack a ZIP file.
     """
-    recording = _read(path, workdir, max_unpacked_bytes)
+    recording = _read(Path(path), workdir, max_unpacked_bytes)
     recording = replace(recording, warnings=(*recording.warnings, *whole_warnings(recording)))
     if frames is not None:
         recording = select_frames(recording, parse_frame_slice(frames))
@@ -63,14 +68,17 @@ def read_recording(
         fitted = camera.fitted(*size) if isinstance(camera, Camera) else Camera.parse(camera, *size)
         recording = replace(recording, camera=fitted)
     if waypoints is not None:
-        recording = replace(recording, waypoints=read_waypoints_csv(waypoints, recording.frames))
+        recording = replace(recording, waypoints=read_waypoints_csv(Path(waypoints), recording.frames))
+    if lengths:
+        numbers = recording.frames.numbers
+        recording = replace(recording, lengths=tuple(parse_length(text, numbers) for text in lengths))
     return recording
 
 
 def _read(path: Path, workdir: Path | None, max_unpacked_bytes: int) -> Recording:
     suffix = path.suffix.lower()
     if not path.exists():
-        raise InvalidRecording(f"There is no {path}.", "Check the path.")
+        raise InvalidRecording(f"There is no {path.name}.", "Check the path.")
     if path.is_dir():
         return read_folder(path)
     if suffix in VIDEO_SUFFIXES:

@@ -33,6 +33,7 @@ class RecordingFormat(StrEnum):
     SEVEN_SCENES = "7-scenes"
     COLMAP = "colmap"  # text model
     NERFSTUDIO = "nerfstudio"  # transforms.json
+    SCANNER_APP = "3d-scanner-app"  # frame_*.jpg with frame_*.json
 
 
 class FrameSource(Protocol):
@@ -40,7 +41,12 @@ class FrameSource(Protocol):
 
     @property
     def times(self) -> FloatArray:
-        """(N,) float64, seconds on the recording's clock, increasing."""
+        """(N,) float64, increasing: seconds on the recording's clock if ``timed``, else the rows 0..N-1."""
+        ...
+
+    @property
+    def timed(self) -> bool:
+        """Whether the times were measured. Without times neither rates nor durations are known."""
         ...
 
     @property
@@ -95,6 +101,27 @@ class Waypoint:
     sigma_m: float = 0.02
 
 
+@dataclass(frozen=True)
+class KnownLength:
+    """A measured distance between the camera's places in two frames.
+
+    Attributes:
+        first, second: the frames' numbers.
+        length_m: metres.
+    """
+
+    first: int
+    second: int
+    length_m: float
+
+
+class PoseKind(StrEnum):
+    """How given poses were measured."""
+
+    EXACT = "exact"  # by motion capture or structure from motion: no drift
+    ODOMETRY = "odometry"  # by a tracker, as ARKit's and ARCore's: exact from frame to frame, but they drift
+
+
 @dataclass(frozen=True, eq=False)
 class GivenPoses:
     """Poses that came with the recording, for some or all of its frames.
@@ -103,11 +130,13 @@ class GivenPoses:
         known: (N,) bool, whether the frame in this row has a pose.
         T_map_camera: (N, 4, 4), NaN where unknown.
         metric: whether their unit of length is the metre, or unknown.
+        kind: how they were measured.
     """
 
     known: BoolArray
     T_map_camera: FloatArray
     metric: bool = True
+    kind: PoseKind = PoseKind.EXACT
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,6 +155,8 @@ class Recording:
         frame_intrinsics: (N, 4) fx, fy, cx, cy of each frame in pixels, NaN where not logged; None where none were.
         readout_s: how long a rolling shutter takes from the first row to the last, or None where not logged.
         depth: depth images of its frames, or None.
+        focal_px: first guess of the focal length where the intrinsics are unknown, by EXIF; or None.
+        lengths: measured distances between the camera's places.
         warnings: its problems.
     """
 
@@ -140,4 +171,6 @@ class Recording:
     frame_intrinsics: FloatArray | None = None
     readout_s: float | None = None
     depth: DepthImages | None = None
+    focal_px: float | None = None
+    lengths: tuple[KnownLength, ...] = ()
     warnings: tuple[RecordingWarning, ...] = ()

@@ -9,7 +9,7 @@ import numpy as np
 
 from rholoc.errors import InvalidRecording
 from rholoc.geometry import ByteArray, FloatArray, IntArray
-from rholoc.recordings.recording import FrameSource, Recording
+from rholoc.recordings.recording import FrameSource, Recording, Waypoint
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,8 +21,13 @@ class SelectedFrames:
 
     @property
     def times(self) -> FloatArray:
-        """(N,) seconds."""
-        return self.source.times[self.rows]
+        """(N,) seconds, or rows of this selection where the source has no times."""
+        return self.source.times[self.rows] if self.timed else np.arange(len(self.rows), dtype=np.float64)
+
+    @property
+    def timed(self) -> bool:
+        """Whether the source's times were measured."""
+        return self.source.timed
 
     @property
     def numbers(self) -> IntArray:
@@ -77,13 +82,11 @@ def select_frames(recording: Recording, chosen: slice) -> Recording:
             f"Its frames are {numbers[0]} to {numbers[-1]}.",
         )
     frames = SelectedFrames(recording.frames, rows)
-    first, last = frames.times[0], frames.times[-1]
     return replace(
         recording,
         frames=frames,
-        waypoints=tuple(
-            waypoint for waypoint in recording.waypoints if not (waypoint.time < first or waypoint.time > last)
-        ),
+        waypoints=_waypoints_within(recording, frames),
+        lengths=tuple(one for one in recording.lengths if {one.first, one.second} <= set(frames.numbers.tolist())),
         poses=(
             None
             if recording.poses is None
@@ -96,6 +99,15 @@ def select_frames(recording: Recording, chosen: slice) -> Recording:
         frame_intrinsics=None if recording.frame_intrinsics is None else recording.frame_intrinsics[rows],
         depth=None if recording.depth is None else recording.depth.select(rows),
     )
+
+
+def _waypoints_within(recording: Recording, frames: SelectedFrames) -> tuple[Waypoint, ...]:
+    """The waypoints of the chosen frames; without times a waypoint's moment is its picture's row, counted anew."""
+    if recording.frames.timed:
+        first, last = frames.times[0], frames.times[-1]
+        return tuple(one for one in recording.waypoints if not (one.time < first or one.time > last))
+    place = {float(row): float(new) for new, row in enumerate(frames.rows.tolist())}
+    return tuple(replace(one, time=place[one.time]) for one in recording.waypoints if one.time in place)
 
 
 def _text(chosen: slice) -> str:

@@ -89,16 +89,19 @@ class InertialComparison:
 
 @dataclass(frozen=True)
 class MissingSpan:
-    """Seconds of a walk that could not be placed.
+    """Part of a recording that could not be placed.
 
     Attributes:
-        start_s, end_s: seconds from the start of the recording.
-        why: what they show instead, as it continues a sentence: "shows a blank wall".
+        start_s, end_s: seconds from the start of the recording; None if its pictures have no times.
+        why: what the frames show instead, as it continues a sentence: "shows a blank wall".
+        first_number, last_number: numbers of the first and the last frame.
     """
 
-    start_s: float
-    end_s: float
+    start_s: float | None
+    end_s: float | None
     why: str
+    first_number: int = 0
+    last_number: int = 0
 
 
 @dataclass(frozen=True)

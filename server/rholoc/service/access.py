@@ -7,6 +7,7 @@ and checks the key before any of the body is read; a route that declares nothing
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextvars import ContextVar
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -21,9 +22,13 @@ from starlette.types import Scope as RequestScope
 from rholoc.service.errors import Forbidden
 from rholoc.service.keys import ApiKey, Scope
 
+CLIENT: ContextVar[str] = ContextVar("client", default="")
+"""Whom the request that is being answered counts to."""
+
 _KEY = "api_key"  # members of a request's state: its key,
 _GRANTED = "granted"  # what the key allows,
-_FOUND = "found_route"  # and its route
+_FOUND = "found_route"  # its route,
+_CLIENT = "counted_to"  # and whom it counts to
 _bearer = HTTPBearer(
     scheme_name="ApiKey",
     description="A key from `rholoc key create`. A server that only listens on its own machine needs none.",
@@ -47,6 +52,17 @@ def request_key(request_scope: RequestScope) -> ApiKey | None:
     """The key that a request was let in with; None where none is needed."""
     key: ApiKey | None = request_scope.get("state", {}).get(_KEY)
     return key
+
+
+def note_client(request_scope: RequestScope, name: str) -> None:
+    """Record whom a request counts to: the first of its keys, or an address where no key is needed."""
+    CLIENT.set(name)
+    request_scope.setdefault("state", {})[_CLIENT] = name
+
+
+def client_of(request_scope: RequestScope) -> str:
+    """Whom a request counts to; empty if it is open to everyone."""
+    return str(request_scope.get("state", {}).get(_CLIENT, ""))
 
 
 def found_route(request_scope: RequestScope) -> RouteAccess | None:

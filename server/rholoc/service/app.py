@@ -6,6 +6,7 @@ import asyncio
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 
+import structlog
 from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse
@@ -20,20 +21,17 @@ from rholoc.jobs import (
     JobQueue,
     KeptLimits,
     QueryStore,
-    RecordingStore,
-    SharedQueryStore,
-    SharedRecordingStore,
-    SharedUploadStore,
+    Stores,
     UploadStore,
 )
 from rholoc.localization import VECTORS_FILE, MapFinder
 from rholoc.logs import configure_logs
-from rholoc.maps import CameraLibrary, Documents, FolderDocuments, MapLibrary, SiteLibrary
+from rholoc.maps import CameraLibrary, SiteLibrary
 from rholoc.service import web
-from rholoc.service.audit import Audited, AuditLog, FolderAuditLog, SharedAuditLog
+from rholoc.service.audit import Audited, AuditLog
 from rholoc.service.bodies import HeldBodies
 from rholoc.service.compute import ComputePool
-from rholoc.service.connections import SlowBodies
+from rholoc.service.connections import ConcurrencyLimited, ProbesOnly, SlowBodies
 from rholoc.service.errors import (
     InvalidRequest,
     MethodNotAllowed,
@@ -46,7 +44,7 @@ from rholoc.service.errors import (
 )
 from rholoc.service.exports import Exports
 from rholoc.service.guard import Guard, SecurityHeaders
-from rholoc.service.housekeeping import clean_up_regularly
+from rholoc.service.housekeeping import clean_up_regularly, follow_keys
 from rholoc.service.job_events import JobEvents
 from rholoc.service.json_bodies import JsonBodies
 from rholoc.service.keys import KeyStore
@@ -56,20 +54,25 @@ from rholoc.service.localizers import Localizers
 from rholoc.service.map_watch import MapWatch
 from rholoc.service.metrics import Metered, Metrics
 from rholoc.service.middleware import RequestBoundary
+from rholoc.service.open_streams import OpenStreams, stream_limits
 from rholoc.service.openapi import install
 from rholoc.service.pacing import FramesFirst
 from rholoc.service.quotas import Quotas
 from rholoc.service.rates import RateLimited
+from rholoc.service.readings import Readings
 from rholoc.service.renderings import Renderings
 from rholoc.service.routes import ROUTERS
 from rholoc.service.settings import Settings
 from rholoc.service.state import State
-from rholoc.service.stream_count import OpenStreams
+from rholoc.service.storage_threads import StorageLanes
+from rholoc.service.stream_kind import StreamKind
 from rholoc.service.tracing import Traced
 from rholoc.service.tus import Tus
-from rholoc.storage import ASKERS, CAMERAS, KEYS, SITES, SharedStorage
+from rholoc.storage import ASKERS, CAMERAS, KEYS, SITES
 from rholoc.storage.holdings import Holdings
 
+_log = structlog.get_logger("rholoc.service")
+_MIN_UNDER_WAY = 8  # requests that a client may have under way, whatever the limit of connections
 _BODIES_AT_ONCE = 8  # of the largest size allowed
 
 _DESCRIPTION = """\
@@ -82,32 +85,35 @@ Errors have one shape: `{code, message, hint, request_id}`. "No pose" is an answ
 def create_app(settings: Settings | None = None) -> FastAPI:
     """The service as an ASGI application. Its threads and its worker live from start-up to shut-down."""
     settings, metrics = settings or Settings(), Metrics()
-    shared = open_shared(settings)
-    keys, audit = open_keys(settings, shared), audit_log(settings, shared)
+    stores = stores_of(settings)
+    keys, audit = open_keys(stores), AuditLog(stores.engine)
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
         configure_logs()
         telemetry.begin("rholoc-server")
-        app.state.rholoc = state = _start(settings, metrics, keys, audit, shared)
+        app.state.rholoc = state = await asyncio.to_thread(_start, settings, metrics, keys, audit, stores)
         state.watch.start()
         state.learner.start()
         if state.worker is not None:
             state.worker.start()
         cleanup = asyncio.create_task(clean_up_regularly(state))
+        following = asyncio.create_task(follow_keys(state))
         try:
             yield
         finally:
             cleanup.cancel()
+            following.cancel()
             if state.worker is not None:
                 state.worker.stop()
             state.watch.stop()
             state.compute.close()
             state.learner.close()
             await state.renderings.close()
+            state.readiness.close()
+            state.threads.close()
             state.jobs.close()
-            if shared is not None:
-                shared.close()
+            stores.close()
             telemetry.end()
 
     app = FastAPI(
@@ -129,7 +135,12 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     app.add_middleware(FramesFirst, busy=lambda scope: scope["app"].state.rholoc.compute.busy)
     app.add_middleware(SlowBodies, silence_s=settings.slow_client_timeout_s)
     app.add_middleware(RateLimited, keys=keys)
-    app.add_middleware(Guard, routes=app.routes, keys=keys, policy=settings.keys, host=settings.host)
+    app.add_middleware(ConcurrencyLimited, max_of_client=max(_MIN_UNDER_WAY, settings.max_connections // 4))
+    app.add_middleware(ProbesOnly)
+    open_paths = ("/metrics",) if settings.open_metrics else ()
+    app.add_middleware(
+        Guard, routes=app.routes, keys=keys, policy=settings.keys, host=settings.host, open_paths=open_paths
+    )
     app.add_middleware(Tus)
     app.add_middleware(Audited, log=audit)
     app.add_middleware(RequestBoundary)
@@ -140,73 +151,71 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     return app
 
 
-def open_shared(settings: Settings) -> SharedStorage | None:
-    """What the service shares with others, not yet opened; None where it keeps all to itself.
+def stores_of(settings: Settings) -> Stores:
+    """Where the service keeps what it holds, not yet opened.
 
     Raises:
         InvalidInput: an URL is not valid.
     """
-    if settings.shared_storage is None:
-        return None
-    return SharedStorage(
-        settings.shared_storage,
+    return Stores(
+        settings.maps_dir,
         settings.data_dir,
         settings.jobs_database,
+        settings.shared_storage,
         settings.storage_cache_bytes,
         settings.map_cache_bytes,
     )
 
 
-def open_keys(settings: Settings, shared: SharedStorage | None) -> KeyStore:
+def open_keys(stores: Stores) -> KeyStore:
     """The API keys of the service."""
-    return KeyStore(settings.data_dir, None if shared is None else shared.documents(KEYS))
+    return KeyStore(stores.data_dir, stores.documents(KEYS))
 
 
-def audit_log(settings: Settings, shared: SharedStorage | None) -> AuditLog:
-    """Where it is noted who changed what."""
-    return FolderAuditLog(settings.data_dir) if shared is None else SharedAuditLog(shared.engine)
-
-
-def _start(
-    settings: Settings, metrics: Metrics, keys: KeyStore, audit: AuditLog, shared: SharedStorage | None
-) -> State:
+def _start(settings: Settings, metrics: Metrics, keys: KeyStore, audit: AuditLog, stores: Stores) -> State:
     settings.data_dir.mkdir(parents=True, exist_ok=True)
-    limits = KeptLimits(size_bytes=settings.learn_max_bytes)
+    shared, library, recordings = stores.shared, stores.library, stores.recordings
     if shared is None:
         settings.maps_dir.mkdir(parents=True, exist_ok=True)
-        library = MapLibrary(settings.maps_dir, settings.map_cache_bytes)
-        cameras, recordings = CameraLibrary(settings.maps_dir), RecordingStore(settings.data_dir)
-        sites, queries = SiteLibrary(settings.maps_dir), QueryStore(settings.data_dir, limits)
-        salts: Documents = FolderDocuments(settings.data_dir)
     else:
-        shared.open(follow=True)
-        library, cameras = shared.library, CameraLibrary(settings.maps_dir, shared.documents(CAMERAS))
-        recordings = SharedRecordingStore(settings.data_dir, shared)
-        sites = SiteLibrary(settings.maps_dir, shared.documents(SITES))
-        queries, salts = SharedQueryStore(shared.objects, limits), shared.documents(ASKERS)
-    jobs = JobQueue(settings.data_dir, settings.jobs_database, recordings)
+        shared.recall()
+    try:  # engines open their databases when they are first used, and shared.follow() sees them come back
+        stores.open()
+    except (RholocError, SQLAlchemyError) as error:
+        _log.warning("database_not_opened", error=str(error)[:200])
+    if shared is not None:
+        shared.follow()
+    jobs = JobQueue(settings.data_dir, settings.jobs_database, recordings, engine=stores.engine)
+    threads = StorageLanes()
+    queries = QueryStore(stores.objects, KeptLimits(size_bytes=settings.learn_max_bytes))
     finder = MapFinder(library, settings.data_dir / VECTORS_FILE)
     compute = ComputePool(settings.concurrency, settings.queue_length)
-    metrics.gauge("rholoc_jobs", "Mapping jobs", "state", lambda: {str(state): n for state, n in jobs.counts().items()})
-    waiting = lambda: {str(obstacle or "none"): n for obstacle, n in jobs.waiting().items()}  # noqa: E731
-    metrics.gauge("rholoc_jobs_waiting", "Queued mapping jobs, by why no worker can take them", "obstacle", waiting)
+    readiness = Readings(settings, jobs, shared)
+    metrics.gauge("rholoc_jobs", "Mapping jobs, as last known", "state", lambda: readiness.jobs.value)
+    waiting = "Queued mapping jobs, by why no worker can take them, as last known"
+    metrics.gauge("rholoc_jobs_waiting", waiting, "obstacle", lambda: readiness.waiting.value)
+    metrics.gauge("rholoc_jobs_age_seconds", "Age of the last known numbers of jobs", "at", readiness.job_ages)
     metrics.gauge("rholoc_frames", "Frames that are being localized, or wait", "at", lambda: {"now": compute.taken})
     metrics.gauge("rholoc_maps", "Maps in the folder, and how many of them are indexed", "state", finder.counts)
-    streams = OpenStreams(settings.max_streams)
-    metrics.gauge("rholoc_streams", "Streams of frames that are open", "at", lambda: {"now": streams.count})
-    uploads = _uploads(settings, recordings, jobs, shared)
+    streams = OpenStreams(keys, *stream_limits(settings.max_streams, settings.max_connections))
+    counted = lambda: {str(kind): streams.count(kind) for kind in StreamKind}  # noqa: E731
+    metrics.gauge("rholoc_streams", "Streams that are open", "kind", counted)
+    uploads = UploadStore(
+        recordings, jobs, settings.upload_expires_s, settings.max_upload_files, settings.max_unfinished_uploads
+    )
+    keys.refresh()
     return State(
         settings=settings,
         library=library,
-        cameras=cameras,
+        cameras=CameraLibrary(settings.maps_dir, stores.documents(CAMERAS)),
         keys=keys,
         audit=audit,
         shared=shared,
-        localizers=Localizers(library, settings.min_confidence),
+        localizers=Localizers(library, settings.min_recognized),
         finder=finder,
-        sites=sites,
+        sites=SiteLibrary(settings.maps_dir, stores.documents(SITES)),
         watch=MapWatch(finder),
-        renderings=Renderings(settings.data_dir / "renderings", library),
+        renderings=Renderings(settings.data_dir / "renderings", library, threads),
         compute=compute,
         held_bodies=HeldBodies(_BODIES_AT_ONCE * settings.max_request_bytes),
         exports=Exports(settings.export_time_limit_s),
@@ -215,25 +224,18 @@ def _start(
         recordings=recordings,
         uploads=uploads,
         jobs=jobs,
-        job_events=JobEvents(jobs),
+        job_events=JobEvents(jobs, threads.database),
         queries=queries,
-        learner=Learner(queries, settings, salts),
-        worker=_worker(settings) if settings.worker else None,
+        learner=Learner(queries, settings, stores.documents(ASKERS)),
+        worker=_worker(settings, jobs) if settings.worker else None,
         streams=streams,
         quotas=Quotas(Holdings(jobs.engine), keys, library, recordings, uploads, jobs),
+        readiness=readiness,
+        threads=threads,
     )
 
 
-def _uploads(
-    settings: Settings, recordings: RecordingStore, jobs: JobQueue, shared: SharedStorage | None
-) -> UploadStore:
-    limits = (settings.upload_expires_s, settings.max_upload_files, settings.max_unfinished_uploads)
-    if shared is not None and isinstance(recordings, SharedRecordingStore):
-        return SharedUploadStore(recordings, jobs, shared, *limits)
-    return UploadStore(recordings, jobs, *limits)
-
-
-def _worker(settings: Settings) -> EmbeddedWorker:
+def _worker(settings: Settings, jobs: JobQueue) -> EmbeddedWorker:
     return EmbeddedWorker(
         settings.data_dir,
         settings.maps_dir,
@@ -241,6 +243,7 @@ def _worker(settings: Settings) -> EmbeddedWorker:
         settings.job_limits,
         settings.shared_storage,
         settings.worker_capacity,
+        jobs,
     )
 
 

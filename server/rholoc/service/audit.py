@@ -1,30 +1,23 @@
-"""Who changed what: a line for each request that changed something, kept in files of bounded size."""
+"""Who changed what: a row of the database for each request that changed something."""
 
 from __future__ import annotations
 
-import fcntl
-import json
 import time
-from collections.abc import Iterator
 from dataclasses import asdict, dataclass
-from itertools import islice
-from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import sqlalchemy as sa
 import structlog
 from sqlalchemy.exc import SQLAlchemyError
-from starlette.concurrency import run_in_threadpool
 from starlette.datastructures import Headers
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from rholoc.errors import RholocError
 from rholoc.service.access import found_route, request_key
 from rholoc.service.keys import Scope as KeyScope
+from rholoc.service.storage_threads import StorageLanes
 from rholoc.storage.tables import changes_table
 
-_FOLDER, _FILE, _LOCK = "audit", "audit.jsonl", ".lock"
-_FILE_BYTES = 4 * 2**20
-_FILES = 5  # with the one that is written to
 _ROWS = 100_000  # of the table
 _ROWS_AT_ONCE = 500
 _MAX_PATH = 300
@@ -58,64 +51,8 @@ class Change:
     request_id: str
 
 
-class AuditLog(Protocol):
-    """The changes; the oldest are forgotten. Safe to share between threads and processes."""
-
-    def note(self, change: Change) -> None:
-        """Add a change. Raises OSError, SQLAlchemyError."""
-        ...
-
-    def changes(self, most: int, map_name: str | None = None) -> list[Change]:
-        """The last changes, the newest first; of all, or those whose path names a map."""
-        ...
-
-
-class FolderAuditLog:
-    """The changes of the servers that share a data folder; the oldest are forgotten beyond 20 MiB.
-
-    Safe to share between threads and processes.
-    """
-
-    def __init__(self, data_dir: Path) -> None:
-        self._folder = Path(data_dir) / _FOLDER
-
-    def note(self, change: Change) -> None:
-        """Add a change. Raises OSError."""
-        line = json.dumps(asdict(change), ensure_ascii=False).encode() + b"\n"
-        self._folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-        with (self._folder / _LOCK).open("a") as lock:
-            fcntl.flock(lock, fcntl.LOCK_EX)
-            path = self._file(0)
-            if path.exists() and path.stat().st_size + len(line) > _FILE_BYTES:
-                for number in range(_FILES - 1, 0, -1):
-                    if self._file(number - 1).exists():
-                        self._file(number - 1).replace(self._file(number))
-            with path.open("ab") as file:
-                file.write(line)
-
-    def changes(self, most: int, map_name: str | None = None) -> list[Change]:
-        """The last changes, the newest first; of all, or those whose path names a map."""
-        wanted = (one for one in self._newest_first() if map_name is None or _names(one.path, map_name))
-        return list(islice(wanted, most))
-
-    def _newest_first(self) -> Iterator[Change]:
-        for number in range(_FILES):
-            try:
-                lines = self._file(number).read_bytes().splitlines()
-            except FileNotFoundError:
-                continue
-            for line in reversed(lines):
-                try:
-                    yield Change(**json.loads(line))
-                except (ValueError, TypeError):  # a line that a crash cut off
-                    continue
-
-    def _file(self, number: int) -> Path:
-        return self._folder / (_FILE if number == 0 else f"{_FILE}.{number}")
-
-
-class SharedAuditLog:
-    """The changes of all servers that share a database; the oldest are forgotten beyond 100 000.
+class AuditLog:
+    """The changes of all servers that share a database. Keeps the last 100 000. Safe to share between threads.
 
     Args:
         engine: the database's, with rholoc's tables in it.
@@ -143,10 +80,6 @@ class SharedAuditLog:
             return [Change(**row) for row in connection.execute(wanted).mappings()]
 
 
-def _names(path: str, map_name: str) -> bool:
-    return path == f"{_MAPS}{map_name}" or path.startswith(f"{_MAPS}{map_name}/")
-
-
 class Audited:
     """ASGI middleware that notes the requests that changed something, before they are answered.
 
@@ -169,16 +102,15 @@ class Audited:
             if message["type"] == "http.response.start" and 200 <= message["status"] < 300 and _is_change(scope):
                 location = Headers(raw=message.get("headers", [])).get("location", "")
                 job = location.rpartition("/v1/jobs/")[2] if "/v1/jobs/" in location else ""
-                await run_in_threadpool(self._note, _change(scope, message["status"], job))
+                threads: StorageLanes = scope["app"].state.rholoc.threads
+                change = _change(scope, message["status"], job)
+                try:
+                    await threads.database(self._audit.note, change)
+                except (SQLAlchemyError, RholocError) as error:  # the change is made
+                    _log.warning("change_not_noted", error=str(error)[:200], **asdict(change))
             await send(message)
 
         await self._app(scope, receive, send_noting)
-
-    def _note(self, change: Change) -> None:
-        try:
-            self._audit.note(change)
-        except (OSError, SQLAlchemyError) as error:  # what was changed is changed: the answer stands
-            _log.warning("change_not_noted", error=str(error)[:200], **asdict(change))
 
 
 def _is_change(scope: Scope) -> bool:

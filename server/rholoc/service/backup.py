@@ -11,12 +11,11 @@ import hashlib
 import io
 import json
 import os
-import re
 import shutil
 import tarfile
 import time
-from collections.abc import Iterable, Iterator
-from contextlib import AbstractContextManager, contextmanager, suppress
+from collections.abc import Generator, Iterable, Iterator
+from contextlib import closing, contextmanager, suppress
 from dataclasses import asdict, dataclass, field
 from pathlib import Path, PurePosixPath
 from typing import IO, cast
@@ -24,18 +23,26 @@ from uuid import uuid4
 
 from rholoc import __version__
 from rholoc.disk import reporting_full_disk, sync_folder
-from rholoc.errors import Conflict, InvalidInput, StorageUnavailable
+from rholoc.errors import Conflict, InvalidInput, InvalidMap, StorageUnavailable, UnknownRecording
+from rholoc.jobs import MovedIn, RecordingStore, Stores, move_in
+from rholoc.jobs.recording_store import ENTRY_FILE
+from rholoc.maps import FolderDocuments, MapLibrary
+from rholoc.maps.cameras import FOLDER as CAMERAS_FOLDER
+from rholoc.maps.rho_file import load_outline
+from rholoc.maps.sites import SITES_FOLDER
+from rholoc.storage import CAMERAS, KEYS, SITES, MissingObject, SharedStorage
 
 _FORMAT, _FORMAT_VERSION = "rholoc-backup", 1
 _MANIFEST = "manifest.json"
 _MAX_MANIFEST_BYTES = 2**28
 _MAPS, _DATA = "maps", "data"
-_PREVIOUS, _KEYS, _RECORDINGS = ".previous", "keys", "recordings"
-_OF_MAPS = ("*.rho", f"{_PREVIOUS}/*.rho*", "cameras/*.json", "sites/*.json")
-_ID = re.compile(r"[0-9a-f]{32}")  # of a recording: what is not whole is called otherwise
-_ATTEMPTS = 20  # to see the folder of maps unchanged while it is looked through
+_OF_MAPS = ("*.rho", ".previous/*.rho*", "cameras/*.json", "sites/*.json")
+_FOLDERS = {CAMERAS: f"{_MAPS}/{CAMERAS_FOLDER}", SITES: f"{_MAPS}/{SITES_FOLDER}", KEYS: f"{_DATA}/{KEYS}"}
+_ATTEMPTS = 5
+_LINK_ATTEMPTS = 20  # to see the folder of maps unchanged while it is looked through
 _PAUSE_S = 0.2
 _PIECE_BYTES = 2**20
+_PRIVATE = 0o600  # the mode of a backup
 _NAMES_SHOWN = 3
 
 
@@ -66,39 +73,112 @@ class Manifest:
         return sum(PurePosixPath(path).match(pattern) for path in self.files)
 
 
-def back_up(file: Path, maps_dir: Path, data_dir: Path, recordings: bool = False) -> Manifest:
+def back_up(file: Path, stores: Stores, recordings: bool = False) -> Manifest:
     """Write maps with the versions that they replaced, cameras, sites and keys, which are hashes, to a file.
 
-    A server may run meanwhile: all maps are those of one moment, each file whole. Jobs, uploads that are not finished
-    and what can be made again are left out; recordings too, unless they are asked for.
+    Servers may run meanwhile: all maps, cameras and sites are those of one moment, each file whole. Jobs, uploads that
+    are not finished and what can be made again are left out; recordings too, unless they are asked for.
 
     Raises:
         Conflict: the file exists.
         InvalidInput: it cannot be written.
-        StorageUnavailable: maps were published all the time; try again.
+        StorageUnavailable: maps were published all the time, or the storage does not give a file; try again.
         StorageFull: the disk is full; nothing is left of the file.
     """
-    return write_backup(file, _opened(maps_dir, data_dir, recordings))
+    for attempt in range(_ATTEMPTS):
+        try:
+            with (
+                _empty_folder(stores.data_dir) as folder,
+                closing(_contents(stores, folder, recordings)) as contents,
+            ):
+                return _write(file, contents)
+        except MissingObject:  # it was replaced or deleted, and removed, since the catalogue was read
+            if attempt == _ATTEMPTS - 1:
+                raise
+    raise AssertionError("unreachable")
 
 
-def write_backup(file: Path, contents: AbstractContextManager[Iterable[tuple[str, Path]]]) -> Manifest:
-    """Write files to a backup.
+def restore(file: Path, stores: Stores) -> tuple[Manifest, MovedIn]:
+    """Bring everything in a backup into stores; nothing that is there is replaced.
 
-    Args:
-        file: the backup.
-        contents: opens the paths in the backup and the files, each of which is read before the next is asked for.
+    What is there as it is in the backup is left, so that a restoration that broke off can be repeated.
 
     Raises:
-        Conflict: the file exists.
-        InvalidInput: it cannot be written.
-        StorageFull: the disk is full; nothing is left of the file.
+        InvalidInput: the file is none, was cut off or changed, or cannot be read. Nothing was restored.
+        Conflict: something of it is there and is different; says what. Nothing was restored.
+        StorageUnavailable, StorageFull: what came before is there; try again.
     """
+    with _empty_folder(stores.data_dir) as folder:
+        maps_dir, data_dir = folder / _MAPS, folder / _DATA
+        manifest = unpack_backup(file, maps_dir, data_dir)
+        other = [*_other_maps(MapLibrary(maps_dir), stores.library), *_other_documents(folder, stores)]
+        if other:
+            shown = ", ".join(other[:_NAMES_SHOWN]) + (", …" if len(other) > _NAMES_SHOWN else "")
+            raise Conflict(
+                f"{len(other)} of the backup's files exist already and are different: {shown}. Nothing was restored.",
+                "Restore into empty folders (--maps and --data), or an empty storage and database.",
+            )
+        return manifest, move_in(maps_dir, data_dir, stores)
+
+
+def unpack_backup(file: Path, maps_dir: Path, data_dir: Path) -> Manifest:
+    """Unpack a backup into empty folders.
+
+    Raises:
+        InvalidInput: it is none, was cut off or changed, or cannot be read.
+        StorageFull: the disk is full.
+    """
+    with reporting_full_disk():
+        return _unpacked(file, {_MAPS: maps_dir, _DATA: data_dir})
+
+
+def _other_maps(folder: MapLibrary, library: MapLibrary) -> Iterator[str]:
+    """The maps of a folder of which the library has others."""
+    for name in sorted({*folder.names()} & {*library.names()}):
+        if not _is_same(folder.path(name), library.path(name)):
+            yield f"{_MAPS}/{folder.path(name).name}"
+
+
+def _is_same(path: Path, other: Path) -> bool:
+    try:
+        return load_outline(path).checksum == load_outline(other).checksum
+    except InvalidMap:
+        return path.read_bytes() == other.read_bytes()
+
+
+def _other_documents(folder: Path, stores: Stores) -> Iterator[str]:
+    """The small files of folders of which the stores have others."""
+    for kind, path in _FOLDERS.items():
+        files, stored = FolderDocuments(folder / path), stores.documents(kind)
+        for name in sorted({*files.names()} & {*stored.names()}):
+            if files.read(name) != stored.read(name):
+                yield f"{path}/{name}"
+
+
+@contextmanager
+def _empty_folder(data_dir: Path) -> Iterator[Path]:
+    """A folder beside the data, removed in the end."""
+    folder = data_dir / f".{uuid4().hex}.backup"
+    with reporting_full_disk():
+        folder.mkdir(parents=True)
+    try:
+        yield folder
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+# -- writing ---------------------------------------------------------------------------------------------------------
+
+
+def _write(file: Path, sources: Iterable[tuple[str, Path]]) -> Manifest:
+    """Write files to a backup: paths in it, and the files, each of which is read before the next is asked for."""
     if file.exists():
         raise Conflict(f"{file} exists already.", "Name another file, or remove it first.")
     unfinished = file.with_name(f".{uuid4().hex}.backup")
     try:
-        with reporting_full_disk(), contents as sources:
-            with unfinished.open("xb") as out, tarfile.open(fileobj=out, mode="w", format=tarfile.PAX_FORMAT) as tar:
+        with reporting_full_disk():
+            unfinished.touch(_PRIVATE, exist_ok=False)  # it holds keys' hashes and recordings
+            with unfinished.open("wb") as out, tarfile.open(fileobj=out, mode="w", format=tarfile.PAX_FORMAT) as tar:
                 manifest = Manifest(time.time(), __version__)
                 for path, source in sources:
                     manifest.files[path] = _add(tar, path, source)
@@ -117,86 +197,71 @@ def write_backup(file: Path, contents: AbstractContextManager[Iterable[tuple[str
     return manifest
 
 
-def unpack_backup(file: Path, maps_dir: Path, data_dir: Path) -> Manifest:
-    """Unpack a backup into empty folders.
+def _contents(stores: Stores, folder: Path, recordings: bool) -> Generator[tuple[str, Path]]:
+    """Paths in the backup and files, each of which may be gone when the next one is asked for."""
+    if stores.shared is None:
+        yield from _linked(stores.maps_dir, stores.maps_dir / folder.name)
+    else:
+        yield from _fetched(stores.shared, folder)
+    keys = stores.documents(KEYS)
+    for name in sorted(keys.names()):
+        yield _file(folder, f"{_FOLDERS[KEYS]}/{name}", keys.read(name))
+    if recordings:
+        yield from _recordings(stores.recordings, folder)
 
-    Raises:
-        InvalidInput: it is none, was cut off or changed, or cannot be read.
-        StorageFull: the disk is full.
-    """
-    with reporting_full_disk():
-        return _unpacked(file, {_MAPS: maps_dir, _DATA: data_dir})
+
+def _file(folder: Path, path: str, content: bytes) -> tuple[str, Path]:
+    file = folder / "file"
+    file.write_bytes(content)
+    return path, file
 
 
-def restore(file: Path, maps_dir: Path, data_dir: Path) -> Manifest:
-    """Bring everything in a backup back; nothing that is there is replaced.
+def _fetched(shared: SharedStorage, folder: Path) -> Iterator[tuple[str, Path]]:
+    """The maps, cameras and sites of servers that share a storage."""
+    maps, documents = shared.snapshot()
+    library = MapLibrary(folder)
+    for one in maps:
+        shared.library.fetch(one, folder / "file")
+        path = library.previous_path(one.name, one.number) if one.number else library.path(one.name)
+        yield f"{_MAPS}/{path.relative_to(folder).as_posix()}", folder / "file"
+    for name, content in documents.items():
+        kind, _, rest = name.partition("/")
+        if kind in (CAMERAS, SITES):
+            yield _file(folder, f"{_FOLDERS[kind]}/{rest}", content)
 
-    Raises:
-        InvalidInput: the file is none, was cut off or changed, or cannot be read. Nothing was restored.
-        Conflict: something of it is there already; says what. Nothing was restored.
-        StorageFull: the disk is full. Nothing was restored.
-    """
-    roots = {_MAPS: maps_dir, _DATA: data_dir}
-    with reporting_full_disk():
-        for root in roots.values():
-            root.mkdir(parents=True, exist_ok=True)
-        staged = {name: root / f".{uuid4().hex}.restore" for name, root in roots.items()}
+
+def _recordings(store: RecordingStore, folder: Path) -> Iterator[tuple[str, Path]]:
+    for entry in store.list():
         try:
-            manifest = _unpacked(file, staged)
-            targets = {path: roots[path.partition("/")[0]] / path.partition("/")[2] for path in manifest.files}
-            there = [path for path, target in targets.items() if target.exists()]
-            if there:
-                raise _is_there(there)
-            _publish({_at(staged, path): target for path, target in targets.items()})
-        finally:
-            for folder in staged.values():
-                shutil.rmtree(folder, ignore_errors=True)
-    return manifest
+            notes, _ = store.notes(entry.id), store.path(entry.id)
+        except UnknownRecording:  # it was deleted meanwhile
+            continue
+        for name, content in (notes | {ENTRY_FILE: json.dumps(asdict(entry)).encode()}).items():
+            yield _file(folder, f"{_DATA}/recordings/{entry.id}/{name}", content)
+        for name in entry.files:
+            yield f"{_DATA}/recordings/{entry.id}/{name}", store.root / entry.id / name
+        store.release(entry.id)
 
 
-def _is_there(paths: list[str]) -> Conflict:
-    shown = ", ".join(paths[:_NAMES_SHOWN]) + (", …" if len(paths) > _NAMES_SHOWN else "")
-    return Conflict(
-        f"{len(paths)} of the backup's files exist already: {shown}. Nothing was restored.",
-        "Restore into empty folders: --maps and --data.",
-    )
-
-
-# -- writing ---------------------------------------------------------------------------------------------------------
-
-
-@contextmanager
-def _opened(maps_dir: Path, data_dir: Path, recordings: bool) -> Iterator[Iterable[tuple[str, Path]]]:
-    """Links to all files of one moment, by their paths in the backup; they outlive what is replaced or deleted."""
-    folder = maps_dir / f".{uuid4().hex}.backup"
-    try:
-        maps = _linked(maps_dir, folder)
-        data = [path for path in sorted((data_dir / _KEYS).glob("*")) if path.is_file() and not _is_hidden(path)]
-        if recordings:
-            whole = [one for one in sorted((data_dir / _RECORDINGS).glob("*")) if _ID.fullmatch(one.name)]
-            data += [path for one in whole for path in sorted(one.rglob("*")) if path.is_file()]
-        yield (maps | {f"{_DATA}/{path.relative_to(data_dir).as_posix()}": path for path in data}).items()
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)
-
-
-def _linked(maps_dir: Path, folder: Path) -> dict[str, Path]:
-    """Links in a folder to the files of the maps as they were at one moment.
+def _linked(maps_dir: Path, folder: Path) -> Iterator[tuple[str, Path]]:
+    """The maps, cameras and sites of a folder as they were at one moment, by links in a folder within it.
 
     Raises:
         StorageUnavailable: something was published each time.
     """
-    for attempt in range(_ATTEMPTS):
-        before, into = _stamps(maps_dir), folder / str(attempt)
-        with suppress(FileNotFoundError):  # replaced or deleted meanwhile
-            found = {}
-            for number, path in enumerate(before):
-                found[f"{_MAPS}/{path}"] = _link(maps_dir / path, into / str(number))
-            if _stamps(maps_dir) == before:
-                return found
-        shutil.rmtree(into, ignore_errors=True)
-        time.sleep(_PAUSE_S)
-    raise StorageUnavailable("Maps were published all the time.", "Try again.")
+    try:
+        for attempt in range(_LINK_ATTEMPTS):
+            before, into = _stamps(maps_dir), folder / str(attempt)
+            with suppress(FileNotFoundError):  # replaced or deleted meanwhile
+                links = [_link(maps_dir / path, into / str(number)) for number, path in enumerate(before)]
+                if _stamps(maps_dir) == before:
+                    yield from zip((f"{_MAPS}/{path}" for path in before), links, strict=True)
+                    return
+            shutil.rmtree(into, ignore_errors=True)
+            time.sleep(_PAUSE_S)
+        raise StorageUnavailable("Maps were published all the time.", "Try again.")
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
 
 
 def _stamps(maps_dir: Path) -> dict[str, tuple[int, int, int]]:
@@ -332,28 +397,6 @@ def _unpack(content: IO[bytes], target: Path) -> BackedUp:
         out.flush()
         os.fsync(out.fileno())
     return BackedUp(size, hashed.sha256.hexdigest())
-
-
-def _publish(files: dict[Path, Path]) -> None:
-    """Bring files to where they belong; all or none.
-
-    Raises:
-        Conflict: something came there meanwhile.
-    """
-    done: list[Path] = []
-    try:
-        for source, target in files.items():
-            target.parent.mkdir(mode=0o700 if target.parent.name == _KEYS else 0o777, parents=True, exist_ok=True)
-            _move(source, target)
-            done.append(target)
-        for folder in {target.parent for target in done}:
-            sync_folder(folder)
-    except BaseException as error:
-        for target in done:
-            target.unlink(missing_ok=True)
-        if isinstance(error, FileExistsError):
-            raise _is_there([str(error.filename2 or error.filename)]) from error
-        raise
 
 
 def _move(source: Path, target: Path) -> None:

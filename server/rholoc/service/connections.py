@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import asyncio
-import json
 import time
-import uuid
+from collections import Counter
 from typing import Any
 
 import h11
@@ -13,12 +12,17 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from rholoc.errors import Busy
-from rholoc.service.errors import RequestTimeout, error_body, error_headers, status_of
+from rholoc.service.access import client_of
+from rholoc.service.errors import RequestTimeout, TooManyRequests
 
 _HEAD_TIMEOUT_S = 20.0  # for a request's line and headers
 _LEAST_BYTES_PER_S = 500.0  # of a body, on average
 _LEFTOVER_BYTES_PER_S = 4e6  # of a body that was refused before it arrived: reading it slows the others down
 _RETRY_AFTER_S = 5.0
+_STALLED_READER_S = 30.0
+_FOR_PROBES = 128  # connections beyond the limit
+_YOUNG_S = 1.0  # a connection is not taken for idle before
+BEYOND_LIMIT = "beyond_limit"  # member of a request's state: its connection is one of these
 _STREAMED_BYTES = 8 * 2**20  # of one message of a WebSocket
 
 
@@ -26,14 +30,18 @@ class PatientProtocol(H11Protocol):
     """Uvicorn's HTTP/1.1, which closes a connection whose request's head does not arrive in time.
 
     Uvicorn itself closes connections that are silent between requests, but not those that send a byte now and then.
-    At the limit of connections, a new one replaces the one that has been idle for longest; if none is idle, the new one
-    is answered with `busy`.
+    At the limit of connections, a new one replaces the one that has been idle for longest. If none is idle, a few more
+    are let in, in which only probes are answered, and of which each new one replaces the oldest. A connection is broken
+    off if its client does not read what is sent.
     """
 
     head_timeout_s = _HEAD_TIMEOUT_S
     max_connections = 500
+    stalled_reader_s = _STALLED_READER_S
     _giving_up: asyncio.TimerHandle | None = None
+    _breaking_off: asyncio.TimerHandle | None = None
     _waiting_since_s = 0.0
+    _beyond_limit = False
 
     def connection_made(self, transport: Any) -> None:
         super().connection_made(transport)
@@ -42,20 +50,44 @@ class PatientProtocol(H11Protocol):
         if len(self.connections) > self.max_connections:
             self._make_room()
 
+    def pause_writing(self) -> None:
+        super().pause_writing()
+        if self._breaking_off is None:
+            self._breaking_off = self.loop.call_later(self.stalled_reader_s, self.transport.abort)
+
+    def resume_writing(self) -> None:
+        super().resume_writing()
+        self._stop_breaking_off()
+
+    def _stop_breaking_off(self) -> None:
+        if self._breaking_off is not None:
+            self._breaking_off.cancel()
+            self._breaking_off = None
+
     def on_response_complete(self) -> None:
         super().on_response_complete()
         self._waiting_since_s = self.loop.time()
 
     def _make_room(self) -> None:
         others = [one for one in self.connections if isinstance(one, PatientProtocol) and one is not self]
-        waiting = [one for one in others if one.cycle is None or one.cycle.response_complete]
-        if waiting:
-            oldest = min(waiting, key=lambda one: one._waiting_since_s)
-            self.connections.discard(oldest)  # at once: many may come before its connection_lost is called
-            oldest.transport.close()
-        else:
-            self.transport.write(_full_answer())
-            self.transport.close()
+        now_s = self.loop.time()
+        idle = [one for one in others if one._is_idle and now_s - one._waiting_since_s > _YOUNG_S]
+        beyond = [one for one in others if one._beyond_limit]
+        if idle:
+            self._replace(min(idle, key=lambda one: one._waiting_since_s))
+            return
+        self._beyond_limit = True
+        self.app_state = {**self.app_state, BEYOND_LIMIT: True}
+        if len(beyond) >= _FOR_PROBES:
+            self._replace(min(beyond, key=lambda one: one._waiting_since_s))
+
+    @property
+    def _is_idle(self) -> bool:
+        return self.cycle is None or self.cycle.response_complete
+
+    def _replace(self, other: PatientProtocol) -> None:
+        self.connections.discard(other)  # at once: many may come before its connection_lost is called
+        other.transport.close()
 
     def data_received(self, data: bytes) -> None:
         super().data_received(data)
@@ -68,6 +100,7 @@ class PatientProtocol(H11Protocol):
     def connection_lost(self, exc: Exception | None) -> None:
         super().connection_lost(exc)
         self._stop_watching()
+        self._stop_breaking_off()
 
     def _watch_head(self) -> None:
         """Let the time run from a head's first byte, not from its last."""
@@ -87,18 +120,14 @@ class PatientProtocol(H11Protocol):
             self._giving_up = None
 
 
-def _full_answer() -> bytes:
-    """The response to a connection whose request is not read."""
-    error = Busy("The service has reached its limit of connections.", "Try again after Retry-After.", _RETRY_AFTER_S)
-    body = json.dumps(error_body(error, uuid.uuid4().hex)).encode()
-    headers = {"Content-Type": "application/json", "Content-Length": len(body), **error_headers(error)}
-    lines = "".join(f"{name}: {value}\r\n" for name, value in {**headers, "Connection": "close"}.items())
-    return f"HTTP/1.1 {status_of(Busy)} Service Unavailable\r\n{lines}\r\n".encode() + body
+def _full() -> Busy:
+    return Busy("The service has reached its limit of connections.", "Try again after Retry-After.", _RETRY_AFTER_S)
 
 
-def protocol_of(max_connections: int) -> type[PatientProtocol]:
-    """The protocol for a server with this limit of connections."""
-    return type("PatientProtocol", (PatientProtocol,), {"max_connections": max_connections})
+def protocol_of(max_connections: int, stalled_reader_s: float = _STALLED_READER_S) -> type[PatientProtocol]:
+    """The protocol for a server with this limit of connections, and of seconds in which a client reads nothing."""
+    limits = {"max_connections": max_connections, "stalled_reader_s": stalled_reader_s}
+    return type("PatientProtocol", (PatientProtocol,), limits)
 
 
 def websocket_options(max_request_bytes: int) -> dict[str, Any]:
@@ -109,6 +138,62 @@ def websocket_options(max_request_bytes: int) -> dict[str, Any]:
         "ws_max_size": min(max_request_bytes, _STREAMED_BYTES),
         "ws_per_message_deflate": False,
     }
+
+
+class ConcurrencyLimited:
+    """ASGI middleware that refuses a client that has too many requests under way. It stands behind the guard.
+
+    Args:
+        app: what answers.
+        max_of_client: how many requests a key with those that it handed on, or an address, may have under way.
+    """
+
+    def __init__(self, app: ASGIApp, max_of_client: int) -> None:
+        self._app = app
+        self._max_of_client = max_of_client
+        self._under_way: Counter[str] = Counter()
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Answer one request.
+
+        Raises:
+            TooManyRequests: its client has too many under way.
+        """
+        client = client_of(scope) if scope["type"] == "http" else ""
+        if not client:
+            await self._app(scope, receive, send)
+            return
+        if self._under_way[client] >= self._max_of_client:
+            raise TooManyRequests(
+                f"You have {self._max_of_client} requests under way, the most allowed.", "Wait for their answers."
+            )
+        self._under_way[client] += 1
+        try:
+            await self._app(scope, receive, send)
+        finally:
+            self._under_way[client] -= 1
+            if not self._under_way[client]:
+                del self._under_way[client]
+
+
+class ProbesOnly:
+    """ASGI middleware for connections beyond the limit: they are answered if they ask what is open to everyone.
+
+    It stands behind the guard, which finds the route.
+    """
+
+    def __init__(self, app: ASGIApp) -> None:
+        self._app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Answer one request.
+
+        Raises:
+            Busy: it is no probe.
+        """
+        if scope.get("state", {}).get(BEYOND_LIMIT) and client_of(scope):
+            raise _full()
+        await self._app(scope, receive, send)
 
 
 class SlowBodies:

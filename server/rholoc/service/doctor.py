@@ -20,7 +20,7 @@ from rholoc.maps import MapLibrary, SiteLibrary, load_info
 from rholoc.pictures.style import missing_fonts
 from rholoc.processes import machine_memory_bytes
 from rholoc.recordings.frames.video import read_video
-from rholoc.service.app import open_shared
+from rholoc.service.app import stores_of
 from rholoc.service.guard import KeyPolicy, keys_needed
 from rholoc.service.keys import KeyStore
 from rholoc.service.settings import Settings
@@ -78,6 +78,9 @@ def _storage(settings: Settings) -> _Found:
     if settings.shared_storage is None:
         folders = {settings.maps_dir: "RHOLOC_MAPS_DIR", **folders}
     for folder, variable in folders.items():
+        if not folder.exists() and _can_be_created(folder):
+            yield Level.OK, f"There is no {folder} yet; the first start creates it."
+            continue
         if not folder.is_dir():
             yield Level.ERROR, f"There is no folder {folder}.", f"Create it, or set {variable}."
             continue
@@ -96,6 +99,12 @@ def _storage(settings: Settings) -> _Found:
             yield Level.WARNING, f"{space}, which a few recordings fill.", "Free some space."
         else:
             yield Level.OK, f"{space}."
+
+
+def _can_be_created(folder: Path) -> bool:
+    """Whether the nearest of the folder's parents that exists is a folder that can be written to."""
+    above = next(parent for parent in folder.absolute().parents if parent.exists())
+    return above.is_dir() and os.access(above, os.W_OK | os.X_OK)
 
 
 def _maps(settings: Settings) -> _Found:
@@ -134,7 +143,7 @@ def _maps(settings: Settings) -> _Found:
 
 def _shared_maps(settings: Settings) -> _Found:
     """The catalogue and the storage that servers share answer."""
-    shared = open_shared(settings)
+    shared = stores_of(settings).shared
     assert shared is not None
     try:
         shared.open()
@@ -151,14 +160,11 @@ def _shared_maps(settings: Settings) -> _Found:
 def _jobs(settings: Settings) -> _Found:
     """The database of jobs answers."""
     if not settings.data_dir.is_dir():
-        yield Level.ERROR, "There is no folder for the database of jobs.", "Create the folder of data."
+        yield Level.OK, "There is no database of jobs yet; the first start creates it."
         return
+    queue = JobQueue(settings.data_dir, settings.jobs_database)
     try:
-        queue = JobQueue(settings.data_dir, settings.jobs_database)
-    except RholocError as error:
-        yield Level.ERROR, error.message, error.hint
-        return
-    try:
+        queue.check()
         begun = time.perf_counter()
         counts = queue.counts()
         took_ms = 1000 * (time.perf_counter() - begun)
@@ -166,6 +172,8 @@ def _jobs(settings: Settings) -> _Found:
         yield Level.OK, f"The database of jobs answers in {took_ms:.0f} ms: {waiting}."
         if not settings.worker and not queue.has_worker():
             yield Level.WARNING, "No worker runs: recordings wait.", "Start rholoc worker, or set RHOLOC_WORKER=1."
+    except RholocError as error:
+        yield Level.ERROR, error.message, error.hint
     finally:
         queue.close()
 

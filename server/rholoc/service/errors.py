@@ -12,6 +12,7 @@ from typing import Any
 
 from pydantic import ValidationError
 from sqlalchemy.exc import DatabaseError, InterfaceError, OperationalError
+from sqlalchemy.exc import TimeoutError as PoolTimeout
 
 from rholoc import errors
 from rholoc.disk import is_full
@@ -95,6 +96,12 @@ class RequestTimeout(HttpError):
     code = "request_timeout"
 
 
+class PreconditionFailed(HttpError):
+    """What is to be replaced is not what the request's ``If-Match`` or ``If-None-Match`` says."""
+
+    code = "precondition_failed"
+
+
 class UnsupportedVersion(HttpError):
     """The client speaks a version of the upload protocol that the server does not."""
 
@@ -135,13 +142,16 @@ STATUS: Mapping[type[RholocError], int] = {
     MethodNotAllowed: 405,
     UnsupportedMediaType: 415,
     UnsupportedVersion: 412,
+    PreconditionFailed: 412,
     ChecksumMismatch: 460,
     Internal: 500,
 }
 
+_STORAGE_RETRY_AFTER_S = "5"
 TUS_VERSION = "1.0.0"  # the protocol of resumable uploads
 _NOT_WRITABLE = (errno.EROFS, errno.EACCES, errno.EPERM, errno.EIO)
-_DATABASE_ERRORS = (OperationalError, InterfaceError, DatabaseError)  # exactly: their subclasses are bugs of ours
+# Exactly these: their subclasses are bugs of ours.
+_DATABASE_ERRORS = (OperationalError, InterfaceError, DatabaseError, PoolTimeout)
 _MAX_TEXT = 1000  # characters of a message, which may quote what was sent
 
 
@@ -194,6 +204,8 @@ def error_headers(error: RholocError) -> dict[str, str]:
     version of tus are supported."""
     if isinstance(error, Busy | TooManyRequests):
         return {"Retry-After": str(max(1, math.ceil(error.retry_after_s)))}
+    if isinstance(error, StorageUnavailable):
+        return {"Retry-After": _STORAGE_RETRY_AFTER_S}
     if isinstance(error, UnsupportedVersion):
         return {"Tus-Version": TUS_VERSION, "Tus-Resumable": TUS_VERSION}
     if isinstance(error, MethodNotAllowed):

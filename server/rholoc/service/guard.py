@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import asyncio
 import ipaddress
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from enum import StrEnum
 from urllib.parse import urlsplit
 
@@ -18,6 +19,8 @@ from rholoc.service.access import (
     find_route,
     forbidden,
     grant,
+    note_client,
+    request_key,
     route_access,
     undeclared,
 )
@@ -25,6 +28,7 @@ from rholoc.service.errors import CrossSite, InvalidRequest, MethodNotAllowed, U
 from rholoc.service.keys import ApiKey, KeyStore
 from rholoc.service.keys import Scope as KeyScope
 from rholoc.service.live import ASKER
+from rholoc.service.storage_threads import StorageLanes
 
 _READING = ("GET", "HEAD", "OPTIONS")
 _API_PREFIX = "/v1/"
@@ -83,13 +87,24 @@ class Guard:
         keys: the keys that exist.
         policy: when a request needs one.
         host: the address that the server listens on.
+        open_paths: routes that need no key, whatever they declare.
     """
 
-    def __init__(self, app: ASGIApp, routes: Sequence[BaseRoute], keys: KeyStore, policy: KeyPolicy, host: str) -> None:
+    def __init__(
+        self,
+        app: ASGIApp,
+        routes: Sequence[BaseRoute],
+        keys: KeyStore,
+        policy: KeyPolicy,
+        host: str,
+        open_paths: Collection[str] = (),
+    ) -> None:
         self._app = app
         self._routes = route_access(routes)
         self._keys = keys
+        self._open_paths = frozenset(open_paths)
         self._keys_needed = keys_needed(policy, host)
+        self._looking: asyncio.Task[None] | None = None
         self._local_only = policy is KeyPolicy.AUTO and not self._keys_needed
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -109,28 +124,55 @@ class Guard:
             if access is None:
                 raise undeclared()
             if access.scope is not None:
-                key = self._check_key(_authorization(scope, headers), access.scope)
-                grant(scope, KeyScope.ADMIN if key is None else key.scope, key)
+                is_open = found.route is not None and found.route.path in self._open_paths
+                key = None if is_open else await self._check_key(_authorization(scope, headers), access.scope, scope)
+                grant(scope, access.scope if is_open else KeyScope.ADMIN if key is None else key.scope, key)
                 ASKER.set(_address(scope) if key is None else key.name)
+                note_client(scope, _address(scope) if key is None else self._keys.chain(key)[-1].name)
             if found.route is None and found.methods:
                 hint = "The answer's header Allow names those that it takes."
                 raise MethodNotAllowed("This route does not support this method.", hint, found.methods)
             if found.route is None:
                 raise UnknownRoute("There is nothing at this path.", "See /docs for the routes.")
             check_query(scope, found.route)
-        await self._app(scope, receive, send)
+        await self._app(scope, self._receive_while_valid(scope, receive), send)
 
-    def _check_key(self, authorization: str, needed: KeyScope) -> ApiKey | None:
+    def _receive_while_valid(self, scope: Scope, receive: Receive) -> Receive:
+        """Receive a request's body only as long as its key is valid; raises Unauthorized from then on."""
+        key = request_key(scope) if scope["type"] == "http" else None
+        if key is None:
+            return receive
+
+        async def receive_checked() -> Message:
+            message = await receive()
+            if message.get("more_body", False) and not self._keys.is_valid(key):
+                raise Unauthorized("This API key was revoked.", _KEY_HINT)
+            return message
+
+        return receive_checked
+
+    async def _known(self, secret: str, scope: Scope) -> ApiKey | None:
+        """The key of a secret; keys are read again, in a thread, for one that is not in memory."""
+        key = self._keys.find(secret)
+        if key is None:
+            if self._looking is None or self._looking.done():
+                threads: StorageLanes = scope["app"].state.rholoc.threads
+                self._looking = asyncio.create_task(threads.database(self._keys.refresh))
+            await asyncio.shield(self._looking)
+            key = self._keys.find(secret)
+        return key
+
+    async def _check_key(self, authorization: str, needed: KeyScope, scope: Scope) -> ApiKey | None:
         """The key that allows the request, at least ``needed``; None where no key is needed."""
         if not self._keys_needed:
             return None
         kind, _, secret = authorization.partition(" ")
         if kind.lower() != "bearer" or not secret.strip():
             raise Unauthorized("This server requires an API key.", _KEY_HINT)
-        key = self._keys.find(secret.strip())
+        key = await self._known(secret.strip(), scope)
         if key is None:
             raise Unauthorized("This API key is unknown, or was revoked.", _KEY_HINT)
-        if key.expired:
+        if not self._keys.is_valid(key):
             raise Unauthorized("This API key has expired.", _KEY_HINT)
         if not key.scope.allows(needed):
             raise forbidden(key.scope, needed)
@@ -199,7 +241,7 @@ def _host_name(host: str) -> str:
 
 
 def _is_loopback(host: str) -> bool:
-    if host == "localhost" or host.endswith(".localhost"):
+    if host == "localhost":  # names below it may be anybody's, where a resolver does not keep them here
         return True
     try:
         return ipaddress.ip_address(host).is_loopback

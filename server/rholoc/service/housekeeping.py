@@ -5,17 +5,20 @@ from __future__ import annotations
 import asyncio
 import hashlib
 import time
+from collections.abc import Callable
+from contextlib import suppress
 from datetime import UTC, datetime
 
 import structlog
-from starlette.concurrency import run_in_threadpool
 
-from rholoc.errors import InvalidMap, RholocError, UnknownMap
+from rholoc.errors import InvalidMap, RholocError, StorageUnavailable, UnknownMap
 from rholoc.jobs import JobKind, JobOptions, JobPriority
 from rholoc.mapping import FEWEST_QUERIES
 from rholoc.service.state import State
+from rholoc.service.storage_threads import StorageThreads
 
 _EVERY_S = 600.0
+_KEYS_EVERY_S, _KEYS_WITHIN_S = 0.1, 5.0
 _DAY_S = 24 * 3600.0
 _log = structlog.get_logger("rholoc.service")
 
@@ -24,22 +27,22 @@ async def clean_up_regularly(state: State) -> None:
     """Remove expired uploads and queries, pictures of maps that changed, recordings past their retention, until
     cancelled; at night let maps learn from their users."""
     while True:
-        for work in (_clean, _learn):
+        for name, work in _WORKS.items():
             try:
-                await run_in_threadpool(work, state)
-            except Exception:
-                _log.exception("housekeeping_failed")
+                await state.threads.transfers(work, state)
+            except Exception:  # the others are done all the same
+                _log.exception("housekeeping_failed", work=name)
         await asyncio.sleep(_EVERY_S)
 
 
-def _clean(state: State) -> None:
-    state.uploads.sweep()
-    state.library.sweep()
-    state.recordings.sweep()
-    state.renderings.sweep()
-    state.jobs.delete_mapped_recordings(state.settings.recording_retention_days * _DAY_S)
-    state.queries.sweep(_map_ids(state))
-    state.quotas.tidy()
+async def follow_keys(state: State) -> None:
+    """Follow changes of keys by other processes and end the streams of revoked ones, until cancelled."""
+    threads = StorageThreads(1, _KEYS_WITHIN_S)
+    while True:
+        with suppress(StorageUnavailable, OSError):  # what is in memory goes on
+            await threads(state.keys.refresh)
+        state.streams.end_invalid()
+        await asyncio.sleep(_KEYS_EVERY_S)
 
 
 def _map_ids(state: State) -> set[str] | None:
@@ -70,3 +73,18 @@ def learn_tonight(state: State, now: datetime) -> None:
                 state.jobs.submit("", name, options, night)
         except RholocError as error:
             _log.warning("map_does_not_learn", map=name, error=error.message)
+
+
+_WORKS: dict[str, Callable[[State], None]] = {
+    "uploads": lambda state: state.uploads.sweep(),
+    "maps": lambda state: state.library.sweep(),
+    "recordings": lambda state: state.recordings.sweep(),
+    "renderings": lambda state: state.renderings.sweep(),
+    "mapped recordings": lambda state: state.jobs.delete_mapped_recordings(
+        state.settings.recording_retention_days * _DAY_S
+    ),
+    "queries": lambda state: state.queries.sweep(_map_ids(state)),
+    "uploads of revoked keys": lambda state: state.quotas.abandon_uploads(),
+    "quotas": lambda state: state.quotas.tidy(),
+    "learning": _learn,
+}

@@ -7,7 +7,6 @@ from typing import Annotated, Literal
 
 from fastapi import Request
 from pydantic import BaseModel, ConfigDict, Field
-from starlette.concurrency import run_in_threadpool
 
 from rholoc.errors import (
     Busy,
@@ -23,7 +22,7 @@ from rholoc.errors import (
 )
 from rholoc.features import extractor_names, get_extractor
 from rholoc.jobs import Job, JobKind, JobOptions, JobPriority
-from rholoc.maps import DensityKind, check_map_name, check_observations
+from rholoc.maps import DensityKind, check_map_name, check_memory
 from rholoc.recordings import parse_frame_slice
 from rholoc.service.access import request_key
 from rholoc.service.errors import InvalidRequest
@@ -59,7 +58,7 @@ class RecordingFields(BaseModel):
     density: DensityKind = Field(default=JobOptions.density, description="the form of the densities")
     poses: PoseMethod | None = Field(
         default=None,
-        description="where frame poses come from; default: visual-inertial, or for an update the recording's own, else "
+        description="where frame poses come from; default: auto, or for an update the recording's own, else "
         "each frame is localized",
     )
     camera: str | None = Field(
@@ -88,9 +87,9 @@ async def counted_job(service: State, request: Request, map_name: str, begin: Ca
     """
     key, quotas = request_key(request.scope), service.quotas
     async with quotas.counting(key):
-        await run_in_threadpool(quotas.check, key, job_for=map_name)
-        job = await run_in_threadpool(begin)
-        await run_in_threadpool(quotas.hold_job, key, job.id, map_name)
+        await service.threads.database(quotas.check, key, job_for=map_name)
+        job = await service.threads.database(begin)
+        await service.threads.database(quotas.hold_job, key, job.id, map_name)
     return job
 
 
@@ -104,9 +103,9 @@ async def checked_options(fields: RecordingFields, service: State) -> JobOptions
     """
     check_map_name(fields.map)
     get_extractor(fields.features)
-    await run_in_threadpool(service.cameras.named_in, fields.camera)
+    await service.threads.database(service.cameras.named_in, fields.camera)
     if fields.kind is JobKind.UPDATE:
-        check_observations(await run_in_threadpool(service.library.get, fields.map), f"The map {fields.map}")
+        check_memory(await service.map(fields.map), f"The map {fields.map}")
     if fields.frames is not None:
         parse_frame_slice(fields.frames)
     return JobOptions(

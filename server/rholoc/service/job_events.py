@@ -7,10 +7,9 @@ import hashlib
 import time
 from dataclasses import dataclass
 
-from starlette.concurrency import run_in_threadpool
-
 from rholoc.jobs import Job, JobQueue
 from rholoc.service.schemas import JobError, JobOut
+from rholoc.service.storage_threads import StorageThreads
 
 LOOK_EVERY_S = 0.5
 _MAX_KEPT = 1000  # jobs that were watched
@@ -32,10 +31,15 @@ class JobEvent:
 
 
 class JobEvents:
-    """The latest event of each job that is watched. Use it from the event loop's thread only."""
+    """The latest event of each job that is watched. Use it from the event loop's thread only.
 
-    def __init__(self, jobs: JobQueue) -> None:
-        self._jobs = jobs
+    Args:
+        jobs: the queue.
+        database: the threads that ask it.
+    """
+
+    def __init__(self, jobs: JobQueue, database: StorageThreads) -> None:
+        self._jobs, self._database = jobs, database
         self._looks: dict[str, tuple[float, asyncio.Task[JobEvent]]] = {}
 
     async def latest(self, job_id: str) -> JobEvent:
@@ -53,7 +57,7 @@ class JobEvents:
         return await asyncio.shield(look[1])
 
     async def _look(self, job_id: str) -> JobEvent:
-        return JobEvent.of(await run_in_threadpool(self._jobs.get, job_id))
+        return JobEvent.of(await self._database(self._jobs.get, job_id))
 
 
 def _has_ended(look: asyncio.Task[JobEvent]) -> bool:

@@ -10,16 +10,18 @@ from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 
 from pydantic_core import from_json
+from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from rholoc.errors import TooLarge
-from rholoc.maps.json_values import check_json_value
+from rholoc.maps.json_values import MAX_VALUES, check_json_value
 from rholoc.service.access import found_route
 from rholoc.service.bodies import PieceListener, read_body
 from rholoc.service.errors import InvalidRequest
 
-_MAX_MEMBERS = 1000  # names with values, in all objects of a body together
+_MAX_MEMBERS = 1000
+_SITE_BYTES, _SITE_VALUES, _SITE_MEMBERS = 8 * 2**20, 500_000, 200_000  # of the largest site
 _VALUES_PER_FEATURE = 8  # u, v and their list, descriptor, channel, size, angle; and one to spare
 _BYTES_PER_VALUE = 4
 
@@ -31,10 +33,12 @@ class JsonLimits:
     Attributes:
         length: in bytes.
         values: how many numbers, strings, lists and objects.
+        members: how many names with values, in all objects together.
     """
 
     length: int
     values: int
+    members: int = _MAX_MEMBERS
 
     @classmethod
     def of_options(cls, max_bytes: int) -> JsonLimits:
@@ -71,8 +75,8 @@ class JsonLimits:
                 raise TooLarge(f"The JSON is longer than {self.length} bytes.", "Send less.")
             if values > self.values:
                 raise TooLarge(f"The JSON holds more than {self.values} values.", "Send less.")
-            if members > _MAX_MEMBERS:
-                raise TooLarge(f"The JSON's objects have more than {_MAX_MEMBERS} members.", "Send less.")
+            if members > self.members:
+                raise TooLarge(f"The JSON's objects have more than {self.members} members.", "Send less.")
             on_piece(piece)
 
         return measure
@@ -87,7 +91,7 @@ def check_json(body: bytes, limits: JsonLimits) -> None:
     """
     limits.check(body)
     try:
-        check_json_value(from_json(body, allow_inf_nan=False))
+        check_json_value(from_json(body, allow_inf_nan=False), max(MAX_VALUES, limits.values))
     except ValueError as error:
         raise InvalidRequest(f"The body is not plain JSON: {error}.", "See /docs for what this route takes.") from error
 
@@ -98,6 +102,8 @@ class JsonBodies:
     def __init__(self, app: ASGIApp, max_bytes: int) -> None:
         self._app = app
         self._limits = JsonLimits.of_options(max_bytes)
+        site = JsonLimits(max(max_bytes, _SITE_BYTES), _SITE_VALUES, _SITE_MEMBERS)
+        self._limits_of = {("PUT", "/v1/sites/{site}"): site}
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Answer one request.
@@ -110,8 +116,9 @@ class JsonBodies:
         if route is None or not route.parses_body:
             await self._app(scope, receive, send)
             return
-        body = await read_body(Request(scope, receive), self._limits.length)
-        check_json(body, self._limits)
+        limits = self._limits_of.get((scope["method"], route.path), self._limits)
+        body = await read_body(Request(scope, receive), limits.length)
+        await run_in_threadpool(check_json, body, limits)
         await self._app(scope, _replaying(body, receive), send)
 
 

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import hashlib
-import hmac
 import json
 import re
 import secrets
+import threading
 import time
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field, fields, replace
@@ -22,6 +22,7 @@ _PREFIX = "rho_"
 _BYTES = 32
 _HASH = re.compile(r"[0-9a-f]{64}")
 _MAX_NAME_LENGTH = 64
+_MAX_CHAIN = 100  # keys that were handed on one by the other
 
 
 class Scope(StrEnum):
@@ -77,7 +78,8 @@ class ApiKey:
         created: seconds since the epoch.
         expires: seconds since the epoch, or None.
         limits: how much it allows.
-        holder: the hash of the key that it was handed on by, to which it counts as well; empty where it was not.
+        holder: the id of the key that handed it on, and to which it counts as well; empty if none did.
+        id: the key's hash.
     """
 
     name: str
@@ -86,6 +88,7 @@ class ApiKey:
     expires: float | None = None
     limits: KeyLimits = field(default_factory=KeyLimits)
     holder: str = ""
+    id: str = ""
 
     @property
     def expired(self) -> bool:
@@ -94,10 +97,11 @@ class ApiKey:
 
 
 class KeyStore:
-    """The keys of a service: a file each, named by the key's SHA-256.
+    """The keys of a service: a file each, named by the key's SHA-256. Safe to share between threads and processes.
 
-    A key is 32 random bytes, which cannot be guessed, so a slow hash is not needed. New and revoked keys take effect
-    with the next request, in every process that shares the folder.
+    A key is 32 random bytes, which cannot be guessed, so a slow hash is not needed. A key that was handed on is valid
+    for as long as the keys above it are. :meth:`find`, :meth:`is_valid` and :meth:`chain` go by the keys in memory,
+    which each change here and each :meth:`refresh` updates; all other methods read the files.
 
     Args:
         data_dir: the folder that they are kept in.
@@ -106,6 +110,23 @@ class KeyStore:
 
     def __init__(self, data_dir: Path, files: Documents | None = None) -> None:
         self._files = files or FolderDocuments(Path(data_dir) / FOLDER, mode=0o700)
+        self._known: dict[str, ApiKey] | None = None
+        self._stamp: object = None
+        self._reading = threading.Lock()
+
+    def refresh(self) -> None:
+        """Read the keys, if they may have changed since the last time."""
+        stamp = self._files.stamp()
+        if self._known is None or stamp is None or stamp != self._stamp:
+            self._reload()
+
+    def _reload(self) -> dict[str, ApiKey]:
+        with self._reading:
+            stamp = self._files.stamp()
+            found = {hashed: self._read(hashed) for hashed in self._hashes()}
+            known = self._known = {hashed: key for hashed, key in found.items() if key is not None}
+            self._stamp = stamp
+        return known
 
     def create(
         self,
@@ -137,8 +158,7 @@ class KeyStore:
         now = time.time()
         limits, holder = limits or KeyLimits(), ""
         if handed_by is not None:
-            limits = limits.within(handed_by.limits)
-            holder = handed_by.holder or self._hash_of(handed_by.name)
+            limits, holder = limits.within(handed_by.limits), handed_by.id
         key = ApiKey(name, scope, now, None if lifetime_s is None else now + lifetime_s, limits, holder)
         self._write(_hash(secret), key)
         return secret
@@ -169,33 +189,47 @@ class KeyStore:
             raise _unknown(name)
         return key
 
-    def accountable(self, key: ApiKey) -> list[ApiKey]:
-        """The keys that a request with a key counts to: itself, and the one that it was handed on by, if it exists."""
-        holder = self._read(key.holder) if key.holder else None
-        return [key] if holder is None else [key, holder]
+    def chain(self, key: ApiKey) -> list[ApiKey]:
+        """The keys that a request with a key counts to: itself, the one that handed it on, and so on to the first."""
+        found, known = [key], self._in_memory()
+        while (holder := known.get(found[-1].holder)) is not None and len(found) < _MAX_CHAIN:
+            found.append(holder)
+        return found
 
-    def holder_name(self, key: ApiKey) -> str:
-        """The name of the key that a key was handed on by; empty where it was not, or that was revoked."""
-        return "".join(one.name for one in self.accountable(key)[1:])
+    def is_valid(self, key: ApiKey) -> bool:
+        """Whether a key still exists and has not expired, nor have those above it."""
+        chain, known = self.chain(key), self._in_memory()
+        return not chain[-1].holder and all(one.id in known and not one.expired for one in chain)
+
+    def family(self, name: str) -> list[str]:
+        """The names of a key and of all keys below it that exist."""
+        known = self._in_memory().values()
+        return [key.name for key in known if any(one.name == name for one in self.chain(key))]
 
     def keys(self) -> list[ApiKey]:
         """All keys, expired ones too, the oldest first."""
-        return sorted((key for key in map(self._read, self._hashes()) if key is not None), key=lambda key: key.created)
+        return sorted(self._reload().values(), key=lambda key: key.created)
 
     def revoke(self, name: str) -> None:
-        """Forget the key of that name.
+        """Delete the key of that name and all keys below it.
 
         Raises:
             NotFound: there is no key of this name.
         """
-        with suppress(FileNotFoundError):
-            self._files.delete(self._hash_of(name))
+        revoked = self._hash_of(name)
+        below = [key.id for key in self._reload().values() if any(one.id == revoked for one in self.chain(key))]
+        for hashed in dict.fromkeys([revoked, *below]):
+            with suppress(FileNotFoundError):
+                self._files.delete(hashed)
+        self._reload()
 
     def find(self, secret: str) -> ApiKey | None:
-        """The key, expired or not, or None. The comparison takes the same time wherever two hashes differ."""
-        given = _hash(secret)
-        matching = [hashed for hashed in self._hashes() if hmac.compare_digest(hashed, given)]
-        return self._read(matching[0]) if matching else None
+        """The key, expired or not, or None; None too if a key above it was revoked."""
+        key = self._in_memory().get(_hash(secret))
+        return None if key is None or self.chain(key)[-1].holder else key
+
+    def _in_memory(self) -> dict[str, ApiKey]:
+        return self._reload() if self._known is None else self._known
 
     def _hashes(self) -> list[str]:
         return [name for name in self._files.names() if _HASH.fullmatch(name)]
@@ -209,7 +243,9 @@ class KeyStore:
         raise _unknown(name)
 
     def _write(self, hashed: str, key: ApiKey) -> None:
-        self._files.write(hashed, json.dumps(asdict(key)).encode(), called="the key")
+        stored = {name: value for name, value in asdict(key).items() if name != "id"}
+        self._files.write(hashed, json.dumps(stored).encode(), called="the key")
+        self._reload()
 
     def _read(self, hashed: str) -> ApiKey | None:
         """A key; None where it was revoked meanwhile."""
@@ -217,14 +253,10 @@ class KeyStore:
             stored = json.loads(self._files.read(hashed))
         except FileNotFoundError:
             return None
-        limits = KeyLimits(**stored.get("limits", {}))  # keys of earlier releases have neither of the last two
+        limits = KeyLimits(**stored.get("limits", {}))
+        holder = stored.get("holder", "")
         return ApiKey(
-            stored["name"],
-            Scope(stored["scope"]),
-            stored["created"],
-            stored["expires"],
-            limits,
-            stored.get("holder", ""),
+            stored["name"], Scope(stored["scope"]), stored["created"], stored["expires"], limits, holder, hashed
         )
 
 

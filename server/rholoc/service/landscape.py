@@ -9,14 +9,16 @@ from rholoc.localization import Localizer, Query
 from rholoc.localization.density_localizer import DensityLocalizer
 from rholoc.localization.landscape import landscape_around
 from rholoc.service.localize import FrameFeatures, Stopwatch, frame_deadline_s, pose_out
-from rholoc.service.localizers import Localizers
+from rholoc.service.localizers import LocalizerSource
 from rholoc.service.queries import Frame, camera_for, gravity_of, prior_of
 from rholoc.service.schemas import LandscapeOut, WayOut
 from rholoc.service.settings import Settings
 from rholoc.trajectory import Scale
 
 
-def landscape_of(frame: Frame, name: str, localizers: Localizers, settings: Settings, clock: Stopwatch) -> LandscapeOut:
+def landscape_of(
+    frame: Frame, name: str, localizers: LocalizerSource, settings: Settings, clock: Stopwatch
+) -> LandscapeOut:
     """The landscape around the pose of a frame, or around the best optimum where it has no pose.
 
     Raises:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import time
 from collections import deque
 from collections.abc import Sequence
@@ -22,7 +23,7 @@ _MAX_FAILURES = 20_000
 _LAST_KNOWN_S = 30.0  # how long a client's last pose says where a request without a pose was
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Sighting:
     """One answer.
 
@@ -85,6 +86,8 @@ class Live:
         self._latest: dict[tuple[str, str], Sighting] = {}
         self._failures: deque[Failure] = deque(maxlen=_MAX_FAILURES)
         self.number = 0
+        self.changed = asyncio.Event()
+        """Set by the next answer, which puts another one in its place."""
 
     def note(self, answer: LocalizationOut, expected: Sequence[float] | None = None) -> None:
         """Record an answer; ``expected`` is the position of the request's prior."""
@@ -109,6 +112,8 @@ class Live:
             sigma_m=_worst_sigma(answer.covariance),
         )
         self._latest[answer.map, asker] = sighting  # in the order of the answers
+        self.changed.set()
+        self.changed = asyncio.Event()
         if len(self._latest) > _MAX_ASKERS:
             del self._latest[next(iter(self._latest))]
         if self._keeps_failures:

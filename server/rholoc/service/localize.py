@@ -17,14 +17,25 @@ from rholoc import telemetry
 from rholoc.errors import DeadlineExceeded, InvalidCamera, InvalidDescriptors, RholocError
 from rholoc.features import Extractor, FeatureSet
 from rholoc.geometry import ByteArray, FloatArray, Pose
-from rholoc.localization import TOO_LITTLE_TIME, AnyLocalizer, Intrinsics, Localization, Query, Reason, likeliest_views
+from rholoc.lazy import lazy
+from rholoc.localization import (
+    NO_BELIEF,
+    TOO_LITTLE_TIME,
+    AnyLocalizer,
+    Intrinsics,
+    Localization,
+    Query,
+    Reason,
+    likeliest_views,
+)
 from rholoc.maps import areas_at, points_near, trust_of
-from rholoc.recordings.frames.image import SENT_FORMATS, decode_image
+from rholoc.recordings.frames.image import SENT_FORMATS, decode_image, image_size
 from rholoc.service.learning import Lesson, Listener
-from rholoc.service.localizers import Localizers
+from rholoc.service.localizers import LocalizerSource, MapNotHereError
 from rholoc.service.map_choice import CONCLUSIVE, Candidates, MapChoice
-from rholoc.service.queries import Frame, camera_for, feature_set, gravity_of, prior_of
+from rholoc.service.queries import Frame, camera_for, feature_set, gravity_of, max_sigmas, prior_of
 from rholoc.service.schemas import (
+    AlternativeOut,
     DiagnosisOut,
     EstimatedCameraOut,
     LocalizationOut,
@@ -92,12 +103,12 @@ def late_answer(name: str, localizer: AnyLocalizer, clock: Stopwatch) -> Localiz
 def localize_frame(
     frame: Frame,
     maps: MapChoice,
-    localizers: Localizers,
+    localizers: LocalizerSource,
     settings: Settings,
     clock: Stopwatch,
     listener: Listener | None = None,
 ) -> LocalizationOut:
-    """The best answer of some maps: the most confident pose, or the most confident answer if none has a pose.
+    """The best answer of some maps: the one whose place is recognized most surely, with a pose if any has one.
 
     Of several maps, those whose features or camera do not fit the frame are passed over; where nobody named them, so
     are those that cannot be used for any other reason. ``listener`` hears of a pose found by a camera whose
@@ -131,7 +142,7 @@ def localize_frame(
 
 
 def likeliest_places(
-    frame: Frame, maps: MapChoice, localizers: Localizers, settings: Settings, clock: Stopwatch, most: int
+    frame: Frame, maps: MapChoice, localizers: LocalizerSource, settings: Settings, clock: Stopwatch, most: int
 ) -> PlacesOut:
     """The views of some maps that a picture resembles most, at most ``most`` in all.
 
@@ -199,12 +210,12 @@ def _looking_twice(
 
 
 def _rank(found: Localization) -> tuple[bool, float]:
-    return found.localized, found.confidence
+    return found.localized, found.recognized
 
 
 def best_map(
     maps: Candidates,
-    localizers: Localizers,
+    localizers: LocalizerSource,
     localize: Callable[[AnyLocalizer], T],
     rank: Callable[[T], tuple[bool, float]],
     clock: Stopwatch,
@@ -222,9 +233,9 @@ def best_map(
         found = localize(localizer)
         if best is None or rank(found) > rank(best[2]):
             best = (name, localizer, found)
-        is_localized, confidence = rank(best[2])
+        is_localized, recognized = rank(best[2])
         asked = maps.names.index(name) + 1
-        return is_localized and maps.is_settled(asked, maps.names.index(best[0]), confidence)
+        return is_localized and maps.is_settled(asked, maps.names.index(best[0]), recognized)
 
     each_map(maps, localizers, ask, clock)
     assert best is not None
@@ -232,7 +243,7 @@ def best_map(
 
 
 def each_map(
-    maps: Candidates, localizers: Localizers, ask: Callable[[str, AnyLocalizer], bool | None], clock: Stopwatch
+    maps: Candidates, localizers: LocalizerSource, ask: Callable[[str, AnyLocalizer], bool | None], clock: Stopwatch
 ) -> None:
     """Ask maps one after another until ``ask`` says that it is enough, passing over those that a frame does not fit.
 
@@ -252,7 +263,7 @@ def each_map(
                 return
         except (InvalidCamera, InvalidDescriptors) as error:
             refused = refused or error
-        except DeadlineExceeded:
+        except (DeadlineExceeded, MapNotHereError):
             raise
         except Exception as error:
             if not maps.passing_over:
@@ -270,19 +281,30 @@ class FrameFeatures:
         self._frame = frame
         self._settings = settings
         self._clock = clock
+        self._deadline_s = deadline_s
         self._extracted: dict[Extractor, FeatureSet] = {}
-        self.image: ByteArray | None = None
         if frame.image is not None:
             with clock.stage("decode"):
-                self.image = decode_image(
-                    frame.image, settings.max_image_pixels, SENT_FORMATS, lambda: clock.check(deadline_s)
-                )
+                self._image_size = image_size(frame.image, settings.max_image_pixels, SENT_FORMATS)
+
+    @lazy
+    def image(self) -> ByteArray | None:
+        """The picture (H, W, 3); None if features were sent instead. It is decoded when it is first asked for."""
+        if self._frame.image is None:
+            return None
+        with self._clock.stage("decode"):
+            return decode_image(
+                self._frame.image,
+                self._settings.max_image_pixels,
+                SENT_FORMATS,
+                lambda: self._clock.check(self._deadline_s),
+            )
 
     @property
     def size(self) -> tuple[int, int]:
-        """Width and height of the image in pixels."""
-        if self.image is not None:
-            return self.image.shape[1], self.image.shape[0]
+        """Width and height of the image in pixels, by its header."""
+        if self._frame.image is not None:
+            return self._image_size
         camera = self._frame.options.camera
         if camera.width is None or camera.height is None:
             raise InvalidCamera(
@@ -351,7 +373,18 @@ def _localize(
     options = frame.options
     more = features.more_by(localizer.extractor)
     answer = localizer.localize(
-        Query(found, camera, options.dof, prior, gravity, left_s, options.intrinsics, features.image, more)
+        Query(
+            found,
+            camera,
+            options.dof,
+            prior,
+            gravity,
+            left_s,
+            options.intrinsics,
+            features.image,
+            more,
+            *max_sigmas(options),
+        )
     )
     for stage, duration_ms in answer.timings_ms.items():
         clock.stages_ms[stage] = clock.stages_ms.get(stage, 0.0) + duration_ms
@@ -362,7 +395,7 @@ def too_late() -> Localization:
     """The localizer's answer where the deadline passed before it was asked."""
     nothing = np.zeros(0, np.int64)
     return Localization(
-        False, Reason.DEADLINE, None, None, 0.0, 0, 0, np.zeros((0, 2)), nothing, diagnosis=TOO_LITTLE_TIME
+        False, Reason.DEADLINE, None, None, NO_BELIEF, 0, 0, np.zeros((0, 2)), nothing, diagnosis=TOO_LITTLE_TIME
     )
 
 
@@ -379,7 +412,12 @@ def answer_of(
         reason=found.reason,
         pose=None if given_out.pose is None else pose_out(given_out.pose),
         covariance=None if given_out.covariance is None else _covariance(given_out.covariance),
+        recognized=found.recognized,
         confidence=found.confidence,
+        alternatives=[
+            AlternativeOut(weight=one.weight, pose=pose_out(one.pose), covariance=_covariance(one.covariance))
+            for one in found.alternatives
+        ],
         matches=found.matches,
         inliers=found.inliers,
         map=name,
@@ -414,7 +452,7 @@ def _estimated_camera(found: Localization) -> EstimatedCameraOut | None:
 
 
 def _agreeing(localizer: AnyLocalizer, found: Localization) -> MatchesOut:
-    landmarks = localizer.map.landmarks[found.inlier_features]
+    landmarks = localizer.map.landmarks.positions[found.inlier_features]
     return MatchesOut(pixels=found.inlier_pixels.round(1).tolist(), landmarks=landmarks.round(4).tolist())
 
 

@@ -3,9 +3,26 @@
 from __future__ import annotations
 
 import threading
+from typing import Protocol
 
 from rholoc.localization import AnyLocalizer, localizer_of
 from rholoc.maps import Map, MapLibrary, check_usable
+
+
+class MapNotHereError(Exception):
+    """A map has to be fetched first, by :meth:`Localizers.fetch`; compute threads do not wait for the storage."""
+
+    def __init__(self, name: str) -> None:
+        super().__init__(name)
+        self.name = name
+
+
+class LocalizerSource(Protocol):
+    """Where the localizers for one request come from."""
+
+    def get(self, name: str) -> AnyLocalizer:
+        """The localizer of the current map."""
+        ...
 
 
 class Localizers:
@@ -15,9 +32,9 @@ class Localizers:
     so its map, even if the map is replaced in the meantime.
     """
 
-    def __init__(self, library: MapLibrary, min_confidence: float) -> None:
+    def __init__(self, library: MapLibrary, min_recognized: float) -> None:
         self._library = library
-        self._min_confidence = min_confidence
+        self._min_recognized = min_recognized
         self._ready: dict[str, AnyLocalizer] = {}
         self._building: dict[str, threading.Lock] = {}
 
@@ -26,7 +43,10 @@ class Localizers:
 
         Raises:
             InvalidName, UnknownMap, InvalidMap: as :meth:`MapLibrary.get` does.
+            MapNotHereError: the map's file is not on this machine.
         """
+        if not self._library.is_here(name):
+            raise MapNotHereError(name)
         map_ = self._library.get(name)
         self._forget_unloaded()
         with self._building.setdefault(name, threading.Lock()):
@@ -34,6 +54,14 @@ class Localizers:
             if ready is None or ready.map is not map_:
                 ready = self._ready[name] = self._build(map_)
         return ready
+
+    def fetch(self, name: str) -> None:
+        """Fetch a map's file from the storage.
+
+        Raises:
+            InvalidName, UnknownMap, StorageUnavailable, StorageFull: as :meth:`MapLibrary.path` does.
+        """
+        self._library.path(name)
 
     def forget_missing(self) -> None:
         """Drop the localizers of maps that are no longer in the library."""
@@ -49,4 +77,4 @@ class Localizers:
 
     def _build(self, map_: Map) -> AnyLocalizer:
         check_usable(map_)
-        return localizer_of(map_, self._min_confidence)
+        return localizer_of(map_, self._min_recognized)

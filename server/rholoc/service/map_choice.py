@@ -13,7 +13,7 @@ MOST_ASKED = 5
 
 _ASKED_AT_FIRST = 2
 CONCLUSIVE = 0.9
-"""The confidence of an answer after which maps that are far less likely are not asked."""
+"""The ``recognized`` of an answer after which maps that are far less likely are not asked."""
 
 _RIVAL_SHARE = 0.8  # of the score of the map that gave it: what scores as much is asked as well
 
@@ -93,8 +93,8 @@ class Candidates:
             self, names=tuple(self.names[row] for row in rows), scores=tuple(self.scores[row] for row in rows)
         )
 
-    def is_settled(self, asked: int, best: int, confidence: float) -> bool:
+    def is_settled(self, asked: int, best: int, recognized: float) -> bool:
         """Whether no more need be asked after the first ``asked``, of which number ``best`` gave the surest pose."""
-        if confidence < CONCLUSIVE or not self.scores:
+        if recognized < CONCLUSIVE or not self.scores:
             return False
         return all(score < _RIVAL_SHARE * self.scores[best] for score in self.scores[asked:])

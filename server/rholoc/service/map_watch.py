@@ -10,6 +10,7 @@ import structlog
 from rholoc.localization import MapFinder
 
 _EVERY_S = 1.0
+_STOP_S = 5.0
 _NICENESS = 10  # of the thread, where the system has that: requests come first
 _log = structlog.get_logger("rholoc.service")
 
@@ -32,10 +33,11 @@ class MapWatch:
         self._thread.start()
 
     def stop(self) -> None:
-        """End; waits for the map that is being read."""
+        """End; waits for the map that is being read, but not for a storage that is silent."""
         self._stopped.set()
-        self._thread.join()
-        self._finder.close()
+        self._thread.join(_STOP_S)
+        if not self._thread.is_alive():
+            self._finder.close()
 
     def _run(self) -> None:
         if hasattr(os, "setpriority"):

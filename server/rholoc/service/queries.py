@@ -130,6 +130,12 @@ def gravity_of(given: list[float] | None) -> FloatArray | None:
     return None if given is None else direction("gravity", given)
 
 
+def max_sigmas(options: LocalizeOptions) -> tuple[float, float]:
+    """The greatest standard deviations that a request accepts: metres and radians, infinite where it names none."""
+    max_deg = math.inf if options.max_sigma_deg is None else options.max_sigma_deg
+    return math.inf if options.max_sigma_m is None else options.max_sigma_m, math.radians(max_deg)
+
+
 def finite(name: str, values: list[float]) -> FloatArray:
     """Values as an array.
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import AsyncIterator, Sequence
-from contextlib import asynccontextmanager, nullcontext
+from contextlib import asynccontextmanager, nullcontext, suppress
 from dataclasses import dataclass
 
-from rholoc.errors import UnknownMap
+from rholoc.errors import UnknownMap, UnknownRecording
 from rholoc.jobs import JobQueue, RecordingStore, UploadStore
 from rholoc.maps import MapLibrary
 from rholoc.service.errors import QuotaExceeded
@@ -28,6 +28,25 @@ class Usage:
     maps: int
     stored_bytes: int
     jobs: int
+
+
+@dataclass(frozen=True)
+class HeldUpload:
+    """An unfinished upload.
+
+    Attributes:
+        id: of the upload.
+        map: the name of the map that it is for.
+        size_bytes: its length, once it is complete; 0 where no key is needed.
+        key: the name of the key that began it; empty where none is needed.
+        holder: the name of the first of the keys that handed ``key`` on; empty if none did.
+    """
+
+    id: str
+    map: str
+    size_bytes: int
+    key: str
+    holder: str
 
 
 @dataclass(frozen=True)
@@ -72,9 +91,44 @@ class Quotas:
     @asynccontextmanager
     async def counting(self, key: ApiKey | None) -> AsyncIterator[None]:
         """While nothing else is counted to the key, or to keys that are counted with it."""
-        limited = _limited([] if key is None else self._keys.accountable(key))
-        async with self._locks.setdefault(limited[-1].name, asyncio.Lock()) if limited else nullcontext():
+        first = "" if key is None else self._keys.chain(key)[-1].name
+        async with self._locks.setdefault(first, asyncio.Lock()) if first else nullcontext():
             yield
+
+    def check_upload(self, key: ApiKey | None, max_of_client: int) -> None:
+        """Refuse a resumable upload if a key with those above and below it has too many unfinished ones.
+
+        Raises:
+            QuotaExceeded: it has.
+        """
+        if key is None:
+            return
+        first = self._keys.chain(key)[-1].name
+        mine = sum(first in (one.key, one.holder) for one in self.uploads())
+        if mine >= max_of_client:
+            raise QuotaExceeded(
+                f"The key {first} has {mine} unfinished uploads, the most allowed.",
+                "Finish or abandon (DELETE) one.",
+            )
+
+    def uploads(self) -> list[HeldUpload]:
+        """The unfinished uploads, and whose they are where keys are needed."""
+        held = {one.name: one for one in self._holdings.all() if one.kind is Kind.RECORDING}
+        nobody = Holding(Kind.RECORDING, "", "")
+        found = []
+        for upload_id, map_name in self._uploads.unfinished().items():
+            holding = held.get(upload_id, nobody)
+            found.append(HeldUpload(upload_id, map_name, holding.size_bytes, holding.key, holding.holder))
+        return found
+
+    def abandon_uploads(self) -> None:
+        """Delete the unfinished uploads of keys that were revoked."""
+        existing = self._keys.keys()
+        names = {key.name for key in existing}
+        for one in self.uploads():
+            if one.key and one.key not in names:
+                with suppress(UnknownRecording):  # it was finished meanwhile
+                    self._uploads.delete(one.id)
 
     def check(
         self, key: ApiKey | None, stores: str | None = None, size_bytes: int = 0, job_for: str | None = None
@@ -90,7 +144,7 @@ class Quotas:
         Raises:
             QuotaExceeded: it would.
         """
-        limited = _limited([] if key is None else self._keys.accountable(key))
+        limited = _limited([] if key is None else self._keys.chain(key))
         if not limited:
             return
         present = self._present()
@@ -98,7 +152,7 @@ class Quotas:
         if job_for and job_for not in present.maps:
             made.add(job_for)
         for one in limited:
-            held = [holding for holding in self._holdings.of(one.name) if present.has(holding)]
+            held = [holding for holding in self._holdings.of(self._keys.family(one.name)) if present.has(holding)]
             used, maps = self._usage(held, present), _maps(held, present)
             freed = self._map_bytes(stores) if stores in maps else 0
             if made:
@@ -112,12 +166,15 @@ class Quotas:
     def usage(self, name: str) -> Usage:
         """What the key of a name holds."""
         present = self._present()
-        return self._usage([one for one in self._holdings.of(name) if present.has(one)], present)
+        return self._usage(
+            [one for one in self._holdings.of(self._keys.family(name) or [name]) if present.has(one)], present
+        )
 
     def hold(self, key: ApiKey | None, kind: Kind, name: str, size_bytes: int = 0) -> None:
         """Note that a key holds something."""
         if key is not None:
-            self._holdings.hold(Holding(kind, name, key.name, self._keys.holder_name(key), size_bytes))
+            first = self._keys.chain(key)[-1].name
+            self._holdings.hold(Holding(kind, name, key.name, first if first != key.name else "", size_bytes))
 
     def hold_job(self, key: ApiKey | None, job_id: str, map_name: str) -> None:
         """Note that a key holds a job, and the map that it will publish if there is none of that name."""

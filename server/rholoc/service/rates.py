@@ -87,7 +87,7 @@ class RateLimited:
         """
         key = request_key(scope) if scope["type"] in ("http", "websocket") else None
         if key is not None:
-            self._rates.take(self._keys.accountable(key))
+            self._rates.take(self._keys.chain(key))
         await self._app(scope, receive, send)
 
 

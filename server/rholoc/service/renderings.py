@@ -13,13 +13,12 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from starlette.concurrency import run_in_threadpool
-
 from rholoc import __version__
-from rholoc.errors import Busy, InvalidMap, RholocError
+from rholoc.errors import Busy, InvalidMap, RholocError, StorageFull
 from rholoc.maps import MapLibrary, MapStat
 from rholoc.pictures.rendering import Rendering
 from rholoc.processes import AsyncProgram
+from rholoc.service.storage_threads import StorageLanes
 
 _IDLE_S = 120.0  # after which the process is ended, which frees its memory
 _MAX_WAITING = 200
@@ -43,11 +42,18 @@ def etag_of(stat: MapStat, *parts: object) -> str:
 
 
 class Renderings:
-    """Renderings of a library's maps, kept in a folder. Use it from the event loop's thread only."""
+    """Renderings of a library's maps, kept in a folder. Use it from the event loop's thread only.
 
-    def __init__(self, folder: Path, library: MapLibrary) -> None:
+    Args:
+        folder: of the renderings.
+        library: the maps.
+        threads: which read both.
+    """
+
+    def __init__(self, folder: Path, library: MapLibrary, threads: StorageLanes) -> None:
         self._folder = folder
         self._library = library
+        self._threads = threads
         self._program: AsyncProgram | None = None
         self._turn = asyncio.Lock()
         self._making: dict[Path, asyncio.Task[None]] = {}
@@ -66,14 +72,16 @@ class Renderings:
 
         Raises:
             InvalidName, UnknownMap, InvalidMap: there is no such map, or it cannot be read.
+            StorageFull: the disk is full.
             Busy: too many others are waiting, or the process that draws was killed.
         """
-        etag = await run_in_threadpool(self.etag, name, kind)
+        files = self._threads.files
+        etag = await files(self.etag, name, kind)
         path = self._folder / f"{etag.strip(chr(34))}-{kind}"
-        kept = await run_in_threadpool(_read, path)
+        kept = await files(_read, path)
         if kept is None:
             await asyncio.shield(self._made(name, kind, path))
-            kept = await run_in_threadpool(path.read_bytes)
+            kept = await files(path.read_bytes)
         return Rendered(kept, etag)
 
     def _made(self, name: str, kind: Rendering, path: Path) -> asyncio.Task[None]:
@@ -86,8 +94,9 @@ class Renderings:
         return self._making[path]
 
     async def _make(self, name: str, kind: Rendering, path: Path) -> None:
-        await run_in_threadpool(lambda: self._folder.mkdir(parents=True, exist_ok=True))
-        request = {"source": str(self._library.path(name)), "name": name, "kind": kind, "target": str(path)}
+        await self._threads.files(lambda: self._folder.mkdir(parents=True, exist_ok=True))
+        source = await self._threads.fetches(self._library.path, name)
+        request = {"source": str(source), "name": name, "kind": kind, "target": str(path)}
         async with self._turn:
             for _ in range(_ATTEMPTS):
                 answer = await self._ask(request)
@@ -96,7 +105,8 @@ class Renderings:
             else:
                 raise Busy("The process that draws was killed.", "Try again after Retry-After.", _RETRY_AFTER_S)
         if "error" in answer:
-            raise InvalidMap(answer["error"], answer["hint"])
+            kind_of_error = StorageFull if answer["code"] == StorageFull.code else InvalidMap
+            raise kind_of_error(answer["error"], answer["hint"])
 
     async def _ask(self, request: dict[str, str]) -> dict[str, str] | None:
         """The process's answer; None where it ended without one."""

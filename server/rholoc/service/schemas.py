@@ -29,6 +29,7 @@ from rholoc.progress import Stage
 from rholoc.reports import LearningReport, MapReport
 from rholoc.service.examples import CORRECTION, NAMES, REPORT, SOURCE, WAYPOINT, sent
 from rholoc.service.keys import Scope
+from rholoc.service.stream_kind import StreamKind
 from rholoc.trajectory import PoseMethod, Scale
 
 _LARGEST_SIZE_PX = 2**31
@@ -197,6 +198,15 @@ class LocalizeOptions(_In):
     prior: PriorIn | None = None
     gravity: Vector3 | None = Field(default=None, description="the direction of gravity (down) in the camera frame")
     deadline_ms: float | None = Field(default=None, gt=0, le=600_000, description="how long the answer may take")
+    max_sigma_m: float | None = Field(
+        default=None,
+        gt=0,
+        le=1000,
+        description="the position's greatest standard deviation along any axis, m; a less exact pose is withheld",
+    )
+    max_sigma_deg: float | None = Field(
+        default=None, gt=0, le=180, description="the rotation's, degrees; a less exact pose is withheld"
+    )
     with_matches: bool = Field(
         default=False, description="whether the answer lists the matches that agree with the pose"
     )
@@ -291,6 +301,15 @@ class FramesQuery(_In):
     sigma_m: Number = Field(default=0.005, description="one sigma of a frame's position as its predecessor sees it, m")
     sigma_deg: Number = Field(default=0.2, description="one sigma of its rotation, degrees")
     deadline_ms: float | None = Field(default=None, gt=0, le=600_000, description="how long the answer may take")
+    max_sigma_m: float | None = Field(
+        default=None,
+        gt=0,
+        le=1000,
+        description="the position's greatest standard deviation along any axis, m; a less exact pose is withheld",
+    )
+    max_sigma_deg: float | None = Field(
+        default=None, gt=0, le=180, description="the rotation's, degrees; a less exact pose is withheld"
+    )
 
 
 class PoseOut(_Out):
@@ -363,6 +382,14 @@ class SitePoseOut(_Out):
     earth: EarthOut | None = Field(description="the same on Earth; null where nobody said where the site lies")
 
 
+class AlternativeOut(_Out):
+    """Another pose that the frame may have been taken from."""
+
+    weight: float = Field(description="0..1, the probability that it is of the right place")
+    pose: PoseOut
+    covariance: list[list[float]] | None = Field(description="6×6, as `covariance` of the answer")
+
+
 class LocalizationOut(_Out):
     """The answer for one frame. ``localized`` false is an answer, not an error."""
 
@@ -374,7 +401,9 @@ class LocalizationOut(_Out):
                 "reason": None,
                 "pose": _POSE_EXAMPLE,
                 "covariance": [[1e-4 if row == column else 0.0 for column in range(6)] for row in range(6)],
+                "recognized": 0.998,
                 "confidence": 0.97,
+                "alternatives": [],
                 "matches": 412,
                 "inliers": 164,
                 "map": "testsite",
@@ -406,8 +435,17 @@ class LocalizationOut(_Out):
         description="6×6, of x, y, z in m and of a small rotation about the map's x, y, z axes in degrees; "
         "the map's own uncertainty is part of it"
     )
+    recognized: float = Field(
+        description="0..1, the probability that the pose is of the right place: within 50 cm and 20° of the truth, the "
+        "map's errors included; `localized` goes by it"
+    )
     confidence: float = Field(
-        description="0..1, the probability that the pose is within 10 cm and 5° of the truth, the map's errors included"
+        description="0..1, the probability that the pose is within 10 cm and 5° of the truth, the map's errors "
+        "included: at most `recognized`"
+    )
+    alternatives: list[AlternativeOut] = Field(
+        description="at most four other poses that the frame may have been taken from, the likeliest first; a pose "
+        "that was withheld as not recognized is the first of them"
     )
     matches: int
     inliers: int
@@ -1083,7 +1121,7 @@ class FailuresOut(_Out):
                         "position": [2.1, 0.4, 1.5],
                         "heading": None,
                         "confidence": 0.31,
-                        "reason": "low_confidence",
+                        "reason": "not_recognized",
                     }
                 ]
             }
@@ -1155,8 +1193,8 @@ class JobOut(_Out):
     priority: JobPriority
     memory_bytes: int | None = Field(description="about how much memory it needs; null until its recording was read")
     obstacle: Obstacle | None = Field(
-        description="why no worker can take it, as `message` says: none is running, none has as much memory, or all "
-        "are of an earlier release; null where one can"
+        description="why no worker can take it, as `message` says: none is running, those that are started die, or "
+        "none has as much memory; null where one can"
     )
 
 
@@ -1191,7 +1229,7 @@ _RECORDED_WAYPOINT: JsonDict = {"name": "W1", "position": [2.0, 0.0, 1.5], "time
 class RecordingContent(_Out):
     """What a job read from a recording."""
 
-    length_s: float
+    length_s: float | None
     frames: int
     width: int = Field(description="of a frame, px")
     height: int
@@ -1320,6 +1358,7 @@ class KeyOut(_Out):
     created: float = Field(description="s since the epoch")
     expires: float | None = Field(description="s since the epoch; null: never")
     limits: KeyLimitsOut = Field(description="how much it allows")
+    handed_on_by: str | None = Field(default=None, description="the name of the key that handed it on; null: none did")
 
 
 class KeyDetail(KeyOut):
@@ -1363,6 +1402,74 @@ class KeyList(_Out):
     )
 
     keys: list[KeyOut]
+
+
+class OpenStreamOut(_Out):
+    """An open stream."""
+
+    id: str
+    kind: StreamKind = Field(description="`frames`: a WebSocket; `events`: server-sent events")
+    key: str | None = Field(description="the name of the key that it was opened with; null where none is needed")
+    counted_to: str = Field(description="the first of the keys that handed that key on, or an address")
+    path: str
+    since: float = Field(description="s since the epoch")
+
+
+class OpenStreamList(_Out):
+    """The open streams of a server, the oldest first."""
+
+    model_config = ConfigDict(
+        frozen=True,
+        json_schema_extra={
+            "example": {
+                "streams": [
+                    {
+                        "id": "5f0c3a52d1c24e0f8d1c8f1a8f0e6c11",
+                        "kind": "events",
+                        "key": "handed-1f2e3d4c",
+                        "counted_to": "alice",
+                        "path": "/v1/maps/hall/live",
+                        "since": 1767607200.0,
+                    }
+                ]
+            }
+        },
+    )
+
+    streams: list[OpenStreamOut]
+
+
+class UploadOut(_Out):
+    """An unfinished upload."""
+
+    id: str = Field(description="of the upload, and of the recording that it becomes")
+    map: str = Field(description="the map that it is for")
+    size_bytes: int = Field(description="once it is complete; 0 where no key is needed")
+    key: str | None = Field(description="the name of the key that began it; null where none is needed")
+    counted_to: str | None = Field(description="the first of the keys that handed that key on, or the key itself")
+
+
+class UploadList(_Out):
+    """The unfinished uploads."""
+
+    model_config = ConfigDict(
+        frozen=True,
+        json_schema_extra={
+            "example": {
+                "uploads": [
+                    {
+                        "id": "9b2ad7a3f3c84a1fb0f5c5b4f1a0d6ee",
+                        "map": "hall",
+                        "size_bytes": 48_211_004,
+                        "key": "handed-1f2e3d4c",
+                        "counted_to": "alice",
+                    }
+                ]
+            }
+        },
+    )
+
+    uploads: list[UploadOut]
 
 
 class HandedKeyOut(_Out):

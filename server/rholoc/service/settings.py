@@ -10,7 +10,7 @@ from pydantic import Field, SecretStr
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
 from rholoc.jobs import BuildLimits, Capacity
-from rholoc.localization import MIN_CONFIDENCE
+from rholoc.localization import MIN_RECOGNIZED
 from rholoc.processes import machine_memory_bytes
 from rholoc.recordings import MAX_FRAME_PIXELS
 from rholoc.service.guard import KeyPolicy
@@ -62,8 +62,8 @@ class Settings(BaseSettings):
     queue_length: int = Field(
         default=16, ge=0, description="How many more frames may wait; beyond, the answer is `busy`."
     )
-    min_confidence: float = Field(
-        default=MIN_CONFIDENCE, ge=0, le=1, description="Poses of lower confidence are not given out."
+    min_recognized: float = Field(
+        default=MIN_RECOGNIZED, ge=0, le=1, description="Poses that are less probably of the right place are withheld."
     )
     default_deadline_ms: float = Field(default=5000, gt=0, description="The deadline of requests that name none.")
     max_image_pixels: int = Field(default=50_000_000, ge=1, description="The most pixels an image may claim to have.")
@@ -95,8 +95,13 @@ class Settings(BaseSettings):
     export_time_limit_s: float = Field(
         default=300, gt=0, description="How long the export of a map into another format may take."
     )
+    open_metrics: bool = Field(default=False, description="Whether `/metrics` needs no API key.")
     max_connections: int = Field(default=500, ge=1, description="The most connections that are open at a time.")
-    max_streams: int = Field(default=20, ge=0, description="The most streams of frames (WebSockets) that are open.")
+    max_streams: int = Field(
+        default=40,
+        ge=0,
+        description="The most streams of frames (WebSockets) that are open; half of them by one client.",
+    )
     max_unfinished_uploads: int = Field(
         default=100, ge=1, description="The most resumable uploads that are unfinished at a time."
     )

@@ -21,9 +21,9 @@ from rholoc.localization import (
     localize_together,
 )
 from rholoc.service.localize import FrameFeatures, Stopwatch, answer_of, best_map, chosen, pose_out, too_late
-from rholoc.service.localizers import Localizers
+from rholoc.service.localizers import LocalizerSource
 from rholoc.service.map_choice import MapChoice
-from rholoc.service.queries import Frame, camera_for, direction, finite, gravity_of
+from rholoc.service.queries import Frame, camera_for, direction, finite, gravity_of, max_sigmas
 from rholoc.service.schemas import FrameIn, FramePoseOut, FramesQuery, LocalizationOut, LocalizeOptions, PoseOut
 from rholoc.service.settings import Settings
 
@@ -67,14 +67,21 @@ def _frame(query: FramesQuery, number: int, one: FrameIn, images: dict[int, byte
         except (binascii.Error, ValueError) as error:
             raise InvalidImage(f"The image of frame {number} is not base64.", "Encode the file's bytes.") from error
     camera = one.camera or query.camera
-    options = LocalizeOptions(camera=camera, dof=query.dof, gravity=one.gravity, deadline_ms=query.deadline_ms)
+    options = LocalizeOptions(
+        camera=camera,
+        dof=query.dof,
+        gravity=one.gravity,
+        deadline_ms=query.deadline_ms,
+        max_sigma_m=query.max_sigma_m,
+        max_sigma_deg=query.max_sigma_deg,
+    )
     return Frame(options, image, one.features, None if camera.name is None else stored[camera.name])
 
 
 def localize_frames(
     frames: Frames,
     maps: MapChoice,
-    localizers: Localizers,
+    localizers: LocalizerSource,
     settings: Settings,
     clock: Stopwatch,
     deadline_s: float,
@@ -90,7 +97,7 @@ def localize_frames(
         chosen(maps, features[0].by, clock),
         localizers,
         lambda localizer: _localize(frames, localizer, features, deadline_s, clock),
-        lambda found: (found.first.localized, found.first.confidence),
+        lambda found: (found.first.localized, found.first.recognized),
         clock,
     )
     answer = answer_of(name, localizer, joint.first, clock, with_matches=False)
@@ -110,7 +117,18 @@ def _localize(
         if clock.elapsed_s >= deadline_s:
             return JointLocalization(too_late(), (), ())
         found = own.by(localizer.extractor)
-        queries.append(Query(found, camera, frame.options.dof, gravity=gravity_of(frame.options.gravity)))
+        max_sigma_m, max_sigma_rad = max_sigmas(frame.options)
+        gravity = gravity_of(frame.options.gravity)
+        queries.append(
+            Query(
+                found,
+                camera,
+                frame.options.dof,
+                gravity=gravity,
+                max_sigma_m=max_sigma_m,
+                max_sigma_rad=max_sigma_rad,
+            )
+        )
     left_s = deadline_s - clock.elapsed_s
     if left_s <= 0:
         return JointLocalization(too_late(), (), ())

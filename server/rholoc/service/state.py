@@ -9,8 +9,8 @@ from typing import Annotated
 from fastapi import Depends, Request
 
 from rholoc.jobs import EmbeddedWorker, JobQueue, QueryStore, RecordingStore, UploadStore
-from rholoc.localization import MapFinder
-from rholoc.maps import CameraLibrary, MapLibrary, SiteLibrary
+from rholoc.localization import AnyLocalizer, MapFinder
+from rholoc.maps import CameraLibrary, Map, MapLibrary, SiteLibrary
 from rholoc.service.audit import AuditLog
 from rholoc.service.bodies import HeldBodies
 from rholoc.service.compute import ComputePool
@@ -22,10 +22,12 @@ from rholoc.service.live import Live
 from rholoc.service.localizers import Localizers
 from rholoc.service.map_watch import MapWatch
 from rholoc.service.metrics import Metrics
+from rholoc.service.open_streams import OpenStreams
 from rholoc.service.quotas import Quotas
+from rholoc.service.readings import Readings
 from rholoc.service.renderings import Renderings
 from rholoc.service.settings import Settings
-from rholoc.service.stream_count import OpenStreams
+from rholoc.service.storage_threads import StorageLanes
 from rholoc.storage import SharedStorage
 
 
@@ -58,7 +60,28 @@ class State:
     worker: EmbeddedWorker | None
     streams: OpenStreams
     quotas: Quotas
+    readiness: Readings
+    threads: StorageLanes
     publishing: asyncio.Lock = field(default_factory=asyncio.Lock)  # a large map takes memory while it is checked
+
+    async def map(self, name: str) -> Map:
+        """The map of a name, fetched from the storage if it is not on this machine.
+
+        Raises:
+            InvalidName, UnknownMap, InvalidMap: as :meth:`rholoc.maps.MapLibrary.get` does.
+            StorageUnavailable, StorageFull: it cannot be fetched.
+        """
+        await self._fetch(name)
+        return await self.threads.files(self.library.get, name)
+
+    async def localizer(self, name: str) -> AnyLocalizer:
+        """The localizer of the map of a name. Raises as :meth:`map` does."""
+        await self._fetch(name)
+        return await self.threads.files(self.localizers.get, name)
+
+    async def _fetch(self, name: str) -> None:
+        if not await self.threads.files(self.library.is_here, name):
+            await self.threads.fetches(self.library.path, name)
 
 
 def _state(request: Request) -> State:

@@ -13,7 +13,6 @@ import cv2
 import numpy as np
 from pydantic import BaseModel
 from pydantic_core import from_json
-from starlette.concurrency import run_in_threadpool
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from rholoc.errors import Busy, DeadlineExceeded, InvalidInput
@@ -80,10 +79,10 @@ class Stream:
             RholocError: what was sent cannot be used, or nothing was sent for long.
         """
         begin = await self._receive(Begin)
-        localizer = await run_in_threadpool(self._service.localizers.get, self._name)
+        localizer = await self._service.localizer(self._name)
         stored = None
         if begin.camera.name is not None:
-            stored = (await run_in_threadpool(self._service.cameras.get, begin.camera.name)).camera
+            stored = (await self._service.threads.database(self._service.cameras.get, begin.camera.name)).camera
         options = TrackOptions(odometry=OdometryNoise(**begin.odometry.model_dump()))
         self._track = _ServedTrack(begin, stored, localizer, options)
         info = localizer.map.info

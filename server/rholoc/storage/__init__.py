@@ -1,4 +1,4 @@
-"""Where a service keeps what it holds: the database, and object storage for those that share it."""
+"""Objects in a folder or a shared storage, the database, and the catalogue that servers share."""
 
 from rholoc.storage.objects import MissingObject, ObjectStorage
 from rholoc.storage.shared import ASKERS, CAMERAS, KEYS, SITES, SharedStorage

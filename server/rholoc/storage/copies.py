@@ -8,6 +8,7 @@ from __future__ import annotations
 import os
 import shutil
 import threading
+import time
 import uuid
 from collections.abc import Iterator
 from contextlib import suppress
@@ -18,6 +19,7 @@ from rholoc.errors import StorageFull, StorageUnavailable
 from rholoc.storage.objects import ObjectStorage
 
 _SUFFIX = ".rho"
+_BROKEN_OFF_AFTER_S = 3600.0
 _FREE_SHARE, _MOST_FREE_BYTES = 0.1, 2**30  # of the disk, which copies leave for what else is written there
 
 
@@ -79,6 +81,10 @@ class Copies:
             target.unlink()
             raise StorageUnavailable(f"The storage gave {size} bytes of a map of {size_bytes}.", "Try again later.")
 
+    def read(self, blob: str, start: int, length: int) -> bytes:
+        """Some bytes of an object, without a copy of all of it. Raises as :meth:`ObjectStorage.read`."""
+        return self._objects.read(self._key(blob), start, length)
+
     def has(self, blob: str) -> bool:
         """Whether there is a copy of an object here."""
         return self._path(blob).is_file()
@@ -116,6 +122,14 @@ class Copies:
         finally:
             arrived.unlink(missing_ok=True)
         self.make_room(blob)
+
+    def sweep(self) -> None:
+        """Remove what fetches left behind that a crash broke off."""
+        old = time.time() - _BROKEN_OFF_AFTER_S
+        for path in [*self.folder.glob(".*.part"), *self.folder.glob(".*.arrived"), *self.folder.glob(".*.upload")]:
+            with suppress(FileNotFoundError):
+                if path.stat().st_mtime < old:
+                    path.unlink()
 
     def make_room(self, kept: str = "", size_bytes: int = 0) -> None:
         """Remove the copies that were used longest ago, as many as are too many here.

@@ -1,102 +1,191 @@
-"""The database: an SQLite file by default, PostgreSQL by URL. DBOS keeps its tables in the same one."""
+"""The database: an SQLite file by default, PostgreSQL by URL.
+
+Nothing here waits for ever. A PostgreSQL that does not answer is an error within seconds, of SQLAlchemy's
+``OperationalError`` in a query and of :class:`rholoc.errors.StorageUnavailable` in :func:`open_database`.
+"""
 
 from __future__ import annotations
 
+import shutil
 import sqlite3
+import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import sqlalchemy as sa
-from dbos import DBOS
 from sqlalchemy.exc import DatabaseError, OperationalError
+from sqlalchemy.exc import TimeoutError as PoolTimeout
 
 from rholoc import telemetry
 from rholoc.disk import reporting_full_disk, storage_full
-from rholoc.errors import Conflict, InvalidInput
+from rholoc.errors import Conflict, InvalidInput, RholocError, StorageUnavailable
 from rholoc.storage.tables import VERSION_TABLE
 
-HEAD = "0004"  # the last of the migrations; their numbers are in order as text
+HEAD = "0001"  # the last migration; their numbers are in order as text
+MIN_SQLITE = (3, 38)  # the first that always has the functions for JSON
 _BUSY_TIMEOUT_MS = 10_000
-_WAL_AGAIN_S = 0.02
+_RETRY_S = 0.02
 _MAX_STATEMENT = 1000  # characters, without values
 _MIGRATIONS = Path(__file__).with_name("migrations")
+_MIGRATION_TIMEOUT_S = 60.0
 _LOCK_NUMBER = 0x72686F6C6F63  # of PostgreSQL's advisory locks: "rholoc"
+_POOL_TIMEOUT_S = 5.0
+_POSTGRES_OPTIONS = {
+    "connect_timeout": 3,
+    "keepalives_idle": 5,
+    "keepalives_interval": 2,
+    "keepalives_count": 3,
+    "tcp_user_timeout": 10_000,  # ms
+}
+_FULL = ("is full", "No space left")
+_NO_SPACE_BYTES = 2**17  # SQLite's index of its write-ahead log and a few pages
 
 
 def open_database(data_dir: Path, database_url: str | None = None) -> sa.Engine:
-    """The engine of the database, with rholoc's tables and DBOS's in it.
+    """Engine of a database that has just answered, with rholoc's tables in it.
 
     Args:
-        data_dir: where the SQLite file is kept.
+        data_dir: folder of the SQLite file.
         database_url: ``postgresql://…``, or None for the SQLite file.
 
-    Raises:
-        StorageFull: the disk is full.
-        InvalidInput: the URL is not valid, or its database cannot be reached.
-        Conflict: the file exists, but is not an SQLite database.
+    Raises: as :func:`database_engine` and :func:`check_database`.
     """
     engine = database_engine(data_dir, database_url)
-    prepare_database(engine)
+    try:
+        check_database(engine)
+    except RholocError:
+        engine.dispose()
+        raise
     return engine
 
 
 def database_engine(data_dir: Path, database_url: str | None = None) -> sa.Engine:
-    """The engine of the database, which is connected to when it is first used.
+    """Engine that contacts the database only when it is first used. The first connection creates missing tables.
+
+    A query raises ``OperationalError`` if the database does not answer within seconds.
 
     Raises:
-        InvalidInput: the URL is not valid.
+        InvalidInput: the URL is not one of PostgreSQL, or Python's SQLite is older than :data:`MIN_SQLITE`.
     """
-    if database_url is not None:
-        engine = sa.create_engine(_postgres_url(database_url), pool_pre_ping=True)
+    if database_url is None:
+        url = sa.URL.create("sqlite", database=str(Path(data_dir).resolve() / "jobs.sqlite"))
     else:
-        engine = sa.create_engine(f"sqlite:///{Path(data_dir).resolve() / 'jobs.sqlite'}", pool_pre_ping=True)
-        sa.event.listen(engine, "connect", _prepare_sqlite)
+        url = _postgres_url(database_url)
+    engine = _engine(url, _Migration(url).ensure)
     if telemetry.is_on() or telemetry.wanted():
         _trace_statements(engine)
     return engine
 
 
-def _trace_statements(engine: sa.Engine) -> None:
-    """Note each statement's time where what it is for is traced."""
-
-    def begin(connection: sa.Connection, *_: object) -> None:
-        connection.info["statement_begun_s"] = time.perf_counter()
-
-    def end(connection: sa.Connection, _cursor: object, statement: str, *_: object) -> None:
-        took_s = time.perf_counter() - connection.info["statement_begun_s"]
-        attributes = {"db.system.name": engine.dialect.name, "db.query.text": statement[:_MAX_STATEMENT]}
-        telemetry.note(f"database {statement.split(maxsplit=1)[0]}", took_s, attributes, of_others=True)
-
-    sa.event.listen(engine, "before_cursor_execute", begin)
-    sa.event.listen(engine, "after_cursor_execute", end)
-
-
-def prepare_database(engine: sa.Engine) -> None:
-    """Make the tables, or bring those of an earlier release up to date.
+def check_database(engine: sa.Engine) -> None:
+    """Connect once, and create the tables if they are missing.
 
     Raises:
+        StorageUnavailable: the database does not answer, for now.
         StorageFull: the disk is full.
-        InvalidInput: the database cannot be reached.
-        Conflict: the file is there, and no SQLite database.
+        InvalidInput: PostgreSQL refuses the connection.
+        Conflict: the file is not an SQLite database, or its tables are of a later version.
     """
-    if engine.dialect.name == "sqlite":
+    with _reporting_refusal(engine.url), reporting_full_database():
+        engine.connect().close()
+
+
+@contextmanager
+def reporting_full_database() -> Iterator[None]:
+    """Turn the database's "disk is full" into :class:`rholoc.errors.StorageFull`."""
+    try:
+        yield
+    except OperationalError as error:
+        if any(text in str(error.orig) for text in _FULL):
+            raise storage_full() from error
+        raise
+
+
+def _engine(url: sa.URL, before_connecting: Callable[[], None]) -> sa.Engine:
+    is_sqlite = url.get_backend_name() == "sqlite"
+    if is_sqlite:
+        _check_sqlite()
+    options = {} if is_sqlite else dict(_POSTGRES_OPTIONS)
+    engine = sa.create_engine(url, pool_pre_ping=True, pool_timeout=_POOL_TIMEOUT_S, connect_args=options)
+    if is_sqlite:
+        sa.event.listen(engine, "connect", _prepare_sqlite)
+
+    def connect(_dialect: object, _record: object, arguments: list[Any], options: dict[str, Any]) -> Any:
+        before_connecting()
+        return None if is_sqlite else _connect_to_postgres(arguments, options)
+
+    sa.event.listen(engine, "do_connect", connect)
+    return engine
+
+
+def _check_sqlite() -> None:
+    if sqlite3.sqlite_version_info < MIN_SQLITE:
+        wanted = ".".join(map(str, MIN_SQLITE))
+        raise InvalidInput(
+            f"This Python has SQLite {sqlite3.sqlite_version}; rholoc needs {wanted}.",
+            "Use a Python with a later SQLite, or a PostgreSQL (RHOLOC_DATABASE_URL).",
+        )
+
+
+def _connect_to_postgres(arguments: list[Any], options: dict[str, Any]) -> Any:
+    from rholoc.storage.bounded_connection import STATEMENT_TIMEOUT_S, BoundedConnection  # not loaded for SQLite
+
+    connection = BoundedConnection.connect(*arguments, **options)
+    connection.execute(f"SET statement_timeout = {int(1000 * STATEMENT_TIMEOUT_S)}")
+    connection.commit()
+    return connection
+
+
+class _Migration:
+    """Creates or updates the tables before the first connection of an engine, or before a later one if that failed."""
+
+    def __init__(self, url: sa.URL) -> None:
+        self._url = url
+        self._lock = threading.Lock()
+        self._done = False
+        self._failure: Exception | None = None
+        self._failed_s = 0.0
+
+    def ensure(self) -> None:
+        """Migrate unless that is done. Threads that wait for another one's attempt share its failure."""
+        if self._done:
+            return
+        asked_s = time.monotonic()
+        with self._lock:
+            if self._done:
+                return
+            if self._failure is not None and self._failed_s > asked_s:
+                raise self._failure
+            try:
+                _migrate(self._url)
+            except Exception as error:
+                self._failure, self._failed_s = error, time.monotonic()
+                raise
+            self._done = True
+
+
+def _migrate(url: sa.URL) -> None:
+    """Create or update the tables. Of several processes that start at once, one does and the others wait."""
+    if url.get_backend_name() == "sqlite":
         with reporting_full_disk():
-            Path(str(engine.url.database)).parent.mkdir(parents=True, exist_ok=True)
-    else:
-        _check_connection(engine)
-    with reporting_full_database(), _reporting_no_database(engine.url):
-        DBOS.migrate(engine.url.render_as_string(hide_password=False))
-        _migrate(engine)
+            Path(str(url.database)).parent.mkdir(parents=True, exist_ok=True)
+    engine = _engine(url, before_connecting=lambda: None)
+    try:
+        present = _revision(engine)
+        if present is not None and present > HEAD:
+            raise Conflict(
+                "The database is of a later version of rholoc.", "Update this one, or restore a backup from before."
+            )
+        if present != HEAD:
+            _upgrade(engine)
+    finally:
+        engine.dispose()
 
 
-def _migrate(engine: sa.Engine) -> None:
-    """Bring rholoc's tables up to date; of several processes that start at once, one does and the others wait."""
-    present = _revision(engine)
-    if present is not None and present >= HEAD:  # a later release's tables serve this one, too
-        return
+def _upgrade(engine: sa.Engine) -> None:
     from alembic import command  # only where there is something to do: it takes a start's time to import
     from alembic.config import Config
 
@@ -110,7 +199,7 @@ def _migrate(engine: sa.Engine) -> None:
 
 
 def _revision(engine: sa.Engine) -> str | None:
-    """The last migration that the database has seen; None where it has seen none."""
+    """Number of the database's last migration; None if it has none."""
     with engine.connect() as connection:
         if not sa.inspect(connection).has_table(VERSION_TABLE):
             return None
@@ -118,24 +207,61 @@ def _revision(engine: sa.Engine) -> str | None:
 
 
 def _lock(connection: sa.Connection) -> None:
-    """Until the transaction ends, no other process may migrate."""
+    """Keep other processes from migrating until the transaction ends."""
     if connection.dialect.name == "sqlite":
         connection.exec_driver_sql("BEGIN IMMEDIATE")
-    else:
-        connection.execute(sa.select(sa.func.pg_advisory_xact_lock(_LOCK_NUMBER)))
+        return
+    last_s = time.monotonic() + _MIGRATION_TIMEOUT_S
+    while not connection.execute(sa.select(sa.func.pg_try_advisory_xact_lock(_LOCK_NUMBER))).scalar():
+        if time.monotonic() > last_s:
+            raise StorageUnavailable("Another process is still creating the tables.", "Try again later.")
+        time.sleep(_RETRY_S)
 
 
 @contextmanager
-def _reporting_no_database(url: sa.URL) -> Iterator[None]:
+def _reporting_refusal(url: sa.URL) -> Iterator[None]:
+    """Turn the errors of a first connection into rholoc's."""
     try:
         yield
+    except PoolTimeout as error:
+        raise StorageUnavailable("All connections to the database are in use.", "Try again later.") from error
     except DatabaseError as error:
-        if "not a database" not in str(error):
-            raise
-        raise Conflict(
+        raise _refusal(url, error) from error
+
+
+def _refusal(url: sa.URL, error: DatabaseError) -> Exception:
+    reason = (str(error.orig).strip().splitlines() or [type(error.orig).__name__])[0].rstrip(".")
+    if url.get_backend_name() != "sqlite":
+        where = f"The database of jobs at {url.host or 'this machine'}, database {url.database}"
+        if is_silence(error):
+            return StorageUnavailable(f"{where} does not answer: {reason}.", "It is tried again; see that it runs.")
+        if isinstance(error, OperationalError):
+            return InvalidInput(f"{where} cannot be reached: {reason}.", "Check RHOLOC_DATABASE_URL.")
+        return error
+    if "not a database" in reason:
+        return Conflict(
             f"{url.database} is damaged, or not a database of jobs.",
             "Move it away; a new one will be created in its place.",
-        ) from error
+        )
+    if not isinstance(error, OperationalError):
+        return error
+    if _is_out_of_space(Path(str(url.database))):
+        return storage_full()
+    return StorageUnavailable(f"The database of jobs cannot be used: {reason}.", "Check its disk and its permissions.")
+
+
+def is_silence(error: DatabaseError) -> bool:
+    """Whether the database did not answer in time, rather than answer with an error."""
+    from psycopg.errors import ConnectionTimeout
+
+    from rholoc.storage.bounded_connection import AnswerTimeout
+
+    return isinstance(error.orig, ConnectionTimeout | AnswerTimeout)
+
+
+def _is_out_of_space(file: Path) -> bool:
+    """Whether a file's disk has no room for what SQLite writes as it opens the file."""
+    return shutil.disk_usage(file.parent).free < _NO_SPACE_BYTES
 
 
 def _postgres_url(text: str) -> sa.URL:
@@ -151,26 +277,19 @@ def _postgres_url(text: str) -> sa.URL:
     return url.set(drivername="postgresql+psycopg")
 
 
-def _check_connection(engine: sa.Engine) -> None:
-    try:
-        engine.connect().close()
-    except OperationalError as error:
-        where = f"{engine.url.host or 'this machine'}, database {engine.url.database}"
-        reason = str(error.orig).strip().splitlines()[0].rstrip(".")
-        raise InvalidInput(
-            f"The database of jobs at {where} cannot be reached: {reason}.", "Check RHOLOC_DATABASE_URL."
-        ) from error
+def _trace_statements(engine: sa.Engine) -> None:
+    """Note each statement's time where what it is for is traced."""
 
+    def begin(connection: sa.Connection, *_: object) -> None:
+        connection.info["statement_begun_s"] = time.perf_counter()
 
-@contextmanager
-def reporting_full_database() -> Iterator[None]:
-    """Turn the database's "disk is full" into :class:`rholoc.errors.StorageFull`."""
-    try:
-        yield
-    except OperationalError as error:
-        if "is full" in str(error.orig) or "No space left" in str(error.orig):
-            raise storage_full() from error
-        raise
+    def end(connection: sa.Connection, _cursor: object, statement: str, *_: object) -> None:
+        took_s = time.perf_counter() - connection.info["statement_begun_s"]
+        attributes = {"db.system.name": engine.dialect.name, "db.query.text": statement[:_MAX_STATEMENT]}
+        telemetry.note(f"database {statement.split(maxsplit=1)[0]}", took_s, attributes, of_others=True)
+
+    sa.event.listen(engine, "before_cursor_execute", begin)
+    sa.event.listen(engine, "after_cursor_execute", end)
 
 
 def _prepare_sqlite(connection: Any, _: object) -> None:
@@ -192,4 +311,4 @@ def _use_wal(connection: Any) -> None:
         except sqlite3.OperationalError as error:
             if "locked" not in str(error) or time.monotonic() > given_up_s:
                 raise
-            time.sleep(_WAL_AGAIN_S)
+            time.sleep(_RETRY_S)

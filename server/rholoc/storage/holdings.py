@@ -27,7 +27,7 @@ class Holding:
         kind: what it is.
         name: a map's name, else an id.
         key: the name of the key.
-        holder: the name of the key that ``key`` was handed on by; empty where it was not.
+        holder: name of the first of the keys that handed ``key`` on; empty if none did.
         size_bytes: of a recording's files; 0 of anything else.
     """
 
@@ -59,9 +59,9 @@ class Holdings:
             connection.execute(table.delete().where(*_is(kind, new_name)))
             connection.execute(table.update().where(*_is(kind, name)).values(name=new_name))
 
-    def of(self, key: str) -> Sequence[Holding]:
-        """What a key holds, with what the keys hold that it handed on."""
-        return self._found(sa.or_(table.c.key == key, table.c.holder == key))
+    def of(self, keys: Sequence[str]) -> Sequence[Holding]:
+        """Holdings of some keys by name, with those of keys below them that were revoked since."""
+        return self._found(sa.or_(table.c.key.in_(keys), table.c.holder.in_(keys)))
 
     def all(self) -> Sequence[Holding]:
         """What all keys hold."""

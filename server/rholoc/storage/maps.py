@@ -15,7 +15,7 @@ from sqlalchemy.exc import SQLAlchemyError
 from rholoc.errors import InvalidMap
 from rholoc.maps import Map, MapInfo, MapLibrary, MapStat, check_map_name, load_map
 from rholoc.maps.library import KEPT_VERSIONS, changed, name_taken, no_version
-from rholoc.maps.rho_file import load_info
+from rholoc.maps.rho_file import LENGTH_BYTES, MapOutline, header_bytes, load_info, outline_of
 from rholoc.storage.copies import Copies
 from rholoc.storage.objects import MissingObject
 from rholoc.storage.replica import MapRow, Replica
@@ -70,16 +70,28 @@ class SharedMapLibrary(MapLibrary):
         self._replica = replica
         self._copies = copies
         self._with_publishing: WithPublishing = lambda connection, map_: None
+        self._acts_on_publishing = False
 
     def publishing_with(self, act: WithPublishing) -> SharedMapLibrary:
         """This library, which does something more in each transaction that publishes a map, or does neither."""
         library = copy.copy(self)
-        library._with_publishing = act
+        library._with_publishing, library._acts_on_publishing = act, True
         return library
 
     def names(self) -> list[str]:
         """The names of all maps, sorted."""
         return sorted(self._replica.maps)
+
+    def is_known(self, name: str) -> bool:
+        """As :meth:`MapLibrary.is_known`, by the catalogue as it was last seen."""
+        return name in self._replica.maps
+
+    def is_here(self, name: str) -> bool:
+        """As :meth:`MapLibrary.is_here`: in memory, or copied to this disk."""
+        row = self._replica.maps.get(name)
+        if row is None:
+            return False
+        return self._cache.get(name, self.stat(name).signature) is not None or self._copies.has(row.blob)
 
     def path(self, name: str) -> Path:
         """A copy of the map's file, on this machine; it is fetched where there is none.
@@ -129,6 +141,23 @@ class SharedMapLibrary(MapLibrary):
     def map_id(self, name: str) -> str:
         """As :meth:`MapLibrary.map_id`, without fetching the map."""
         return self._row(name).map_id
+
+    def outline(self, name: str) -> MapOutline:
+        """As :meth:`MapLibrary.outline`; of a file that is not here only the header is fetched.
+
+        Raises:
+            StorageUnavailable: it cannot be fetched.
+        """
+        row, signature = self._row(name), self.stat(name).signature
+        known = self._outlines.get(name)
+        if known is not None and known[0] == signature:
+            return known[1]
+        if self._copies.has(row.blob):
+            return super().outline(name)
+        length = header_bytes(self._copies.read(row.blob, 0, LENGTH_BYTES), name)
+        found = outline_of(self._copies.read(row.blob, LENGTH_BYTES, length), name)
+        self._outlines[name] = (signature, found)
+        return found
 
     def stamp(self) -> int:
         """As :meth:`MapLibrary.stamp`: the catalogue's revision."""
@@ -210,6 +239,7 @@ class SharedMapLibrary(MapLibrary):
         Raises:
             SQLAlchemyError, StorageUnavailable: it is done the next time.
         """
+        self._copies.sweep()
         old = time.time() - _ORPHANED_AFTER_S
         stored = [blob for blob, modified in self._copies.stored() if modified < old]
         with self._replica.engine.connect() as connection:  # after the listing: what was named since then is kept
@@ -225,12 +255,23 @@ class SharedMapLibrary(MapLibrary):
         Raises:
             StorageUnavailable, StorageFull: it cannot be fetched.
         """
-        if self._copies.has(before.blob):
+        if not self.is_prepared(before, after):
             self._copies.path(after.blob, after.size_bytes)
+
+    def is_prepared(self, before: MapRow, after: MapRow) -> bool:
+        """Whether :meth:`prepare` would fetch nothing."""
+        return self._copies.has(after.blob) or not self._copies.has(before.blob)
+
+    def readable(self) -> list[str]:
+        """The names of all maps: files were checked before the catalogue named them, and none is fetched to do so."""
+        return self.names()
 
     def _make_folder(self) -> None:
         super()._make_folder()
         self._copies.make_room()  # something else may have filled the disk
+
+    def _holds_same(self, name: str, arrived: Path) -> bool:
+        return not self._acts_on_publishing and super()._holds_same(name, arrived)
 
     def _publish(self, name: str, arrived: Path, map_: Map) -> None:
         size_bytes = arrived.stat().st_size

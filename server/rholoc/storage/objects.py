@@ -1,15 +1,17 @@
-"""Object storage: S3, Google Cloud Storage, Azure, or a folder, by URL. What is stored never changes."""
+"""Object storage: S3, Google Cloud Storage, Azure, or a folder. What is stored never changes."""
 
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
-from collections.abc import Iterator
+import shutil
+from collections.abc import Iterable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from datetime import timedelta
 from pathlib import Path
-from urllib.parse import urlsplit
+from urllib.parse import unquote, urlsplit
 from uuid import uuid4
 
 import obstore
@@ -17,7 +19,7 @@ from obstore.exceptions import BaseError, NotFoundError, PermissionDeniedError, 
 from obstore.store import from_url
 
 from rholoc import telemetry
-from rholoc.disk import is_full, reporting_full_disk, storage_full
+from rholoc.disk import is_full, reporting_full_disk, storage_full, sync_folder, write_file
 from rholoc.errors import InvalidInput, StorageUnavailable
 
 _SCHEMES = ("file", "s3", "gs", "az", "memory")
@@ -26,6 +28,7 @@ _TIMEOUT_S = 60.0  # of one request for an object, or a piece of one
 _CONNECT_TIMEOUT_S = 5.0
 _RETRY_FOR_S = 20.0
 _RETRIES = 5
+_ATTEMPTS = 100  # to write beside an object that is being deleted
 
 
 class MissingObject(StorageUnavailable):
@@ -50,8 +53,10 @@ class StoredObject:
 class ObjectStorage:
     """Objects by key. Keys are made new for each object, so that nothing is ever replaced.
 
+    In a folder, an object is the file that its key names, and is durable once it was put.
+
     Args:
-        url: ``file:///folder``, ``s3://bucket/prefix``, ``gs://bucket/prefix`` or ``az://container/prefix``.
+        place: a folder, or the URL ``file:///folder``, ``s3://bucket/prefix``, ``gs://bucket/prefix`` or ``az://container/prefix``.
             Credentials, region and endpoint come from the environment, as each provider's own tools take them
             (``AWS_ACCESS_KEY_ID``, ``AWS_ENDPOINT_URL`` …); ``AWS_ALLOW_HTTP=true`` allows one without HTTPS.
 
@@ -59,14 +64,16 @@ class ObjectStorage:
         InvalidInput: it is not such a URL, or the folder cannot be made.
     """
 
-    def __init__(self, url: str) -> None:
-        self._folder: Path | None = None
+    def __init__(self, place: str | Path) -> None:
+        url = place.resolve().as_uri() if isinstance(place, Path) else place
+        self._mode = 0o700 if isinstance(place, Path) else 0o777  # of folders: other machines may have other users
         parts = urlsplit(url)
         if parts.scheme not in _SCHEMES or (parts.scheme == "file" and (parts.netloc or parts.path in ("", "/"))):
             raise InvalidInput(  # without the text: it may hold a secret
                 "RHOLOC_STORAGE_URL is not the URL of a storage.",
                 "Give s3://bucket/prefix, gs://bucket/prefix, az://container/prefix, file:///folder, or nothing.",
             )
+        self._folder = Path(unquote(parts.path)).resolve() if parts.scheme == "file" else None
         try:
             if parts.scheme == "file":
                 self._store = from_url(url, mkdir=True)
@@ -93,7 +100,43 @@ class ObjectStorage:
             StorageFull: it is a folder on a disk that is full.
         """
         with _traced("put", key), _reporting("write to"):
-            obstore.put(self._store, key, content, chunk_size=_PIECE_BYTES)
+            if self._folder is None:
+                obstore.put(self._store, key, content, chunk_size=_PIECE_BYTES)
+            else:
+                _put_file(self._folder / key, content, self._mode)
+
+    def put_folder(self, prefix: str, folder: Path, names: Iterable[str]) -> None:
+        """Store files of a folder under the keys ``prefix/NAME``, and remove the folder.
+
+        A storage in the same file system takes the folder itself, whole; files must be synced to disk before. Others
+        copy the files.
+
+        Raises:
+            StorageUnavailable, StorageFull: as :meth:`put`; the folder is still there.
+        """
+        if self._folder is None or not self._take_folder(self._folder / prefix, folder):
+            for name in names:
+                self.put(f"{prefix}/{name}", folder / name)
+            shutil.rmtree(folder, ignore_errors=True)
+
+    def _take_folder(self, target: Path, folder: Path) -> bool:
+        """Rename a folder into the storage. Returns False if it is in another file system, or there is one already."""
+        with _reporting("write to"):
+            target.parent.mkdir(parents=True, exist_ok=True)
+            for inner in [folder, *(path for path in folder.rglob("*") if path.is_dir())]:
+                sync_folder(inner)
+            try:
+                folder.rename(target)
+            except OSError as error:
+                if error.errno in (errno.EXDEV, errno.ENOTEMPTY, errno.EEXIST):
+                    return False
+                raise
+            sync_folder(target.parent)
+        return True
+
+    def is_at(self, folder: Path) -> bool:
+        """Whether the objects are files in this very folder."""
+        return self._folder == folder.resolve()
 
     def fetch(self, key: str, target: Path) -> int:
         """Copy an object into a file; returns its size in bytes. A copy that breaks off leaves no file.
@@ -117,14 +160,27 @@ class ObjectStorage:
             arrived.unlink(missing_ok=True)
         return size
 
+    def read(self, key: str, start: int, length: int) -> bytes:
+        """Some bytes of an object, fewer if it ends before.
+
+        Raises:
+            MissingObject: there is none of that key.
+            StorageUnavailable: the storage does not give it.
+        """
+        with _traced("get", key), _reporting("read from"):
+            return bytes(obstore.get_range(self._store, key, start=start, length=length))
+
     def delete(self, key: str) -> None:
-        """Remove an object; one that is not there is none the worse for it.
+        """Remove an object. A missing object is not an error.
 
         Raises:
             StorageUnavailable: the storage does not answer.
         """
         with _traced("delete", key), _reporting("delete from"), contextlib.suppress(NotFoundError, FileNotFoundError):
             obstore.delete(self._store, key)
+            if self._folder is not None:
+                with contextlib.suppress(OSError):  # it holds others
+                    (self._folder / key).parent.rmdir()
 
     def list(self, prefix: str) -> Iterator[StoredObject]:
         """The objects whose keys begin with a folder's name.
@@ -136,6 +192,23 @@ class ObjectStorage:
             for page in obstore.list(self._store, prefix):
                 for meta in page:
                     yield StoredObject(meta["path"], meta["size"], meta["last_modified"].timestamp())
+
+
+def _put_file(path: Path, content: bytes | Path, mode: int) -> None:
+    for attempt in range(_ATTEMPTS):
+        path.parent.mkdir(mode, parents=True, exist_ok=True)
+        try:
+            write_file(path, content if isinstance(content, bytes) else _pieces(content))
+            return
+        except FileNotFoundError:  # the last object beside it was deleted, and the folder with it
+            if attempt == _ATTEMPTS - 1:
+                raise
+
+
+def _pieces(path: Path) -> Iterator[bytes]:
+    with path.open("rb") as file:
+        while piece := file.read(_PIECE_BYTES):
+            yield piece
 
 
 def _traced(operation: str, key: str) -> AbstractContextManager[telemetry.Marks]:

@@ -6,11 +6,14 @@ seen when it is back.
 
 from __future__ import annotations
 
+import json
 import threading
 import time
+from base64 import b64decode, b64encode
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
 from typing import TypeVar
 
 import sqlalchemy as sa
@@ -18,6 +21,7 @@ import structlog
 from sqlalchemy.exc import SQLAlchemyError
 
 from rholoc.errors import RholocError
+from rholoc.maps.files import replace_file
 from rholoc.storage.change_listener import ChangeListener, notify
 from rholoc.storage.tables import catalogue_table, documents_table, maps_table
 
@@ -25,6 +29,7 @@ FOLLOW_EVERY_S = 0.5
 """How often the database is asked where it does not tell of changes, or might not have."""
 
 _LOOK_AGAIN_AFTER_S = 0.1
+_STOP_S = 2.0
 _log = structlog.get_logger("rholoc.storage")
 
 
@@ -66,21 +71,29 @@ class Replica:
         engine: the database's.
         prepare: called with the row before and the row after a map was changed by another process, before the change is
             seen here. Where it raises, the map before is seen until it succeeds.
+        is_prepared: whether ``prepare`` would have nothing to do.
     """
 
     def __init__(
-        self, engine: sa.Engine, prepare: Callable[[MapRow, MapRow], None] = lambda before, after: None
+        self,
+        engine: sa.Engine,
+        prepare: Callable[[MapRow, MapRow], None] = lambda before, after: None,
+        is_prepared: Callable[[MapRow, MapRow], bool] = lambda before, after: True,
     ) -> None:
         self._engine = engine
         self._prepare = prepare
+        self._needs_nothing = is_prepared
         self._maps: dict[str, MapRow] = {}
         self._documents: dict[str, bytes] = {}
         self._revision = -1
         self._looked_again_s = float("-inf")
+        self._looking = threading.Lock()
         self._unprepared: dict[str, MapRow] = {}
         self._lock = threading.Lock()
         self._stopping = threading.Event()
         self._follower: threading.Thread | None = None
+        self._kept_in: Path | None = None
+        self._kept_revision = -1
 
     @property
     def maps(self) -> Mapping[str, MapRow]:
@@ -103,21 +116,24 @@ class Replica:
         return self._engine
 
     def refresh(self) -> None:
-        """See what has changed.
+        """See what has changed. Changed maps that have to be prepared are left to the thread that follows, if any.
 
         Raises:
             SQLAlchemyError: the database does not answer; what was seen stays.
         """
-        self._apply(self._changes())
+        changes = self._changes()
+        self._apply(self._prepared(changes, self._follower is None))
 
     def look_again(self) -> None:
-        """See what has changed, where somebody asks for what is not known here; not more than a few times a second."""
-        now = time.monotonic()
-        if now - self._looked_again_s < _LOOK_AGAIN_AFTER_S:
+        """Refresh on a miss, at most a few times a second. Only one thread waits for the database at a time."""
+        if time.monotonic() - self._looked_again_s < _LOOK_AGAIN_AFTER_S or not self._looking.acquire(blocking=False):
             return
-        self._looked_again_s = now
-        with suppress(SQLAlchemyError):
-            self.refresh()
+        try:
+            with suppress(SQLAlchemyError):
+                self.refresh()
+        finally:
+            self._looked_again_s = time.monotonic()
+            self._looking.release()
 
     @contextmanager
     def changing(self) -> Iterator[tuple[sa.Connection, int]]:
@@ -136,16 +152,27 @@ class Replica:
         except SQLAlchemyError:
             _log.warning("catalogue_not_refreshed", exc_info=True)  # it is the next time
 
+    def recall(self, file: Path) -> None:
+        """See what the catalogue held when it was last followed, and keep the file up to date from now on.
+
+        What is recalled is shown until the first :meth:`refresh`, which replaces all of it.
+        """
+        self._kept_in = file
+        with suppress(OSError, ValueError, KeyError, TypeError):
+            kept = json.loads(file.read_bytes())
+            self._maps = {row["name"]: MapRow(**row) for row in kept["maps"]}
+            self._documents = {path: b64decode(content) for path, content in kept["documents"].items()}
+
     def follow(self) -> None:
         """Begin to follow what other processes change, in a thread."""
         self._follower = threading.Thread(target=self._follow, name="rholoc-catalogue", daemon=True)
         self._follower.start()
 
     def close(self) -> None:
-        """Stop following."""
+        """Stop following; a thread that a silent database holds up is left behind."""
         self._stopping.set()
         if self._follower is not None:
-            self._follower.join()
+            self._follower.join(_STOP_S)
 
     def _changes(self) -> _Changes:
         """What has changed since what is seen."""
@@ -167,8 +194,9 @@ class Replica:
         with self._lock:
             if changes.revision <= self._revision:  # another thread was quicker, and has seen all of this
                 return
-            self._maps = _merged(self._maps, changes.maps)
-            self._documents = _merged(self._documents, changes.documents)
+            is_first = self._revision < 0  # all of the catalogue, in place of what was recalled
+            self._maps = _merged({} if is_first else self._maps, changes.maps)
+            self._documents = _merged({} if is_first else self._documents, changes.documents)
             self._revision = changes.revision
 
     def _follow(self) -> None:
@@ -178,30 +206,51 @@ class Replica:
             listener.wait(FOLLOW_EVERY_S, self._stopping)
             try:
                 changes = self._changes()
-                self._apply(replace(changes, maps=self._prepared(changes.maps)))
+                self._apply(self._prepared(changes, may_wait=True))
                 self._apply_late()
+                self._keep()
                 failing = False
-            except SQLAlchemyError:
+            except Exception:  # whatever it was, later changes are still to be seen
                 if not failing:
                     _log.warning("catalogue_not_refreshed", exc_info=True)
                 failing = True
         listener.close()
 
-    def _prepared(self, changed: Mapping[str, MapRow | None]) -> dict[str, MapRow | None]:
-        """The maps that changed and are ready to be asked; those that are not stay what they are meanwhile."""
-        ready = {}
-        for name, row in changed.items():
-            self._unprepared.pop(name, None)
-            if self._is_prepared(name, row):
-                ready[name] = row
-            elif row is not None:
-                self._unprepared[name] = row
-        return ready
+    def _keep(self) -> None:
+        """Write what is seen where :meth:`recall` finds it, if it has changed."""
+        if self._kept_in is None or self._kept_revision == self._revision:
+            return
+        revision, maps, documents = self._revision, self._maps, self._documents
+        kept = {
+            "maps": [asdict(row) for row in maps.values()],
+            "documents": {path: b64encode(content).decode() for path, content in documents.items()},
+        }
+        with suppress(OSError, RholocError):  # a full disk: what was kept before is better than nothing
+            replace_file(self._kept_in, json.dumps(kept).encode(), called="the catalogue", mode=0o600)
+            self._kept_revision = revision
 
-    def _is_prepared(self, name: str, row: MapRow | None) -> bool:
+    def _prepared(self, changes: _Changes, may_wait: bool) -> _Changes:
+        """Changes with the maps that are ready to be asked; the others are noted, and stay what they are meanwhile."""
+        ready = {}
+        for name, row in changes.maps.items():
+            if row is None or self._is_prepared(name, row, may_wait):
+                ready[name] = row
+            with self._lock:
+                noted = self._unprepared.get(name)
+                if noted is not None and noted.revision > changes.revision:
+                    continue  # by a thread that was quicker, and has seen more
+                if row is None or name in ready:
+                    self._unprepared.pop(name, None)
+                else:
+                    self._unprepared[name] = row
+        return replace(changes, maps=ready)
+
+    def _is_prepared(self, name: str, row: MapRow, may_wait: bool) -> bool:
         before = self._maps.get(name)
-        if row is None or before is None or before.revision >= row.revision:
+        if before is None or before.revision >= row.revision or self._needs_nothing(before, row):
             return True
+        if not may_wait:
+            return False
         try:
             self._prepare(before, row)
         except RholocError:
@@ -211,9 +260,11 @@ class Replica:
 
     def _apply_late(self) -> None:
         """See the maps that could not be prepared before and now can."""
-        late = {name: row for name, row in self._unprepared.items() if self._is_prepared(name, row)}
-        self._unprepared = {name: row for name, row in self._unprepared.items() if name not in late}
+        late = {name: row for name, row in list(self._unprepared.items()) if self._is_prepared(name, row, True)}
         with self._lock:
+            for name, row in late.items():
+                if self._unprepared.get(name) == row:
+                    del self._unprepared[name]
             present = self._maps
             newer = {n: row for n, row in late.items() if n in present and present[n].revision < row.revision}
             self._maps = _merged(present, newer)

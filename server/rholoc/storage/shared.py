@@ -9,7 +9,7 @@ import sqlalchemy as sa
 
 from rholoc.disk import reporting_full_disk
 from rholoc.storage.copies import Copies
-from rholoc.storage.database import database_engine, prepare_database, reporting_full_database
+from rholoc.storage.database import check_database, database_engine, reporting_full_database
 from rholoc.storage.documents import CatalogueDocuments
 from rholoc.storage.maps import SharedMapLibrary, StoredMap
 from rholoc.storage.objects import ObjectStorage
@@ -19,6 +19,7 @@ from rholoc.storage.tables import documents_table
 ASKERS, CAMERAS, KEYS, SITES = "askers", "cameras", "keys", "sites"  # kinds of small files
 _MAPS = "maps"
 _COPIES = "copies"
+_CATALOGUE = "catalogue.json"  # as it was last seen
 
 
 class SharedStorage:
@@ -45,7 +46,7 @@ class SharedStorage:
     ) -> None:
         self.objects = ObjectStorage(storage_url)
         self._copies = Copies(self.objects, _MAPS, Path(data_dir) / _COPIES, copies_bytes)
-        self._replica = Replica(database_engine(data_dir, database_url), self._prepare)
+        self._replica = Replica(database_engine(data_dir, database_url), self._prepare, self._is_prepared)
         self.library = SharedMapLibrary(self._replica, self._copies, cache_bytes)
 
     @property
@@ -70,24 +71,33 @@ class SharedStorage:
             rows = connection.execute(wanted.where(documents_table.c.content.is_not(None)))
             return maps, {row.path: bytes(row.content) for row in rows}
 
+    def recall(self) -> None:
+        """Show what the catalogue held when this machine last followed it, until :meth:`open` succeeds."""
+        self._replica.recall(self._copies.folder / _CATALOGUE)
+
+    def follow(self) -> None:
+        """Go on seeing what others change, in a thread, until :meth:`close`."""
+        self._replica.follow()
+
     def open(self, follow: bool = False) -> None:
-        """Make or update the tables, and see what the catalogue holds.
+        """Read what the catalogue holds. Create its tables if they are missing.
 
         Args:
-            follow: whether to go on seeing what others change, in a thread, until :meth:`close`.
+            follow: whether to :meth:`follow` as well.
 
         Raises:
             StorageFull: the disk is full.
-            InvalidInput: the database cannot be reached.
+            StorageUnavailable: the database does not answer, for now.
+            InvalidInput: PostgreSQL refuses the connection.
             Conflict: the SQLite file is none.
         """
         with reporting_full_disk():
             self._copies.folder.mkdir(parents=True, exist_ok=True)
-        prepare_database(self.engine)
+        check_database(self.engine)
         with reporting_full_database():
             self._replica.refresh()
         if follow:
-            self._replica.follow()
+            self.follow()
 
     def refresh(self) -> None:
         """See what others have changed.
@@ -104,3 +114,6 @@ class SharedStorage:
 
     def _prepare(self, before: MapRow, after: MapRow) -> None:
         self.library.prepare(before, after)
+
+    def _is_prepared(self, before: MapRow, after: MapRow) -> bool:
+        return self.library.is_prepared(before, after)

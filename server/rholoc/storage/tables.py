@@ -23,20 +23,18 @@ jobs_table = sa.Table(
     sa.Column("progress", sa.Float, nullable=False),
     sa.Column("message", sa.Text, nullable=False),
     sa.Column("log", sa.JSON, nullable=False),
-    sa.Column("warnings", sa.JSON),  # null in jobs of before there were warnings
+    sa.Column("warnings", sa.JSON, nullable=False),
     sa.Column("error_code", sa.Text),
     sa.Column("error_message", sa.Text),
     sa.Column("error_hint", sa.Text),
     sa.Column("created", sa.Float, nullable=False),
     sa.Column("started", sa.Float),
     sa.Column("ended", sa.Float),
-    sa.Column("attempts", sa.Integer, nullable=False),
-    # The DBOS workflow of the latest submission or retry; with ``attempts`` it tells a hold from earlier ones.
-    sa.Column("workflow_id", sa.Text, nullable=False),
-    # Who has the job: this row alone says so. What follows is null in jobs of releases without it.
-    sa.Column("worker", sa.String(100)),
-    sa.Column("release", sa.Integer),  # of the work: an earlier release's workers leave it alone
-    sa.Column("turn", sa.Float),  # jobs are taken in its order
+    sa.Column("attempts", sa.Integer, nullable=False),  # how many workers have taken it
+    sa.Column("deaths", sa.Integer, nullable=False),  # how many of them died with it
+    sa.Column("run", sa.String(41), nullable=False),  # of the last submission or retry; names the job's work folder
+    sa.Column("worker", sa.String(100)),  # who has the job: this column alone says so
+    sa.Column("turn", sa.Float, nullable=False),  # jobs are taken in its order
     sa.Column("memory_bytes", sa.BigInteger),  # null: not known yet
     sa.Column("asked_in", sa.Text),  # the request's trace, as a W3C traceparent; null where it was not traced
 )
@@ -46,8 +44,8 @@ workers_table = sa.Table(
     metadata,
     sa.Column("id", sa.String(100), primary_key=True),
     sa.Column("heartbeat", sa.Float, nullable=False),
-    sa.Column("release", sa.Integer),  # null, as what follows: a worker of a release without it
     sa.Column("memory_bytes", sa.BigInteger),  # for its jobs; null: without limit
+    sa.Column("error", sa.Text),  # why it dies whenever it is started; null: it lives
 )
 
 # One row. Whoever changes the catalogue counts it up first and so holds the row until the transaction ends: revisions
@@ -101,7 +99,7 @@ recordings_table = sa.Table(
     sa.Column("created", sa.Float, nullable=False),
 )
 
-# What a job read in a recording and what people corrected: its hidden files.
+# Notes on a recording: hidden files with what a job read from it, and waypoints that people corrected.
 recording_notes_table = sa.Table(
     "rholoc_recording_notes",
     metadata,

@@ -1,6 +1,6 @@
 """Recording → frame poses: what pictures, IMU and waypoints measured, adjusted together."""
 
-from rholoc.trajectory.estimate import estimate_trajectory, odometry_from_flow
+from rholoc.trajectory.estimate import estimate_trajectory, odometry_from_flow, rolling_shutter_of
 from rholoc.trajectory.trajectory import PoseMethod, Scale, Trajectory
 
-__all__ = ["PoseMethod", "Scale", "Trajectory", "estimate_trajectory", "odometry_from_flow"]
+__all__ = ["PoseMethod", "Scale", "Trajectory", "estimate_trajectory", "odometry_from_flow", "rolling_shutter_of"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
 from typing import Any, TypeVar
 
@@ -11,6 +12,9 @@ from rholoc.processes import ChildDied, ChildFailed
 from rholoc.progress import ProgressListener, Stage
 
 Result = TypeVar("Result")
+
+_log = logging.getLogger("rholoc.trajectory")
+_SINGULAR = "Indeterminant linear system"  # gtsam's words
 
 
 class ReconstructionKilled(MappingFailed):
@@ -45,4 +49,15 @@ def run_in_child(function: Callable[..., Result], *args: Any, progress: Progress
         kind = ReconstructionKilled if died.was_killed else MappingFailed
         raise kind(f"The reconstruction's process died ({died.reason}).", hint) from None
     except ChildFailed as error:
-        raise MappingFailed(f"The reconstruction failed: {error}", "Please report this recording.") from None
+        _log.exception("the reconstruction failed unexpectedly")
+        raise _unexpected(str(error)) from None
+
+
+def _unexpected(error: str) -> MappingFailed:
+    """An error that no step of the reconstruction foresees, such as a library's, in words for its user."""
+    if _SINGULAR in error:
+        return MappingFailed("What was measured leaves the shape of the walk open.", "Walk further, and in loops.")
+    return MappingFailed(
+        f"The reconstruction stopped at an unexpected error: {error}",
+        "Retry. If it happens again, report this line together with the recording.",
+    )

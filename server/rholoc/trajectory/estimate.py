@@ -11,20 +11,27 @@ from rholoc.errors import InvalidCamera, InvalidRecording, InvalidWaypoints, Map
 from rholoc.features import FeatureSet
 from rholoc.geometry import UP, Camera, FloatArray, IntArray, angles_between
 from rholoc.progress import ProgressListener, Stage, silent
-from rholoc.recordings import Imu, Recording, Waypoint, check_waypoints_fix_frame
+from rholoc.recordings import Imu, PoseKind, Recording, Waypoint, check_waypoints_fix_frame
 from rholoc.reports import ImuReport, InertialComparison, TrajectoryReport
 from rholoc.trajectory.checks.blame import LeftOut, explain
 from rholoc.trajectory.checks.gaps import describe, missing_spans
+from rholoc.trajectory.checks.given_poses import PoseAxes, check_given_poses
 from rholoc.trajectory.child import run_in_child
 from rholoc.trajectory.dead_reckoning import integrate_between_waypoints
 from rholoc.trajectory.frame.upright import up_without_roll
 from rholoc.trajectory.frame.waypoint_times import choices_of_pauses, find_pauses, times_are_known
 from rholoc.trajectory.inertial_adjustment import adjust_between_waypoints
-from rholoc.trajectory.reconstruction import Reconstruction, Sights, reconstruct
+from rholoc.trajectory.reconstruction import (
+    Reconstruction,
+    Sights,
+    reconstruct,
+    reconstruct_from_poses,
+    unmoved_frame,
+)
 from rholoc.trajectory.trajectory import PoseMethod, Scale, Trajectory
 from rholoc.trajectory.visual.flow import Flow, track_corners
 from rholoc.trajectory.visual.keyframe_features import ImageListener, KeyframeFeatures
-from rholoc.trajectory.visual.keyframes import choose_keyframes
+from rholoc.trajectory.visual.keyframes import choose_keyframes, choose_pictures, is_film
 from rholoc.trajectory.visual.rolling_shutter import RollingShutter, measure_rolling_shutter
 from rholoc.trajectory.visual.self_calibration import calibration_report
 
@@ -66,7 +73,10 @@ def estimate_trajectory(
     """
     if recording.waypoints:
         check_waypoints_fix_frame(recording.waypoints)
+    recording = _with_poses_in_metres(recording)
     match method:
+        case PoseMethod.AUTO:
+            return _automatic(recording, progress, show)
         case PoseMethod.GIVEN:
             return _given(recording)
         case PoseMethod.INERTIAL:
@@ -75,6 +85,82 @@ def estimate_trajectory(
             return odometry_from_flow(recording, track_corners(recording.frames, progress), progress)
         case PoseMethod.VISUAL | PoseMethod.VISUAL_INERTIAL:
             return _visual(recording, method, progress, show)
+
+
+def _with_poses_in_metres(recording: Recording) -> Recording:
+    """The recording, its poses scaled by a known length where their unit is not stated."""
+    poses = recording.poses
+    if poses is None or poses.metric:
+        return recording
+    positions = poses.T_map_camera[:, :3, 3]
+    rows = dict(zip(recording.frames.numbers.tolist(), range(len(positions)), strict=True))
+    ratios = [
+        one.length_m / apart
+        for one in recording.lengths
+        if (apart := float(np.linalg.norm(positions[rows[one.first]] - positions[rows[one.second]]))) > 0
+    ]
+    if not ratios:
+        return recording
+    T = poses.T_map_camera.copy()
+    T[:, :3, 3] *= np.median(ratios)
+    return replace(recording, poses=replace(poses, T_map_camera=T, metric=True))
+
+
+def _automatic(recording: Recording, progress: ProgressListener, show: ImageListener | None) -> Trajectory:
+    """Poses by what the recording has: its own where its pictures agree with them, else pictures, IMU and waypoints.
+
+    Waypoints are measured in the frame that the map is to have, which the recording's own poses need not be in.
+    """
+    if recording.poses is None or recording.poses.known.sum() < _FEWEST_GIVEN or recording.waypoints:
+        return _visual(recording, PoseMethod.VISUAL_INERTIAL, progress, show)
+    if recording.camera is None:
+        return _because(_visual(recording, PoseMethod.VISUAL_INERTIAL, progress, show), "came without intrinsics")
+    check = check_given_poses(recording, recording.camera)
+    if np.isnan(check.error):
+        return _given(recording)
+    if not check.usable:
+        off_px = check.error * recording.camera.focal
+        why = f"contradict its pictures by {off_px:.0f} px in whatever axes"
+        return _because(_visual(recording, PoseMethod.VISUAL_INERTIAL, progress, show), why)
+    read = replace(recording, poses=replace(recording.poses, T_map_camera=check.read(recording.poses.T_map_camera)))
+    if check.exact and recording.poses.kind is PoseKind.EXACT:
+        found = _given(read)
+    else:
+        found = _adjusted_to_pictures(read, progress, show)
+    if check.axes is PoseAxes.AS_DOCUMENTED:
+        return found
+    note = f"The poses are {check.axes}, and were read so."
+    return replace(found, report=replace(found.report, why=f"{found.report.why} {note}".strip()))
+
+
+def _because(found: Trajectory, why: str) -> Trajectory:
+    """The trajectory, which says why the recording's own poses were not used."""
+    note = f"The recording's own poses {why}; its pictures were used."
+    return replace(found, report=replace(found.report, why=f"{found.report.why} {note}".strip()))
+
+
+def _adjusted_to_pictures(recording: Recording, progress: ProgressListener, show: ImageListener | None) -> Trajectory:
+    """The recording's own poses, which drift, adjusted to its pictures."""
+    assert recording.poses is not None
+    with KeyframeFeatures(recording.frames, (), show) as features:
+        flow = track_corners(recording.frames, progress, features.foresee)
+        rows = np.intersect1d(_chosen(flow), np.flatnonzero(recording.poses.known))
+        _require_keyframes(rows, len(recording.frames.times))
+        sights = _sights(recording, flow, rows, features.of(rows, progress))
+    T = recording.poses.T_map_camera[rows]
+    upright, up = _is_upright(T[:, :3, :3])
+    scale = Scale.METRIC if recording.poses.metric else Scale.ARBITRARY
+    frame = unmoved_frame(scale, upright, up)
+    found = run_in_child(
+        reconstruct_from_poses, sights, _known_camera(recording), T, frame, progress=progress, stage=Stage.POSES
+    )
+    trajectory = _trajectory_of(found, PoseMethod.GIVEN, sights, progress)
+    moved = np.linalg.norm(found.T_map_camera[found.placed, :3, 3] - T[found.placed, :3, 3], axis=1)
+    unit = (
+        f"{100 * float(np.median(moved)):.0f} cm" if recording.poses.metric else f"{float(np.median(moved)):.3g} units"
+    )
+    note = f"The recording's own poses, adjusted to its pictures by {unit} in the median."
+    return replace(trajectory, report=replace(trajectory.report, why=f"{trajectory.report.why} {note}".strip()))
 
 
 def odometry_from_flow(recording: Recording, flow: Flow, progress: ProgressListener = silent) -> Trajectory:
@@ -95,6 +181,20 @@ def odometry_from_flow(recording: Recording, flow: Flow, progress: ProgressListe
     rows, choices = _keyframes(alone, alone.imu, flow)
     sights = _sights(alone, flow, rows, [FeatureSet.empty(0)] * len(rows))
     return _placed(alone, PoseMethod.ODOMETRY, sights, alone.imu, choices, progress)
+
+
+def rolling_shutter_of(
+    recording: Recording, rows: IntArray, progress: ProgressListener = silent
+) -> RollingShutter | None:
+    """How the image moves in the frames ``rows`` (K,) while they are read; None if the read-out time is not known.
+
+    Raises:
+        InvalidRecording: a frame cannot be decoded.
+        Cancelled: ``progress`` asked to stop.
+    """
+    if recording.readout_s is None or not recording.frames.timed:
+        return None
+    return measure_rolling_shutter(track_corners(recording.frames, progress), rows, recording.readout_s)
 
 
 def _given(recording: Recording) -> Trajectory:
@@ -126,6 +226,10 @@ def _inertial(recording: Recording, progress: ProgressListener) -> Trajectory:
     camera = _known_camera(recording)
     if recording.imu is None:
         raise InvalidRecording("The recording has no IMU table.", "Choose poses 'visual'.")
+    if not recording.frames.timed:
+        raise InvalidRecording(
+            "The pictures have no times, so the IMU cannot be used.", "Add frames.csv with frame,timestamp."
+        )
     if not recording.waypoints:
         raise InvalidWaypoints("The IMU needs waypoints to correct it.", "Measure three or more, at rest at each.")
     rows, choices = _keyframes(recording, recording.imu, track_corners(recording.frames, progress))
@@ -151,8 +255,9 @@ def _inertial(recording: Recording, progress: ProgressListener) -> Trajectory:
 def _visual(
     recording: Recording, method: PoseMethod, progress: ProgressListener, show: ImageListener | None
 ) -> Trajectory:
-    imu = recording.imu if method is PoseMethod.VISUAL_INERTIAL else None
-    with KeyframeFeatures(recording.frames, _rows_at(recording.frames.times, recording.waypoints), show) as features:
+    imu = recording.imu if method is PoseMethod.VISUAL_INERTIAL and recording.frames.timed else None
+    stops = _rows_at(recording.frames.times, recording.waypoints).union(*_rows_of_lengths(recording))
+    with KeyframeFeatures(recording.frames, stops, show) as features:
         flow = track_corners(recording.frames, progress, features.foresee)
         rows, choices = _keyframes(recording, imu, flow)
         sights = _sights(recording, flow, rows, features.of(rows, progress))
@@ -168,10 +273,21 @@ def _placed(
     progress: ProgressListener,
 ) -> Trajectory:
     """Keyframes placed by what they see, by the IMU, and by waypoints, of which there may be several choices."""
-    flow, rows = sights.flow, sights.rows
     found = run_in_child(
         reconstruct, sights, imu, choices if recording.waypoints else [], progress=progress, stage=Stage.POSES
     )
+    trajectory = _trajectory_of(found, method, sights, progress)
+    if method is PoseMethod.VISUAL:
+        return trajectory
+    report = replace(trajectory.report, imu=_imu_report(recording, found))
+    kept = np.flatnonzero(found.placed)
+    report = replace(report, inertial=_comparison(recording, found, trajectory.times, kept))
+    return replace(trajectory, report=report)
+
+
+def _trajectory_of(found: Reconstruction, method: PoseMethod, sights: Sights, progress: ProgressListener) -> Trajectory:
+    """The keyframes that were placed. Raises MappingFailed if they are less than half."""
+    flow, rows = sights.flow, sights.rows
     missing = missing_spans(flow, rows, found.placed)
     share = float(found.placed.mean())
     if share < _MIN_PLACED:
@@ -180,11 +296,6 @@ def _placed(
         )
     kept = np.flatnonzero(found.placed)
     doubts = _doubts(found, share, describe(missing))
-    report = _report(found, method, len(rows), kept, doubts)
-    report = replace(report, missing=missing)
-    if method is not PoseMethod.VISUAL:
-        report = replace(report, imu=_imu_report(recording, found))
-        report = replace(report, inertial=_comparison(recording, found, flow.times[rows[kept]], kept))
     progress(Stage.POSES, 1.0, f"{len(kept)} of {len(rows)} keyframes placed")
     return Trajectory(
         rows[kept],
@@ -193,7 +304,7 @@ def _placed(
         found.camera,
         found.frame.scale,
         found.frame.upright,
-        report,
+        replace(_report(found, method, len(rows), kept, doubts), missing=missing),
         None if sights.shutter is None else sights.shutter.take(kept),
         found.covariances[kept],
     )
@@ -202,10 +313,25 @@ def _placed(
 def _sights(recording: Recording, flow: Flow, rows: IntArray, features: list[FeatureSet]) -> Sights:
     """What the keyframes see, corrected for the rolling shutter where its read-out is known."""
     shutter: RollingShutter | None = None
-    if recording.readout_s is not None:
+    if recording.readout_s is not None and flow.timed:
         shutter = measure_rolling_shutter(flow, rows, recording.readout_s)
         features = [shutter.at_once(k, found) for k, found in enumerate(features)]
-    return Sights(flow, rows, features, recording.camera, shutter)
+    depth = None if recording.depth is None else recording.depth.select(rows)
+    lengths = tuple(
+        (int(np.searchsorted(rows, a)), int(np.searchsorted(rows, b)), one.length_m)
+        for one, (a, b) in zip(recording.lengths, _rows_of_lengths(recording), strict=True)
+        if np.isin((a, b), rows).all()
+    )
+    return Sights(flow, rows, features, recording.camera, is_film(flow), shutter, depth, recording.focal_px, lengths)
+
+
+def _rows_of_lengths(recording: Recording) -> list[tuple[int, int]]:
+    """The two rows of frames that each known length lies between."""
+    numbers = recording.frames.numbers
+    return [
+        (int(np.searchsorted(numbers, one.first)), int(np.searchsorted(numbers, one.second)))
+        for one in recording.lengths
+    ]
 
 
 def _keyframes(recording: Recording, imu: Imu | None, flow: Flow) -> tuple[IntArray, list[tuple[Waypoint, ...]]]:
@@ -216,12 +342,27 @@ def _keyframes(recording: Recording, imu: Imu | None, flow: Flow) -> tuple[IntAr
     choices = [recording.waypoints]
     if not times_are_known(recording.waypoints):
         choices = list(choices_of_pauses(recording.waypoints, find_pauses(flow.times, flow.motion, imu)))
-    stops = set().union(*(_rows_at(flow.times, waypoints) for waypoints in choices))
-    rows = choose_keyframes(flow.times, flow.motion, flow.sharpness)
-    rows = np.union1d(rows, np.array(sorted(stops), dtype=np.int64))
+    stops = set().union(*(_rows_at(flow.times, waypoints) for waypoints in choices), *_rows_of_lengths(recording))
+    rows = np.union1d(_chosen(flow), np.array(sorted(stops), dtype=np.int64))
+    _require_keyframes(rows, len(flow.times))
+    return rows, choices
+
+
+def _require_keyframes(rows: IntArray, frames: int) -> None:
+    """Raise MappingFailed unless the keyframes (K,), of so many frames, are enough for a map."""
+    if frames < _FEWEST_KEYFRAMES:
+        raise MappingFailed(
+            f"{frames} pictures are too few for a map.", "Take a dozen or more, from places half a step apart."
+        )
     if len(rows) < _FEWEST_KEYFRAMES:
         raise MappingFailed("The camera hardly moves in this recording.", _MOVE)
-    return rows, choices
+
+
+def _chosen(flow: Flow) -> IntArray:
+    """Keyframes of a film at steps of image motion; of a set the pictures that are used."""
+    if is_film(flow):
+        return choose_keyframes(flow.times, flow.motion, flow.sharpness, flow.timed)
+    return choose_pictures(flow.motion, flow.sharpness)
 
 
 def _rows_at(times: FloatArray, waypoints: Sequence[Waypoint]) -> set[int]:
@@ -244,7 +385,9 @@ def _doubts(found: Reconstruction, share: float, missing: str) -> list[str]:
     if share < _WELL_PLACED:
         doubts.append(f"Only {share:.0%} of the keyframes could be placed. {missing}".strip())
     error_m = _expected_error_m(found)
-    if found.frame.scale is Scale.METRIC and error_m > _MAX_EXPECTED_ERROR_M:
+    if error_m is None:
+        doubts.append("It is not known how far its poses are off: too little ties them together. Walk in loops.")
+    elif found.frame.scale is Scale.METRIC and error_m > _MAX_EXPECTED_ERROR_M:
         doubts.append(f"Its poses are uncertain by {100 * error_m:.0f} cm: measure waypoints, or walk in loops.")
     for name, out in found.left_out.items():
         if name not in found.mistaken and float(np.linalg.norm(out.off_m)) > _MAX_WAYPOINT_MISS_M and out.mistaken:
@@ -259,7 +402,7 @@ def _doubts(found: Reconstruction, share: float, missing: str) -> list[str]:
     if found.agreement is not None and not found.agreement.same:
         doubts.append(found.agreement.why)
     error_deg = _expected_error_deg(found)
-    if found.frame.waypoints and error_deg > _MAX_EXPECTED_ERROR_DEG:
+    if found.frame.waypoints and error_deg is not None and error_deg > _MAX_EXPECTED_ERROR_DEG:
         doubts.append(
             f"The waypoints leave the map's rotation open by {error_deg:.0f}°: measure one well off the others' line."
         )
@@ -269,12 +412,22 @@ def _doubts(found: Reconstruction, share: float, missing: str) -> list[str]:
     return doubts
 
 
-def _expected_error_m(found: Reconstruction) -> float:
-    return float(np.median(np.sqrt(np.trace(found.covariances[found.placed, :3, :3], axis1=1, axis2=2))))
+def _expected_error_m(found: Reconstruction) -> float | None:
+    """Median over the placed keyframes; None if the covariances of half of them have no bound."""
+    return _median_sigma(found.covariances[found.placed, :3, :3])
 
 
-def _expected_error_deg(found: Reconstruction) -> float:
-    return float(np.degrees(np.median(np.sqrt(np.trace(found.covariances[found.placed, 3:, 3:], axis1=1, axis2=2)))))
+def _expected_error_deg(found: Reconstruction) -> float | None:
+    """As :func:`_expected_error_m`, of the rotations."""
+    sigma = _median_sigma(found.covariances[found.placed, 3:, 3:])
+    return None if sigma is None else float(np.degrees(sigma))
+
+
+def _median_sigma(covariances: FloatArray) -> float | None:
+    """Median of the root traces of covariances (K, 3, 3). NaN stands for no bound; None if the median has none."""
+    variances = np.nan_to_num(np.trace(covariances, axis1=1, axis2=2), nan=np.inf)
+    median = float(np.median(np.sqrt(variances)))
+    return median if np.isfinite(median) else None
 
 
 def _report(
@@ -282,7 +435,9 @@ def _report(
 ) -> TrajectoryReport:
     metric = found.frame.scale is Scale.METRIC
     error_m = _expected_error_m(found)
-    expected = f"Its poses are expected to be right to {100 * error_m:.1f} cm." if metric else ""
+    expected = ""
+    if metric and error_m is not None:
+        expected = f"Its poses are expected to be right to {100 * error_m:.1f} cm."
     if found.agreement is not None:
         expected = f"{expected} {found.agreement.why}".strip()
     mistakes = [explain(name, found.left_out[name].off_m) for name in found.mistaken]
@@ -322,6 +477,8 @@ def _residuals(found: Reconstruction, figure: Callable[[LeftOut], float]) -> dic
 def _imu_report(recording: Recording, found: Reconstruction) -> ImuReport | str:
     if recording.imu is None:
         return "The recording has no IMU; the poses are visual alone."
+    if not recording.frames.timed:
+        return "The pictures have no times, so the IMU could not be used; the poses are visual alone."
     imu = found.imu
     if imu is None:
         return ImuReport(not_observable={"all": found.imu_reason})

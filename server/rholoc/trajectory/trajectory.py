@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import StrEnum
 
+from rholoc.features import FeatureSet
 from rholoc.geometry import Camera, FloatArray, IntArray
 from rholoc.reports import TrajectoryReport
 from rholoc.trajectory.visual.rolling_shutter import RollingShutter
@@ -13,6 +14,7 @@ from rholoc.trajectory.visual.rolling_shutter import RollingShutter
 class PoseMethod(StrEnum):
     """Where frame poses come from."""
 
+    AUTO = "auto"  # the recording's own poses where its pictures agree with them, else as VISUAL_INERTIAL
     VISUAL_INERTIAL = "visual-inertial"  # structure from motion, made metric and upright by waypoints and IMU
     VISUAL = "visual"  # structure from motion and waypoints; the IMU is not used
     ODOMETRY = "odometry"  # corners followed from frame to frame, and the IMU; nothing is recognised, so it drifts
@@ -55,3 +57,7 @@ class Trajectory:
     report: TrajectoryReport
     rolling_shutter: RollingShutter | None = None
     covariances: FloatArray | None = None
+
+    def at_once(self, k: int, features: FeatureSet) -> FeatureSet:
+        """The features of frame k of 0..K-1, at the pixels where they were when the frame's middle row was read."""
+        return features if self.rolling_shutter is None else self.rolling_shutter.at_once(k, features)

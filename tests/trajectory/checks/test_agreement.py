@@ -33,6 +33,20 @@ def test_frame_and_scale_do_not_matter() -> None:
     assert "agree:" in found.why
 
 
+def test_a_straight_walk_agrees_with_itself_in_any_frame() -> None:
+    """Positions on a line leave the rotation about it open."""
+    straight = _walk()
+    straight[:, 1:3, 3] *= 1e-3
+    turned = Similarity(2.5, Rotation.from_euler("xyz", [0.4, -1.0, 2.0]).as_matrix(), np.array([3.0, -7.0, 1.0]))
+    rng = np.random.default_rng(0)
+    other = turned.poses(straight)
+    other[:, :3, 3] += rng.normal(0, 0.01, (_COUNT, 3))
+    every = np.ones(_COUNT, dtype=bool)
+    found = compare(straight, every, np.arange(_COUNT), other, every, _DEPTH)
+    assert found.same
+    assert found.angle_deg < 0.5
+
+
 def test_a_bent_walk_disagrees() -> None:
     bent = _walk()
     bent[_COUNT // 2 :, :3, 3] += np.linspace(0, 1.0, _COUNT // 2)[:, None] * [0.0, 0.0, 1.0]

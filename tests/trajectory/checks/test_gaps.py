@@ -63,6 +63,14 @@ def test_the_start_and_the_end_can_be_missing() -> None:
     assert (first.start_s, last.end_s) == pytest.approx((0.0, 19.9))
 
 
+def test_of_many_spans_some_are_named() -> None:
+    spans = tuple(MissingSpan(None, None, "is blurred", number, number) for number in range(0, 18, 2))
+    assert (
+        describe(spans)
+        == " ".join(f"Picture {n} is blurred." for n in (0, 2, 4, 6)) + " 5 more parts could not be placed."
+    )
+
+
 def test_a_moment_is_not_missing() -> None:
     flow = _flow(np.zeros(200, np.bool_))
     placed = np.ones(len(_ROWS), np.bool_)

@@ -15,6 +15,8 @@ from rholoc.trajectory import Scale
 from rholoc.trajectory.frame import map_frame
 from rholoc.trajectory.frame.map_frame import (
     MapFrame,
+    ScaleMeasurement,
+    ScaleSource,
     frame_of_first_camera,
     frame_of_waypoints,
     up_by_gravity,
@@ -46,8 +48,12 @@ def waypoints(*rows: int, off: FloatArray | None = None) -> tuple[Waypoint, ...]
     return tuple(Waypoint(f"W{row}", TIMES[row], tuple(place)) for row, place in zip(rows, places, strict=True))
 
 
+def felt(sigma: float) -> ScaleMeasurement:
+    return ScaleMeasurement(ScaleSource.ACCELEROMETER, 1.0, sigma, is_adjusted=True)
+
+
 def first(up: UpMeasurement | None, sigma: float | None, scale: float = 1.0) -> MapFrame:
-    return frame_of_first_camera(reconstructed(scale), up, "why", 4.0, sigma)
+    return frame_of_first_camera(reconstructed(scale), up, "why", 4.0, [] if sigma is None else [felt(sigma)])
 
 
 @pytest.mark.parametrize("sigma", [None, 0.02, 0.2])
@@ -63,6 +69,37 @@ def test_the_first_camera_is_the_origin_and_looks_along_x(sigma: float | None) -
     assert found.similarity.scale == pytest.approx(1.0 if metric else 0.25)
     assert found.upright
     assert {None: "Nothing measured", 0.02: "to 2.0%", 0.2: "open (20%)"}[sigma] in found.why_scale
+
+
+@pytest.mark.parametrize(
+    ("depth_sigma", "imu_sigma", "by", "sigma"),
+    [(0.01, None, "Depth pictures fix the scale to 1.0%", 0.01), (0.01, 0.05, "Depth", 0.01), (0.03, 0.02, "The", 0)],
+)
+def test_the_most_certain_measurement_fixes_the_scale(
+    depth_sigma: float, imu_sigma: float | None, by: str, sigma: float
+) -> None:
+    depth = ScaleMeasurement(ScaleSource.DEPTH, 1.04, depth_sigma)
+    scales = [depth] if imu_sigma is None else [felt(imu_sigma), depth]
+    found = frame_of_first_camera(reconstructed(), UP, "", 4.0, scales)
+    assert found.why_scale.startswith(by)
+    assert found.scale is Scale.METRIC
+    assert found.similarity.scale == (1.04 if by.startswith("Depth") else 1.0)
+    assert found.scale_sigma == sigma
+    assert not found.doubts
+
+
+def test_measurements_of_the_scale_that_contradict_each_other_are_a_doubt() -> None:
+    depth = ScaleMeasurement(ScaleSource.DEPTH, 0.6, 0.01)
+    found = frame_of_first_camera(reconstructed(), UP, "", 4.0, [felt(0.02), depth])
+    assert found.doubts == ("The accelerometer says that the walk is 1.67 times as large.",)
+    by_waypoints = frame_of_waypoints(TIMES, reconstructed(), [waypoints(0, 25, 50, 80)], UP, "", [depth])
+    assert by_waypoints.doubts == ("Depth pictures say that the walk is 0.60 times as large.",)
+
+
+def test_depth_pictures_that_contradict_the_pictures_fix_no_scale() -> None:
+    found = frame_of_first_camera(reconstructed(), UP, "", 4.0, [ScaleMeasurement(ScaleSource.DEPTH, 1.0, 0.3)])
+    assert found.scale is Scale.ARBITRARY
+    assert found.why_scale.startswith("Depth pictures leave the scale open (30%): they contradict the pictures.")
 
 
 def test_without_up_the_first_camera_is_held_level() -> None:
@@ -126,7 +163,7 @@ def test_up_and_the_waypoints_may_differ_by_a_little(tilt_deg: float, upright: b
     ],
 )
 def test_an_accelerometer_that_is_sure_of_another_scale_is_heard(scale: float, sigma: float, doubted: bool) -> None:
-    found = frame_of_waypoints(TIMES, reconstructed(scale), [waypoints(0, 25, 50, 80)], UP, "", sigma)
+    found = frame_of_waypoints(TIMES, reconstructed(scale), [waypoints(0, 25, 50, 80)], UP, "", [felt(sigma)])
     assert any(f"{scale:.2f} times as large" in doubt for doubt in found.doubts) is doubted
     assert ("times as large" in found.why_scale) is doubted
 
@@ -179,7 +216,7 @@ def test_a_camera_that_looks_straight_up_has_any_heading() -> None:
     """Its frame is a rotation all the same, upright and with the camera at its origin."""
     T = np.tile(np.eye(4), (2, 1, 1))  # z ahead is up
     T[:, :3, 3] = [1.0, 2.0, 3.0]
-    found = frame_of_first_camera(T, UpMeasurement(np.array([0.0, 0, 1]), 0.3), "", 2.0, None).similarity
+    found = frame_of_first_camera(T, UpMeasurement(np.array([0.0, 0, 1]), 0.3), "", 2.0).similarity
     np.testing.assert_allclose(found.rotation @ found.rotation.T, np.eye(3), atol=1e-12)
     np.testing.assert_allclose(found.rotation[2], [0, 0, 1], atol=1e-12)
     np.testing.assert_allclose(found.points(T[:1, :3, 3]), 0, atol=1e-12)

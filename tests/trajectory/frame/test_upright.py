@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from rholoc.geometry import FloatArray, rotation_from_heading
+from rholoc.geometry import FloatArray, angles_between, rotation_from_heading
 from rholoc.trajectory.frame.upright import Up, rotation_to_upright, up_without_roll
 
 
@@ -22,7 +22,7 @@ def _cameras(turn_deg: float, roll_deg: float) -> FloatArray:
 def test_up_of_cameras_that_do_not_roll() -> None:
     frame = Rotation.random(rng=np.random.default_rng(2)).as_matrix()
     up = up_without_roll(frame @ _cameras(60, 1.0))
-    angle_deg = np.degrees(np.arccos(np.clip(up.direction @ frame[:, 2], -1, 1)))
+    angle_deg = np.degrees(angles_between(up.direction, frame[:, 2]))
     assert angle_deg < 0.5
     assert up.holds
     np.testing.assert_allclose(rotation_to_upright(up.direction) @ up.direction, [0, 0, 1], atol=1e-12)

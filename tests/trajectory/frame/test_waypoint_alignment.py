@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from rholoc.errors import InvalidWaypoints, MappingFailed
-from rholoc.geometry import FloatArray, Similarity, align_poses, pose_matrix, umeyama
+from rholoc.geometry import UP, FloatArray, Similarity, align_poses, angles_between, pose_matrix, umeyama
 from rholoc.recordings import Waypoint
 from rholoc.trajectory.frame import waypoint_alignment
 from rholoc.trajectory.frame.waypoint_alignment import (
@@ -113,7 +113,7 @@ def test_gravity_mends_what_noisy_waypoints_tilt() -> None:
     tilts = []
     for measurement in (None, up):
         found = align_to_waypoints(_TIMES, own, waypoints, measurement).similarity
-        tilts.append(np.degrees(np.arccos((found.rotation @ up.direction)[2])))
+        tilts.append(np.degrees(angles_between(found.rotation @ up.direction, UP)))
     assert tilts[1] < 0.3 * tilts[0]
 
 

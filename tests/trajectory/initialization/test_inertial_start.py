@@ -10,7 +10,7 @@ from hand_held import hand_held_walk
 from scipy.sparse import csr_matrix
 from scipy.spatial.transform import Rotation
 
-from rholoc.geometry import FloatArray, umeyama
+from rholoc.geometry import FloatArray, angles_between, umeyama
 from rholoc.recordings import GRAVITY, Imu
 from rholoc.trajectory.inertial.gyroscope import GyroCalibration, calibrate_gyro
 from rholoc.trajectory.initialization import inertial_start as module
@@ -71,7 +71,7 @@ def walk() -> _Walk:
 
 def test_scale_gravity_and_bias_come_back(walk: _Walk) -> None:
     found = walk.started(walk.directions())
-    assert np.degrees(np.arccos(np.clip(found.up @ walk.frame[:, 2], -1, 1))) < 0.5
+    assert np.degrees(angles_between(found.up, walk.frame[:, 2])) < 0.5
     assert umeyama(found.positions, walk.true).scale == pytest.approx(1, abs=0.05)
     np.testing.assert_allclose(found.accelerometer_bias, _BIAS, atol=0.06)
     assert np.median(walk.off_m(found)) < 0.1

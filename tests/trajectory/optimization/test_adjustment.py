@@ -88,6 +88,42 @@ def _solved(seed: int, fixes: tuple[Fix, ...] = (), iterations: int = 15) -> tup
     return T, adjust(problem, State(_disturbed(T, seed), np.zeros((_POINTS, 3)), CAMERA), iterations)
 
 
+def _depths(T: FloatArray, points: FloatArray, observations: Observations) -> FloatArray:
+    """The true depth (N,) of each sighting."""
+    seen = T[observations.keyframes]
+    return np.asarray(np.einsum("ni,ni->n", points[observations.tracks] - seen[:, :3, 3], seen[:, :3, 2]))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_depths_fix_the_scale(seed: int) -> None:
+    """A tenth of the depths are unknown, a tenth are wrong."""
+    T, points, rng = arc(_CAMERAS), cloud(_POINTS), np.random.default_rng(seed)
+    observations = _sightings(T, points, 0.5, seed)
+    depths = _depths(T, points, observations) * rng.normal(1, 0.02, len(observations))
+    kind = rng.uniform(0, 1, len(observations))
+    depths[kind < 0.1] = np.nan
+    depths[kind > 0.9] *= 1.5
+    problem = Problem(np.arange(_CAMERAS) / 2, replace(observations, depths=depths), pixel_sigma_px=0.5)
+    larger = _disturbed(T, seed)
+    larger[:, :3, 3] *= 1.1
+    state = State(larger, np.zeros((_POINTS, 3)), CAMERA)
+    without = adjust(problem, state, 15)
+    assert umeyama(without.state.positions, T[:, :3, 3]).scale == pytest.approx(1 / 1.1, abs=0.02)
+    with_depths = adjust(replace(problem, depth_sigma=0.02), state, 15)
+    assert umeyama(with_depths.state.positions, T[:, :3, 3]).scale == pytest.approx(1.0, abs=0.006)
+    np.testing.assert_array_less(np.diagonal(with_depths.covariances([_CAMERAS - 1])[0])[:3], 0.02**2)
+
+
+def test_without_a_known_depth_the_scale_stays_as_it_was() -> None:
+    T, points = arc(_CAMERAS), cloud(_POINTS)
+    observations = _sightings(T, points, 0.5, 0)
+    problem = Problem(np.arange(_CAMERAS) / 2, observations, pixel_sigma_px=0.5)
+    state = State(_disturbed(T, 0), np.zeros((_POINTS, 3)), CAMERA)
+    unknown = replace(observations, depths=np.full(len(observations), np.nan))
+    found = adjust(replace(problem, observations=unknown, depth_sigma=0.02), state, 15)
+    assert found.cost == pytest.approx(adjust(problem, state, 15).cost)
+
+
 def test_points_are_where_their_rays_meet() -> None:
     T, points = arc(4), cloud(30)
     observations = _sightings(T, points, 0.0, 0)

@@ -13,7 +13,7 @@ from rholoc.geometry import BoolArray, FloatArray, Similarity
 from rholoc.recordings import Waypoint
 from rholoc.trajectory import Scale
 from rholoc.trajectory.checks.blame import LeftOut
-from rholoc.trajectory.frame.map_frame import MapFrame, up_by_gravity
+from rholoc.trajectory.frame.map_frame import MapFrame, ScaleMeasurement, ScaleSource, up_by_gravity
 from rholoc.trajectory.inertial.gyroscope import GyroCalibration
 from rholoc.trajectory.optimization.adjustment import Fix, Problem, State
 from rholoc.trajectory.reconstruction import waypoints as in_waypoints
@@ -24,6 +24,7 @@ from rholoc.trajectory.visual.tracks import Observations
 _COUNT = 6
 _GYRO = GyroCalibration(0.0, 0.0, np.zeros(3), 0.0, np.eye(3), False, 0.0, 0.0)
 _IMU = InertialFigures(_GYRO, 0.01, np.zeros(3), np.zeros(3), 0.0, 1.0, 1.0, 1.0)
+_FELT = ScaleMeasurement(ScaleSource.ACCELEROMETER, 1.0, 0.01, is_adjusted=True)
 
 
 @dataclass(frozen=True, eq=False)
@@ -209,11 +210,11 @@ def test_a_waypoint_far_from_any_keyframe_fixes_nothing(
 
 def test_without_waypoints_the_walk_stays_in_its_own_frame() -> None:
     solved = _solved([30] * 6)
-    found = in_map_frame(solved.problem, solved.adjusted, [], up_by_gravity(), 0.01, (), None)  # type: ignore[arg-type]
+    found = in_map_frame(solved.problem, solved.adjusted, [], up_by_gravity(), [_FELT], (), None)  # type: ignore[arg-type]
     assert not found.in_frame
     assert found.adjusted is solved.adjusted
     assert found.frame.scale is Scale.METRIC
-    open_scale = in_map_frame(solved.problem, solved.adjusted, [], up_by_gravity(), None, (), None)  # type: ignore[arg-type]
+    open_scale = in_map_frame(solved.problem, solved.adjusted, [], up_by_gravity(), [], (), None)  # type: ignore[arg-type]
     depths = np.einsum("ni,ni->n", *_depths(solved))
     assert open_scale.frame.similarity.scale == pytest.approx(1 / np.median(depths))
 
@@ -231,5 +232,32 @@ def test_gravity_is_free_where_the_waypoints_are_not_upright(upright: bool, monk
     monkeypatch.setattr(in_waypoints, "frame_of_waypoints", lambda *_: frame)
     monkeypatch.setattr(in_waypoints, "_held_by_waypoints", lambda problem, *_: problem)
     named = [(Waypoint("A", 0.0, (0.0, 0.0, 0.0)),)]
-    problem = in_map_frame(solved.problem, solved.adjusted, named, up_by_gravity(), 0.01, (), None)  # type: ignore[arg-type]
+    problem = in_map_frame(solved.problem, solved.adjusted, named, up_by_gravity(), [_FELT], (), None)  # type: ignore[arg-type]
     assert problem.level_sigma_rad == (solved.problem.level_sigma_rad if upright else None)  # type: ignore[attr-defined]
+
+
+def test_a_scale_that_was_not_adjusted_makes_far_poses_less_certain() -> None:
+    solved = _solved([30] * 6, in_frame=False)
+    known = finished(solved, 0, True, None, "")
+    scaled = replace(solved, frame=replace(solved.frame, scale_sigma=0.05))
+    found = finished(scaled, 0, True, None, "")
+    positions = found.T_map_camera[:, :3, 3]
+    np.testing.assert_allclose(
+        found.covariances[:, :3, :3] - known.covariances[:, :3, :3],
+        0.05**2 * positions[:, :, None] * positions[:, None, :],
+        atol=1e-12,
+    )
+
+
+def test_covariances_without_bound_cost_a_walk_nothing_but_them() -> None:
+    found = finished(_solved([30] * 6, sigmas_m=np.full(_COUNT, np.nan)), 0, False, _IMU, "")
+    assert found.placed.all()
+    assert np.isnan(found.covariances[:, :3, :3]).any(axis=(1, 2)).all()
+
+
+def test_a_waypoint_is_not_held_against_a_walk_of_unknown_uncertainty() -> None:
+    solved = _solved([30] * 6, sigmas_m=np.full(_COUNT, np.nan))
+    fixes = {"desk": Fix(2, (1.0, 2.0, 3.0), 0.01)}
+    out = in_waypoints._each_left_out(fixes, [], solved.adjusted)["desk"]
+    assert not out.mistaken
+    assert in_waypoints._noise_factor([out.sigmas]) == in_waypoints._noise_factor([])

@@ -192,13 +192,13 @@ def test_of_several_pieces_the_largest_is_taken(monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setattr(from_pictures, "average_rotations", lambda *_: (R, component))
     monkeypatch.setattr(from_pictures, "pieces_of", lambda *_: piece)
     monkeypatch.setattr(from_pictures, "_positions_of", lambda members, *_: np.outer(members, [1.0, 2.0, 3.0]))
-    state, members = from_pictures._start_from_pictures(_sights(count), CAMERA, [], _NOTHING)
+    state, members = from_pictures._own_start(_sights(count), CAMERA, [], _NOTHING)
     assert members.tolist() == [2, 3, 4, 6]
     np.testing.assert_array_equal(state.R_map_camera, R[members])
     np.testing.assert_array_equal(state.positions, np.outer(members, [1, 2, 3]))
     monkeypatch.setattr(from_pictures, "pieces_of", lambda *_: np.full(count, -1))
     with pytest.raises(MappingFailed, match="overlap"):
-        from_pictures._start_from_pictures(_sights(count), CAMERA, [], _NOTHING)
+        from_pictures._own_start(_sights(count), CAMERA, [], _NOTHING)
 
 
 def test_a_pieces_positions_come_from_points_that_two_of_it_see(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -30,6 +30,17 @@ def test_the_principal_point_is_in_the_middle() -> None:
     assert (camera.cx, camera.cy, camera.fx, camera.fy) == (319.5, 239.5, 500.0, 500.0)
 
 
+def test_a_stated_focal_length_is_where_pictures_start_from(
+    walk: SyntheticWalk, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    longer = max(walk.flow.size)
+    monkeypatch.setattr(camera_guess, "_focal_by_pictures", lambda _: 0.7)
+    monkeypatch.setattr(camera_guess, "_focal_by_gyroscope", lambda *_: 0.8)
+    assert guess_camera(walk.flow, None, 555.0).focal == pytest.approx(555.0)
+    assert guess_camera(walk.flow, None).focal == pytest.approx(0.7 * longer)
+    assert guess_camera(walk.flow, walk.imu, 555.0).focal == pytest.approx(0.8 * longer)
+
+
 def test_the_gyroscope_is_calibrated_by_followed_corners(walk: SyntheticWalk) -> None:
     found = calibrate_by_flow(walk.flow, PHONE_CAMERA, walk.imu)
     assert found is not None

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from rholoc.geometry import FloatArray
+from rholoc.geometry import FloatArray, angles_between
 from rholoc.trajectory.visual.directions import PairDirection, direction_between
 
 _FOCAL_PX = 500.0
@@ -32,7 +32,7 @@ def _seen(
 
 
 def _angle_deg(a: FloatArray, b: FloatArray) -> float:
-    return float(np.degrees(np.arccos(np.clip(a @ b / np.linalg.norm(a) / np.linalg.norm(b), -1, 1))))
+    return float(np.degrees(angles_between(a, b)))
 
 
 @settings(max_examples=30, deadline=None)

@@ -21,6 +21,7 @@ class Walk:
     """Frames that slide along a wall of noise, four pixels a frame; what is decoded is counted."""
 
     size = (160, 120)
+    timed = True
 
     def __init__(self, count: int, step_px: int = 4) -> None:
         self.times: FloatArray = np.arange(count) / 30

@@ -45,6 +45,10 @@ class _Film:
         return np.arange(5) / 30.0
 
     @property
+    def timed(self) -> bool:
+        return True
+
+    @property
     def numbers(self) -> IntArray:
         return np.arange(5)
 

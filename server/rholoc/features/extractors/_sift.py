@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cache, cached_property
+from functools import cache
 from importlib.resources import files
 
 import cv2
@@ -12,6 +12,7 @@ import numpy as np
 from rholoc.features.extractors._orb import as_gray
 from rholoc.features.feature_set import Channel, FeatureSet, Metric
 from rholoc.geometry import ByteArray, FloatArray
+from rholoc.lazy import lazy
 
 FULL_BYTES = 128
 LENGTH = 512.0  # of a whole descriptor, in the unit of its bytes
@@ -47,7 +48,7 @@ class SiftExtractor:
     channels: tuple[Channel, ...] = (Channel.SIFT,)
     metric: Metric = Metric.EUCLIDEAN
 
-    @cached_property
+    @lazy
     def quick(self) -> SiftExtractor:
         """The same in smaller pictures."""
         return self if self.quick_px is None else replace(self, longest_px=self.quick_px, quick_px=None)

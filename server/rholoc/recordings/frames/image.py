@@ -31,6 +31,9 @@ _LEAST_PIECE_BYTES, _MOST_PIECE_BYTES = 64, 2**16
 _JPEG_MARKER = re.compile(rb"\xff([^\x00\xff\xd0-\xd7])")  # in coded data: the end of it
 _JPEG_SCAN, _JPEG_END = 0xDA, 0xD9
 _ORIENTATION_TAG = 0x0112  # EXIF
+_EXIF_IFD, _FOCAL_35MM_TAG = 0x8769, 0xA405
+_FILM_DIAGONAL_MM = float(np.hypot(36, 24))
+_FOCALS_35MM = (5.0, 1000.0)  # that a lens has
 _TRANSPOSED = range(5, 9)  # the EXIF orientations that swap width and height
 # We have a limit of our own. Set once, because warning filters are shared by all threads.
 warnings.filterwarnings("ignore", category=Image.DecompressionBombWarning)
@@ -72,14 +75,14 @@ def decode_image(
         return np.ascontiguousarray(np.asarray(upright.convert("RGB"))[:, :, ::-1])
 
 
-def read_image(path: Path, max_pixels: int = DEFAULT_MAX_PIXELS) -> ByteArray:
+def read_image(path: Path | str, max_pixels: int = DEFAULT_MAX_PIXELS) -> ByteArray:
     """An image file → the image (H, W, 3) BGR, as :func:`decode_image` does.
 
     Raises:
         InvalidImage: the file cannot be read or decoded.
     """
     try:
-        data = path.read_bytes()
+        data = Path(path).read_bytes()
     except OSError as error:
         raise InvalidImage(f"The image cannot be read: {error.strerror}.") from error
     return decode_image(data, max_pixels)
@@ -97,17 +100,38 @@ def read_grey(path: Path, max_pixels: int = DEFAULT_MAX_PIXELS) -> IntArray:
         return np.asarray(image).astype(np.int64)
 
 
-def image_size(path: Path, max_pixels: int = DEFAULT_MAX_PIXELS) -> tuple[int, int]:
-    """Width and height in pixels of an image file as it is shown; only its header is read.
+def image_size(
+    file: Path | bytes, max_pixels: int = DEFAULT_MAX_PIXELS, formats: tuple[str, ...] = _FORMATS
+) -> tuple[int, int]:
+    """Width and height in pixels of an image as it is shown; only its header is read. ``file``: it, or its content.
 
     Raises:
         InvalidImage: the file has no image header, or claims more than ``max_pixels``.
     """
-    with _opened(path, max_pixels) as image:
+    with _opened(io.BytesIO(file) if isinstance(file, bytes) else file, max_pixels, formats) as image:
         width, height = image.size
         exif = Image.Image.getexif(image)  # a PNG file's own getexif would decode the pixels
         transposed = exif.get(_ORIENTATION_TAG) in _TRANSPOSED
     return (height, width) if transposed else (width, height)
+
+
+def exif_focal_px(path: Path) -> float | None:
+    """Focal length [px] by the 35 mm equivalent in a file's EXIF data; None where there is none.
+
+    The equivalent keeps the angle of view across the image's diagonal.
+
+    Raises:
+        InvalidImage: the file has no image header.
+    """
+    with _opened(path, DEFAULT_MAX_PIXELS) as image:
+        try:
+            equivalent_mm = float(Image.Image.getexif(image).get_ifd(_EXIF_IFD).get(_FOCAL_35MM_TAG, 0))
+        except _DECODING_ERRORS:  # of the EXIF data: the image is none the worse for it
+            return None
+        diagonal_px = float(np.hypot(*image.size))
+    if not _FOCALS_35MM[0] <= equivalent_mm <= _FOCALS_35MM[1]:
+        return None
+    return equivalent_mm / _FILM_DIAGONAL_MM * diagonal_px
 
 
 def begins_like_an_image(start: bytes) -> bool:

@@ -5,33 +5,37 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 
 from rholoc.errors import InvalidImage, InvalidRecording
-from rholoc.geometry import ByteArray, FloatArray, IntArray
-from rholoc.recordings.frames.image import IMAGE_SUFFIXES, image_size, read_image
+from rholoc.geometry import ByteArray, Camera, FloatArray, IntArray
+from rholoc.recordings.frames.image import IMAGE_SUFFIXES, exif_focal_px, image_size, read_image
+from rholoc.recordings.frames.unified_pictures import UnifiedPictures, common_camera
 from rholoc.recordings.frames.video import check_frame_size
 from rholoc.recordings.tables.frames_table import read_frames_csv
 
-DEFAULT_FPS = 30.0  # assumed if neither a table of times nor camera.json says otherwise
-
 _SUBFOLDERS = (".", "frames", "images")
 _LAST_DIGITS = re.compile(r"(\d+)\D*$")
+_SAME_FOCAL = 1.02  # ratio of focal lengths up to which pictures are of one lens
 _MAX_FRAME_NUMBER = 2**63 - 1
 _MOST_DIGITS = 25  # including leading zeros; Python refuses to parse thousands of digits
 
 
 @dataclass(frozen=True, eq=False)
 class ImageFolderFrames:
-    """Image files as frames, see :class:`rholoc.recordings.FrameSource`; ``paths`` has one file per row."""
+    """Image files of one size as frames, see :class:`rholoc.recordings.FrameSource`; ``paths`` has one file per row.
+
+    ``focal_px`` is their focal length by EXIF, None where it is not known.
+    """
 
     paths: tuple[Path, ...]
     numbers: IntArray
     times: FloatArray
     size: tuple[int, int]
+    timed: bool = True
+    focal_px: float | None = None
 
     def images(self, rows: Sequence[int]) -> Iterator[ByteArray]:
         """The images (H, W, 3) BGR of the rows, which must increase.
@@ -61,37 +65,81 @@ def find_images(folder: Path) -> tuple[Path, ...]:
 
 def read_image_folder(
     paths: Sequence[Path], times_csv: Path | None = None, fps: float | None = None
-) -> ImageFolderFrames:
-    """Image files → frames, ordered by number: the last digits of the file's name.
+) -> ImageFolderFrames | UnifiedPictures:
+    """Image files → frames, ordered and numbered by the last digits of their names, or by their names.
 
-    Times are those of ``times_csv`` (``frame,timestamp``), else number / ``fps``, else number / 30 s.
+    Times are those of ``times_csv`` (``frame,timestamp``), else number / ``fps``. Without either there are none.
 
     Raises:
-        InvalidRecording: a file's name has no number, two have the same, sizes differ, a file has no image header, or
-            the table of times lacks a frame.
+        InvalidRecording: a file has no image header, or the table of times lacks a frame.
     """
-    numbered = sorted((_number(path), path) for path in paths)
-    for (number, path), (next_number, next_path) in pairwise(numbered):
-        if number == next_number:
-            raise InvalidRecording(f"{path.name} and {next_path.name} both have the frame number {number}.")
-    ordered = tuple(path for _, path in numbered)
-    numbers = np.array([number for number, _ in numbered], dtype=np.int64)
-    times = numbers / (fps or DEFAULT_FPS) if times_csv is None else _times_of(numbers, times_csv)
-    return image_frames(ordered, numbers, times)
+    numbers, order = numbered(paths)
+    ordered = [paths[place] for place in order]
+    if times_csv is not None:
+        return image_frames(ordered, numbers, _times_of(numbers, times_csv))
+    return image_frames(ordered, numbers, None if fps is None else numbers / fps)
 
 
-def image_frames(paths: Sequence[Path], numbers: IntArray, times: FloatArray) -> ImageFolderFrames:
-    """Image files (N) with known numbers and times (N,) → frames.
+def numbered(paths: Sequence[Path]) -> tuple[IntArray, list[int]]:
+    """Frame numbers (N,), increasing, and the places in ``paths`` (N) that they belong to.
+
+    A number is the last digits of a name. If a name has none, or two have the same, files are counted by name from 0.
+    """
+    named = [number_in_name(Path(path.name.split(".")[0])) for path in paths]  # not of frame-000001.color.png
+    if None not in named and len(set(named)) == len(named):
+        order = sorted(range(len(paths)), key=lambda place: named[place] or 0)
+        return np.array([named[place] for place in order], dtype=np.int64), order
+    order = sorted(range(len(paths)), key=lambda place: paths[place].name)
+    return np.arange(len(paths)), order
+
+
+def image_frames(
+    paths: Sequence[Path],
+    numbers: IntArray,
+    times: FloatArray | None,
+    cameras: Sequence[Camera] | None = None,
+) -> ImageFolderFrames | UnifiedPictures:
+    """Image files (N) with known numbers (N,) → frames.
+
+    Args:
+        paths: N files.
+        numbers: (N,), increasing.
+        times: (N,) seconds, or None if they are unknown.
+        cameras: each picture's camera; None if the intrinsics are unknown. Focal lengths are then those of EXIF, and
+            where pictures have none, in proportion to their longer sides.
 
     Raises:
-        InvalidRecording: there are none, one is missing or has no image header, or sizes differ.
+        InvalidRecording: there are none, or one is missing or has no image header.
     """
     if not paths:
         raise InvalidRecording("The recording lists no images.")
     missing = next((path for path in paths if not path.is_file()), None)
     if missing is not None:
         raise InvalidRecording(f"The image {missing.name} is listed but missing.", "Pack the images with the lists.")
-    return ImageFolderFrames(tuple(paths), numbers, times, _common_size(paths))
+    timed = times is not None
+    times = np.arange(len(paths), dtype=np.float64) if times is None else times
+    sizes = [_size_of(path) for path in paths]
+    if cameras is None:
+        focals = [exif_focal_px(path) for path in paths]
+        known = [focal for focal in focals if focal is not None]
+        focal_px = float(np.median(known)) if known else None
+        if len(set(sizes)) == 1 and (not known or max(known) <= _SAME_FOCAL * min(known)):
+            return ImageFolderFrames(tuple(paths), numbers, times, sizes[0], timed, focal_px)
+        cameras = [nominal_camera(size, focal) for size, focal in zip(sizes, focals, strict=True)]
+        common = common_camera(cameras)
+        focal_px = common.focal if 2 * len(known) >= len(paths) else None
+        return UnifiedPictures(tuple(paths), tuple(cameras), common, numbers, times, timed, focal_px)
+    if len(set(cameras)) == 1 and set(sizes) == {(cameras[0].width, cameras[0].height)}:
+        return ImageFolderFrames(tuple(paths), numbers, times, sizes[0], timed)
+    cameras = [camera.fitted(*size) for camera, size in zip(cameras, sizes, strict=True)]
+    return UnifiedPictures(tuple(paths), tuple(cameras), common_camera(cameras), numbers, times, timed)
+
+
+def nominal_camera(size: tuple[int, int], focal_px: float | None = None) -> Camera:
+    """Camera for images (width, height); a focal length that is unknown is the longer side, to be estimated."""
+    width, height = size
+    focal = float(max(size)) if focal_px is None else focal_px
+    return Camera(width, height, focal, focal, (width - 1) / 2, (height - 1) / 2)
 
 
 def _images_in(folder: Path) -> tuple[Path, ...]:
@@ -111,15 +159,6 @@ def number_in_name(path: Path) -> int | None:
     return number if 0 <= number <= _MAX_FRAME_NUMBER else None
 
 
-def _number(path: Path) -> int:
-    number = number_in_name(path)
-    if number is None:
-        raise InvalidRecording(
-            f"The name of {path.name} has no frame number.", "Name the images frame-000000.jpg, frame-000001.jpg, …"
-        )
-    return number
-
-
 def _times_of(numbers: IntArray, times_csv: Path) -> FloatArray:
     table_numbers, table_times = read_frames_csv(times_csv)
     missing = np.setdiff1d(numbers, table_numbers)
@@ -131,19 +170,10 @@ def _times_of(numbers: IntArray, times_csv: Path) -> FloatArray:
     return table_times[np.searchsorted(table_numbers, numbers)]
 
 
-def _common_size(paths: Sequence[Path]) -> tuple[int, int]:
-    size: tuple[int, int] | None = None
-    for path in paths:
-        try:
-            this = image_size(path)
-        except InvalidImage as error:
-            raise InvalidRecording(f"{path.name}: {error.message}", "Leave that file out.") from error
-        if size is not None and this != size:
-            raise InvalidRecording(
-                f"{path.name} is {this[0]}×{this[1]}, but {paths[0].name} is {size[0]}×{size[1]}.",
-                "All frames of a recording must have one size.",
-            )
-        size = this
-    assert size is not None
-    check_frame_size(paths[0].name, *size)
+def _size_of(path: Path) -> tuple[int, int]:
+    try:
+        size = image_size(path)
+    except InvalidImage as error:
+        raise InvalidRecording(f"{path.name}: {error.message}", "Leave that file out.") from error
+    check_frame_size(path.name, *size)
     return size

@@ -28,6 +28,11 @@ class MemoryFrames:
         return np.arange(len(self.pictures)) / self.frames_per_second
 
     @property
+    def timed(self) -> bool:
+        """True: the rate is given."""
+        return True
+
+    @property
     def numbers(self) -> IntArray:
         """(N,) 0..N-1."""
         return np.arange(len(self.pictures))

@@ -17,6 +17,11 @@ class MissingImages:
     numbers: IntArray
 
     @property
+    def timed(self) -> bool:
+        """True: the times are all there is."""
+        return True
+
+    @property
     def size(self) -> tuple[int, int]:
         """(0, 0): unknown."""
         return (0, 0)

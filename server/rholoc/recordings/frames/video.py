@@ -51,6 +51,11 @@ class VideoFrames:
     size: tuple[int, int]
 
     @property
+    def timed(self) -> bool:
+        """True: a video file has a clock."""
+        return True
+
+    @property
     def numbers(self) -> IntArray:
         """(N,) int64, 0..N-1."""
         return np.arange(len(self.times))

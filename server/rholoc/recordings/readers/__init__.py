@@ -20,27 +20,35 @@ from rholoc.recordings.readers import (
     nerfstudio,
     opencamera_sensors,
     own,
+    scanner_app,
     sensor_logger,
     seven_scenes,
     spectacular,
     stray_scanner,
     tum_rgbd,
 )
+from rholoc.recordings.readers._unused import with_unused_files
 from rholoc.recordings.recording import Recording, RecordingFormat
+from rholoc.recordings.tables.lengths import read_lengths_csv
 from rholoc.recordings.tables.waypoints import read_waypoints_csv
 
 
 @dataclass(frozen=True)
 class Reader:
-    """How a format is recognized, and read."""
+    """How a format is recognized, and read.
+
+    Attributes:
+        tables: patterns, in small letters, of the paths of its files that are neither pictures nor videos.
+    """
 
     format: RecordingFormat
     recognises: Callable[[Path], bool]
     read: Callable[[Path], Recording]
+    tables: tuple[str, ...]
 
 
 READERS = tuple(
-    Reader(kind, module.recognises, module.read)
+    Reader(kind, module.recognises, module.read, module.TABLES)
     for kind, module in (
         (RecordingFormat.ANDROID_CSV, android_csv),
         (RecordingFormat.OPENCAMERA_SENSORS, opencamera_sensors),
@@ -55,6 +63,7 @@ READERS = tuple(
         (RecordingFormat.SEVEN_SCENES, seven_scenes),
         (RecordingFormat.COLMAP, colmap),
         (RecordingFormat.NERFSTUDIO, nerfstudio),
+        (RecordingFormat.SCANNER_APP, scanner_app),
     )
 )
 
@@ -62,7 +71,8 @@ READERS = tuple(
 def read_folder(folder: Path) -> Recording:
     """Read a folder in the format that is recognised, by default rholoc's own.
 
-    ``waypoints.csv`` and ``camera.json`` may be added to any of them.
+    ``waypoints.csv``, ``lengths.csv`` and ``camera.json`` may be added to any of them. Files that are not used become
+    a warning.
 
     Raises:
         InvalidRecording: no frames, files of several formats, or a file that cannot be read or contradicts another.
@@ -74,7 +84,14 @@ def read_folder(folder: Path) -> Recording:
     if len(found) > 1:
         formats = " and ".join(reader.format.value for reader in found)
         raise InvalidRecording(f"The folder {folder.name} contains files of {formats}.", "Keep those of one.")
-    return _with_additions(found[0].read(folder), folder) if found else own.read(folder)
+    if found:
+        recording, tables = _with_additions(found[0].read(folder), folder), found[0].tables
+    else:
+        recording, tables = own.read(folder), own.TABLES
+    lengths_csv = folder / "lengths.csv"
+    if lengths_csv.is_file():
+        recording = replace(recording, lengths=read_lengths_csv(lengths_csv, recording.frames.numbers))
+    return with_unused_files(recording, folder, tables)
 
 
 def _with_additions(recording: Recording, folder: Path) -> Recording:

@@ -6,12 +6,13 @@ device on its side, as its images are: x right, y up, looking along −z. ARKit'
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from rholoc.geometry import FloatArray
-from rholoc.recordings.recording import FrameSource, GivenPoses
+from rholoc.recordings.recording import FrameSource, GivenPoses, PoseKind
 from rholoc.recordings.tables.logged_table import read_logged_table
 from rholoc.recordings.tables.pose_table import PoseTable, match_poses, poses_from_rows
 
@@ -34,7 +35,7 @@ def read_arkit_poses(path: Path, frames: FrameSource, start_s: float = 0.0) -> G
         return None
     rows = read_logged_table(path).numbered(0, 1, 2, 3, 5, 6, 7, 4)
     T_map_camera = z_up(opencv_camera(poses_from_rows(rows[:, 1:], path.name)))
-    return match_poses(PoseTable(rows[:, 0] - start_s, T_map_camera), frames)
+    return replace(match_poses(PoseTable(rows[:, 0] - start_s, T_map_camera), frames), kind=PoseKind.ODOMETRY)
 
 
 def z_up(T_arkit_camera: FloatArray) -> FloatArray:

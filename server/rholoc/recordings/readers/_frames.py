@@ -11,7 +11,8 @@ import numpy as np
 from rholoc.errors import InvalidRecording
 from rholoc.geometry import Camera, FloatArray, IntArray
 from rholoc.recordings.frames.depth import MILLIMETRE_M, DepthImages
-from rholoc.recordings.frames.image_folder import DEFAULT_FPS, image_frames, number_in_name
+from rholoc.recordings.frames.image_folder import ImageFolderFrames, image_frames, numbered
+from rholoc.recordings.frames.unified_pictures import UnifiedPictures
 from rholoc.recordings.frames.video import VIDEO_SUFFIXES, VideoFrames, read_video
 from rholoc.recordings.imu_normalisation import advancing_rows
 from rholoc.recordings.recording import FrameSource
@@ -31,11 +32,13 @@ class TimedFrames:
         frames: those whose time advances.
         rows: (N,) of the table, one per frame.
         warnings: what did not match.
+        camera: of the frames, if each image's camera was given.
     """
 
     frames: FrameSource
     rows: IntArray
     warnings: tuple[RecordingWarning, ...]
+    camera: Camera | None = None
 
 
 def timed_video(video: Path, times: FloatArray, table: str) -> TimedFrames:
@@ -58,34 +61,46 @@ def timed_video(video: Path, times: FloatArray, table: str) -> TimedFrames:
     return TimedFrames(_chosen(replace(frames, times=times[:count]), rows), rows, (*warnings, *found))
 
 
-def timed_images(paths: Sequence[Path], times: FloatArray) -> TimedFrames:
+def timed_images(paths: Sequence[Path], times: FloatArray, cameras: Sequence[Camera] | None = None) -> TimedFrames:
     """Images in the order of a list, with times (N,) in seconds; numbered from 0.
 
+    Args:
+        paths: N files.
+        times: (N,) seconds.
+        cameras: each image's camera; None if the intrinsics are unknown.
+
     Raises:
-        InvalidRecording: an image is missing or broken, sizes differ, or times go back.
+        InvalidRecording: an image is missing or broken, or times go back.
     """
     rows, warnings = advancing_rows(times, "frames")
-    return TimedFrames(image_frames([paths[row] for row in rows], rows, times[rows]), rows, warnings)
+    chosen = None if cameras is None else [cameras[row] for row in rows]
+    frames = image_frames([paths[row] for row in rows], rows, times[rows], chosen)
+    return TimedFrames(frames, rows, warnings, camera_of(frames, chosen))
 
 
-def untimed_images(paths: Sequence[Path]) -> TimedFrames:
-    """Images without times: numbered by their names, or in the order of their names if that fails, at 30 a second.
+def untimed_images(paths: Sequence[Path], cameras: Sequence[Camera] | None = None) -> TimedFrames:
+    """Images without times: numbered by their names, or counted in the order of their names if that fails.
 
     ``rows`` are indices into ``paths``.
 
+    Args:
+        paths: N files.
+        cameras: each image's camera, in the order of ``paths``; None if the intrinsics are unknown.
+
     Raises:
-        InvalidRecording: an image is missing or broken, or sizes differ.
+        InvalidRecording: an image is missing or broken.
     """
-    named = [number_in_name(Path(path.name.split(".")[0])) for path in paths]  # not of frame-000001.color.png
-    numbers = np.array([number for number in named if number is not None], dtype=np.int64)
-    if len(np.unique(numbers)) == len(paths):
-        order = np.argsort(numbers).tolist()
-        numbers = numbers[order]
-    else:
-        order = sorted(range(len(paths)), key=lambda place: paths[place].name)
-        numbers = np.arange(len(paths))
-    frames = image_frames([paths[place] for place in order], numbers, numbers / DEFAULT_FPS)
-    return TimedFrames(frames, np.array(order, dtype=np.int64), ())
+    numbers, order = numbered(paths)
+    chosen = None if cameras is None else [cameras[place] for place in order]
+    frames = image_frames([paths[place] for place in order], numbers, None, chosen)
+    return TimedFrames(frames, np.array(order, dtype=np.int64), (), camera_of(frames, chosen))
+
+
+def camera_of(frames: ImageFolderFrames | UnifiedPictures, cameras: Sequence[Camera] | None) -> Camera | None:
+    """Camera of the frames of images whose ``cameras`` are known; None if they are not."""
+    if cameras is None:
+        return None
+    return frames.common if isinstance(frames, UnifiedPictures) else cameras[0].fitted(*frames.size)
 
 
 def depth_images(

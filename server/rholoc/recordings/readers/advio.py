@@ -27,6 +27,8 @@ from rholoc.recordings.readers._frames import require_video, timed_video
 from rholoc.recordings.recording import Recording, RecordingFormat
 from rholoc.recordings.tables.logged_table import is_bare_table, read_logged_table
 
+TABLES = ("*frames.csv", "*accelerometer.csv", "*gyro.csv", "*gyroscope.csv", "*arkit.csv")
+
 
 def recognises(folder: Path) -> bool:
     """Whether the iPhone's video and tables are there, with their numbers of columns."""

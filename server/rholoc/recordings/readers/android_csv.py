@@ -17,6 +17,7 @@ from rholoc.recordings.readers._frames import find_video, listed_file, timed_ima
 from rholoc.recordings.recording import Recording, RecordingFormat
 from rholoc.recordings.tables.logged_table import has_columns, read_logged_table
 
+TABLES = ("frames.csv", "accelerometer.csv", "gyroscope.csv")
 _ACCELEROMETER = ("timestamp_ns", "ax", "ay", "az")
 _GYROSCOPE = ("timestamp_ns", "gx", "gy", "gz")
 _FRAMES = ("timestamp_ns", "filename")

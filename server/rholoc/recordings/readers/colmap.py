@@ -1,10 +1,11 @@
-"""A COLMAP model as text, beside its images.
+"""A COLMAP model as text or binary, beside its images, as Gaussian splatting has it too.
 
 ::
 
     images/                    or the folder itself
     sparse/0/cameras.txt       CAMERA_ID MODEL WIDTH HEIGHT PARAMS…       or sparse/, or the folder itself
     sparse/0/images.txt        IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME, then a line of points
+    sparse/0/*.bin             the same as binary
 
 Poses are of the world in the camera; pixel (0.5, 0.5) is the centre of the top-left one. The unit of length is not
 stated.
@@ -12,13 +13,15 @@ stated.
 
 from __future__ import annotations
 
+import struct
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from rholoc.errors import InvalidCamera, InvalidRecording
-from rholoc.geometry import Camera, FloatArray
+from rholoc.geometry import Camera
 from rholoc.recordings.readers._frames import listed_file, untimed_images
 from rholoc.recordings.recording import GivenPoses, Recording, RecordingFormat
 from rholoc.recordings.tables.csv_table import read_text
@@ -28,6 +31,8 @@ from rholoc.reports import RecordingWarning, WarningKind
 SCALE_WARNING = RecordingWarning(
     WarningKind.SCALE_UNKNOWN, "The poses' unit of length is not stated: a map from them is not metric."
 )
+
+TABLES = ("sparse/*", "cameras.*", "images.*", "points3d.*", "frames.*", "rigs.*", "database.db", "project.ini")
 
 # Places of fx, fy, cx, cy among a model's parameters, and of k1, k2, p1, p2, …; None stands for zero.
 _MODELS: dict[str, tuple[tuple[int, ...], tuple[int | None, ...]]] = {
@@ -40,9 +45,28 @@ _MODELS: dict[str, tuple[tuple[int, ...], tuple[int | None, ...]]] = {
 }
 
 
+# COLMAP's numbers of the models in binary files, and how many parameters each has.
+_BINARY_MODELS = {
+    0: ("SIMPLE_PINHOLE", 3),
+    1: ("PINHOLE", 4),
+    2: ("SIMPLE_RADIAL", 4),
+    3: ("RADIAL", 5),
+    4: ("OPENCV", 8),
+    5: ("OPENCV_FISHEYE", 8),
+    6: ("FULL_OPENCV", 12),
+    7: ("FOV", 5),
+    8: ("SIMPLE_RADIAL_FISHEYE", 4),
+    9: ("RADIAL_FISHEYE", 5),
+    10: ("THIN_PRISM_FISHEYE", 12),
+}
+_CAMERA_HEAD, _IMAGE_HEAD, _COUNT = struct.Struct("<iiQQ"), struct.Struct("<i7di"), struct.Struct("<Q")
+_POINT_BYTES = 24  # of a point in an image: x, y, and the point's number
+_MAX_NAME_BYTES = 4096
+
+
 @dataclass(frozen=True, eq=False)
 class _Image:
-    """A line of images.txt: tx ty tz qx qy qz qw of the world in the camera."""
+    """An image of the model: tx ty tz qx qy qz qw of the world in the camera."""
 
     name: str
     camera: str
@@ -50,7 +74,7 @@ class _Image:
 
 
 def recognises(folder: Path) -> bool:
-    """Whether there is a model as text."""
+    """Whether there is a model."""
     return _model(folder) is not None
 
 
@@ -59,37 +83,81 @@ def read(folder: Path) -> Recording:
 
     Raises:
         InvalidRecording: the model or an image is broken.
-        InvalidCamera: the most used camera is broken.
+        InvalidCamera: a camera is broken.
         InvalidTrajectory: a pose is broken.
     """
     model = _model(folder)
     assert model is not None
-    images = _read_images(model / "images.txt")
-    cameras = _read_cameras(model / "cameras.txt")
+    images, fields = _read_binary(model) if (model / "images.bin").is_file() else _read_text(model)
     source = folder / "images" if (folder / "images").is_dir() else folder
-    paths = [listed_file(source, image.name) for image in images]
-    timed = untimed_images(paths)
-    placed = [images[row] for row in timed.rows]
-    T_camera_map = poses_from_rows(np.array([image.pose for image in placed]), "images.txt")
-    used = [image.camera for image in placed]
-    camera, warnings = _camera(cameras, max(set(used), key=used.count), timed.frames.size)
+    cameras, warnings = _cameras(fields, [image.camera for image in images])
+    timed = untimed_images([listed_file(source, image.name) for image in images], cameras)
+    T_camera_map = poses_from_rows(np.array([images[row].pose for row in timed.rows]), "the model's images")
     return Recording(
         name=folder.resolve().name,
         path=folder,
         frames=timed.frames,
-        camera=camera,
-        poses=GivenPoses(np.ones(len(placed), dtype=np.bool_), np.linalg.inv(T_camera_map), metric=False),
+        camera=timed.camera,
+        poses=GivenPoses(np.ones(len(timed.rows), dtype=np.bool_), np.linalg.inv(T_camera_map), metric=False),
         format=RecordingFormat.COLMAP,
-        frame_intrinsics=_per_frame(cameras, used),
         warnings=(*timed.warnings, SCALE_WARNING, *warnings),
     )
 
 
 def _model(folder: Path) -> Path | None:
     for place in (folder / "sparse" / "0", folder / "sparse", folder):
-        if (place / "cameras.txt").is_file() and (place / "images.txt").is_file():
-            return place
+        for ending in ("bin", "txt"):
+            if all((place / f"{name}.{ending}").is_file() for name in ("cameras", "images")):
+                return place
     return None
+
+
+def _read_text(model: Path) -> tuple[list[_Image], dict[str, list[str]]]:
+    return _read_images(model / "images.txt"), _read_cameras(model / "cameras.txt")
+
+
+def _read_binary(model: Path) -> tuple[list[_Image], dict[str, list[str]]]:
+    """The images, and the fields of each camera as a text file has them, by identifier.
+
+    Raises:
+        InvalidRecording: a file is cut off or is something else.
+    """
+    try:
+        return _binary_images((model / "images.bin").read_bytes()), _binary_cameras(
+            (model / "cameras.bin").read_bytes()
+        )
+    except (struct.error, KeyError, ValueError) as error:
+        raise InvalidRecording(
+            f"The binary model in {model.name} is broken or cut off.", "Export it again, or as text."
+        ) from error
+
+
+def _binary_cameras(data: bytes) -> dict[str, list[str]]:
+    fields, place = {}, _COUNT.size
+    for _ in range(_COUNT.unpack_from(data)[0]):
+        number, model, width, height = _CAMERA_HEAD.unpack_from(data, place)
+        name, count = _BINARY_MODELS[model]
+        place += _CAMERA_HEAD.size
+        values = struct.unpack_from(f"<{count}d", data, place)
+        place += 8 * count
+        fields[str(number)] = [name, str(width), str(height), *map(repr, values)]
+    return fields
+
+
+def _binary_images(data: bytes) -> list[_Image]:
+    images, place = [], _COUNT.size
+    for _ in range(_COUNT.unpack_from(data)[0]):
+        _, qw, qx, qy, qz, tx, ty, tz, camera = _IMAGE_HEAD.unpack_from(data, place)
+        place += _IMAGE_HEAD.size
+        end = data.index(b"\0", place, place + _MAX_NAME_BYTES)
+        images.append(_Image(data[place:end].decode(), str(camera), [tx, ty, tz, qx, qy, qz, qw]))
+        points = _COUNT.unpack_from(data, end + 1)[0]
+        place = end + 1 + _COUNT.size + points * _POINT_BYTES
+        if place > len(data):
+            raise ValueError("The file ends within an image.")
+    if not images:
+        raise InvalidRecording("The binary model lists no images.")
+    return images
 
 
 def _read_images(path: Path) -> list[_Image]:
@@ -134,23 +202,18 @@ def _intrinsics(fields: list[str]) -> tuple[tuple[int, int], list[float], tuple[
     return (width, height), [fx, fy, cx - 0.5, cy - 0.5], coefficients
 
 
-def _camera(
-    cameras: dict[str, list[str]], used: str, size: tuple[int, int]
-) -> tuple[Camera | None, tuple[RecordingWarning, ...]]:
-    if used not in cameras:
-        raise InvalidCamera(f"cameras.txt has no camera {used}, which images.txt uses.")
-    found = _intrinsics(cameras[used])
-    if found is None:
-        text = f"The camera's model is {cameras[used][0]}, which is not supported: its intrinsics are ignored."
-        return None, (RecordingWarning(WarningKind.CAMERA_UNSUPPORTED, text),)
-    (width, height), (fx, fy, cx, cy), distortion = found
-    return Camera(width, height, fx, fy, cx, cy, distortion).fitted(*size), ()
-
-
-def _per_frame(cameras: dict[str, list[str]], used: list[str]) -> FloatArray | None:
-    """fx, fy, cx, cy of each frame where the model has several cameras, else None."""
-    if len(set(used)) == 1:
-        return None
-    known = {camera: _intrinsics(cameras[camera]) for camera in set(used) if camera in cameras}
-    rows = [known.get(camera) for camera in used]
-    return np.array([[np.nan] * 4 if row is None else row[1] for row in rows])
+def _cameras(
+    fields: dict[str, list[str]], used: Sequence[str]
+) -> tuple[list[Camera] | None, tuple[RecordingWarning, ...]]:
+    """Camera of each image; None if one of them is of a model that is not supported."""
+    found: dict[str, Camera] = {}
+    for number in dict.fromkeys(used):
+        if number not in fields:
+            raise InvalidCamera(f"The model has no camera {number}, which its images use.")
+        known = _intrinsics(fields[number])
+        if known is None:
+            text = f"The camera's model is {fields[number][0]}, which is not supported: its intrinsics are ignored."
+            return None, (RecordingWarning(WarningKind.CAMERA_UNSUPPORTED, text),)
+        (width, height), (fx, fy, cx, cy), distortion = known
+        found[number] = Camera(width, height, fx, fy, cx, cy, distortion)
+    return [found[number] for number in used], ()

@@ -29,6 +29,14 @@ from rholoc.recordings.tables.logged_table import has_columns, read_logged_table
 from rholoc.recordings.tables.pose_table import PoseTable, match_poses, poses_from_rows
 from rholoc.reports import RecordingWarning, WarningKind
 
+TABLES = (
+    "*cam0/data.csv",
+    "*cam0/sensor.yaml",
+    "*imu0/data.csv",
+    "*imu0/sensor.yaml",
+    "*state_groundtruth_estimate0/*",
+    "groundtruth_cam0.txt",
+)
 _GYROSCOPE = tuple(f"w_rs_s_{axis}" for axis in "xyz")
 _ACCELEROMETER = tuple(f"a_rs_s_{axis}" for axis in "xyz")
 _BODY_POSE = ("p_rs_r_x", "p_rs_r_y", "p_rs_r_z", "q_rs_x", "q_rs_y", "q_rs_z", "q_rs_w")

@@ -32,6 +32,8 @@ from rholoc.recordings.recording import Imu, Recording, RecordingFormat
 from rholoc.recordings.tables.logged_table import is_bare_table, read_logged_table
 from rholoc.reports import RecordingWarning, WarningKind
 
+TABLES = ("frames.txt", "arposes.txt", "motarh.txt", "gyro.txt", "accel.txt")
+
 
 def recognises(folder: Path) -> bool:
     """Whether the tables of frames and IMU are there with their numbers of columns."""

@@ -24,6 +24,7 @@ from rholoc.recordings.readers._frames import require_video, timed_video
 from rholoc.recordings.recording import Recording, RecordingFormat
 from rholoc.recordings.tables.logged_table import LoggedTable, has_columns, read_logged_table
 
+TABLES = ("*.csv", "frame_timestamps.txt")
 _IMU = ("timestamp", "gx", "gy", "gz", "ax", "ay", "az")
 _FRAMES = ("timestamp", "fx", "fy")
 _READOUT = "frame readout time"  # nanoseconds

@@ -6,7 +6,8 @@
                       frames: [{"file_path": "images/frame_00001.png", "transform_matrix": 4×4}]
 
 ``transform_matrix`` is T_world_camera of a camera that looks along −z with y up; pixel (0.5, 0.5) is the centre of the
-top-left one. Each frame may have its own intrinsics instead. The unit of length is not stated.
+top-left one. Each frame may have its own intrinsics instead. ``applied_transform`` (3×4), which turned the original
+world into this one, is undone. The unit of length is not stated.
 """
 
 from __future__ import annotations
@@ -17,8 +18,9 @@ from typing import Any
 
 import numpy as np
 
-from rholoc.errors import InvalidCamera, InvalidRecording, InvalidTrajectory
+from rholoc.errors import InvalidCamera, InvalidImage, InvalidRecording, InvalidTrajectory
 from rholoc.geometry import Camera, FloatArray, is_rotation
+from rholoc.recordings.frames.image import image_size
 from rholoc.recordings.readers._apple import opencv_camera
 from rholoc.recordings.readers._frames import listed_file, untimed_images
 from rholoc.recordings.readers.colmap import SCALE_WARNING
@@ -26,11 +28,11 @@ from rholoc.recordings.recording import GivenPoses, Recording, RecordingFormat
 from rholoc.recordings.tables.csv_table import read_json
 from rholoc.reports import RecordingWarning, WarningKind
 
+TABLES = ("transforms.json",)
 _FILE = "transforms.json"
 _PINHOLE = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "PERSPECTIVE")
 _ROTATION_TOLERANCE = 1e-2
 _LARGEST = 1e9
-_INTRINSICS = ("fl_x", "fl_y", "cx", "cy")
 
 
 def recognises(folder: Path) -> bool:
@@ -49,19 +51,17 @@ def read(folder: Path) -> Recording:
     values = _read_json(folder / _FILE)
     listed = values["frames"]
     paths = [_image(folder, frame) for frame in listed]
-    timed = untimed_images(paths)
-    chosen = [listed[row] for row in timed.rows]
-    T_map_camera = opencv_camera(np.array([_pose(frame) for frame in chosen]))
-    camera, warnings = _camera({**chosen[0], **values}, timed.frames.size)
-    per_frame = np.array([[_number(frame, name) for name in _INTRINSICS] for frame in chosen]) - [0, 0, 0.5, 0.5]
+    cameras, warnings = _cameras(values, listed, paths)
+    timed = untimed_images(paths, cameras)
+    T_world_camera = opencv_camera(np.array([_pose(listed[row]) for row in timed.rows]))
+    T_map_camera = np.linalg.inv(_applied_transform(values)) @ T_world_camera
     return Recording(
         name=folder.resolve().name,
         path=folder,
         frames=timed.frames,
-        camera=camera,
-        poses=GivenPoses(np.ones(len(chosen), dtype=np.bool_), T_map_camera, metric=False),
+        camera=timed.camera,
+        poses=GivenPoses(np.ones(len(paths), dtype=np.bool_), T_map_camera, metric=False),
         format=RecordingFormat.NERFSTUDIO,
-        frame_intrinsics=per_frame if np.isfinite(per_frame).any() else None,
         warnings=(*timed.warnings, SCALE_WARNING, *warnings),
     )
 
@@ -91,6 +91,37 @@ def _pose(frame: dict[str, Any]) -> FloatArray:
     if T.shape != (4, 4) or not np.isfinite(T).all() or not is_rotation(T[:3, :3], _ROTATION_TOLERANCE):
         raise InvalidTrajectory(f"{_FILE}: the transform_matrix of {frame['file_path']} is not a pose.")
     return T
+
+
+def _applied_transform(values: dict[str, Any]) -> FloatArray:
+    """(4, 4) of the transform that was applied to the original world; the identity if none is stated."""
+    try:
+        given = np.array(values.get("applied_transform", np.eye(4)[:3]), dtype=np.float64)
+    except (TypeError, ValueError):
+        given = np.zeros(0)
+    if given.shape not in ((3, 4), (4, 4)) or not is_rotation(given[:3, :3], _ROTATION_TOLERANCE):
+        raise InvalidTrajectory(f"{_FILE}: applied_transform is not a pose.", "Leave it out, or give 3×4 numbers.")
+    return np.vstack([given[:3], [0, 0, 0, 1]])
+
+
+def _cameras(
+    values: dict[str, Any], frames: list[dict[str, Any]], paths: list[Path]
+) -> tuple[list[Camera] | None, tuple[RecordingWarning, ...]]:
+    """Camera of each frame; None if one is unknown or of a model that is not supported."""
+    cameras = []
+    for frame, path in zip(frames, paths, strict=True):
+        camera, warnings = _camera({**values, **frame}, _size(path))
+        if camera is None:
+            return None, warnings
+        cameras.append(camera)
+    return cameras, ()
+
+
+def _size(path: Path) -> tuple[int, int]:
+    try:
+        return image_size(path)
+    except (InvalidImage, OSError) as error:
+        raise InvalidRecording(f"The image {path.name} is missing or broken.", "Leave it out of the list.") from error
 
 
 def _number(values: dict[str, Any], name: str) -> float:

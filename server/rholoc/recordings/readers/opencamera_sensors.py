@@ -18,6 +18,7 @@ from rholoc.recordings.readers._frames import find_video, require_video, timed_v
 from rholoc.recordings.recording import Recording, RecordingFormat
 from rholoc.recordings.tables.logged_table import is_bare_table, read_logged_table
 
+TABLES = ("*_gyro.csv", "*_accel.csv", "*_timestamps.csv")
 _GYROSCOPE, _ACCELEROMETER, _TIMES = "_gyro.csv", "_accel.csv", "_timestamps.csv"
 
 

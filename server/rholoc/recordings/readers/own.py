@@ -16,7 +16,8 @@ from pathlib import Path
 
 from rholoc.errors import InvalidRecording
 from rholoc.recordings.camera_file import CameraFile, read_camera_json
-from rholoc.recordings.frames.image_folder import find_images, read_image_folder
+from rholoc.recordings.frames.image_folder import ImageFolderFrames, find_images, read_image_folder
+from rholoc.recordings.frames.unified_pictures import UnifiedPictures
 from rholoc.recordings.frames.video import read_video
 from rholoc.recordings.imu_normalisation import ImuConvention, Samples, frame_times_s, normalise_imu
 from rholoc.recordings.readers._frames import find_video, timed_video
@@ -26,6 +27,8 @@ from rholoc.recordings.tables.imu_table import read_imu_rows
 from rholoc.recordings.tables.pose_table import match_poses, read_pose_table
 from rholoc.recordings.tables.waypoints import read_waypoints_csv
 from rholoc.reports import RecordingWarning
+
+TABLES = ("frames.csv", "times.csv", "imu.csv", "poses.txt", "poses.csv", "truth.csv")
 
 
 def read(folder: Path) -> Recording:
@@ -53,6 +56,7 @@ def read(folder: Path) -> Recording:
         poses=None if poses is None else match_poses(read_pose_table(poses), frames),
         format=RecordingFormat.RHOLOC,
         readout_s=description.readout_s,
+        focal_px=frames.focal_px if isinstance(frames, ImageFolderFrames | UnifiedPictures) else None,
         warnings=(*warnings, *imu_warnings),
     )
 

@@ -28,6 +28,7 @@ from rholoc.recordings.readers._frames import TimedFrames, find_video, timed_ima
 from rholoc.recordings.recording import Recording, RecordingFormat
 from rholoc.recordings.tables.logged_table import has_columns, read_logged_table
 
+TABLES = ("gyroscope.csv", "totalacceleration.csv", "accelerometer.csv", "gravity.csv", "metadata.csv")
 _COLUMNS = ("time", "x", "y", "z")
 
 

@@ -21,6 +21,7 @@ from rholoc.recordings.readers._frames import depth_images, untimed_images
 from rholoc.recordings.recording import GivenPoses, Recording, RecordingFormat
 from rholoc.recordings.tables.csv_table import read_text
 
+TABLES = ("*.pose.txt", "*.depth.png")
 _ROTATION_TOLERANCE = 1e-2
 _UNKNOWN_DEPTHS = (0, 65535)
 _DEPTH_CAMERA = Camera(640, 480, 585.0, 585.0, 320.0, 240.0)

@@ -24,6 +24,7 @@ from rholoc.recordings.recording import Imu, Recording, RecordingFormat
 from rholoc.recordings.tables.csv_table import parse_json, read_text
 from rholoc.reports import RecordingWarning, WarningKind
 
+TABLES = ("data.jsonl", "calibration.json")
 _INTRINSICS = ("focalLengthX", "focalLengthY", "principalPointX", "principalPointY")
 _ROTATION_TOLERANCE = 1e-2
 

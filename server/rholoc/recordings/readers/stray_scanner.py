@@ -23,11 +23,12 @@ from rholoc.geometry import Camera, FloatArray, IntArray
 from rholoc.recordings.imu_normalisation import ImuConvention, Samples, normalise_imu, with_sign_by_poses
 from rholoc.recordings.readers._apple import R_LANDSCAPE_CAMERA_IMU, z_up
 from rholoc.recordings.readers._frames import depth_images, require_video, timed_video
-from rholoc.recordings.recording import GivenPoses, Imu, Recording, RecordingFormat
+from rholoc.recordings.recording import GivenPoses, Imu, PoseKind, Recording, RecordingFormat
 from rholoc.recordings.tables.logged_table import LoggedTable, has_columns, read_logged_table
 from rholoc.recordings.tables.pose_table import poses_from_rows
 from rholoc.reports import RecordingWarning
 
+TABLES = ("odometry.csv", "camera_matrix.csv", "imu.csv", "depth/*.png")
 _POSES = ("x", "y", "z", "qx", "qy", "qz", "qw")
 _IMU = ("timestamp", "a_x", "a_y", "a_z", "alpha_x", "alpha_y", "alpha_z")
 _INTRINSICS = ("fx", "fy", "cx", "cy")
@@ -49,7 +50,7 @@ def read(folder: Path) -> Recording:
     odometry = read_logged_table(folder / "odometry.csv")
     timed = timed_video(require_video(folder, "rgb"), odometry.named("timestamp")[:, 0], "odometry.csv")
     T_map_camera = z_up(poses_from_rows(odometry.named(*_POSES)[timed.rows], "odometry.csv"))
-    poses = GivenPoses(np.ones(len(T_map_camera), dtype=np.bool_), T_map_camera)
+    poses = GivenPoses(np.ones(len(T_map_camera), dtype=np.bool_), T_map_camera, kind=PoseKind.ODOMETRY)
     imu, imu_warnings = _imu(folder / "imu.csv", timed.frames.times, poses)
     per_frame = _logged_intrinsics(odometry, timed.rows)
     return Recording(

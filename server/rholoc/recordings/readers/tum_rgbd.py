@@ -25,6 +25,7 @@ from rholoc.recordings.tables.logged_table import is_bare_table, read_logged_tab
 from rholoc.recordings.tables.pose_table import match_poses, read_pose_table
 from rholoc.reports import RecordingWarning, WarningKind
 
+TABLES = ("rgb.txt", "depth.txt", "groundtruth.txt", "accelerometer.txt", "depth/*")
 _DEPTH_UNIT_M = 1 / 5000
 _SAME_MOMENT_S = 0.02  # of a colour and a depth image
 

@@ -7,6 +7,7 @@ import json
 from array import array
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,17 @@ MAX_TABLE_BYTES = 2**29
 MAX_TABLE_ROWS = 3_000_000  # four hours at 200 Hz
 MAX_JSON_BYTES = 2**26
 _MOST_DIGITS = 300  # of an integer: more are no float
+_PAPER_GROUPS = {
+    "the time mark, n": {"": "timestamp"},
+    "linear acceleration, m/s2": {"x": "ax", "y": "ay", "z": "az"},
+    "angular acceleration, rad/s2": {"x": "gx", "y": "gy", "z": "gz"},
+    "descriptor": {"": "descriptor"},
+    "screen coordinates": {"u": "u", "v": "v"},
+    "robot coordinates": {"x": "x", "y": "y", "z": "z"},
+    "robot orientation": {"hx": "hx", "hy": "hy", "hz": "hz"},
+}
+"""Tables 3 and 4 under the paper's own header: a column by its group, and by its name in the row below."""
+_PAPER_HINT = "Write one header row, as maps/README.md shows, or both rows as in the paper."
 _MOST_SHOWN = 200  # characters of a table in a message
 
 
@@ -110,7 +122,24 @@ def table_rows(path: Path, error: type[InvalidInput], max_rows: int) -> Iterator
             if first is None:
                 raise error(f"{path.name} is empty.", "It needs a header row and rows of values.")
             header = [name.strip().lower() for name in first]
+            if header[0] and set(header) <= {"", *_PAPER_GROUPS}:
+                header = _paper_columns(header, next(lines, []), path, error)
             yield header, _checked_rows(lines, len(header), path, error, max_rows)
+
+
+def _paper_columns(groups: list[str], second: list[str], path: Path, error: type[InvalidInput]) -> list[str]:
+    """The columns of a table under the paper's header of two rows: groups, each above its first column, and parts."""
+    parts = [part.strip().lower().strip("$").replace("_", "") for part in second]
+    columns, group = [], ""
+    for above, part in zip_longest(groups, parts, fillvalue=""):
+        group = above or group
+        column = _PAPER_GROUPS.get(group, {}).get(part)
+        if column is None:
+            raise error(
+                f"{path.name}: the header's '{shortened(part)}' under '{shortened(group)}' is not known.", _PAPER_HINT
+            )
+        columns.append(column)
+    return columns
 
 
 def _checked_rows(
@@ -130,7 +159,7 @@ def _raising(error: type[InvalidInput], path: Path) -> Iterator[None]:
     try:
         yield
     except FileNotFoundError as cause:
-        raise error(f"{path.name} does not exist.", f"Looked for it at {path}.") from cause
+        raise error(f"{path.name} does not exist.", "Check the recording's files.") from cause
     except OSError as cause:
         raise error(f"{path.name} cannot be read: {cause.strerror}.") from cause
     except UnicodeDecodeError as cause:

@@ -90,7 +90,7 @@ def match_poses(table: PoseTable, frames: FrameSource) -> GivenPoses:
     """
     order = np.argsort(table.keys)
     keys = table.keys[order]
-    by_number = table.keys_are_frames(frames.numbers)
+    by_number = table.keys_are_frames(frames.numbers) or not frames.timed
     wanted: FloatArray = frames.numbers.astype(np.float64) if by_number else frames.times
     tolerance = 0.0 if by_number else _half_interval(frames.times)
     after = np.searchsorted(keys, wanted).clip(0, len(keys) - 1)
@@ -100,7 +100,8 @@ def match_poses(table: PoseTable, frames: FrameSource) -> GivenPoses:
     if not known.any():
         raise InvalidTrajectory(
             f"No pose belongs to a frame: the table runs from {keys[0]:g} to {keys[-1]:g}.",
-            f"Frames are {frames.numbers[0]}–{frames.numbers[-1]}, times {frames.times[0]:g}–{frames.times[-1]:g} s.",
+            f"Frames are {frames.numbers[0]}–{frames.numbers[-1]}"
+            + (f", times {frames.times[0]:g}–{frames.times[-1]:g} s." if frames.timed else ", without times."),
         )
     T = table.T_map_camera[order][nearest]
     T[~known] = np.nan

@@ -38,6 +38,11 @@ class FrameTimes(Protocol):
         ...
 
     @property
+    def timed(self) -> bool:
+        """Whether the times were measured; else they are rows."""
+        ...
+
+    @property
     def numbers(self) -> IntArray:
         """(N,) the frames' numbers as users know them."""
         ...
@@ -52,12 +57,18 @@ def read_waypoints_csv(path: Path, frames: FrameTimes) -> tuple[Waypoint, ...]:
 
     Raises:
         InvalidWaypoints: other columns, fewer than three, more than 1000, an empty, repeated or overlong name, a value
-            that is not finite, a time outside the recording, or a frame that is not in it.
+            that is not finite, a time outside the recording, a frame that is not in it, or times although the pictures
+            have none.
     """
     header, rows = read_rows(path, InvalidWaypoints, MAX_WAYPOINTS)
     moment = next((column for column in ("time", "frame") if column in header), None)
     if moment is None and not {"name", "x", "y", "z"} <= set(header):
         raise InvalidWaypoints(f"{path.name} has other columns: '{shortened(','.join(header))}'.", _COLUMNS_HINT)
+    if moment != "frame" and not frames.timed:
+        raise InvalidWaypoints(
+            f"{path.name} does not say in which picture each waypoint is, and the pictures have no times.",
+            "Use the columns name,frame,x,y,z, or add frames.csv with the pictures' times.",
+        )
     require_columns(path, header, ("name", *([moment] if moment else []), "x", "y", "z"), InvalidWaypoints)
     waypoints = tuple(_waypoint(row, line, moment, path, frames) for line, row in enumerate(rows, start=2))
     _require_enough(waypoints)

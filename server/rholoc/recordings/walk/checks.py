@@ -14,6 +14,9 @@ _MARGIN_S = 0.5  # frames before and after the IMU's table that do not matter
 
 def whole_warnings(recording: Recording) -> tuple[RecordingWarning, ...]:
     """Gaps between frames, and frames that the IMU does not cover."""
+    if not recording.frames.timed:
+        text = "The pictures have no times, so the IMU cannot be used: add frames.csv with frame,timestamp."
+        return () if recording.imu is None else (RecordingWarning(WarningKind.NO_OVERLAP, text),)
     found = list(_frame_gaps(recording.frames.times))
     if recording.imu is not None:
         found += _uncovered(recording.frames.times, recording.imu)

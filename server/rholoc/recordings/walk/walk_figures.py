@@ -60,7 +60,7 @@ def measure_walk(
     """The figures of a walk, from its IMU, from what frames show, and from poses (N, 4, 4) at times (N,), if any."""
     imu = recording.imu
     return WalkFigures(
-        turn_deg_s=_turn_of_poses(times, T_map_camera) if imu is None else _turn_of_imu(imu, recording.frames.times),
+        turn_deg_s=_turn(recording, times, T_map_camera),
         brightness=float(np.median([look.brightness for look in looks])) if looks else None,
         bare_share=float(np.mean([look.corners < _FEW_CORNERS for look in looks])) if looks else None,
         pauses=None if imu is None or not recording.waypoints else _rested_at(recording.waypoints, imu),
@@ -87,6 +87,15 @@ def nearest_return(T_map_camera: FloatArray) -> float | None:
     same_way = T[:, :3, 2] @ T[:, :3, 2].T > np.cos(np.radians(_SAME_WAY_DEG))
     pairs = (between >= way[-1] / 2) & same_way
     return float((apart[pairs] / between[pairs]).min(initial=1.0))
+
+
+def _turn(recording: Recording, times: FloatArray, T_map_camera: FloatArray) -> float | None:
+    """How fast the camera turned [°/s]; None if the pictures have no times."""
+    if not recording.frames.timed:
+        return None
+    if recording.imu is not None:
+        return _turn_of_imu(recording.imu, recording.frames.times)
+    return _turn_of_poses(times, T_map_camera)
 
 
 def _turn_of_imu(imu: Imu, times: FloatArray) -> float | None:

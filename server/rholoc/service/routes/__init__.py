@@ -2,6 +2,7 @@
 
 from rholoc.service.routes import (
     audit,
+    budgets,
     cameras,
     health,
     jobs,
@@ -16,7 +17,22 @@ from rholoc.service.routes import (
     uploads,
 )
 
-_RESOURCES = (localize, track, maps, learning, sites, live, cameras, recordings, uploads, jobs, keys, audit, health)
+_RESOURCES = (
+    localize,
+    track,
+    maps,
+    learning,
+    sites,
+    live,
+    cameras,
+    recordings,
+    uploads,
+    jobs,
+    keys,
+    budgets,
+    audit,
+    health,
+)
 ROUTERS = tuple(resource.router for resource in _RESOURCES)
 
 __all__ = ["ROUTERS"]

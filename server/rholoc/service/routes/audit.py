@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Annotated
 
 from fastapi import APIRouter, Query
-from starlette.concurrency import run_in_threadpool
 
 from rholoc.errors import InvalidName
 from rholoc.maps import check_map_name
@@ -25,5 +24,5 @@ async def list_changes(
 ) -> ChangesOut:
     """The last requests that changed something, the newest first: maps, sites, cameras, recordings, jobs, keys."""
     name = None if map is None else check_map_name(map)
-    changes = await run_in_threadpool(service.audit.changes, limit, name)
+    changes = await service.threads.database(service.audit.changes, limit, name)
     return ChangesOut(changes=[ChangeOut.model_validate(one, from_attributes=True) for one in changes])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from fastapi import APIRouter, Response
-from starlette.concurrency import run_in_threadpool
 
 from rholoc.errors import InvalidCamera, InvalidInput, InvalidName, RholocError, StorageFull, UnknownCamera
 from rholoc.geometry import Camera
@@ -20,7 +19,7 @@ router = APIRouter(prefix="/v1/cameras", tags=["cameras"])
 @router.get("", dependencies=[NEEDS_READ], summary="All cameras")
 async def list_cameras(service: Service) -> CameraList:
     """The stored cameras by name; files that cannot be read are listed separately."""
-    return await run_in_threadpool(_list, service.cameras)
+    return await service.threads.database(_list, service.cameras)
 
 
 @router.get(
@@ -31,7 +30,7 @@ async def list_cameras(service: Service) -> CameraList:
 )
 async def get_camera(camera: str, service: Service) -> CameraProfileOut:
     """Its intrinsics, and how accurate they are."""
-    return await run_in_threadpool(_profile, service.cameras, camera)
+    return await service.threads.database(_profile, service.cameras, camera)
 
 
 @router.put(
@@ -45,9 +44,9 @@ async def get_camera(camera: str, service: Service) -> CameraProfileOut:
 )
 async def put_camera(camera: str, given: CameraProfileIn, service: Service, response: Response) -> CameraProfileOut:
     """Requests that name it use it from then on; maps keep the camera that they were made with."""
-    new = camera not in await run_in_threadpool(service.cameras.names)
+    new = camera not in await service.threads.database(service.cameras.names)
     profile = CameraProfile(Camera.from_dict(given.model_dump(exclude={"calibration"})), given.calibration)
-    await run_in_threadpool(service.cameras.put, camera, profile)
+    await service.threads.database(service.cameras.put, camera, profile)
     response.status_code = 201 if new else 200
     return _out(camera, profile)
 
@@ -61,7 +60,7 @@ async def put_camera(camera: str, given: CameraProfileIn, service: Service, resp
 )
 async def delete_camera(camera: str, service: Service) -> None:
     """For good; maps that were made with it keep it."""
-    await run_in_threadpool(service.cameras.delete, camera)
+    await service.threads.database(service.cameras.delete, camera)
 
 
 def _list(cameras: CameraLibrary) -> CameraList:

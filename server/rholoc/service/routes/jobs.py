@@ -8,17 +8,17 @@ from functools import partial
 from typing import Annotated
 
 from fastapi import APIRouter, Header, Query, Request, Response
-from fastapi.responses import StreamingResponse
-from starlette.concurrency import run_in_threadpool
 
 from rholoc.errors import Conflict, UnknownJob
 from rholoc.service.access import NEEDS_MAP, NEEDS_READ
 from rholoc.service.errors import InvalidRequest
 from rholoc.service.intake import counted_job
 from rholoc.service.job_events import LOOK_EVERY_S, job_out
+from rholoc.service.open_streams import EventStream
 from rholoc.service.openapi import failures
 from rholoc.service.schemas import JobChange, JobList, JobOut
 from rholoc.service.state import Service, State
+from rholoc.service.stream_kind import StreamKind
 
 router = APIRouter(prefix="/v1/jobs", tags=["jobs"])
 
@@ -40,7 +40,7 @@ async def list_jobs(
     before: Annotated[str | None, Query(description="a job's id: only those that are older", examples=[None])] = None,
 ) -> Response:
     """The newest jobs, or those before a given one; `more` says whether there are older ones."""
-    return Response(await run_in_threadpool(_listed, service, limit, before), media_type="application/json")
+    return Response(await service.threads.database(_listed, service, limit, before), media_type="application/json")
 
 
 def _listed(service: State, limit: int, before: str | None) -> str:
@@ -51,7 +51,7 @@ def _listed(service: State, limit: int, before: str | None) -> str:
 @router.get("/{job}", dependencies=[NEEDS_READ], summary="One job", responses=failures(InvalidRequest, UnknownJob))
 async def get_job(job: str, service: Service) -> JobOut:
     """Its state, stage and progress; why it failed, if it did."""
-    return job_out(await run_in_threadpool(service.jobs.get, job))
+    return job_out(await service.threads.database(service.jobs.get, job))
 
 
 @router.patch(
@@ -62,7 +62,7 @@ async def get_job(job: str, service: Service) -> JobOut:
 )
 async def change_job(job: str, wanted: JobChange, service: Service) -> JobOut:
     """While it waits for a worker."""
-    return job_out(await run_in_threadpool(service.jobs.prioritize, job, wanted.priority))
+    return job_out(await service.threads.database(service.jobs.prioritize, job, wanted.priority))
 
 
 @router.get(
@@ -81,6 +81,7 @@ async def change_job(job: str, wanted: JobChange, service: Service) -> JobOut:
 )
 async def watch_job(
     job: str,
+    request: Request,
     service: Service,
     last_event_id: Annotated[
         str | None, Header(description="of the last event that arrived; it is not sent again")
@@ -91,8 +92,8 @@ async def watch_job(
     event = await service.job_events.latest(job)
     if event.last and event.id == last_event_id:
         return Response(status_code=204)  # which makes a browser stop reconnecting
-    headers = {"Cache-Control": "no-store", "X-Accel-Buffering": "no"}
-    return StreamingResponse(_events(job, service, last_event_id), headers=headers, media_type="text/event-stream")
+    stream = service.streams.admit(StreamKind.EVENTS, request.scope)
+    return EventStream(_events(job, service, last_event_id), service.streams, stream)
 
 
 async def _events(job_id: str, service: State, last_id: str | None) -> AsyncIterator[str]:
@@ -121,9 +122,9 @@ async def cancel_job(
 ) -> JobOut:
     """The recording is kept; the job can be tried again. With `ended=true` a job that has ended is removed for good."""
     if ended:
-        return job_out(await run_in_threadpool(service.jobs.delete, job))
-    await run_in_threadpool(service.jobs.cancel, job)
-    return job_out(await run_in_threadpool(service.jobs.get, job))
+        return job_out(await service.threads.database(service.jobs.delete, job))
+    await service.threads.database(service.jobs.cancel, job)
+    return job_out(await service.threads.database(service.jobs.get, job))
 
 
 @router.post(
@@ -135,5 +136,5 @@ async def cancel_job(
 )
 async def retry_job(job: str, request: Request, service: Service) -> JobOut:
     """Queue a failed or cancelled job again, with the recording that was kept."""
-    found = await run_in_threadpool(service.jobs.get, job)
+    found = await service.threads.database(service.jobs.get, job)
     return job_out(await counted_job(service, request, found.map_name, partial(service.jobs.retry, job)))

@@ -15,7 +15,7 @@ from starlette.concurrency import run_in_threadpool
 
 from rholoc.errors import Busy, InvalidInput, NotFound, StorageFull
 from rholoc.service.access import NEEDS_ADMIN, NEEDS_MAP, NEEDS_READ, forbidden, granted_key, request_key
-from rholoc.service.errors import InvalidRequest
+from rholoc.service.errors import InvalidRequest, QuotaExceeded
 from rholoc.service.keys import HANDED_PREFIX, ApiKey, KeyLimits, KeyStore
 from rholoc.service.openapi import failures
 from rholoc.service.schemas import (
@@ -33,7 +33,8 @@ from rholoc.service.state import Service, State
 
 router = APIRouter(prefix="/v1", tags=["keys"])
 
-_MAX_HANDED = 200  # valid at the same time
+_MAX_HANDED = 1000  # valid at the same time, of all keys together
+_MAX_HANDED_BY = 100  # by one key, with those below it
 _NAME_BYTES = 4
 _SVG = "image/svg+xml"
 
@@ -43,7 +44,7 @@ _SVG = "image/svg+xml"
     dependencies=[NEEDS_MAP],
     status_code=201,
     summary="Hand on a key that expires",
-    responses=failures(InvalidRequest, Busy, StorageFull),
+    responses=failures(InvalidRequest, QuotaExceeded, Busy, StorageFull),
 )
 async def hand_on_key(wanted: KeyIn, request: Request, service: Service) -> HandedKeyOut:
     """A new key, which allows no more than the key of the request and expires no later. It is shown only once. Where
@@ -54,20 +55,20 @@ async def hand_on_key(wanted: KeyIn, request: Request, service: Service) -> Hand
     if not needed:
         return HandedKeyOut(key=None, name=None, scope=wanted.scope, expires=None)
     lifetime_s = wanted.lifetime_s if expires is None else min(wanted.lifetime_s, expires - time.time())
-    return await run_in_threadpool(_hand_on, service.keys, wanted, lifetime_s, request_key(request.scope))
+    return await service.threads.database(_hand_on, service.keys, wanted, lifetime_s, request_key(request.scope))
 
 
 @router.get("/keys", dependencies=[NEEDS_ADMIN], summary="All keys")
 async def list_keys(service: Service) -> KeyList:
     """Their names and scopes, the oldest first; not the keys themselves, of which the server only has hashes."""
-    keys = await run_in_threadpool(service.keys.keys)
-    return KeyList(keys=[_shown(key) for key in keys])
+    keys = await service.threads.database(service.keys.keys)
+    return KeyList(keys=[_shown(key, service.keys) for key in keys])
 
 
 @router.get("/keys/{name}", dependencies=[NEEDS_ADMIN], summary="One key", responses=failures(NotFound, InvalidRequest))
 async def get_key(name: str, service: Service) -> KeyDetail:
     """How much it allows, and what it holds."""
-    return await run_in_threadpool(_detail, service, name)
+    return await service.threads.database(_detail, service, name)
 
 
 @router.put(
@@ -79,8 +80,8 @@ async def get_key(name: str, service: Service) -> KeyDetail:
 async def limit_key(name: str, wanted: KeyLimitsIn, service: Service) -> KeyDetail:
     """Sets all its limits, from the next request on; those that are missing are lifted. What it holds stays, even where
     it is more than it may."""
-    await run_in_threadpool(service.keys.limit, name, _limits(wanted))
-    return await run_in_threadpool(_detail, service, name)
+    await service.threads.database(service.keys.limit, name, _limits(wanted))
+    return await service.threads.database(_detail, service, name)
 
 
 @router.delete(
@@ -91,8 +92,11 @@ async def limit_key(name: str, wanted: KeyLimitsIn, service: Service) -> KeyDeta
     responses=failures(NotFound, InvalidRequest),
 )
 async def revoke_key(name: str, service: Service) -> None:
-    """It is refused from the next request on."""
-    await run_in_threadpool(service.keys.revoke, name)
+    """With all keys that it handed on. They are refused from the next request on, their streams end within a second,
+    and their unfinished uploads are abandoned."""
+    await service.threads.database(service.keys.revoke, name)
+    service.streams.end_invalid()
+    await service.threads.database(service.quotas.abandon_uploads)
 
 
 @router.post(
@@ -120,25 +124,38 @@ def _hand_on(store: KeyStore, wanted: KeyIn, lifetime_s: float, by: ApiKey | Non
         if key.expired:
             with suppress(NotFound):  # another request has done so
                 store.revoke(key.name)
-    if sum(not key.expired for key in handed) >= _MAX_HANDED:
+    valid = [key for key in handed if not key.expired]
+    first = None if by is None else store.chain(by)[-1]
+    if first is not None and sum(store.chain(key)[-1].id == first.id for key in valid) >= _MAX_HANDED_BY:
+        raise QuotaExceeded(
+            f"The key {first.name} has handed on {_MAX_HANDED_BY} keys, the most allowed.",
+            "Revoke some, or wait until they expire.",
+        )
+    if len(valid) >= _MAX_HANDED:
         raise Busy("Too many temporary keys exist at the moment.", "Revoke some, or wait until they expire.")
     name = HANDED_PREFIX + secrets.token_hex(_NAME_BYTES)
     secret = store.create(name, wanted.scope, lifetime_s, _limits(wanted.limits), by)
     return HandedKeyOut(key=secret, name=name, scope=wanted.scope, expires=time.time() + lifetime_s)
 
 
-def _shown(key: ApiKey) -> KeyOut:
-    return KeyOut(**_fields(key))
+def _shown(key: ApiKey, store: KeyStore) -> KeyOut:
+    return KeyOut(**_fields(key, store))
 
 
 def _detail(service: State, name: str) -> KeyDetail:
     key = service.keys.named(name)
-    return KeyDetail(**_fields(key), used=KeyUsageOut(**asdict(service.quotas.usage(name))))
+    return KeyDetail(**_fields(key, service.keys), used=KeyUsageOut(**asdict(service.quotas.usage(name))))
 
 
-def _fields(key: ApiKey) -> dict[str, Any]:
-    limits = KeyLimitsOut(**asdict(key.limits))
-    return {"name": key.name, "scope": key.scope, "created": key.created, "expires": key.expires, "limits": limits}
+def _fields(key: ApiKey, store: KeyStore) -> dict[str, Any]:
+    return {
+        "name": key.name,
+        "scope": key.scope,
+        "created": key.created,
+        "expires": key.expires,
+        "limits": KeyLimitsOut(**asdict(key.limits)),
+        "handed_on_by": next((one.name for one in store.chain(key)[1:]), None),
+    }
 
 
 def _limits(wanted: KeyLimitsIn) -> KeyLimits:

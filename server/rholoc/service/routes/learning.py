@@ -6,7 +6,6 @@ from functools import partial
 from typing import Annotated
 
 from fastapi import APIRouter, Query, Request, Response
-from starlette.concurrency import run_in_threadpool
 
 from rholoc.errors import (
     Conflict,
@@ -19,7 +18,7 @@ from rholoc.errors import (
 )
 from rholoc.jobs import Job, JobKind, JobOptions
 from rholoc.mapping import FEWEST_QUERIES, too_few_queries
-from rholoc.maps import check_observations
+from rholoc.maps import check_memory
 from rholoc.service.access import NEEDS_MAP, NEEDS_READ
 from rholoc.service.errors import InvalidRequest
 from rholoc.service.intake import counted_job
@@ -57,7 +56,7 @@ async def learn_from_users(map_name: str, request: Request, service: Service, re
 )
 async def get_learning(map_name: str, service: Service) -> LearningOut:
     """How many queries are kept, of how many askers, what the map last learned from its users, and when."""
-    return await run_in_threadpool(_learning, service, map_name)
+    return await service.threads.database(_learning, service, map_name)
 
 
 @router.delete(
@@ -75,12 +74,12 @@ async def delete_learning(
     ] = None,
 ) -> DeletedQueries:
     """For good. What the map has learned already stays: restore a version before, or forget the source `queries`."""
-    return await run_in_threadpool(_delete, service, map_name, asker)
+    return await service.threads.database(_delete, service, map_name, asker)
 
 
 def _submit(service: State, map_name: str) -> Job:
     map_ = service.library.get(map_name)
-    check_observations(map_, f"The map {map_name}")
+    check_memory(map_, f"The map {map_name}")
     kept = service.queries.kept(map_.info.id).queries
     if kept < FEWEST_QUERIES:
         raise too_few_queries(kept)

@@ -6,16 +6,18 @@ import asyncio
 import json
 from collections.abc import AsyncIterator
 from dataclasses import asdict
+from functools import lru_cache
 
-from fastapi import APIRouter, Response
-from fastapi.responses import StreamingResponse
+from fastapi import APIRouter, Request, Response
 
 from rholoc.errors import Conflict, InvalidName, UnknownMap
 from rholoc.service.access import NEEDS_READ
 from rholoc.service.live import Sighting
+from rholoc.service.open_streams import EventStream
 from rholoc.service.openapi import failures
 from rholoc.service.schemas import FailureOut, FailuresOut
 from rholoc.service.state import Service, State
+from rholoc.service.stream_kind import StreamKind
 
 router = APIRouter(prefix="/v1/maps", tags=["maps"])
 
@@ -41,29 +43,35 @@ _EVENT = (
         **failures(UnknownMap, InvalidName, Conflict),
     },
 )
-async def watch_poses(map_name: str, service: Service) -> Response:
+async def watch_poses(map_name: str, request: Request, service: Service) -> Response:
     """Server-sent events `poses`, at most ten a second, each with the last answer to every client that was answered in
     this map since the event before: by the name of its key, or its address where no key is required. An answer without
     a pose has the client's last one, and `localized` false. Only if the setting `live` is on; nothing is stored."""
-    service.library.stat(map_name)
+    await service.threads.files(service.library.stat, map_name)
     first = service.live.after(map_name, 0)
-    headers = {"Cache-Control": "no-store", "X-Accel-Buffering": "no"}
-    return StreamingResponse(_events(map_name, first, service), headers=headers, media_type="text/event-stream")
+    stream = service.streams.admit(StreamKind.EVENTS, request.scope)
+    return EventStream(_events(map_name, first, service), service.streams, stream)
 
 
 async def _events(map_name: str, first: list[Sighting], service: State) -> AsyncIterator[str]:
-    found, quiet_s = first, _QUIET_S
+    live, found = service.live, first
     while True:
-        seen = service.live.number
-        if found:
-            yield f"event: poses\ndata: {json.dumps([_shown(one) for one in found])}\n\n"
-            quiet_s = 0.0
-        elif quiet_s >= _QUIET_S:
-            yield ": still here\n\n"  # or a proxy would take the connection for dead
-            quiet_s = 0.0
-        await asyncio.sleep(_EVERY_S)
-        quiet_s += _EVERY_S
-        found = service.live.after(map_name, seen)
+        seen, changed = live.number, live.changed
+        # A proxy would take a connection on which nothing comes for dead.
+        yield _event(tuple(found)) if found else ": still here\n\n"
+        while not (found := live.after(map_name, seen)):
+            seen, changed = live.number, live.changed
+            try:
+                async with asyncio.timeout(_QUIET_S):
+                    await changed.wait()
+            except TimeoutError:
+                break
+            await asyncio.sleep(_EVERY_S)
+
+
+@lru_cache(maxsize=8)  # all who watch a map are sent the same
+def _event(sightings: tuple[Sighting, ...]) -> str:
+    return f"event: poses\ndata: {json.dumps([_shown(one) for one in sightings])}\n\n"
 
 
 def _shown(sighting: Sighting) -> dict[str, object]:
@@ -82,7 +90,7 @@ async def list_failures(map_name: str, service: Service) -> FailuresOut:
     """The requests that found no pose, or one of a confidence below 0.8: where that was, and nothing else. Without a
     pose, that is the position of the request's prior, or the client's last pose. Only if the setting `keep_failures` is
     on, and only since this server started."""
-    service.library.stat(map_name)
+    await service.threads.files(service.library.stat, map_name)
     return FailuresOut(
         failures=[
             FailureOut(

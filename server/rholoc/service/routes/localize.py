@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import asyncio
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeVar
 
 from fastapi import APIRouter, Depends, Query, Request
 from starlette.concurrency import run_in_threadpool
@@ -21,13 +21,16 @@ from rholoc.errors import (
     InvalidInput,
     InvalidMap,
     InvalidName,
+    RholocError,
+    StorageUnavailable,
     TooLarge,
     UnknownCamera,
     UnknownMap,
     UnknownSite,
 )
 from rholoc.geometry.earth import EarthPlace
-from rholoc.localization import MOST_FRAMES
+from rholoc.localization import MOST_FRAMES, AnyLocalizer
+from rholoc.maps import CameraLibrary
 from rholoc.recordings.frames.image import IMAGE_START_BYTES, begins_like_an_image
 from rholoc.service.access import NEEDS_LOCALIZE
 from rholoc.service.bodies import PieceListener, media_type, read_body, read_multipart
@@ -37,7 +40,7 @@ from rholoc.service.json_bodies import JsonLimits
 from rholoc.service.landscape import landscape_of
 from rholoc.service.live import ASKER
 from rholoc.service.localize import Stopwatch, frame_deadline_s, late_answer, likeliest_places, localize_frame
-from rholoc.service.localizers import Localizers
+from rholoc.service.localizers import Localizers, LocalizerSource, MapNotHereError
 from rholoc.service.map_choice import MOST_ASKED, MapChoice
 from rholoc.service.openapi import BINARY, failures, reference, request_body
 from rholoc.service.queries import Frame, effort_of, effort_of_set
@@ -85,6 +88,9 @@ _BODY = request_body(
     }
 )
 
+T = TypeVar("T")
+
+_FETCHING_S = 1.0  # for a map among several that is not on this machine; then it is passed over
 _LOADING_GRACE_S = 0.5  # for a map that was not in memory, beyond the deadline
 _PARTS = frozenset({"image", "request"})  # of a multipart body
 _PARTS_HINT = "Send a file part 'image' and, if you like, a JSON part 'request'."
@@ -120,6 +126,10 @@ class OptionParameters:
     prior_radius_deg: Annotated[float | None, Query(description="degrees", examples=[35])] = None
     gravity: Annotated[str | None, Query(description="down in the camera frame: x,y,z", examples=["0,1,0"])] = None
     deadline_ms: Annotated[float | None, Query(description="how long the answer may take", examples=[500])] = None
+    max_sigma_m: Annotated[
+        float | None, Query(description="the position's greatest standard deviation, m; no pose if it is greater")
+    ] = None
+    max_sigma_deg: Annotated[float | None, Query(description="the rotation's, degrees; likewise")] = None
     with_matches: Annotated[
         bool | None, Query(description="whether the answer lists the matches that agree with the pose")
     ] = None
@@ -148,6 +158,8 @@ class OptionParameters:
             intrinsics=self.intrinsics,
             gravity=_numbers("gravity", self.gravity),
             deadline_ms=self.deadline_ms,
+            max_sigma_m=self.max_sigma_m,
+            max_sigma_deg=self.max_sigma_deg,
             with_matches=self.with_matches,
         )
 
@@ -241,10 +253,13 @@ async def find_places(
     choice = await _named_maps(maps, service)
     with service.held_bodies.hold() as on_piece:
         frame = await _read_single(request, options, service, on_piece, "Places are found for one picture at a time.")
-        _check_named(choice, service)
+        await check_known(choice.names if choice.named else (), service)
         settings = service.settings
-        return await service.compute.run(
-            lambda: likeliest_places(frame, choice, service.localizers, settings, clock, limit), frame.effort
+        return await _compute(
+            service,
+            lambda localizers: likeliest_places(frame, choice, localizers, settings, clock, limit),
+            frame.effort,
+            choice.named,
         )
 
 
@@ -259,21 +274,59 @@ async def see_landscape(map_name: str, request: Request, service: Service, optio
     """The product of the densities of what the frame shows, over positions around its pose, and the paths of ascents to
     it. One picture or descriptor set is sent as for a pose; it takes a few times as long."""
     clock = Stopwatch()
-    service.library.stat(map_name)
+    await check_known([map_name], service)
     with service.held_bodies.hold() as on_piece:
         frame = await _read_single(request, options, service, on_piece, "Several frames have no landscape together.")
-        frame = await _with_stored_camera(frame, service)
-        settings = service.settings
-        return await service.compute.run(
-            lambda: landscape_of(frame, map_name, service.localizers, settings, clock), Effort.LARGE
+        cameras, settings = service.cameras, service.settings
+        return await _compute(
+            service,
+            lambda localizers: landscape_of(_with_stored(frame, cameras), map_name, localizers, settings, clock),
+            Effort.LARGE,
         )
 
 
-async def _with_stored_camera(frame: Frame, service: State) -> Frame:
-    if frame.options.camera.name is None:
-        return frame
-    profile = await run_in_threadpool(service.cameras.get, frame.options.camera.name)
-    return replace(frame, stored=profile.camera)
+def _with_stored(frame: Frame, cameras: CameraLibrary) -> Frame:
+    """The frame with the stored camera that its request names. Raises UnknownCamera."""
+    name = frame.options.camera.name
+    return frame if name is None else replace(frame, stored=cameras.get(name).camera)
+
+
+class _RequestLocalizers:
+    """The localizers for one request, which keep what prevented a map from being fetched for it."""
+
+    def __init__(self, localizers: Localizers) -> None:
+        self._localizers = localizers
+        self.refused: dict[str, RholocError] = {}
+
+    def get(self, name: str) -> AnyLocalizer:
+        if name in self.refused:
+            raise self.refused[name]
+        return self._localizers.get(name)
+
+
+async def _compute(service: State, work: Callable[[LocalizerSource], T], effort: Effort, needs_all: bool = True) -> T:
+    """The result of ``work`` in a compute thread; it begins again whenever it lacks a map that has to be fetched first.
+
+    Args:
+        service: which computes.
+        work: given the localizers.
+        effort: of the work.
+        needs_all: whether a map that is not fetched soon is waited for, or passed over.
+    """
+    localizers, patience_s = _RequestLocalizers(service.localizers), None if needs_all else _FETCHING_S
+    while True:
+        try:
+            return await service.compute.run(lambda: work(localizers), effort)
+        except MapNotHereError as missing:
+            name = missing.name
+        try:
+            async with asyncio.timeout(patience_s):
+                await service.threads.fetches(service.localizers.fetch, name)
+        except RholocError as error:
+            localizers.refused[name] = error
+        except TimeoutError:
+            hint = "It is being fetched: try again soon."
+            localizers.refused[name] = StorageUnavailable(f"The map {name} is not on this server yet.", hint)
 
 
 async def _requested_maps(
@@ -288,16 +341,16 @@ async def _requested_maps(
     if sum(one is not None for one in (maps, site, place)) > 1:
         raise InvalidRequest("The request names its maps in two ways.", "Send one of maps, site, and a place on Earth.")
     if site is not None:
-        members = [one.map for one in (await run_in_threadpool(service.sites.get, site)).maps]
+        members = [one.map for one in (await service.threads.database(service.sites.get, site)).maps]
         what = f"No map of the site {site} is here."
     elif place is not None:
-        sites = await run_in_threadpool(service.sites.all)
+        sites = await service.threads.database(service.sites.all)
         near = [name for one in sites.values() for name in one.maps_near(place, radius_m)]
         members = list(dict.fromkeys(near))
         what = f"No site has a map within {radius_m:g} m of there."
     else:
         return await _named_maps(maps, service)
-    names = await run_in_threadpool(_existing, members, service)
+    names = await service.threads.files(_existing, members, service)
     if not names:
         raise UnknownMap(what, "GET /v1/sites lists the sites and their maps.")
     return MapChoice(names, named=False, finder=service.finder, site=site)
@@ -327,20 +380,21 @@ async def _named_maps(maps: str | None, service: State) -> MapChoice:
         return MapChoice(names, finder=service.finder)
     present = service.finder.present
     if len(present) <= MOST_ASKED:  # the library itself knows of a map that was published this moment
-        present = await run_in_threadpool(service.library.readable)
+        present = await service.threads.files(service.library.readable)
     if not present:
         raise UnknownMap("There is no map yet.", "Upload one, or a recording.")
     return MapChoice(present, named=False, finder=service.finder, is_all=True)
 
 
-def _check_named(maps: MapChoice, service: State) -> None:
-    """Refuse an unknown map, where somebody named it, before the request takes a place in the queue.
+async def check_known(names: Iterable[str], service: State) -> None:
+    """Refuse an unknown map before a request takes a place in the queue. Known ones cost no wait for a disk.
 
     Raises:
         InvalidName, UnknownMap: by the library.
     """
-    for name in maps.names if maps.named else ():
-        service.library.stat(name)
+    for name in names:
+        if not service.library.is_known(name):
+            await service.threads.files(service.library.stat, name)
 
 
 async def _localize(maps: MapChoice, request: Request, service: State, options: OptionParameters) -> LocalizationOut:
@@ -358,11 +412,14 @@ async def answer_frame(frame: Frame, maps: MapChoice, service: State, clock: Sto
     Raises:
         RholocError: as :func:`rholoc.service.localize.localize_frame`, and Busy.
     """
-    frame = await _with_stored_camera(frame, service)
-    settings = service.settings
+    settings, cameras = service.settings, service.cameras
     listener = service.learner.listener(ASKER.get())
+
+    def localize(localizers: LocalizerSource) -> LocalizationOut:
+        return localize_frame(_with_stored(frame, cameras), maps, localizers, settings, clock, listener)
+
     return await _answer_by_deadline(
-        lambda: localize_frame(frame, maps, service.localizers, settings, clock, listener),
+        localize,
         maps,
         service,
         clock,
@@ -377,21 +434,18 @@ async def _localize_frames(
 ) -> LocalizationOut:
     cameras = [query.camera, *(one.camera for one in query.frames if one.camera is not None)]
     named = {camera.name for camera in cameras if camera.name is not None}
-    stored = {name: (await run_in_threadpool(service.cameras.get, name)).camera for name in named}
-    frames = Frames.of(query, images, stored)
     settings, deadline_s = service.settings, frame_deadline_s(query.deadline_ms, service.settings)
-    return await _answer_by_deadline(
-        lambda: localize_frames(frames, maps, service.localizers, settings, clock, deadline_s),
-        maps,
-        service,
-        clock,
-        deadline_s,
-        Effort.LARGE,
-    )
+
+    def localize(localizers: LocalizerSource) -> LocalizationOut:
+        stored = {name: service.cameras.get(name).camera for name in named}
+        frames = Frames.of(query, images, stored)
+        return localize_frames(frames, maps, localizers, settings, clock, deadline_s)
+
+    return await _answer_by_deadline(localize, maps, service, clock, deadline_s, Effort.LARGE)
 
 
 async def _answer_by_deadline(
-    localize: Callable[[], LocalizationOut],
+    localize: Callable[[LocalizerSource], LocalizationOut],
     maps: MapChoice,
     service: State,
     clock: Stopwatch,
@@ -403,25 +457,29 @@ async def _answer_by_deadline(
 
     ``expected``: the prior's position.
     """
-    _check_named(maps, service)
+    await check_known(maps.names if maps.named else (), service)
+
+    def localize_in_site(localizers: LocalizerSource) -> LocalizationOut:
+        return in_site(localize(localizers), service.sites, maps.site)
+
     try:
         async with asyncio.timeout(deadline_s - clock.elapsed_s):
-            answer = await service.compute.run(localize, effort)
+            answer = await _compute(service, localize_in_site, effort, maps.named)
     except (TimeoutError, DeadlineExceeded):
-        answer = await _late_answer(maps.first, service.localizers, clock)
-    answer = in_site(answer, service.sites, maps.site)
+        answer = await _late_answer(maps.first, service, clock)
     service.metrics.localization(answer.map, answer.reason, answer.timings_ms)
     service.live.note(answer, expected)
     return answer
 
 
-async def _late_answer(name: str, localizers: Localizers, clock: Stopwatch) -> LocalizationOut:
+async def _late_answer(name: str, service: State, clock: Stopwatch) -> LocalizationOut:
     """The answer at the deadline, while a thread is still working on the frame or has not begun."""
     try:
         async with asyncio.timeout(_LOADING_GRACE_S):
-            return late_answer(name, await run_in_threadpool(localizers.get, name), clock)
-    except TimeoutError:
+            localizer = await service.threads.files(service.localizers.get, name)
+    except (TimeoutError, MapNotHereError, StorageUnavailable):
         raise DeadlineExceeded("The deadline passed while the map was being loaded.", "Try again.") from None
+    return late_answer(name, localizer, clock)
 
 
 async def _read_single(

@@ -46,8 +46,9 @@ from rholoc.maps import (
     Map,
     MapInfo,
     MapLibrary,
+    MapOutline,
     check_map_name,
-    check_observations,
+    check_memory,
     check_usable,
     cloud_to_bytes,
     consistency_m,
@@ -64,7 +65,7 @@ from rholoc.service.access import NEEDS_ADMIN, NEEDS_MAP, NEEDS_READ, request_ke
 from rholoc.service.bodies import declared_length, media_type, read_body, save_body
 from rholoc.service.compute import Effort
 from rholoc.service.corrections import corrected_map
-from rholoc.service.errors import InvalidRequest, UnsupportedMediaType
+from rholoc.service.errors import InvalidRequest, PreconditionFailed, UnsupportedMediaType
 from rholoc.service.examples import REPORT, sent
 from rholoc.service.exports import ExportRequest, is_long
 from rholoc.service.files import OpenedFile
@@ -106,13 +107,40 @@ _PLAN_CONTENT: dict[str, Any] = {
 @router.get("", dependencies=[NEEDS_READ], summary="All maps")
 async def list_maps(service: Service) -> MapList:
     """The maps by name; files that cannot be read are listed separately."""
-    return await run_in_threadpool(_list, service.library)
+    return await service.threads.files(_list, service.library)
 
 
 @router.get("/{map_name}", dependencies=[NEEDS_READ], summary="One map", responses=failures(*_FAILURES))
-async def get_map(map_name: str, service: Service) -> MapDetail:
-    """What the map says about itself."""
-    return await run_in_threadpool(_detail, service, map_name)
+async def get_map(map_name: str, service: Service, response: Response) -> MapDetail:
+    """What the map says about itself. `ETag` is for `If-Match` of `PUT`."""
+    return await _answered(service, map_name, response)
+
+
+async def _answered(service: State, name: str, response: Response) -> MapDetail:
+    """The description of a map, with its tag in a header."""
+    etag = etag_of(await service.threads.files(service.library.stat, name))
+    response.headers["ETag"] = etag
+    return await service.threads.database(_detail, service, name)
+
+
+async def _check_unchanged(request: Request, service: State, name: str) -> None:
+    """Check `If-Match` and `If-None-Match: *` of a request that replaces a map.
+
+    Raises:
+        PreconditionFailed: the map is not the one that the request means, or is there although it must not be.
+    """
+    wanted, unwanted = request.headers.get("if-match"), request.headers.get("if-none-match")
+    if wanted is None and unwanted is None:
+        return
+    try:
+        present = etag_of(await service.threads.files(service.library.stat, name))
+    except UnknownMap:
+        present = ""
+    hint = "GET the map, and send its ETag as If-Match."
+    if wanted is not None and not (present and (wanted.strip() == "*" or present in wanted)):
+        raise PreconditionFailed(f"The map {name} was changed, or is not there.", hint)
+    if unwanted is not None and present and (unwanted.strip() == "*" or present in unwanted):
+        raise PreconditionFailed(f"There is already a map {name}.", hint)
 
 
 @router.put(
@@ -120,31 +148,35 @@ async def get_map(map_name: str, service: Service) -> MapDetail:
     dependencies=[NEEDS_MAP],
     summary="Upload a map",
     responses={
-        **failures(InvalidName, InvalidMap, TooLarge, StorageFull),
+        **failures(InvalidName, InvalidMap, TooLarge, StorageFull, PreconditionFailed),
         201: {"model": MapDetail, "description": "The map is new."},
     },
     openapi_extra=request_body({"application/octet-stream": {"schema": BINARY}, "text/csv": {"schema": BINARY}}),
 )
 async def put_map(map_name: str, request: Request, service: Service, response: Response) -> MapDetail:
     """The body is a `.rho` file or a map as CSV (Table 5). It is checked before it replaces the map of that name;
-    requests in progress finish on the old map, later ones get the new one."""
+    requests in progress finish on the old map, later ones get the new one. The same file again makes no version. With
+    `If-Match` only the map of that `ETag` is replaced, with `If-None-Match: *` none."""
     check_map_name(map_name)
-    folder = service.settings.data_dir / "uploads"
-    folder.mkdir(exist_ok=True)
-    arrived = folder / uuid.uuid4().hex
-    new = map_name not in service.library.names()
+    await _check_unchanged(request, service, map_name)
+    arrived = service.settings.data_dir / "uploads" / uuid.uuid4().hex
+    files = service.threads.files
+    await files(lambda: arrived.parent.mkdir(parents=True, exist_ok=True))
+    new = map_name not in await files(service.library.names)
     key, quotas = request_key(request.scope), service.quotas
-    await run_in_threadpool(quotas.check, key, map_name, declared_length(request))
+    await service.threads.database(quotas.check, key, map_name, declared_length(request))
     try:
         await save_body(request, arrived, service.settings.max_upload_bytes)
         async with quotas.counting(key), service.publishing:
-            await run_in_threadpool(quotas.check, key, map_name, arrived.stat().st_size)
-            await run_in_threadpool(_publish, service, map_name, arrived)
-            await run_in_threadpool(quotas.hold, key, Kind.MAP, map_name)
+            size_bytes = (await files(arrived.stat)).st_size
+            await service.threads.database(quotas.check, key, map_name, size_bytes)
+            await _check_unchanged(request, service, map_name)
+            await service.threads.transfers(_publish, service, map_name, arrived)
+            await service.threads.database(quotas.hold, key, Kind.MAP, map_name)
     finally:
-        arrived.unlink(missing_ok=True)
+        await files(lambda: arrived.unlink(missing_ok=True))
     response.status_code = 201 if new else 200
-    return await run_in_threadpool(_detail, service, map_name)
+    return await _answered(service, map_name, response)
 
 
 @router.patch(
@@ -157,11 +189,11 @@ async def patch_map(map_name: str, change: MapPatch, service: Service) -> MapDet
     """The new name must be free. The map stays in its sites."""
     check_map_name(change.name)
     if change.name != map_name:
-        await run_in_threadpool(service.library.rename, map_name, change.name)
-        await run_in_threadpool(service.sites.rename_map, map_name, change.name)
-        await run_in_threadpool(service.quotas.rename_map, map_name, change.name)
-    service.localizers.forget_missing()
-    return await run_in_threadpool(_detail, service, change.name)
+        await service.threads.database(service.library.rename, map_name, change.name)
+        await service.threads.database(service.sites.rename_map, map_name, change.name)
+        await service.threads.database(service.quotas.rename_map, map_name, change.name)
+    await service.threads.files(service.localizers.forget_missing)
+    return await service.threads.database(_detail, service, change.name)
 
 
 @router.delete(
@@ -173,8 +205,8 @@ async def patch_map(map_name: str, change: MapPatch, service: Service) -> MapDet
 )
 async def delete_map(map_name: str, service: Service) -> None:
     """For good, with what is kept for it to learn from. Requests in progress still finish on it."""
-    await run_in_threadpool(_delete, service, map_name)
-    service.localizers.forget_missing()
+    await service.threads.database(_delete, service, map_name)
+    await service.threads.files(service.localizers.forget_missing)
 
 
 @router.get(
@@ -206,19 +238,21 @@ async def download_map(
     ] = None,
 ) -> Response:
     """`rho`: the map itself; `csv`: Table 5, which can be uploaded again; `observations`: Table 4; `trajectory`: its
-    views as Table 6; `ply`, `vtp`, `gltf`: landmarks and views; `surfaces`: where densities peak, as VTP; `png`: a
-    picture."""
-    service.library.stat(map_name)
+    views as Table 6; `ply`, `vtp`, `gltf`: landmarks and views; `surfaces`: where densities peak, as VTP;
+    `colmap`: a text model of cameras, images and points, as ZIP; `nerfstudio`: `transforms.json`; `png`: a picture."""
+    await service.threads.files(service.library.stat, map_name)
     headers = {"Content-Disposition": f'attachment; filename="{map_name}{format.ending}"'}
     if format is ExportFormat.RHO and degree is None and features is None:
-        return await run_in_threadpool(_opened, service.library, map_name, {**headers, "Cache-Control": "no-store"})
+        headers |= {"Cache-Control": "no-store"}
+        return await service.threads.fetches(_opened, service.library, map_name, headers)
     if format is ExportFormat.PNG:
         rendered = await service.renderings.get(map_name, Rendering.PREVIEW)
         return Response(rendered.content, headers=headers, media_type=format.media_type)
     chosen = None if features is None else parse_features(features)
-    map_ = await run_in_threadpool(service.library.get, map_name)
+    map_ = await service.map(map_name)
     if is_long(len(map_), format, degree, chosen):
-        wanted = ExportRequest(service.library.path(map_name), map_name, format, degree, chosen)
+        path = await service.threads.fetches(service.library.path, map_name)
+        wanted = ExportRequest(path, map_name, format, degree, chosen)
         return await service.exports.answer(wanted, headers, request.is_disconnected)
     pieces = await service.compute.run(
         lambda: export_map(map_, format, title=map_name, degree=degree, features=chosen), Effort.LARGE
@@ -235,7 +269,7 @@ async def download_map(
 async def get_report(map_name: str, service: Service) -> MapReportOut:
     """What the map found out about itself while it was built: coverage, residuals, and how consistent it is:
     frames of the same walk, held out, localized in it."""
-    info = (await run_in_threadpool(service.library.get, map_name)).info
+    info = (await service.map(map_name)).info
     return MapReportOut(map=map_name, map_id=info.id, map_version=info.version, report=info.report)
 
 
@@ -287,8 +321,8 @@ async def restore_map(
 ) -> MapDetail:
     """The map that was last replaced under this name takes its place again, and the present one is kept in turn:
     restoring twice changes nothing. `number` chooses an earlier one."""
-    await run_in_threadpool(service.library.restore, map_name, number)
-    return await run_in_threadpool(_detail, service, map_name)
+    await service.threads.transfers(service.library.restore, map_name, number)
+    return await service.threads.database(_detail, service, map_name)
 
 
 @router.get(
@@ -299,7 +333,7 @@ async def restore_map(
 )
 async def list_versions(map_name: str, service: Service) -> MapVersions:
     """The maps that can be restored: the last five that were replaced under this name, the latest first."""
-    return await run_in_threadpool(_versions, service.library, map_name)
+    return await service.threads.database(_versions, service.library, map_name)
 
 
 @router.post(
@@ -314,10 +348,10 @@ async def correct_map(
     """The map's next version: with another origin, north, upright, axis or scale, aligned with a floor plan, without a
     region or a piece of its walk, or with names. If the frame moves, poses are in the new frame from then on, moved by
     exactly what `corrections` says. The previous version can be restored."""
-    map_ = await run_in_threadpool(service.library.get, map_name)
+    map_ = await service.map(map_name)
     corrected = await service.compute.run(lambda: corrected_map(map_, wanted), Effort.LARGE)
-    await run_in_threadpool(service.library.replace, map_name, corrected)
-    return await run_in_threadpool(_detail, service, map_name)
+    await service.threads.transfers(service.library.replace, map_name, corrected)
+    return await service.threads.database(_detail, service, map_name)
 
 
 @router.put(
@@ -341,10 +375,10 @@ async def put_plan(
     kind = media_type(request)
     if kind not in MEDIA_TYPES:
         raise UnsupportedMediaType(f"A floor plan cannot be {kind or 'nothing'}.", f"Send {', '.join(MEDIA_TYPES)}.")
-    await run_in_threadpool(service.library.stat, map_name)
+    await service.threads.files(service.library.stat, map_name)
     content = await read_body(request, MAX_PLAN_BYTES)
     plan = FloorPlan(kind, (x, y), turn_deg, m_per_unit)
-    return await run_in_threadpool(_planned, service, map_name, content, plan)
+    return await service.threads.transfers(_planned, service, map_name, content, plan)
 
 
 @router.get(
@@ -359,10 +393,10 @@ async def put_plan(
 )
 async def get_plan(map_name: str, request: Request, service: Service) -> Response:
     """As it was sent; `plan` of the map says where it lies."""
-    etag = etag_of(await run_in_threadpool(service.library.stat, map_name), "plan")
+    etag = etag_of(await service.threads.files(service.library.stat, map_name), "plan")
     if _is_kept(request, etag):
         return _unchanged(etag)
-    map_ = await run_in_threadpool(service.library.get, map_name)
+    map_ = await service.map(map_name)
     if map_.info.plan is None:
         raise UnknownPicture(f"The map {map_name} has no floor plan.", "Send one with PUT.")
     return Response(map_.plan, media_type=map_.info.plan.media_type, headers=_caching(etag))
@@ -376,7 +410,7 @@ async def get_plan(map_name: str, request: Request, service: Service) -> Respons
 )
 async def delete_plan(map_name: str, service: Service) -> MapDetail:
     """The map itself does not move."""
-    return await run_in_threadpool(_planned, service, map_name, b"", None)
+    return await service.threads.transfers(_planned, service, map_name, b"", None)
 
 
 @router.post(
@@ -391,8 +425,8 @@ async def delete_plan(map_name: str, service: Service) -> MapDetail:
 async def update_map(map_name: str, wanted: UpdateIn, request: Request, service: Service, response: Response) -> JobOut:
     """A job localizes the recording in the map and learns it; `Location` is the job's address. When it is done, the
     map's next version replaces the present one; a recording of another place changes nothing."""
-    await run_in_threadpool(_check_learns, service.library, map_name)
-    await run_in_threadpool(service.cameras.named_in, wanted.camera)
+    await service.threads.files(_check_learns, service.library, map_name)
+    await service.threads.database(service.cameras.named_in, wanted.camera)
     options = JobOptions(
         kind=JobKind.UPDATE,
         poses=wanted.poses,
@@ -415,18 +449,18 @@ async def update_map(map_name: str, wanted: UpdateIn, request: Request, service:
 async def merge_map(map_name: str, wanted: MergeIn, request: Request, service: Service) -> MapDetail:
     """The merged map is published as `into`; both maps stay, unless `into` is one of them."""
     into = check_map_name(wanted.into)
-    a = await run_in_threadpool(service.library.get, map_name)
-    b = await run_in_threadpool(service.library.get, wanted.other)
+    a = await service.map(map_name)
+    b = await service.map(wanted.other)
     key, quotas = request_key(request.scope), service.quotas
-    new = into not in service.library.names()
-    await run_in_threadpool(quotas.check, key, into if new else None)
+    new = into not in await service.threads.files(service.library.names)
+    await service.threads.database(quotas.check, key, into if new else None)
     merged = await service.compute.run(lambda: merge_maps(a, b), Effort.LARGE)
     async with quotas.counting(key):
-        await run_in_threadpool(quotas.check, key, into if new else None)
-        await run_in_threadpool(_publish_merged, service.library, {map_name: a, wanted.other: b}, into, merged)
+        await service.threads.database(quotas.check, key, into if new else None)
+        await service.threads.transfers(_publish_merged, service.library, {map_name: a, wanted.other: b}, into, merged)
         if new:
-            await run_in_threadpool(quotas.hold, key, Kind.MAP, into)
-    return await run_in_threadpool(_detail, service, into)
+            await service.threads.database(quotas.hold, key, Kind.MAP, into)
+    return await service.threads.database(_detail, service, into)
 
 
 @router.post(
@@ -437,10 +471,10 @@ async def merge_map(map_name: str, wanted: MergeIn, request: Request, service: S
 )
 async def forget_source(map_name: str, wanted: ForgetIn, service: Service) -> MapDetail:
     """Makes the map's next version, without what it learned from the recording: an id or a name in `sources`."""
-    map_ = await run_in_threadpool(service.library.get, map_name)
+    map_ = await service.map(map_name)
     left = await service.compute.run(lambda: forget_recording(map_, wanted.source), Effort.LARGE)
-    await run_in_threadpool(service.library.replace, map_name, left)
-    return await run_in_threadpool(_detail, service, map_name)
+    await service.threads.transfers(service.library.replace, map_name, left)
+    return await service.threads.database(_detail, service, map_name)
 
 
 @router.get(
@@ -467,10 +501,10 @@ async def get_scene(
     """Little-endian: two uint32, the numbers F of landmarks and K of views; F × 4 float32: x, y, z, standard deviation;
     K × 7 float32: x, y, z, heading, the number of the recording; where the map knows its colours, F × 3 uint8: red,
     green, blue. Lengths in metres."""
-    etag = etag_of(await run_in_threadpool(service.library.stat, map_name), "scene", landmarks, level)
+    etag = etag_of(await service.threads.files(service.library.stat, map_name), "scene", landmarks, level)
     if _is_kept(request, etag):
         return _unchanged(etag)
-    map_ = await run_in_threadpool(service.library.get, map_name)
+    map_ = await service.map(map_name)
     rotation = await run_in_threadpool(levelled, map_) if level else None
     scene = await run_in_threadpool(map_to_scene, map_, landmarks, rotation)
     return Response(scene, media_type="application/octet-stream", headers=_caching(etag))
@@ -488,22 +522,22 @@ async def get_feature(
     service: Service,
 ) -> FeatureOut:
     """Features are numbered as in `…/scene`, where all of them are asked for. Lengths in the map's unit."""
-    return await run_in_threadpool(_feature, service.library, map_name, feature)
+    return await service.threads.files(_feature, service.library, map_name, feature)
 
 
 def _feature(library: MapLibrary, name: str, feature: int) -> FeatureOut:
     map_ = library.get(name)
     if feature >= len(map_):
         raise InvalidInput(f"The map has no feature {feature}.", f"Its features are 0 to {len(map_) - 1}.")
-    views = np.unique(map_.observation_views[map_.observation_features == feature])
+    views = np.unique(map_.observations.views[map_.observations.features == feature])
     if len(views) == 0:
         raise InvalidInput(f"The map does not remember who saw feature {feature}.", "Build it from a recording.")
     presence = presence_of(map_, feature)
     least, most = presence.reach
     return FeatureOut(
         feature=feature,
-        position=map_.landmarks[feature].round(4).tolist(),
-        sigma=float(np.sqrt(np.trace(map_.covariances[feature]) / 3)),
+        position=map_.landmarks.positions[feature].round(4).tolist(),
+        sigma=float(np.sqrt(np.trace(map_.landmarks.covariances[feature]) / 3)),
         direction=presence.direction[0].round(4).tolist(),
         half_angle_deg=float(np.degrees(presence.half_angle[0])),
         nearest=float(least[0]),
@@ -525,10 +559,10 @@ def _feature(library: MapLibrary, name: str, feature: int) -> FeatureOut:
 async def get_points(map_name: str, request: Request, service: Service) -> Response:
     """Points of the reconstruction that are not landmarks, for people to see the room. Little-endian: one uint32, the
     number P; P × 3 float32: x, y, z; P × 3 uint8: red, green, blue. Lengths in metres."""
-    etag = etag_of(await run_in_threadpool(service.library.stat, map_name), "points")
+    etag = etag_of(await service.threads.files(service.library.stat, map_name), "points")
     if _is_kept(request, etag):
         return _unchanged(etag)
-    map_ = await run_in_threadpool(service.library.get, map_name)
+    map_ = await service.map(map_name)
     points = await run_in_threadpool(cloud_to_bytes, map_)
     return Response(points, media_type="application/octet-stream", headers=_caching(etag))
 
@@ -550,11 +584,11 @@ async def get_view_picture(
     service: Service,
 ) -> Response:
     """What the camera saw there, if the map keeps pictures and this server's setting `keep_pictures` is on."""
-    etag = etag_of(await run_in_threadpool(service.library.stat, map_name), "picture", view)
+    etag = etag_of(await service.threads.files(service.library.stat, map_name), "picture", view)
     if _is_kept(request, etag):
         return _unchanged(etag)
-    map_ = await run_in_threadpool(service.library.get, map_name)
-    pictures = map_.known_pictures if service.settings.keep_pictures else ()
+    map_ = await service.map(map_name)
+    pictures = map_.views.known_pictures if service.settings.keep_pictures else ()
     if view >= len(pictures) or not pictures[view]:
         raise UnknownPicture(
             f"The map {map_name} has no picture of its view {view}.",
@@ -580,7 +614,7 @@ async def get_preview(map_name: str, request: Request, service: Service) -> Resp
 
 async def _rendered(request: Request, service: State, name: str, kind: Rendering, media_type: str) -> Response:
     """A rendering, or 304 where the browser has it."""
-    etag = await run_in_threadpool(service.renderings.etag, name, kind)
+    etag = await service.threads.files(service.renderings.etag, name, kind)
     if _is_kept(request, etag):
         return _unchanged(etag)
     rendered = await service.renderings.get(name, kind)
@@ -614,7 +648,7 @@ def _delete(service: State, name: str) -> None:
 
 
 def _check_learns(library: MapLibrary, name: str) -> None:
-    check_observations(library.get(name), f"The map {name}")
+    check_memory(library.get(name), f"The map {name}")
 
 
 def _publish_merged(library: MapLibrary, parts: Mapping[str, Map], into: str, merged: Map) -> None:
@@ -638,11 +672,11 @@ def _list(library: MapLibrary) -> MapList:
 
 
 def _summary(library: MapLibrary, name: str) -> dict[str, object]:
-    return _summary_of(name, library.get(name), library.stat(name).size_bytes)
+    return _summary_of(name, library.outline(name), library.stat(name).size_bytes)
 
 
-def _summary_of(name: str, map_: Map, size_bytes: int) -> dict[str, object]:
-    info = map_.info
+def _summary_of(name: str, outline: MapOutline, size_bytes: int) -> dict[str, object]:
+    info = outline.info
     trust = trust_of(info)
     return {
         "name": name,
@@ -653,8 +687,8 @@ def _summary_of(name: str, map_: Map, size_bytes: int) -> dict[str, object]:
         "scale": Scale.METRIC if info.metric else Scale.ARBITRARY,
         "upright": info.upright,
         "created": info.created,
-        "landmarks": len(map_),
-        "views": len(map_.view_times),
+        "landmarks": outline.landmarks,
+        "views": outline.views,
         "size_bytes": size_bytes,
         "trusted": trust.trusted,
         "trust_reason": trust.reason,
@@ -678,8 +712,9 @@ def _detail(service: State, name: str) -> MapDetail:
 
 def _detail_of(name: str, map_: Map, size_bytes: int, before: MapInfo | None) -> MapDetail:
     bounds, rotation = None, levelled(map_)
+    outline = MapOutline(map_.info, len(map_), len(map_.views))
     if len(map_):
-        bounds = [map_.landmarks.min(axis=0).tolist(), map_.landmarks.max(axis=0).tolist()]
+        bounds = [map_.landmarks.positions.min(axis=0).tolist(), map_.landmarks.positions.max(axis=0).tolist()]
     fields = {
         "sources": map_.info.sources,
         "waypoints": map_.info.waypoints,
@@ -689,10 +724,10 @@ def _detail_of(name: str, map_: Map, size_bytes: int, before: MapInfo | None) ->
         "corrections": map_.info.corrections,
         "plan": map_.info.plan,
         "points": len(map_.cloud),
-        "pictures": map_.pictures is not None,
+        "pictures": map_.views.pictures is not None,
         "levelling": None if rotation is None else rotation.tolist(),
     }
-    return MapDetail.model_validate({**_summary_of(name, map_, size_bytes), **fields})
+    return MapDetail.model_validate({**_summary_of(name, outline, size_bytes), **fields})
 
 
 def _versions(library: MapLibrary, name: str) -> MapVersions:
@@ -721,7 +756,7 @@ def _publish(service: State, name: str, arrived: Path) -> None:
 
     def check(map_: Map) -> None:
         _check_features(map_)
-        _rehearse(map_, name, arrived.stat().st_size, service.settings.min_confidence)
+        _rehearse(map_, name, arrived.stat().st_size, service.settings.min_recognized)
 
     if is_coefficient_table(arrived):
         map_ = read_coefficient_table(arrived, f"{name}.csv")
@@ -742,11 +777,14 @@ def _check_features(map_: Map) -> None:
         raise InvalidMap(error.message, error.hint) from error
     except InvalidInput as error:
         raise InvalidMap(error.message, hint) from error
-    if map_.descriptors.shape[1] != extractor.descriptor_bytes or not np.isin(map_.channels, extractor.channels).all():
+    if (
+        map_.descriptors.values.shape[1] != extractor.descriptor_bytes
+        or not np.isin(map_.landmarks.channels, extractor.channels).all()
+    ):
         raise InvalidMap(f"The map's descriptors are not '{extractor.name}' features.", hint)
 
 
-def _rehearse(map_: Map, name: str, size_bytes: int, min_confidence: float) -> None:
+def _rehearse(map_: Map, name: str, size_bytes: int, min_recognized: float) -> None:
     """Do with a map what requests for it will need, so that a map that fails is refused.
 
     Raises:
@@ -757,7 +795,7 @@ def _rehearse(map_: Map, name: str, size_bytes: int, min_confidence: float) -> N
         _detail_of(name, map_, size_bytes, None).model_dump_json()
         info = map_.info
         MapReportOut(map=name, map_id=info.id, map_version=info.version, report=info.report).model_dump_json()
-        localizer_of(map_, min_confidence)
+        localizer_of(map_, min_recognized)
     except RholocError as error:
         raise InvalidMap(f"The map cannot be used: {error.message}", error.hint) from error
     except (ValueError, TypeError, ArithmeticError, LookupError, RecursionError) as error:

@@ -29,11 +29,10 @@ from rholoc.jobs import (
     RecordedWaypoint,
     RecordingEntry,
     RecordingStore,
-    correct_waypoints,
     corrected_waypoints,
-    has_thumbnail,
     read_notes,
     read_thumbnail,
+    waypoints_file,
 )
 from rholoc.maps import DensityKind
 from rholoc.recordings import (
@@ -108,7 +107,7 @@ def _form_schema() -> dict[str, Any]:
 @router.get("", dependencies=[NEEDS_READ], summary="All recordings")
 async def list_recordings(request: Request, service: Service) -> RecordingList:
     """Those that are completely uploaded, the newest first."""
-    return await run_in_threadpool(_list, service.recordings, _may_see(request))
+    return await service.threads.database(_list, service.recordings, _may_see(request))
 
 
 @router.get(
@@ -119,7 +118,7 @@ async def list_recordings(request: Request, service: Service) -> RecordingList:
 )
 async def get_recording(recording: str, request: Request, service: Service) -> RecordingDetail:
     """What it holds, and its waypoints: as corrected, else as a job read them from it."""
-    return await run_in_threadpool(_detail, service.recordings, recording, _may_see(request))
+    return await service.threads.database(_detail, service.recordings, recording, _may_see(request))
 
 
 @router.get(
@@ -134,8 +133,7 @@ async def get_recording(recording: str, request: Request, service: Service) -> R
 )
 async def get_thumbnail(recording: str, service: Service) -> Response:
     """A frame from its beginning, once a job has read it."""
-    folder = await run_in_threadpool(service.recordings.folder, recording)
-    picture = await run_in_threadpool(read_thumbnail, folder)
+    picture = read_thumbnail(await service.threads.database(service.recordings.notes, recording))
     if picture is None:
         raise UnknownPicture("There is no picture of the recording yet.", "Wait until a job has read it.")
     return Response(picture, media_type="image/jpeg", headers={"Cache-Control": "private, max-age=86400"})
@@ -151,7 +149,7 @@ async def put_waypoints(recording: str, wanted: WaypointsIn, request: Request, s
     """They replace the recording's own whenever it is mapped from then on. The recording's files and existing maps stay
     as they are."""
     given = tuple(_recorded(one) for one in wanted.waypoints)
-    return await run_in_threadpool(_corrected, service.recordings, recording, given, _may_see(request))
+    return await service.threads.database(_corrected, service.recordings, recording, given, _may_see(request))
 
 
 @router.delete(
@@ -162,7 +160,7 @@ async def put_waypoints(recording: str, wanted: WaypointsIn, request: Request, s
 )
 async def delete_waypoints(recording: str, request: Request, service: Service) -> RecordingDetail:
     """The recording is mapped with its own again."""
-    return await run_in_threadpool(_corrected, service.recordings, recording, None, _may_see(request))
+    return await service.threads.database(_corrected, service.recordings, recording, None, _may_see(request))
 
 
 @router.post(
@@ -210,21 +208,21 @@ async def upload_recording(request: Request, service: Service) -> Response:
             "A recording must be sent as multipart/form-data.", "curl -F file=@walk.mp4 -F map=hall"
         )
     key, quotas = request_key(request.scope), service.quotas
-    await run_in_threadpool(quotas.check, key, size_bytes=declared_length(request))
-    pending = await run_in_threadpool(service.recordings.begin, service.settings.max_upload_bytes)
+    await service.threads.database(quotas.check, key, size_bytes=declared_length(request))
+    pending = await service.threads.files(service.recordings.begin, service.settings.max_upload_bytes)
     async with AsyncExitStack() as in_the_end:
         in_the_end.push_async_callback(run_in_threadpool, pending.abort)
         fields, options = await _receive(request, pending, service)
         await in_the_end.enter_async_context(quotas.counting(key))
-        await run_in_threadpool(quotas.check, key, None, pending.size_bytes, fields.map)
-        entry = await run_in_threadpool(pending.commit)
+        await service.threads.database(quotas.check, key, None, pending.size_bytes, fields.map)
+        entry = await service.threads.transfers(pending.commit)
         try:
-            job = await run_in_threadpool(service.jobs.submit, entry.id, fields.map, options)
+            job = await service.threads.database(service.jobs.submit, entry.id, fields.map, options)
         except Exception:
-            await run_in_threadpool(service.recordings.delete, entry.id)  # no job would ever read it
+            await service.threads.database(service.recordings.delete, entry.id)  # no job would ever read it
             raise
-        await run_in_threadpool(quotas.hold, key, Kind.RECORDING, entry.id, entry.size_bytes)
-        await run_in_threadpool(quotas.hold_job, key, job.id, fields.map)
+        await service.threads.database(quotas.hold, key, Kind.RECORDING, entry.id, entry.size_bytes)
+        await service.threads.database(quotas.hold_job, key, job.id, fields.map)
     accepted = RecordingAccepted(recording=entry.id, job=job_out(job))
     return JSONResponse(accepted.model_dump(mode="json"), 202, {"Location": f"/v1/jobs/{job.id}"})
 
@@ -243,22 +241,23 @@ def _list(recordings: RecordingStore, may_see: bool) -> RecordingList:
 
 
 def _shown(recordings: RecordingStore, entry: RecordingEntry, may_see: bool) -> dict[str, object]:
-    folder = recordings.folder(entry.id)
-    notes = read_notes(folder)
+    files = recordings.notes(entry.id)
+    notes = read_notes(files)
     return {
         "id": entry.id,
         "files": list(entry.files),
         "size_bytes": entry.size_bytes,
         "created": entry.created,
-        "content": notes and {**asdict(notes), "length_s": notes.last_s - notes.first_s},
-        "thumbnail": may_see and has_thumbnail(folder),
+        "content": notes and {**asdict(notes), "length_s": notes.length_s},
+        "thumbnail": may_see and read_thumbnail(files) is not None,
     }
 
 
 def _detail(recordings: RecordingStore, recording: str, may_see: bool) -> RecordingDetail:
-    entry, folder = recordings.get(recording), recordings.folder(recording)
-    notes = read_notes(folder)
-    given = corrected_waypoints(folder, notes)
+    entry = recordings.get(recording)
+    files = recordings.notes(recording)
+    notes = read_notes(files)
+    given = corrected_waypoints(files, notes)
     own = () if notes is None else notes.waypoints
     fields = {"waypoints": own if given is None else given, "corrected": given is not None}
     return RecordingDetail.model_validate({**_shown(recordings, entry, may_see), **fields})
@@ -267,9 +266,8 @@ def _detail(recordings: RecordingStore, recording: str, may_see: bool) -> Record
 def _corrected(
     recordings: RecordingStore, recording: str, given: tuple[RecordedWaypoint, ...] | None, may_see: bool
 ) -> RecordingDetail:
-    folder = recordings.folder(recording)
-    correct_waypoints(folder, given, read_notes(folder))
-    recordings.share_notes(recording, [WAYPOINTS_FILE])
+    notes = read_notes(recordings.notes(recording))
+    recordings.note(recording, {WAYPOINTS_FILE: None if given is None else waypoints_file(given, notes)})
     return _detail(recordings, recording, may_see)
 
 

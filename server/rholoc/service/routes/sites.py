@@ -5,7 +5,6 @@ from __future__ import annotations
 from functools import partial
 
 from fastapi import APIRouter, Request, Response
-from starlette.concurrency import run_in_threadpool
 
 from rholoc.errors import (
     Busy,
@@ -37,7 +36,7 @@ router = APIRouter(prefix="/v1/sites", tags=["sites"])
 @router.get("", dependencies=[NEEDS_READ], summary="All sites")
 async def list_sites(service: Service) -> SiteList:
     """The sites by name; files that are no sites are named apart."""
-    return await run_in_threadpool(_list, service)
+    return await service.threads.database(_list, service)
 
 
 @router.get(
@@ -48,7 +47,7 @@ async def list_sites(service: Service) -> SiteList:
 )
 async def get_site(site: str, service: Service) -> SiteOut:
     """Its maps with their poses, and the links that these follow from."""
-    return await run_in_threadpool(lambda: site_out(site, service.sites.get(site), service.library.names()))
+    return await service.threads.database(lambda: site_out(site, service.sites.get(site), service.library.names()))
 
 
 @router.put(
@@ -64,7 +63,9 @@ async def put_site(site: str, wanted: SiteIn, service: Service, response: Respon
     """Poses that are not given are found from links; without any given pose the first map's frame is the site's. Links
     that contradict each other are refused, with what is left over around them. Maps that nothing joins to the others
     are the site's without a pose: frames are looked for in them, and answered in the map's frame alone."""
-    stored = await run_in_threadpool(_put, service, site, wanted)
+    present = await service.threads.files(_members, service, wanted)
+    solved = await service.compute.run(lambda: solve_site(site_of(wanted)), Effort.LARGE)
+    stored = site_out(site, await service.threads.database(service.sites.put, site, solved, wanted.version), present)
     response.status_code = 201 if stored.version == 1 else 200
     return stored
 
@@ -78,7 +79,7 @@ async def put_site(site: str, wanted: SiteIn, service: Service, response: Respon
 )
 async def delete_site(site: str, service: Service) -> None:
     """Its maps stay."""
-    await run_in_threadpool(service.sites.delete, site)
+    await service.threads.database(service.sites.delete, site)
 
 
 @router.post(
@@ -93,19 +94,19 @@ async def delete_site(site: str, service: Service) -> None:
 async def find_site_link(site: str, wanted: SiteLinkWanted, service: Service) -> SiteOut:
     """By three measured or named points that both maps have, else by views of the second localized in the first. The
     link takes the place of one that was found before, and poses that nobody gave follow anew."""
-    before = await run_in_threadpool(service.sites.get, site)
+    before = await service.threads.database(service.sites.get, site)
     for name in (wanted.first, wanted.second):
         if before.member(name) is None:
             raise InvalidInput(f"The map {name[:64]} is not one of the site {site}.", "Put the site with it first.")
-    a = await run_in_threadpool(service.library.get, wanted.first)
-    b = await run_in_threadpool(service.library.get, wanted.second)
+    a = await service.map(wanted.first)
+    b = await service.map(wanted.second)
     link = await service.compute.run(lambda: find_link(wanted.first, a, wanted.second, b), Effort.LARGE)
 
     def store() -> SiteOut:
         stored = service.sites.put(site, with_link(before, link), before.version)
         return site_out(site, stored, service.library.names())
 
-    return await run_in_threadpool(store)
+    return await service.threads.database(store)
 
 
 @router.post(
@@ -129,13 +130,13 @@ def _submit_placing(service: State, name: str) -> Job:
     return service.jobs.submit_placing(name)
 
 
-def _put(service: State, name: str, wanted: SiteIn) -> SiteOut:
+def _members(service: State, wanted: SiteIn) -> set[str]:
+    """The names of all maps. Raises UnknownMap if one that a site is to have is not among them."""
     present = set(service.library.names())
     for one in wanted.maps:
         if one.map not in present:
             service.library.stat(one.map)  # which says what there is
-    stored = service.sites.put(name, solve_site(site_of(wanted)), wanted.version)
-    return site_out(name, stored, present)
+    return present
 
 
 def _list(service: State) -> SiteList:

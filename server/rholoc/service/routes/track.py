@@ -14,9 +14,10 @@ from rholoc.service.errors import Internal, as_rholoc_error, error_body
 from rholoc.service.localize import Stopwatch
 from rholoc.service.map_choice import MapChoice
 from rholoc.service.queries import Frame
-from rholoc.service.routes.localize import answer_frame
+from rholoc.service.routes.localize import answer_frame, check_known
 from rholoc.service.schemas import LocalizationOut
 from rholoc.service.state import State
+from rholoc.service.stream_kind import StreamKind
 from rholoc.service.streams import Stream
 from rholoc.service.track_messages import StreamError
 
@@ -39,8 +40,8 @@ async def track(socket: WebSocket, map_name: str) -> None:
         return await answer_frame(frame, MapChoice([map_name]), service, clock)
 
     try:
-        service.library.stat(map_name)
-        with service.streams.one_more():
+        await check_known([map_name], service)
+        async with service.streams.serving(service.streams.admit(StreamKind.FRAMES, socket.scope)):
             await Stream(socket, map_name, service, localize).run()
     except WebSocketDisconnect:
         return

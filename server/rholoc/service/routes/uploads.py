@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import AsyncIterator
 from typing import Annotated
 
 from fastapi import APIRouter, Header, Request, Response
-from starlette.concurrency import run_in_threadpool
 from starlette.requests import ClientDisconnect
 
 from rholoc.errors import Conflict, InvalidRecording, StorageFull, TooLarge, UnknownRecording
@@ -49,10 +49,12 @@ async def begin_upload(request: Request, service: State) -> Response:
     options = await checked_options(fields, service)
     key, quotas = request_key(request.scope), service.quotas
     async with quotas.counting(key):
-        await run_in_threadpool(quotas.check, key, None, length, fields.map)
-        upload = await run_in_threadpool(service.uploads.create, metadata[_FILE_NAME], length, fields.map, options)
-        await run_in_threadpool(quotas.hold, key, Kind.RECORDING, upload.id, length)
-        await run_in_threadpool(quotas.hold_job, key, upload.id, fields.map)
+        await service.threads.database(quotas.check_upload, key, math.ceil(service.settings.max_unfinished_uploads / 4))
+        await service.threads.database(quotas.check, key, None, length, fields.map)
+        create = service.uploads.create
+        upload = await service.threads.database(create, metadata[_FILE_NAME], length, fields.map, options)
+        await service.threads.database(quotas.hold, key, Kind.RECORDING, upload.id, length)
+        await service.threads.database(quotas.hold_job, key, upload.id, fields.map)
     headers = {"Location": f"{router.prefix}/{upload.id}", **tus.standing(upload)}
     return Response(status_code=201, headers=headers)
 
@@ -67,7 +69,7 @@ async def begin_upload(request: Request, service: State) -> Response:
 async def upload_standing(recording: str, service: Service) -> Response:
     """In headers: `Upload-Offset`, `Upload-Length`, `Upload-Expires`; once it is whole, its mapping job's id in
     `Rholoc-Job`."""
-    upload = await run_in_threadpool(service.uploads.get, recording)
+    upload = await service.threads.database(service.uploads.get, recording)
     return Response(headers=tus.standing(upload))
 
 
@@ -106,14 +108,15 @@ async def continue_upload(
         )
     offset = tus.number("Upload-Offset", upload_offset)
     append = service.uploads.append
-    upload = await run_in_threadpool(append, recording, offset, b"")  # raises its errors before the bytes arrive
+    # Errors are raised before the bytes arrive.
+    upload = await service.threads.transfers(append, recording, offset, b"")
     left = upload.length - offset
     if upload_checksum is None:
         pieces = _pieces(request, left)
     else:
         pieces = _checked(request, min(left, service.settings.max_request_bytes), upload_checksum)
     async for piece in pieces:
-        upload = await run_in_threadpool(append, recording, offset, piece)
+        upload = await service.threads.transfers(append, recording, offset, piece)
         offset += len(piece)
     return Response(status_code=204, headers=tus.standing(upload))
 
@@ -127,7 +130,7 @@ async def continue_upload(
 )
 async def delete_recording(recording: str, service: Service) -> Response:
     """For good, unless a job is waiting for it or working on it. Maps made from it stay."""
-    await run_in_threadpool(_delete, service, recording)
+    await service.threads.database(_delete, service, recording)
     return Response(status_code=204)
 
 

@@ -6,9 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rholoc.geometry import BoolArray, FloatArray, IntArray, align_poses, rotation_angles
+from rholoc.geometry import BoolArray, FloatArray, IntArray, align_poses, posed_alignment, rotation_angles
 
 _FEWEST_COMMON = 0.7  # the share of the second's keyframes that both must have placed
+_MAX_LINE_WIDTH = 0.02  # spread across a line, as a share of that along it, of positions that count as on it
 _MAX_DISTANCE = 0.02  # of the median depth, between two reconstructions that count as the same …
 _MAX_DISTANCE_OF_MOST = 0.04  # … and of nine in ten of their keyframes: a part may be wrong, the rest right
 _MAX_ANGLE_DEG = 2.0
@@ -66,7 +67,9 @@ def compare(
     if common < max(3, _FEWEST_COMMON * len(some)):
         return Agreement(np.nan, np.nan, np.nan, common, len(some))
     a, b = T[some[both]], other[both]
-    aligned = align_poses(b, a).poses(b)
+    on_a_line = _is_line(a[:, :3, 3])
+    similarity = posed_alignment(b, a, np.ones(common), fixed_scale=False) if on_a_line else align_poses(b, a)
+    aligned = similarity.poses(b)
     apart = np.linalg.norm(aligned[:, :3, 3] - a[:, :3, 3], axis=1) / median_depth
     return Agreement(
         float(np.median(apart)),
@@ -75,3 +78,9 @@ def compare(
         common,
         len(some),
     )
+
+
+def _is_line(positions: FloatArray) -> bool:
+    """Whether positions (N, 3) leave the rotation about their line open."""
+    along, across, _ = np.linalg.svd(positions - positions.mean(axis=0), compute_uv=False)
+    return bool(across < _MAX_LINE_WIDTH * along)

@@ -1,4 +1,4 @@
-"""Which seconds of a walk have no place of their own in it, and what they show instead."""
+"""Parts of a recording that could not be placed, and what they show instead."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ _DARK = 25.0  # grey value
 _BLURRED = 0.25  # of the walk's usual sharpness
 _PLAIN = 10.0  # grey values, the contrast of a wall that is lit from one side
 _FEW_CORNERS = 60
+_MAX_NAMED = 4  # spans in a message
 
 
 def missing_spans(flow: Flow, rows: IntArray, placed: BoolArray) -> tuple[MissingSpan, ...]:
-    """The spans between keyframes ``rows`` (K,) that are ``placed`` (K,), where others lie between, and why.
+    """Spans between keyframes ``rows`` (K,) that are ``placed`` (K,), where other keyframes lie between, and why.
 
-    Times are seconds from the start of the recording.
+    Of timed frames those of at least ``_SHORTEST_S``; of pictures without times all.
     """
     if not placed.any():
         return ()
-    start_s = float(flow.times[0])
     edges = np.concatenate([[-1], np.flatnonzero(placed), [len(rows)]])
     spans = []
     for before, after in itertools.pairwise(edges):
@@ -32,16 +32,40 @@ def missing_spans(flow: Flow, rows: IntArray, placed: BoolArray) -> tuple[Missin
             continue
         first = 0 if before < 0 else int(rows[before]) + 1
         last = len(flow.times) if after == len(rows) else int(rows[after])
-        seconds = float(flow.times[min(last, len(flow.times) - 1)] - flow.times[first])
-        if seconds >= _SHORTEST_S:
-            from_s = float(flow.times[first]) - start_s
-            spans.append(MissingSpan(from_s, from_s + seconds, _reason(flow, np.arange(first, last))))
+        span = _span(flow, first, last)
+        if span is not None:
+            spans.append(span)
     return tuple(spans)
 
 
+def _span(flow: Flow, first: int, last: int) -> MissingSpan | None:
+    """The span from row ``first`` to before ``last``; None if it is too short to matter."""
+    numbers = int(flow.numbers[first]), int(flow.numbers[last - 1])
+    why = _reason(flow, np.arange(first, last))
+    if not flow.timed:
+        return MissingSpan(None, None, why, *numbers)
+    from_s = float(flow.times[first] - flow.times[0])
+    seconds = float(flow.times[min(last, len(flow.times) - 1)] - flow.times[first])
+    return MissingSpan(from_s, from_s + seconds, why, *numbers) if seconds >= _SHORTEST_S else None
+
+
 def describe(spans: tuple[MissingSpan, ...]) -> str:
-    """The spans in plain words, or an empty text: "0:12–0:15 shows a blank wall."."""
-    return " ".join(f"{_clock(span.start_s)}–{_clock(span.end_s)} {span.why}." for span in spans)
+    """The spans in plain words, or an empty text.
+
+    "0:12–0:15 shows a blank wall." where times are known, else "Each of the pictures 12 to 18 is blurred." Of more than
+    a few spans, the first are named.
+    """
+    named = [f"{_place(span)} {span.why}." for span in spans[:_MAX_NAMED]]
+    rest = len(spans) - len(named)
+    return " ".join([*named, f"{rest} more parts could not be placed."] if rest > 0 else named)
+
+
+def _place(span: MissingSpan) -> str:
+    if span.start_s is not None and span.end_s is not None:
+        return f"{_clock(span.start_s)}–{_clock(span.end_s)}"
+    if span.first_number == span.last_number:
+        return f"Picture {span.first_number}"
+    return f"Each of the pictures {span.first_number} to {span.last_number}"
 
 
 def _reason(flow: Flow, frames: IntArray) -> str:

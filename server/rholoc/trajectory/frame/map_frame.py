@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from enum import StrEnum
 
 import numpy as np
 
@@ -18,10 +19,56 @@ _GRAVITY_SIGMA_DEG = 0.3  # what the adjustment's own uncertainty does not see: 
 _NO_ROLL_SIGMA_DEG = 1.5
 _MAX_TILT_DEG = 15.0  # between the waypoints' z axis and the measured up, above which they are not the same
 _MAX_SCALE_SIGMA = 0.1  # relative; a scale less certain than this is no scale
-_MAX_SCALE_CONTRADICTION = 0.15  # between waypoints and accelerometer …
-_SIGMAS = 4.0  # … and as many of the accelerometer's uncertainties
+_MAX_SCALE_CONTRADICTION = 0.15  # between waypoints and another measurement of the scale …
+_SIGMAS = 4.0  # … and as many of the measurement's standard deviations
 _CLEARER = 2.0  # times worse must the next best choice of pauses fit …
 _EXACT_M = 0.02  # … than the best, or than this where that fits better
+
+
+class ScaleSource(StrEnum):
+    """What measured the scale of a reconstruction, as a sentence begins with it."""
+
+    ACCELEROMETER = "The accelerometer"
+    DEPTH = "Depth pictures"
+    LENGTH = "A known length"
+
+
+_WHY_OPEN = {
+    ScaleSource.ACCELEROMETER: "the camera hardly sped up or slowed down. Start and stop more often.",
+    ScaleSource.DEPTH: "they contradict the pictures. Check their unit, and that each belongs to its picture.",
+    ScaleSource.LENGTH: "it is too short for the reconstruction. Measure one between places that are further apart.",
+}
+
+
+@dataclass(frozen=True)
+class ScaleMeasurement:
+    """Measured scale of a reconstruction.
+
+    Attributes:
+        source: what measured it.
+        ratio: metres in the reconstruction's unit of length.
+        sigma: relative standard deviation of the ratio; inf where the measurement leaves it open.
+        is_adjusted: whether the reconstruction's covariances contain it already.
+    """
+
+    source: ScaleSource
+    ratio: float
+    sigma: float
+    is_adjusted: bool = False
+
+    @property
+    def usable(self) -> bool:
+        """Whether it is certain enough to fix the scale."""
+        return self.sigma <= _MAX_SCALE_SIGMA
+
+    def contradicts(self, ratio: float, sigma: float = 0.0) -> bool:
+        """Whether another measurement's ratio, of relative standard deviation ``sigma``, is clearly different."""
+        limit = max(_MAX_SCALE_CONTRADICTION, _SIGMAS * float(np.hypot(self.sigma, sigma)))
+        return self.usable and abs(self.ratio / ratio - 1) > limit
+
+    def verb(self, singular: str, plural: str) -> str:
+        """The form of a verb that agrees with the source."""
+        return plural if self.source is ScaleSource.DEPTH else singular
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,6 +83,7 @@ class MapFrame:
         waypoints: with the times at which the camera was at them.
         tilt_deg: between the waypoints' z axis and the measured upward direction, or None.
         doubts: why the trajectory is not to be trusted, one line each.
+        scale_sigma: relative standard deviation of the scale that the adjustment's covariances do not contain.
     """
 
     similarity: Similarity
@@ -46,6 +94,7 @@ class MapFrame:
     waypoints: tuple[Waypoint, ...] = ()
     tilt_deg: float | None = None
     doubts: tuple[str, ...] = ()
+    scale_sigma: float = 0.0
 
 
 def up_by_gravity() -> tuple[UpMeasurement, str]:
@@ -63,27 +112,33 @@ def up_by_pictures(R_world_camera: FloatArray) -> tuple[UpMeasurement | None, st
 
 
 def frame_of_first_camera(
-    T_world_camera: FloatArray, up: UpMeasurement | None, why_up: str, median_depth: float, scale_sigma: float | None
+    T_world_camera: FloatArray,
+    up: UpMeasurement | None,
+    why_up: str,
+    median_depth: float,
+    scales: Sequence[ScaleMeasurement] = (),
 ) -> MapFrame:
     """Origin at the first of the cameras (N, 4, 4), which looks along x; upright where ``up`` is known.
 
     Args:
         median_depth: of the landmarks; the unit of length where nothing measured fixes it.
-        scale_sigma: how well the accelerometer knows the scale, relative, of a reconstruction in metres; else None.
+        scales: what measured the scale; the most certain one fixes it.
     """
-    if scale_sigma is None:
-        scale, unit = Scale.ARBITRARY, 1 / median_depth
+    best = min(scales, key=lambda one: one.sigma, default=None)
+    direction = None if up is None else up.direction
+    if best is None or not best.usable:
         why = "Nothing measured fixes the scale; the unit is the median distance of the landmarks."
-    elif scale_sigma > _MAX_SCALE_SIGMA:
-        scale, unit = Scale.ARBITRARY, 1 / median_depth
-        why = (
-            f"The accelerometer leaves the scale open ({scale_sigma:.0%}): the camera hardly sped up or slowed down. "
-            "Start and stop more often."
-        )
-    else:
-        scale, unit, why = Scale.METRIC, 1.0, f"The accelerometer fixes the scale to {scale_sigma:.1%}."
-    similarity = _at_camera(T_world_camera[0], None if up is None else up.direction, unit)
-    return MapFrame(similarity, scale, up is not None, why_up, why)
+        if best is not None:
+            by = f" ({best.sigma:.0%})" if np.isfinite(best.sigma) else ""
+            why = f"{best.source} {best.verb('leaves', 'leave')} the scale open{by}: {_WHY_OPEN[best.source]}"
+        similarity = _at_camera(T_world_camera[0], direction, 1 / median_depth)
+        return MapFrame(similarity, Scale.ARBITRARY, up is not None, why_up, why)
+    why = f"{best.source} {best.verb('fixes', 'fix')} the scale to {best.sigma:.1%}."
+    doubts = _scale_contradictions(best.ratio, [one for one in scales if one is not best], best.sigma)
+    similarity = _at_camera(T_world_camera[0], direction, best.ratio)
+    sigma = 0.0 if best.is_adjusted else best.sigma
+    why = " ".join([why, *doubts])
+    return MapFrame(similarity, Scale.METRIC, up is not None, why_up, why, doubts=tuple(doubts), scale_sigma=sigma)
 
 
 def frame_of_waypoints(
@@ -92,7 +147,7 @@ def frame_of_waypoints(
     choices: Iterable[tuple[Waypoint, ...]],
     up: UpMeasurement | None,
     why_up: str,
-    scale_sigma: float | None = None,
+    scales: Sequence[ScaleMeasurement] = (),
 ) -> MapFrame:
     """The waypoints' own frame, from cameras (N, 4, 4) at ``times`` (N,).
 
@@ -100,7 +155,7 @@ def frame_of_waypoints(
         choices: the waypoints at their times; where those are not known, every way to tell them, the best of which is
             taken.
         up: the upward direction in the frame of the cameras, or None.
-        scale_sigma: how well the accelerometer knows the scale, relative, of a reconstruction in metres; else None.
+        scales: what else measured the scale; what contradicts the waypoints is a doubt.
 
     Raises:
         MappingFailed: the camera's path misses the waypoints, however they are taken.
@@ -116,11 +171,10 @@ def frame_of_waypoints(
             why_up += f" The waypoints' z axis is {tilt_deg:.0f}° off it, and was left there."
     if next_best_m < _CLEARER * max(alignment.worst_m, _EXACT_M):
         doubts.append("Other pauses than those taken fit the waypoints nearly as well; give the waypoints their times.")
-    contradiction = _scale_contradiction(alignment.similarity.scale, scale_sigma)
-    if contradiction:
-        doubts.append(contradiction)
+    contradictions = _scale_contradictions(alignment.similarity.scale, scales)
+    doubts += contradictions
     upright = tilt_deg is not None and tilt_deg <= _MAX_TILT_DEG
-    why_scale = " ".join(["The waypoints fix the scale.", contradiction]).strip()
+    why_scale = " ".join(["The waypoints fix the scale.", *contradictions])
     return MapFrame(alignment.similarity, Scale.METRIC, upright, why_up, why_scale, waypoints, tilt_deg, tuple(doubts))
 
 
@@ -148,13 +202,13 @@ def _tilt_deg(similarity: Similarity, up: UpMeasurement) -> float:
     return float(np.degrees(angles_between(similarity.rotation @ up.direction, UP)))
 
 
-def _scale_contradiction(scale: float, sigma: float | None) -> str:
-    if sigma is None or sigma > _MAX_SCALE_SIGMA:
-        return ""
-    ratio = 1 / scale
-    if abs(ratio - 1) <= max(_MAX_SCALE_CONTRADICTION, _SIGMAS * sigma):
-        return ""
-    return f"The accelerometer says that the walk is {ratio:.2f} times as large."
+def _scale_contradictions(ratio: float, others: Sequence[ScaleMeasurement], sigma: float = 0.0) -> list[str]:
+    """One line for each other measurement that contradicts a scale of ``ratio`` metres a unit."""
+    return [
+        f"{one.source} {one.verb('says', 'say')} that the walk is {one.ratio / ratio:.2f} times as large."
+        for one in others
+        if one.contradicts(ratio, sigma)
+    ]
 
 
 def _at_camera(T_world_camera: FloatArray, up: FloatArray | None, unit: float) -> Similarity:

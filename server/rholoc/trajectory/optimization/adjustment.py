@@ -28,6 +28,7 @@ from rholoc.trajectory.visual.tracks import Observations
 _PIXEL_SIGMA_PX = 0.7  # of a sighting, at first
 _CAUCHY_PIXELS = 2.0  # sigmas
 _CAUCHY_WAYPOINTS = 3.0
+_CAUCHY_STEPS = 3.0
 _MIN_PARALLAX_DEG = 1.5  # between the rays to a point that is used
 _FEWEST_SIGHTINGS = 3
 _ACCELEROMETER_NOISE = 0.01  # m/s² / √Hz: a phone's, and what its rate leaves out of a hand's motion
@@ -46,6 +47,9 @@ _LEVEL_SIGMA_RAD = np.radians(0.5)  # of the waypoints' z axis
 _GAUGE_SIGMA = 1e-4
 _TIE_SIGMA_RAD, _TIE_SIGMA_M = 2e-4, 5e-4
 _FIXED = 1e-9
+_CAUCHY_DEPTHS = 2.0  # sigmas
+_DEPTH_SIGMA_M = 0.01  # of a depth picture's pixel, besides a share of the depth
+_DEPTHS_PER_KEYFRAME = 40
 _COARSE, _FINE = 1e-3, 2e-4  # the share of the cost by which a step must lower it to be followed by another
 _FEWEST_SEEN = 4  # sightings that hold a keyframe by themselves
 _UNSEEN_SIGMA_RAD = 1.0  # of a keyframe that nothing holds
@@ -87,6 +91,24 @@ class Fix:
     keyframe: int
     position: tuple[float, float, float]
     sigma_m: float
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """A measured step from one keyframe to another, as a tracker (ARKit) or wheels report it.
+
+    Attributes:
+        first, second: keyframe numbers.
+        T_first_second: (4, 4).
+        sigma_m: of each coordinate.
+        sigma_rad: of the rotation about each axis.
+    """
+
+    first: int
+    second: int
+    T_first_second: FloatArray
+    sigma_m: float
+    sigma_rad: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,6 +167,8 @@ class Problem:
         imu: None without one.
         gyro: how the gyroscope relates to the camera; with an IMU.
         fixes: waypoints.
+        steps: measured between keyframes; they fix the scale.
+        depth_sigma: of the observations' depths, relative; they fix the scale. None where they are not used.
         level_sigma_rad: how well the fixes' z axis is level; None where it is not meant to be.
         camera_sigmas: of the intrinsics; None where they are held.
         pixel_sigma_px: of a sighting's coordinates.
@@ -156,6 +180,8 @@ class Problem:
     imu: Imu | None = None
     gyro: GyroCalibration | None = None
     fixes: tuple[Fix, ...] = ()
+    steps: tuple[Step, ...] = ()
+    depth_sigma: float | None = None
     level_sigma_rad: float | None = _LEVEL_SIGMA_RAD
     camera_sigmas: CameraSigmas | None = None
     pixel_sigma_px: float = _PIXEL_SIGMA_PX
@@ -183,8 +209,7 @@ class Adjusted:
     def covariances(self, keyframes: Sequence[int]) -> FloatArray:
         """(N, 6, 6) of some keyframes' poses: x, y, z (m), then the rotation about the map's axes (rad).
 
-        Raises:
-            MappingFailed: the measurements leave them open.
+        NaN where the measurements leave a pose open, so that its covariance has no bound.
         """
         tree = self._eliminated()
         found = np.empty((len(keyframes), 6, 6))
@@ -192,12 +217,12 @@ class Adjusted:
             R = self.state.R_map_camera[k]
             to_map = np.zeros((6, 6))
             to_map[:3, 3:], to_map[3:, :3] = R, R
-            found[i] = to_map @ tree.marginalCovariance(C(k)) @ to_map.T
+            found[i] = to_map @ _marginal(tree, C(k), 6) @ to_map.T
         return found
 
     def camera_sigmas(self) -> FloatArray:
-        """(9,) of fx, fy, skew, cx, cy, k1, k2, p1, p2 where they were estimated."""
-        return np.asarray(np.sqrt(np.diag(self._eliminated().marginalCovariance(D(0)))))
+        """(9,) of fx, fy, skew, cx, cy, k1, k2, p1, p2 where they were estimated; NaN where they are left open."""
+        return np.asarray(np.sqrt(np.diag(_marginal(self._eliminated(), D(0), 9))))
 
     def imu_misfit(self) -> float:
         """By how many times its assumed noise the IMU disagrees with the walk (root mean square); 0 without one."""
@@ -209,12 +234,13 @@ class Adjusted:
         ]
         return float(np.sqrt(np.mean(squares) / _IMU_COORDINATES)) if squares else 0.0
 
-    def _eliminated(self) -> gtsam.GaussianBayesTree:
-        """The linear system at the solution; with points held as firmly as it needs, where some are hardly known."""
+    def _eliminated(self) -> gtsam.GaussianBayesTree | None:
+        """The linear system at the solution, eliminated; with points held as firmly as it needs, where some are hardly
+        known. None if it is singular all the same."""
         for system in _with_points_held(self._graph.linearize(self._values), self._held):
             with contextlib.suppress(RuntimeError):  # gtsam's word for a singular system
                 return system.eliminateMultifrontal(self._ordering)
-        raise _shape_left_open()
+        return None
 
 
 def adjust(
@@ -247,7 +273,12 @@ def adjust(
         _add_imu(graph, values, problem, problem.imu, state, state.inertial)
     _hold_unseen(graph, values, problem.observations.keyframes[used], state)
     _add_fixes(graph, problem.fixes)
-    if not problem.fixes:
+    _add_steps(graph, problem.steps)
+    has_depths = _add_depths(graph, problem, state, used)
+    if (problem.steps or (has_depths and state.inertial is None)) and not problem.fixes:
+        first = gtsam.noiseModel.Isotropic.Sigma(6, _GAUGE_SIGMA)
+        graph.add(gtsam.PriorFactorPose3(C(0), values.atPose3(C(0)), first))
+    elif not problem.fixes:
         _fix_gauge(graph, values, state, metric=state.inertial is not None)
     ordering = _ordering(values, problem.observations, used)
     held = functools.cache(lambda firmness: _held_points(problem.observations, state, used, firmness))
@@ -301,12 +332,7 @@ def _usable_points(observations: Observations, state: State, sigma_px: float) ->
     often = np.bincount(observations.tracks[near], minlength=observations.points) >= _FEWEST_SIGHTINGS
     good = (parallax_deg > _MIN_PARALLAX_DEG) & often
     used = near & good[observations.tracks]
-    return _settled(points, _some(observations, used), state, sigma_px), used
-
-
-def _some(observations: Observations, used: BoolArray) -> Observations:
-    """Those that are used; points keep their numbers."""
-    return Observations(observations.keyframes[used], observations.tracks[used], observations.pixels[used])
+    return _settled(points, observations.at(used), state, sigma_px), used
 
 
 def _settled(points: FloatArray, observations: Observations, state: State, sigma_px: float) -> FloatArray:
@@ -511,6 +537,38 @@ def _add_fixes(graph: gtsam.NonlinearFactorGraph, fixes: Sequence[Fix]) -> None:
         graph.add(gtsam.PoseTranslationPrior3D(C(fix.keyframe), np.array(fix.position), noise))
 
 
+def _add_steps(graph: gtsam.NonlinearFactorGraph, steps: Sequence[Step]) -> None:
+    for step in steps:
+        sigmas = np.repeat([step.sigma_rad, step.sigma_m], 3)
+        noise = robust(_CAUCHY_STEPS, gtsam.noiseModel.Diagonal.Sigmas(sigmas))
+        pose = gtsam.Pose3(step.T_first_second)
+        graph.add(gtsam.BetweenFactorPose3(C(step.first), C(step.second), pose, noise))
+
+
+def _add_depths(graph: gtsam.NonlinearFactorGraph, problem: Problem, state: State, used: BoolArray) -> bool:
+    """Add measured distances from keyframes to points; returns whether there are any."""
+    seen = problem.observations
+    if problem.depth_sigma is None or seen.depths is None:
+        return False
+    rows = np.flatnonzero(used & np.isfinite(seen.depths))
+    rows = rows[np.argsort(seen.keyframes[rows], kind="stable")]
+    by_keyframe = np.split(rows, np.flatnonzero(np.diff(seen.keyframes[rows])) + 1)
+    rows = np.concatenate([some[:: len(some) // _DEPTHS_PER_KEYFRAME + 1] for some in by_keyframe])
+    depths = seen.depths[rows]
+    lengths = np.linalg.norm(np.column_stack([state.camera.undistort(seen.pixels[rows]), np.ones(len(rows))]), axis=1)
+    ranges = zip(
+        seen.keyframes[rows].tolist(),
+        seen.tracks[rows].tolist(),
+        (lengths * depths).tolist(),
+        (lengths * (problem.depth_sigma * depths + _DEPTH_SIGMA_M)).tolist(),
+        strict=True,
+    )
+    for keyframe, track, range_m, sigma_m in ranges:
+        noise = robust(_CAUCHY_DEPTHS, gtsam.noiseModel.Isotropic.Sigma(1, sigma_m))
+        graph.add(gtsam.RangeFactor3D(C(keyframe), L(track), range_m, noise))
+    return len(rows) > 0
+
+
 def _fix_gauge(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, state: State, metric: bool) -> None:
     """Hold what nothing measures: the first camera's place and heading; without an IMU its tilt, and the scale."""
     first = values.atPose3(C(0))
@@ -591,12 +649,20 @@ class _Descent:
 
 def _with_points_settled(values: gtsam.Values, problem: Problem, state: State, used: BoolArray) -> gtsam.Values:
     moved = _state_of(values, problem, state, used)
-    sightings = _some(problem.observations, used)
+    sightings = problem.observations.at(used)
     points = _settled(triangulate(sightings, moved)[0], sightings, moved, problem.pixel_sigma_px)
     there = gtsam.Values(values)
     for track in np.unique(sightings.tracks).tolist():
         there.update(L(track), points[track])
     return there
+
+
+def _marginal(tree: gtsam.GaussianBayesTree | None, key: int, size: int) -> FloatArray:
+    """(size, size) covariance of one variable; NaN where it has no bound."""
+    if tree is not None:
+        with contextlib.suppress(RuntimeError):  # gtsam's word for a singular system
+            return np.asarray(tree.marginalCovariance(key))
+    return np.full((size, size), np.nan)
 
 
 def _shape_left_open() -> MappingFailed:

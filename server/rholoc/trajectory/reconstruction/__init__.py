@@ -1,7 +1,8 @@
 """What keyframes see, and what the IMU and waypoints measured → the keyframes' poses."""
 
 from rholoc.trajectory.reconstruction.dispatch import reconstruct
+from rholoc.trajectory.reconstruction.from_poses import reconstruct_from_poses, unmoved_frame
 from rholoc.trajectory.reconstruction.outcome import InertialFigures, Reconstruction
 from rholoc.trajectory.reconstruction.sights import Sights
 
-__all__ = ["InertialFigures", "Reconstruction", "Sights", "reconstruct"]
+__all__ = ["InertialFigures", "Reconstruction", "Sights", "reconstruct", "reconstruct_from_poses", "unmoved_frame"]

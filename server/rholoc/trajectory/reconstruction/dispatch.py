@@ -14,7 +14,7 @@ from rholoc.recordings import Imu, Waypoint
 from rholoc.trajectory.checks.agreement import Agreement, compare
 from rholoc.trajectory.inertial.gyroscope import camera_rotations
 from rholoc.trajectory.reconstruction.from_imu import calibrated, solve_with_imu, start_with_imu
-from rholoc.trajectory.reconstruction.from_pictures import solve_from_pictures
+from rholoc.trajectory.reconstruction.from_pictures import solve_from_pictures, solve_from_set
 from rholoc.trajectory.reconstruction.outcome import Reconstruction
 from rholoc.trajectory.reconstruction.rounds import AdjustmentProgress
 from rholoc.trajectory.reconstruction.sights import Sights, gather_evidence
@@ -45,7 +45,7 @@ def reconstruct(
 def _reconstruct(
     sights: Sights, imu: Imu | None, waypoints: Sequence[tuple[Waypoint, ...]], progress: ProgressListener
 ) -> Reconstruction:
-    camera = sights.camera or guess_camera(sights.flow, imu)
+    camera = sights.camera or guess_camera(sights.flow, imu, sights.focal_px)
     gyro, reason = (None, "") if imu is None else calibrated(sights, camera, imu)
     felt = None if imu is None or gyro is None else camera_rotations(imu, gyro, sights.times)
     evidence = gather_evidence(sights, camera, felt, progress)
@@ -55,6 +55,8 @@ def _reconstruct(
         if start is not None:
             return solve_with_imu(sights, imu, gyro, evidence, start, waypoints, steps)
         reason = "The pictures do not show enough of the walk for the accelerometer to measure it."
+    if not sights.is_film:
+        return solve_from_set(sights, camera, evidence, waypoints, reason, steps)
     found = solve_from_pictures(sights, camera, evidence, waypoints, reason, steps)
     steps.step(0.95, 0.99, "checked by a second reconstruction")
     return replace(found, agreement=_agreement(found, sights))

@@ -10,7 +10,8 @@ from rholoc.trajectory.visual.tracks import Observations
 
 
 def spread_covariances(adjusted: Adjusted, count: int, computed: int) -> FloatArray:
-    """(K, 6, 6): of so many keyframes, and interpolated between them; a mixture of covariances is one."""
+    """(K, 6, 6) of ``count`` keyframes' poses: computed for ``computed`` of them and interpolated between these, for a
+    mixture of covariances is one. NaN where they have no bound."""
     some = np.unique(np.linspace(0, count - 1, min(computed, count)).round().astype(np.int64))
     found = adjusted.covariances(some.tolist())
     after = np.clip(np.searchsorted(some, np.arange(count)), 1, len(some) - 1)
@@ -19,13 +20,14 @@ def spread_covariances(adjusted: Adjusted, count: int, computed: int) -> FloatAr
 
 
 def scale_sigma_of(adjusted: Adjusted) -> float:
-    """How well the walk's size is known, relative: by the place of the keyframe that is furthest from the first."""
+    """Relative standard deviation of the walk's size, by the keyframe furthest from the first; inf if unbounded."""
     away = adjusted.state.positions - adjusted.state.positions[0]
     far = int(np.argmax(np.linalg.norm(away, axis=1)))
     length = max(float(np.linalg.norm(away[far])), 1e-9)
     covariance = adjusted.covariances([far])[0, :3, :3]
     along = away[far] / length
-    return float(np.sqrt(along @ covariance @ along)) / length
+    sigma = float(np.sqrt(along @ covariance @ along)) / length
+    return sigma if np.isfinite(sigma) else np.inf
 
 
 def median_depth_of(observations: Observations, adjusted: Adjusted) -> float:

@@ -10,12 +10,13 @@ from scipy.spatial.transform import Rotation
 
 from rholoc.geometry import Camera, FloatArray, pose_matrix
 from rholoc.recordings import GRAVITY, Imu, Waypoint
-from rholoc.trajectory.frame.map_frame import up_by_gravity
+from rholoc.trajectory.frame.map_frame import ScaleMeasurement, ScaleSource, up_by_gravity
 from rholoc.trajectory.frame.upright import rotation_to_upright
 from rholoc.trajectory.inertial.gyroscope import GyroCalibration
 from rholoc.trajectory.initialization.inertial_start import InertialStart, inertial_start
 from rholoc.trajectory.initialization.rotation_averaging import average_rotations
 from rholoc.trajectory.optimization.adjustment import Adjusted, InertialState, Problem, State, adjust
+from rholoc.trajectory.reconstruction.depth_scale import scale_by_depth, scales_by_lengths, with_depths
 from rholoc.trajectory.reconstruction.figures import scale_sigma_of
 from rholoc.trajectory.reconstruction.loops import with_loops_closed
 from rholoc.trajectory.reconstruction.outcome import InertialFigures, Reconstruction, finished
@@ -119,7 +120,11 @@ def solve_with_imu(
     evidence, problem, adjusted = with_loops_closed(sights, evidence, problem, adjusted, progress)
     problem, adjusted, accelerometer_scale = _accelerometer_corrected(problem, adjusted, progress)
     scale_sigma = scale_sigma_of(adjusted)
-    solved = in_map_frame(problem, adjusted, waypoints, up_by_gravity(), scale_sigma, evidence.loops, progress)
+    felt = ScaleMeasurement(ScaleSource.ACCELEROMETER, 1.0, scale_sigma, is_adjusted=True)
+    seen = with_depths(problem.observations, sights.depth, adjusted.state.camera)
+    depth = scale_by_depth(replace(problem, observations=seen), adjusted)
+    scales = [felt, *scales_by_lengths(sights.lengths, adjusted), *([] if depth is None else [depth])]
+    solved = in_map_frame(problem, adjusted, waypoints, up_by_gravity(), scales, evidence.loops, progress)
     inertial = solved.adjusted.state.inertial
     assert inertial is not None
     figures = InertialFigures(

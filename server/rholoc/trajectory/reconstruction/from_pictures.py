@@ -3,25 +3,45 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from rholoc.errors import MappingFailed
 from rholoc.geometry import Camera, FloatArray, IntArray, pose_matrix
 from rholoc.recordings import Waypoint
+from rholoc.trajectory.checks.agreement import Agreement, compare
 from rholoc.trajectory.frame.map_frame import up_by_pictures
 from rholoc.trajectory.initialization.global_positioning import global_positions
+from rholoc.trajectory.initialization.mapper_starts import Mapper, largest_piece
 from rholoc.trajectory.initialization.rotation_averaging import average_rotations
-from rholoc.trajectory.optimization.adjustment import Problem, State
-from rholoc.trajectory.reconstruction.outcome import Reconstruction, finished
-from rholoc.trajectory.reconstruction.rounds import AdjustmentProgress, adjusted_in_rounds, camera_sigmas
+from rholoc.trajectory.optimization.adjustment import GUESSED, Adjusted, Problem, State, adjust
+from rholoc.trajectory.reconstruction.depth_scale import (
+    DEPTH_SIGMA,
+    scale_by_depth,
+    scaled_by_depth,
+    scales_by_lengths,
+    with_depths,
+)
+from rholoc.trajectory.reconstruction.figures import median_depth_of
+from rholoc.trajectory.reconstruction.outcome import Reconstruction, finished, held_keyframes
+from rholoc.trajectory.reconstruction.resection import with_missing_placed
+from rholoc.trajectory.reconstruction.rounds import (
+    LAST_ITERATIONS,
+    AdjustmentProgress,
+    adjusted_in_rounds,
+    camera_sigmas,
+)
 from rholoc.trajectory.reconstruction.sights import ADVICE, Evidence, Sights
 from rholoc.trajectory.reconstruction.waypoints import in_map_frame
 from rholoc.trajectory.visual.tracks import Observations, pieces_of
 from rholoc.trajectory.visual.two_view import PairRotation
 
 _ROUNDS_OF_PICTURES = 3  # … without an IMU, from a start that is less near
+_ALL = 0.98  # share of the pictures that two reconstructions place alike, from which no third one is tried
+_MAX_FOCAL_CONTRADICTION = 0.07  # of a given focal length, from which the pictures contradict it …
+_SIGMAS = 4.0  # … and as many standard deviations of theirs
+_CONTRADICTION = 0.1  # of the median depth, between reconstructions of which at least one must be wrong
 
 
 def solve_from_pictures(
@@ -32,23 +52,183 @@ def solve_from_pictures(
     reason: str,
     progress: AdjustmentProgress,
 ) -> Reconstruction:
-    """The largest piece of the walk whose pictures hang together.
+    """Reconstruct the largest connected part of a walk from its pictures.
 
     Args:
         reason: one line on why the IMU was not used, or empty.
+
+    Raises:
+        MappingFailed: no two pictures overlap, or the waypoints contradict them.
     """
-    whole = evidence.observations(sights)
-    state, members = _start_from_pictures(sights, camera, evidence.rotations, whole)
+    whole = with_depths(evidence.observations(sights), sights.depth, camera)
+    part = _adjusted(sights, whole, _own_start(sights, camera, evidence.rotations, whole), progress, (0.45, 0.75))
+    return _finished(sights, evidence, part, waypoints, reason, progress)
+
+
+def solve_from_set(
+    sights: Sights,
+    camera: Camera,
+    evidence: Evidence,
+    waypoints: Sequence[tuple[Waypoint, ...]],
+    reason: str,
+    progress: AdjustmentProgress,
+) -> Reconstruction:
+    """Reconstruct a set of pictures by several mappers, which check each other.
+
+    Each mapper's first poses are adjusted to the same sightings, after the pictures that it left out are placed where
+    they see enough points. Of those that another one confirms, the reconstruction with most pictures is taken.
+
+    Args:
+        reason: one line on why the IMU was not used, or empty.
+
+    Raises:
+        MappingFailed: no mapper places anything, or no two of them agree to a tenth of the depth.
+    """
+    whole = with_depths(evidence.observations(sights), sights.depth, camera)
+    parts: list[_Part] = []
+    for number, mapper in enumerate(Mapper):
+        span = 0.45 + 0.1 * number, 0.55 + 0.1 * number
+        part = _placed_by(mapper, sights, camera, evidence, whole, progress, span)
+        if part is None:
+            continue
+        parts.append(part)
+        if _confirmed(part, parts[:-1]) and len(part.members) >= _ALL * len(sights.rows):
+            break
+    if not parts:
+        raise MappingFailed("No two pictures overlap enough.", ADVICE)
+    parts.sort(key=lambda part: (_confirmed(part, parts), len(part.members)), reverse=True)
+    agreement = _best_agreement(parts[0], parts)
+    if agreement is not None and not agreement.distance <= _CONTRADICTION:
+        raise MappingFailed(
+            f"Reconstructions of these pictures contradict each other: {agreement.why}",
+            "Take more pictures in between, from places half a step apart, and let each show half of the one before.",
+        )
+    found = _finished(sights, evidence, parts[0], waypoints, reason, progress)
+    return replace(found, agreement=agreement or Agreement(np.nan, np.nan, np.nan, 0, len(sights.rows)))
+
+
+@dataclass(frozen=True, eq=False)
+class _Part:
+    """An adjusted reconstruction of some of K pictures.
+
+    Attributes:
+        members: (N,) the pictures, increasing.
+        problem, adjusted: of those.
+    """
+
+    members: IntArray
+    problem: Problem
+    adjusted: Adjusted
+
+
+def _placed_by(
+    mapper: Mapper,
+    sights: Sights,
+    camera: Camera,
+    evidence: Evidence,
+    whole: Observations,
+    progress: AdjustmentProgress,
+    span: tuple[float, float],
+) -> _Part | None:
+    """The part that a mapper places, adjusted; None if it places none."""
+    try:
+        if mapper is Mapper.OWN:
+            start = _own_start(sights, camera, evidence.rotations, whole)
+        else:
+            pixels = [features.pixels.astype(np.float64) for features in sights.features]
+            piece = largest_piece(mapper, camera, sights.camera is not None, pixels, evidence.sequential)
+            if piece is None:
+                return None
+            start = State(piece.T_world_camera, np.zeros((0, 3)), piece.camera), piece.members
+        middle = sum(span) / 2
+        part = _adjusted(sights, whole, start, progress, (span[0], middle))
+        more = with_missing_placed(whole, part.members, part.adjusted.state, len(sights.rows))
+        if len(more[1]) > len(part.members):
+            part = _adjusted(sights, whole, more, progress, (middle, span[1]))
+    except (MappingFailed, RuntimeError):  # gtsam's word for a system that cannot be solved
+        return None
+    return part
+
+
+def _agreement(part: _Part, other: _Part) -> Agreement:
+    """How far two reconstructions are apart, over the pictures of the smaller one."""
+    one, two = sorted((part, other), key=lambda some: len(some.members), reverse=True)
+    count = int(max(one.members.max(), two.members.max())) + 1
+    T, placed = np.tile(np.eye(4), (count, 1, 1)), np.zeros(count, dtype=np.bool_)
+    T[one.members], placed[one.members] = one.adjusted.state.T_map_camera, held_keyframes(one.problem, one.adjusted)
+    depth = median_depth_of(one.problem.observations, one.adjusted)
+    held = held_keyframes(two.problem, two.adjusted)
+    return compare(T, placed, two.members, two.adjusted.state.T_map_camera, held, depth)
+
+
+def _confirmed(part: _Part, others: Sequence[_Part]) -> bool:
+    return any(_agreement(part, other).same for other in others if other is not part)
+
+
+def _best_agreement(part: _Part, parts: Sequence[_Part]) -> Agreement | None:
+    """The agreement with the other part that is nearest, None if there is no other to compare with."""
+    found = [_agreement(part, other) for other in parts if other is not part]
+    return min(found, key=lambda one: np.nan_to_num(one.distance, nan=np.inf), default=None)
+
+
+def _adjusted(
+    sights: Sights,
+    whole: Observations,
+    start: tuple[State, IntArray],
+    progress: AdjustmentProgress,
+    span: tuple[float, float],
+) -> _Part:
+    """Adjust some pictures from their first poses."""
+    state, members = start
     number = np.full(len(sights.rows), -1)
     number[members] = np.arange(len(members))
-    numbered = Observations(number[whole.keyframes], whole.tracks, whole.pixels)
+    numbered = replace(whole, keyframes=number[whole.keyframes])
     observations = numbered.take(numbered.keyframes >= 0)
     problem = Problem(sights.times[members], observations, camera_sigmas=camera_sigmas(sights.camera))
-    problem, adjusted = adjusted_in_rounds(problem, state, progress, (0.45, 0.75), _ROUNDS_OF_PICTURES)
-    up = up_by_pictures(adjusted.state.R_map_camera)
-    solved = in_map_frame(problem, adjusted, waypoints, up, None, (), progress)
-    part = finished(solved, len(evidence.loops), sights.camera is not None, None, reason)
-    return _of_all(part, members, len(sights.rows))
+    problem, adjusted = adjusted_in_rounds(problem, state, progress, span, _ROUNDS_OF_PICTURES)
+    scaled = scaled_by_depth(problem, adjusted)
+    if scaled is not None:
+        problem = replace(problem, depth_sigma=DEPTH_SIGMA)
+        adjusted = adjust(problem, scaled, LAST_ITERATIONS, progress)
+    return _Part(members, problem, adjusted)
+
+
+def _finished(
+    sights: Sights,
+    evidence: Evidence,
+    part: _Part,
+    waypoints: Sequence[tuple[Waypoint, ...]],
+    reason: str,
+    progress: AdjustmentProgress,
+) -> Reconstruction:
+    """The part in the map frame, as a reconstruction of all pictures."""
+    up = up_by_pictures(part.adjusted.state.R_map_camera)
+    depth = scale_by_depth(part.problem, part.adjusted)
+    scales = scales_by_lengths(sights.take(part.members).lengths, part.adjusted) + ([] if depth is None else [depth])
+    solved = in_map_frame(part.problem, part.adjusted, waypoints, up, scales, (), progress)
+    found = finished(solved, len(evidence.loops), sights.camera is not None, None, reason)
+    if sights.camera is not None:
+        doubts = (*found.frame.doubts, *_doubts_about_focal(part, sights.camera))
+        found = replace(found, frame=replace(found.frame, doubts=doubts))
+    return _of_all(found, part.members, len(sights.rows))
+
+
+def _doubts_about_focal(part: _Part, given: Camera) -> tuple[str, ...]:
+    """A line if the pictures, adjusted with the focal length free, clearly have another one than was given."""
+    if part.problem.camera_sigmas is None:
+        return ()
+    problem = replace(part.problem, camera_sigmas=GUESSED)
+    try:
+        free = adjust(problem, part.adjusted.state, LAST_ITERATIONS, coarsely=True)
+    except MappingFailed:
+        return ()
+    focal, sigma = free.state.camera.focal, float(free.camera_sigmas()[0])
+    if not abs(focal - given.focal) > max(_SIGMAS * sigma, _MAX_FOCAL_CONTRADICTION * given.focal):
+        return ()
+    return (
+        f"The pictures contradict the focal length that was given: {focal:.0f} ± {sigma:.0f} px, not "
+        f"{given.focal:.0f} px. Calibrate the camera, or leave it out to have it estimated.",
+    )
 
 
 def _of_all(part: Reconstruction, members: IntArray, count: int) -> Reconstruction:
@@ -62,10 +242,10 @@ def _of_all(part: Reconstruction, members: IntArray, count: int) -> Reconstructi
     return replace(part, placed=placed, T_map_camera=T, covariances=covariances)
 
 
-def _start_from_pictures(
+def _own_start(
     sights: Sights, camera: Camera, rotations: Sequence[PairRotation], observations: Observations
 ) -> tuple[State, IntArray]:
-    """The largest piece of the walk: its state in a frame of its own, and its keyframes."""
+    """First poses of the largest connected part by rotation averaging and global positioning, and its keyframes."""
     count = len(sights.rows)
     R, component = average_rotations(count, rotations, sights.times, None)
     piece = pieces_of(count, observations)

@@ -119,10 +119,12 @@ def finished(
         turn[:3, :3] = scale * frame.similarity.rotation
         turn[3:, 3:] = frame.similarity.rotation
         covariances = turn @ covariances @ turn.T
+        away = frame.scale_sigma * state.positions
+        covariances[:, :3, :3] += away[:, :, None] * away[:, None, :]
     off_px = residuals_px(observations, adjusted.state)
-    right = adjusted.used & (off_px <= max(FEWEST_PX, OUTLIER * float(np.median(off_px))))
-    placed = np.bincount(observations.keyframes[right], minlength=keyframes) >= _SEEN
-    if imu is not None:
+    right = right_sightings(solved.problem, adjusted)
+    placed = held_keyframes(solved.problem, adjusted)
+    if imu is not None or solved.problem.steps:
         sigma_m = np.sqrt(np.trace(covariances[:, :3, :3], axis1=1, axis2=2))
         usual_m = float(np.median(sigma_m[placed])) if placed.any() else 0.0
         placed |= sigma_m <= max(_CARRIED_SIGMA_M, 2 * usual_m)
@@ -142,6 +144,18 @@ def finished(
         loops,
         scale * median_depth_of(observations, adjusted),
     )
+
+
+def right_sightings(problem: Problem, adjusted: Adjusted) -> BoolArray:
+    """Which sightings (N,) are used and agree with the solution."""
+    off_px = residuals_px(problem.observations, adjusted.state)
+    return np.asarray(adjusted.used & (off_px <= max(FEWEST_PX, OUTLIER * float(np.median(off_px)))))
+
+
+def held_keyframes(problem: Problem, adjusted: Adjusted) -> BoolArray:
+    """Which keyframes (K,) enough right sightings place by themselves."""
+    right = right_sightings(problem, adjusted)
+    return np.asarray(np.bincount(problem.observations.keyframes[right], minlength=len(problem.times)) >= _SEEN)
 
 
 def moved(state: State, similarity: Similarity) -> State:

@@ -13,8 +13,9 @@ from rholoc.errors import MappingFailed
 from rholoc.features import FeatureSet
 from rholoc.geometry import Camera, FloatArray, IntArray
 from rholoc.progress import ProgressListener
+from rholoc.recordings.frames.depth import DepthImages
 from rholoc.trajectory.visual.flow import Flow
-from rholoc.trajectory.visual.matching import VerifiedPair, match_keyframes
+from rholoc.trajectory.visual.matching import VerifiedPair, match_keyframes, match_pictures
 from rholoc.trajectory.visual.parallax import only_turned
 from rholoc.trajectory.visual.rolling_shutter import RollingShutter
 from rholoc.trajectory.visual.tracks import Observations, followed_corners, matched_features
@@ -36,14 +37,22 @@ class Sights:
         rows: (K,) the keyframes.
         features: of each, in pixels of the full image.
         camera: None where the intrinsics are unknown.
+        is_film: whether corners are followed from frame to frame; else it is a set of pictures in no certain order.
         shutter: how the image moves while it is read, or None. The features are corrected for it already.
+        depth: depth pictures of the keyframes, or None.
+        focal_px: first guess of the focal length where the intrinsics are unknown; or None.
+        lengths: measured distances [m] between two keyframes each.
     """
 
     flow: Flow
     rows: IntArray
     features: Sequence[FeatureSet]
     camera: Camera | None
+    is_film: bool = True
     shutter: RollingShutter | None = None
+    depth: DepthImages | None = None
+    focal_px: float | None = None
+    lengths: tuple[tuple[int, int, float], ...] = ()
 
     @property
     def times(self) -> FloatArray:
@@ -51,9 +60,13 @@ class Sights:
         return np.asarray(self.flow.times[self.rows])
 
     def take(self, some: IntArray) -> Sights:
-        """The same of some of the keyframes."""
+        """The same of some of the keyframes (M,)."""
+        places = {k: place for place, k in enumerate(some.tolist())}
+        lengths = tuple((places[a], places[b], m) for a, b, m in self.lengths if a in places and b in places)
         shutter = None if self.shutter is None else self.shutter.take(some)
-        return replace(self, rows=self.rows[some], features=[self.features[k] for k in some.tolist()], shutter=shutter)
+        depth = None if self.depth is None else self.depth.select(some)
+        features = [self.features[k] for k in some.tolist()]
+        return replace(self, rows=self.rows[some], features=features, shutter=shutter, depth=depth, lengths=lengths)
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,9 +103,12 @@ def gather_evidence(sights: Sights, camera: Camera, felt: Rotation | None, progr
     """
     corners, rotations = followed_corners(sights.flow, sights.rows, camera, felt, sights.shutter)
     planes = [camera.undistort(features.pixels.astype(np.float64)) for features in sights.features]
-    sequential, loops = match_keyframes(
-        sights.features, planes, camera.focal, sights.times, felt, _is_followed(sights), progress
-    )
+    if sights.is_film or felt is not None:
+        sequential, loops = match_keyframes(
+            sights.features, planes, camera.focal, sights.times, felt, _is_followed(sights), progress
+        )
+    else:
+        sequential, loops = match_pictures(sights.features, planes, camera.focal, progress), []
     if only_turned(sequential, planes):
         raise MappingFailed(
             "The camera stayed in one place; turning alone does not show how far away things are.",

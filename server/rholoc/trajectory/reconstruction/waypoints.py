@@ -10,7 +10,12 @@ import numpy as np
 from rholoc.recordings import Waypoint
 from rholoc.recordings.tables.waypoints import DEFAULT_SIGMA_M
 from rholoc.trajectory.checks.blame import LeftOut, held_against, leave_out, worst
-from rholoc.trajectory.frame.map_frame import MapFrame, frame_of_first_camera, frame_of_waypoints
+from rholoc.trajectory.frame.map_frame import (
+    MapFrame,
+    ScaleMeasurement,
+    frame_of_first_camera,
+    frame_of_waypoints,
+)
 from rholoc.trajectory.frame.waypoint_alignment import MAX_GAP_S, UpMeasurement
 from rholoc.trajectory.optimization.adjustment import Adjusted, Fix, Problem, State, adjust
 from rholoc.trajectory.optimization.pose_graph import RelativePose, bend
@@ -30,7 +35,7 @@ def in_map_frame(
     adjusted: Adjusted,
     waypoints: Sequence[tuple[Waypoint, ...]],
     up: tuple[UpMeasurement | None, str],
-    scale_sigma: float | None,
+    scales: Sequence[ScaleMeasurement],
     loops: Sequence[VerifiedPair],
     progress: AdjustmentProgress,
 ) -> Solved:
@@ -38,15 +43,19 @@ def in_map_frame(
 
     Args:
         up: the upward direction, and what to say about it.
-        scale_sigma: how well the walk's size is known, relative; None where nothing measured it.
+        scales: what measured the walk's size.
         loops: between keyframes that show the same place.
     """
     T = adjusted.state.T_map_camera
     if not waypoints:
         depth = median_depth_of(problem.observations, adjusted)
-        return Solved(problem, adjusted, frame_of_first_camera(T, *up, depth, scale_sigma))
-    frame = frame_of_waypoints(problem.times, T, waypoints, *up, scale_sigma)
-    problem = replace(problem, level_sigma_rad=problem.level_sigma_rad if frame.upright else None)
+        return Solved(problem, adjusted, frame_of_first_camera(T, *up, depth, scales))
+    frame = frame_of_waypoints(problem.times, T, waypoints, *up, scales)
+    problem = replace(
+        problem,
+        observations=problem.observations.scaled(frame.similarity.scale),
+        level_sigma_rad=problem.level_sigma_rad if frame.upright else None,
+    )
     return _held_by_waypoints(problem, adjusted.state, frame, loops, progress)
 
 
@@ -86,12 +95,16 @@ def _held_by_waypoints(
 
 
 def _each_left_out(fixes: dict[str, Fix], mistaken: Sequence[str], adjusted: Adjusted) -> dict[str, LeftOut]:
-    """Each waypoint against the walk that the others and all else make; of the mistaken ones it is free already."""
+    """Each waypoint held against the walk that the others and all else make; the walk is free of the mistaken ones
+    already. Its standard deviations are NaN where the walk does not say how sure it is."""
     covariances = adjusted.covariances([fix.keyframe for fix in fixes.values()])[:, :3, :3]
     found = {}
     for (name, fix), covariance in zip(fixes.items(), covariances, strict=True):
         judge = held_against if name in mistaken else leave_out
         place = adjusted.state.positions[fix.keyframe]
+        if not np.isfinite(covariance).all():
+            found[name] = LeftOut(np.array(fix.position) - place, np.nan)
+            continue
         found[name] = judge(np.array(fix.position), place, covariance, fix.sigma_m)
     return found
 
@@ -116,5 +129,6 @@ def _noise_factor(sigmas: Sequence[float]) -> float:
 
     The mean square over three coordinates each, drawn to one by a prior, for waypoints are few.
     """
+    sigmas = [value for value in sigmas if np.isfinite(value)]
     squares = _NOISE_PRIOR + sum(value**2 for value in sigmas)
     return float(np.clip(np.sqrt(squares / (_NOISE_PRIOR + 3 * len(sigmas))), *_NOISE_FACTORS))

@@ -46,14 +46,16 @@ def calibrate_by_flow(flow: Flow, camera: Camera, imu: Imu, most_pairs: int | No
     return calibrate_gyro(flow.times[rows], R, imu)
 
 
-def guess_camera(flow: Flow, imu: Imu | None) -> Camera:
+def guess_camera(flow: Flow, imu: Imu | None, focal_px: float | None = None) -> Camera:
     """Where to start from: the focal length at which the image turns as the gyroscope does.
 
-    Without a gyroscope, or where the camera hardly turns, that which most pairs of pictures agree with.
+    Without a gyroscope, or where the camera hardly turns, ``focal_px`` where something stated it; else the one that
+    most pairs of pictures agree with.
     """
     longer = max(flow.size)
+    stated = None if focal_px is None else focal_px / longer
     focal = None if imu is None else _focal_by_gyroscope(flow, imu)
-    return centred_camera(flow.size, longer * (focal or _focal_by_pictures(flow) or _USUAL_FOCAL))
+    return centred_camera(flow.size, longer * (focal or stated or _focal_by_pictures(flow) or _USUAL_FOCAL))
 
 
 def _focal_by_gyroscope(flow: Flow, imu: Imu) -> float | None:

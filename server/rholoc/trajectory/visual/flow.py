@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
@@ -46,6 +47,8 @@ class Flow:
         sharpness: (N,) the variance of the Laplacian.
         brightness: (N,) the mean grey value, 0..255.
         contrast: (N,) the standard deviation of the grey values, blurred: of noise nothing is left.
+        timed: whether the times were measured; else they are rows.
+        frame_numbers: (N,) the frames' numbers as users know them, or None.
     """
 
     times: FloatArray
@@ -57,6 +60,20 @@ class Flow:
     sharpness: FloatArray
     brightness: FloatArray
     contrast: FloatArray
+    timed: bool = True
+    frame_numbers: IntArray | None = None
+
+    @property
+    def numbers(self) -> IntArray:
+        """(N,) the frames' numbers as users know them; rows if none were given."""
+        return np.arange(len(self.times)) if self.frame_numbers is None else self.frame_numbers
+
+    @property
+    def shared_with_next(self) -> IntArray:
+        """(N - 1,) how many corners each frame shares with the next."""
+        frames = [self.of_frame(row)[0] for row in range(len(self.times))]
+        pairs = itertools.pairwise(frames)
+        return np.array([len(np.intersect1d(a, b, assume_unique=True)) for a, b in pairs], dtype=np.int64)
 
     def of_frame(self, row: int) -> tuple[IntArray, FloatArray]:
         """The corners (K,) seen in a frame, and where (K, 2)."""
@@ -114,6 +131,8 @@ def track_corners(frames: FrameSource, progress: ProgressListener = silent, show
         sharpness,
         brightness,
         contrast,
+        frames.timed,
+        frames.numbers,
     )
 
 

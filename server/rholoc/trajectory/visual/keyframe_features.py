@@ -46,7 +46,7 @@ class KeyframeFeatures:
         self._frames = frames
         self._certain = certain
         self._show = show
-        self._steps = KeyframeSteps()
+        self._steps = KeyframeSteps(timed=frames.timed)
         self._sharpest: ByteArray | None = None
         self._found: dict[int, Future[FeatureSet]] = {}
         self._waiting: deque[Future[FeatureSet]] = deque()

@@ -5,12 +5,30 @@ from __future__ import annotations
 import numpy as np
 
 from rholoc.geometry import FloatArray, IntArray
+from rholoc.trajectory.visual.flow import Flow
 
 _STEP = 0.05  # of the image's longer side: how far it moves from keyframe to keyframe …
 _FINEST_STEP = 0.01  # … and in recordings that would have too few
 _FEW_KEYFRAMES = 60
 _LONGEST_S = 1.4  # between keyframes of a camera at rest
 _SHORTEST_S = 0.08  # between any two
+MAX_PICTURES = 300  # of a set, all of which become keyframes
+_FILM_SHARE, _FILM_CORNERS = 0.2, 40  # share of a film's frames that may show fewer corners of the frame before
+_FILM_MOTION = 0.02  # from frame to frame in the mean, as a share of the image's longer side
+
+
+def is_film(flow: Flow) -> bool:
+    """Whether frames follow each other as in a video, so that keyframes at steps of image motion show all of it.
+
+    False for a set of pictures, and for a film of which only few frames are left. Up to ``MAX_PICTURES`` frames whose
+    times are unknown are a set: all of them are used.
+    """
+    if not flow.timed and len(flow.times) <= MAX_PICTURES:
+        return False
+    shared = flow.shared_with_next
+    if len(shared) == 0 or float(np.quantile(shared, _FILM_SHARE)) < _FILM_CORNERS:
+        return False
+    return len(flow.times) > MAX_PICTURES or float(np.mean(flow.motion[1:])) <= _FILM_MOTION
 
 
 class KeyframeSteps:
@@ -20,8 +38,15 @@ class KeyframeSteps:
         sharpest: the row of the sharpest frame of the present step; None before the first frame.
     """
 
-    def __init__(self, step: float = _STEP) -> None:
+    def __init__(self, step: float = _STEP, timed: bool = True) -> None:
+        """Begin with no frame.
+
+        Args:
+            step: of image motion, as a share of the image's longer side.
+            timed: whether times are measured; without times only motion counts.
+        """
         self._step = step
+        self._longest_s, self._shortest_s = (_LONGEST_S, _SHORTEST_S) if timed else (np.inf, 0.0)
         self._number = -1
         self._path = 0.0
         self._start_s = 0.0
@@ -35,7 +60,7 @@ class KeyframeSteps:
         if self.sharpest is None:
             self._start_s = time_s
         self._path += motion
-        number = int(np.floor(self._path / self._step + (time_s - self._start_s) / _LONGEST_S))
+        number = int(np.floor(self._path / self._step + (time_s - self._start_s) / self._longest_s))
         ended = self.end() if number != self._number else None
         if number != self._number or sharpness > self._sharpness:
             self.sharpest, self._sharpness, self._time_s = row, sharpness, time_s
@@ -44,20 +69,39 @@ class KeyframeSteps:
 
     def end(self) -> int | None:
         """The keyframe of the present step; None where it would be too soon after the one before."""
-        if self.sharpest is None or self._time_s - self._last_s < _SHORTEST_S:
+        if self.sharpest is None or self._time_s - self._last_s < self._shortest_s:
             return None
         self._last_s = self._time_s
         return self.sharpest
 
 
-def choose_keyframes(times: FloatArray, motion: FloatArray, sharpness: FloatArray) -> IntArray:
+def choose_keyframes(times: FloatArray, motion: FloatArray, sharpness: FloatArray, timed: bool = True) -> IntArray:
     """The sharpest frame of every step of image motion: rows (K,), increasing. A longer walk has more of them.
 
     Args:
-        times: (N,) seconds.
+        times: (N,) seconds, or rows.
         motion: (N,) image motion before each frame, as a share of the image's longer side.
         sharpness: (N,) any measure that grows with sharpness.
+        timed: whether times are measured; without times only motion counts.
     """
-    steps = KeyframeSteps(float(np.clip(motion.sum() / _FEW_KEYFRAMES, _FINEST_STEP, _STEP)))
+    steps = KeyframeSteps(float(np.clip(motion.sum() / _FEW_KEYFRAMES, _FINEST_STEP, _STEP)), timed)
     found = [steps.add(*frame) for frame in zip(range(len(times)), times, motion, sharpness, strict=True)]
     return np.array([row for row in (*found, steps.end()) if row is not None], dtype=np.int64)
+
+
+def choose_pictures(motion: FloatArray, sharpness: FloatArray) -> IntArray:
+    """Pictures of a set (N,) that become keyframes: rows (K,), increasing.
+
+    All of them up to ``MAX_PICTURES``, else the sharpest of each of so many equal steps of image motion.
+
+    Args:
+        motion: (N,) image motion before each picture, as a share of the image's longer side.
+        sharpness: (N,) any measure that grows with sharpness.
+    """
+    if len(motion) <= MAX_PICTURES:
+        return np.arange(len(motion))
+    path = np.cumsum(motion)
+    step = np.minimum(path / path[-1] * MAX_PICTURES, MAX_PICTURES - 1).astype(np.int64)
+    by_sharpness = np.lexsort((-sharpness, step))
+    first = np.unique(step[by_sharpness], return_index=True)[1]
+    return np.sort(by_sharpness[first])

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import itertools
+from collections import defaultdict
+from collections.abc import Collection, Sequence
 
 import numpy as np
 
@@ -10,6 +12,10 @@ from rholoc.features import FeatureSet
 from rholoc.features.vlad import Vlad
 
 Pair = tuple[int, int]
+
+MAX_EXHAUSTIVE = 100  # pictures of which all pairs are matched
+_ALIKE_EACH = 20  # most similar pictures that each picture of a larger set is matched with
+_BESIDE = (1, 2, 3, 4, 6, 8)  # pictures further on in a larger set, whose order may be that of a walk
 
 
 def sequential_pairs(count: int, distances: Sequence[int]) -> list[Pair]:
@@ -38,3 +44,36 @@ def loop_candidates(features: Sequence[FeatureSet], apart: int, each: int) -> li
                 chosen.append(j)
         pairs.update((min(i, j), max(i, j)) for j in chosen)
     return sorted(pairs)
+
+
+def picture_pairs(features: Sequence[FeatureSet]) -> list[Pair]:
+    """Pairs of a set of pictures in no known order that may overlap.
+
+    All of them up to ``MAX_EXHAUSTIVE`` pictures; else neighbours by number, and the pairs most alike by VLAD.
+    """
+    count = len(features)
+    if count <= MAX_EXHAUSTIVE:
+        return list(itertools.combinations(range(count), 2))
+    return sorted({*sequential_pairs(count, _BESIDE), *most_alike(features, _ALIKE_EACH)})
+
+
+def most_alike(features: Sequence[FeatureSet], each: int) -> list[Pair]:
+    """Pairs of every picture with the ``each`` pictures that look most like it by VLAD."""
+    if not any(len(found) for found in features):
+        return []
+    descriptors = [found.descriptors for found in features]
+    vectors = Vlad(descriptors).vectors(descriptors)
+    alike = vectors @ vectors.T
+    np.fill_diagonal(alike, -np.inf)
+    nearest = np.argsort(-alike, axis=1, kind="stable")[:, :each]
+    return sorted({(min(i, j), max(i, j)) for i, row in enumerate(nearest.tolist()) for j in row})
+
+
+def transitive_pairs(pairs: Sequence[Pair], tried: Collection[Pair]) -> list[Pair]:
+    """Pairs of pictures that both overlap a third one and have not been ``tried``."""
+    beside: dict[int, set[int]] = defaultdict(set)
+    for a, b in pairs:
+        beside[a].add(b)
+        beside[b].add(a)
+    both = {pair for others in beside.values() for pair in itertools.combinations(sorted(others), 2)}
+    return sorted(both.difference(tried))

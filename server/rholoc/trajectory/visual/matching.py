@@ -14,7 +14,13 @@ from rholoc.features import FeatureSet
 from rholoc.geometry import FloatArray, IntArray, rotation_angles
 from rholoc.progress import ProgressListener, Stage, silent
 from rholoc.trajectory.inertial.gyroscope import allowed_apart
-from rholoc.trajectory.visual.loop_candidates import Pair, loop_candidates, sequential_pairs
+from rholoc.trajectory.visual.loop_candidates import (
+    Pair,
+    loop_candidates,
+    picture_pairs,
+    sequential_pairs,
+    transitive_pairs,
+)
 from rholoc.trajectory.visual.two_view import (
     PairRotation,
     inliers_of_rotation,
@@ -31,6 +37,7 @@ _FEWEST_LOOP = 30
 _STRONG_LOOP = 80  # inliers, from which a loop is believed alone
 _BESIDE = 2  # keyframes, within which another loop supports one
 _LOOPS_EACH = 3
+_TRANSITIVE_EACH = 8  # pairs a picture, on average, that are tried because both overlap a third
 _EXPLAINED = 0.8  # the share of matches that cameras turned as was felt must explain, where the images say otherwise
 _BESIDE_WALK = (1, 2, 4)  # keyframes further on, that each is matched with where corners were followed …
 _BESIDE_JUMPS = (1, 2, 3, 4, 5, 6, 8, 12)  # … and where pictures are too far apart for that
@@ -97,6 +104,43 @@ def match_keyframes(
                 found.append(one)
     sequential = [pair for pair in found if (pair.first, pair.second) in beside]
     return sequential, supported_loops([pair for pair in found if (pair.first, pair.second) not in beside])
+
+
+def match_pictures(
+    features: Sequence[FeatureSet],
+    planes: Sequence[FloatArray],
+    focal_px: float,
+    progress: ProgressListener = silent,
+) -> list[VerifiedPair]:
+    """Overlapping pairs of a set of pictures in no known order.
+
+    Pairs that share an overlapping third picture are tried as well, if not all pairs were.
+
+    Args:
+        features: of K pictures.
+        planes: their places on the plane z = 1 of the camera, (N, 2) each.
+        focal_px: of the camera.
+        progress: hears of :data:`Stage.POSES`, up to the fraction 0.4.
+    """
+    descriptors = [unit_descriptors(found) for found in features]
+    nowhen, found, tried = np.zeros(len(features)), list[VerifiedPair](), set[Pair]()
+
+    def verified(pair: Pair) -> VerifiedPair | None:
+        tolerance = _TOLERANCE_PX / focal_px
+        return _verify(pair, descriptors.__getitem__, planes, tolerance, nowhen, None, _FEWEST_SEQUENTIAL)
+
+    with ThreadPoolExecutor(_THREADS) as pool:
+        pairs = picture_pairs(features)
+        for start in (0.0, 0.3):
+            for done, one in enumerate(pool.map(verified, pairs)):
+                fraction = start + (0.3 if start == 0 else 0.1) * (done + 1) / len(pairs)
+                progress(Stage.POSES, fraction, f"{done + 1} of {len(pairs)} pairs of pictures matched")
+                if one is not None:
+                    found.append(one)
+            tried.update(pairs)
+            strong = [(one.first, one.second) for one in found if len(one.matches) >= _FEWEST_LOOP]
+            pairs = transitive_pairs(strong, tried)[: _TRANSITIVE_EACH * len(features)]
+    return found
 
 
 def supported_loops(pairs: Sequence[VerifiedPair]) -> list[VerifiedPair]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 from rholoc.geometry import Camera
 from rholoc.reports import CalibrationReport
 
@@ -20,8 +22,9 @@ def calibration_report(camera: Camera, focal_sigma_px: float) -> CalibrationRepo
     if observable:
         why = f"Focal length and distortion were estimated from the walk, the focal length to ±{share:.1%}."
     else:
+        by = f" by ±{share:.1%}" if math.isfinite(share) else ""
         why = (
-            f"The walk leaves the camera's focal length open by ±{share:.1%}: turn and walk sideways, not only ahead, "
+            f"The walk leaves the camera's focal length open{by}: turn and walk sideways, not only ahead, "
             "or calibrate the camera."
         )
     return CalibrationReport(camera.focal, focal_sigma_px, None, observable, why)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.sparse import coo_matrix
@@ -35,11 +35,13 @@ class Observations:
         keyframes: (N,) the keyframe.
         tracks: (N,) the point, 0..M-1.
         pixels: (N, 2) where, in pixels of the full image.
+        depths: (N,) along the camera's axis by depth pictures [m], NaN where unknown; None without depth pictures.
     """
 
     keyframes: IntArray
     tracks: IntArray
     pixels: FloatArray
+    depths: FloatArray | None = None
 
     def __len__(self) -> int:
         return len(self.keyframes)
@@ -49,13 +51,22 @@ class Observations:
         """How many points there are."""
         return int(self.tracks.max(initial=-1)) + 1
 
+    def at(self, rows: IntArray | BoolArray) -> Observations:
+        """Some of the sightings; points keep their numbers."""
+        depths = None if self.depths is None else self.depths[rows]
+        return Observations(self.keyframes[rows], self.tracks[rows], self.pixels[rows], depths)
+
+    def scaled(self, factor: float) -> Observations:
+        """The same with depths multiplied by a factor."""
+        return self if self.depths is None else replace(self, depths=factor * self.depths)
+
     def take(self, kept: BoolArray) -> Observations:
         """Some of the sightings; points are numbered anew, those seen from fewer than three keyframes are left out."""
         tracks = self.tracks[kept]
         often = np.bincount(tracks, minlength=self.points)[tracks] >= _FEWEST_SIGHTINGS
         rows = np.flatnonzero(kept)[often]
         _, numbers = np.unique(self.tracks[rows], return_inverse=True)
-        return Observations(self.keyframes[rows], numbers, self.pixels[rows])
+        return replace(self.at(rows), tracks=numbers)
 
     def joined(self, others: Observations) -> Observations:
         """Both, the others' points numbered after these."""

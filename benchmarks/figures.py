@@ -1,0 +1,300 @@
+"""A short list of figures, measured again: nothing that the documents say may have become worse.
+
+    python benchmarks/figures.py [PART …] [--write] [--cache FOLDER]
+
+With ``--write`` each part's figures go to benchmarks/results/PART.json, with the command, the commit, the date, the
+machine and the seeds; without it they are compared with that file, and the exit status is 1 if one is worse by more
+than its noise. Documents quote a figure as ``98 %<!-- kitchen.hard.within_2cm_percent -->``; ``--write`` puts the
+measured number there, and a test compares each with its file. Speeds are ratios: the machine's own drops out.
+
+The parts: demo (walks of seed 0), kitchen (easy and hard frames, beside LO-RANSAC), afar (frames 30 cm and farther from
+the map's views), strangers (pictures of other rooms), pictures (a set without times), request (what a frame costs).
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import platform
+import re
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+import demo_sweep
+import rooms
+from measuring import SHARED_DATA
+from rholoc.evaluation.compare import CompareOptions, SplitResult, compare
+from rholoc.evaluation.errors import trajectory_errors
+from rholoc.evaluation.splits import QuerySet
+from rholoc.geometry import FloatArray, align_poses
+from rholoc.localization import Localizer, Query
+from rholoc.mapping import DEFAULT_FEATURES
+from rholoc.recordings import read_recording
+from rholoc.trajectory import PoseMethod, estimate_trajectory
+
+ROOT = Path(__file__).parents[1]
+RESULTS = ROOT / "benchmarks" / "results"
+DOCUMENTS = (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")), *sorted((ROOT / "server").glob("*.md")))
+QUOTED = re.compile(r"(?P<number>-?\d+(?:\.\d+)?)(?P<between>[^\d\n<]{0,5})<!-- (?P<name>[a-z]+(?:\.\w+)+) -->")
+KITCHEN = SHARED_DATA / "redkitchen"
+FRAME_PERCENT, AGAIN_CM, AGAIN_RATIO = 2.0, 0.1, 0.25
+SEED = 0
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A number that was measured.
+
+    Attributes:
+        value: in the unit that ends its name.
+        noise: by how much it may be worse another time.
+        more_is_better: otherwise less is.
+    """
+
+    value: float
+    noise: float
+    more_is_better: bool
+
+    def worse_by(self, before: Figure) -> float:
+        """By how much this is worse than a figure measured before, less the noise; positive where it is worse."""
+        change = self.value - before.value
+        return (-change if self.more_is_better else change) - before.noise
+
+
+Figures = dict[str, Figure]
+
+
+def share(found: Any, frames_of_noise: int = 1) -> Figure:
+    """The percentage of frames for which something holds."""
+    return Figure(round(100 * float(np.mean(found)), 1), 100 * frames_of_noise / len(found), True)
+
+
+def length_cm(value: float, noise_cm: float = AGAIN_CM) -> Figure:
+    """A length, less of which is better."""
+    return Figure(round(value, 2), noise_cm, False)
+
+
+# -- parts -----------------------------------------------------------------------------------------------------------
+
+
+def demo(cache: Path) -> Figures:
+    """What `rholoc demo` prints, of seed 0."""
+    found = demo_sweep.run(cache, SEED, 0, 0.0, None)
+    return {
+        "demo.within_5cm_percent": Figure(round(100 * found.within_5cm_5deg, 1), FRAME_PERCENT, True),
+        "demo.median_cm": length_cm(found.median_cm or np.inf, 0.3),
+        "demo.map_error_cm": length_cm(found.map_error_rms_cm, 0.3),
+    }
+
+
+def kitchen(_: Path) -> Figures:
+    """Frames of a real kitchen, beside geometry alone on the same features."""
+    queries = [
+        QuerySet(name, one, np.arange(len(one.frames.times)))
+        for name, frames in (("hard", "100:200:2"), ("easy", "200:400:4"))
+        for one in (read_recording(KITCHEN, rooms.KITCHEN_CAMERA, frames),)
+    ]
+    mapped = read_recording(KITCHEN, rooms.KITCHEN_CAMERA, "400:1000")
+    compared = compare([mapped], queries, CompareOptions(tensor=False, retrieval=False))
+    methods = {"ray": "", "poselib, everywhere": "ransac_"}
+    figures = {}
+    for split in compared.splits:
+        for method, prefix in methods.items():
+            figures |= {f"kitchen.{split.label}.{prefix}{name}": one for name, one in _of_method(split, method).items()}
+    return figures | {"kitchen.map_mb": Figure(round(compared.splits[0].methods[0].map_bytes / 1e6, 2), 0.05, False)}
+
+
+def _of_method(split: SplitResult, method: str) -> Figures:
+    """How exact the answers of a method are."""
+    errors = next(one for one in split.methods if one.name == method).errors
+    return {
+        "within_5cm_percent": share(errors.within(0.05, 5.0)),
+        "within_2cm_percent": share(errors.within(0.02, 2.0)),
+        "median_cm": length_cm(100 * float(np.median(errors.position_m))),
+        "median_deg": Figure(round(float(np.degrees(np.median(errors.rotation_rad))), 2), 0.05, False),
+    }
+
+
+def afar(cache: Path) -> Figures:
+    """Frames of the kitchen's first part in a map of its last."""
+    named = next(one for one in rooms.ROOMS if one.name == "kitchen, map 700–999")
+    room = named.make(cache)
+    localizer = Localizer(rooms.map_of(named, room.mapped, DEFAULT_FEATURES, cache))
+    truth, estimated = [], []
+    for T, image in room.pictures():
+        truth.append(T)
+        estimated.append(_pose(localizer, image, room))
+    errors = trajectory_errors(np.array(estimated), np.array(truth))
+    wrong = errors.localized & ~errors.within(0.10, np.inf)
+    return {
+        "afar.within_5cm_percent": share(errors.within(0.05, 5.0)),
+        "afar.within_2cm_percent": share(errors.within(0.02, 2.0), 2),
+        "afar.over_10cm_percent": Figure(round(100 * float(wrong.mean()), 1), FRAME_PERCENT, False),
+    }
+
+
+def _pose(localizer: Localizer, image: np.ndarray, room: rooms.Room) -> FloatArray:
+    camera = room.asked.camera
+    assert camera is not None
+    answer = localizer.localize(Query.of_picture(image, localizer.extractor, camera))
+    return np.full((4, 4), np.nan) if answer.pose is None else answer.pose.T_map_camera
+
+
+def strangers(cache: Path) -> Figures:
+    """Pictures of other rooms in the kitchen's map."""
+    named = rooms.ROOMS[0]
+    localizer = Localizer(rooms.map_of(named, named.make(cache).mapped, DEFAULT_FEATURES, cache))
+    refused = [
+        localizer.localize(Query.of_picture(image, localizer.extractor, camera)).pose is None
+        for image, camera in rooms.real_strangers(named.recording, 4)
+    ]
+    return {"strangers.refused_percent": share(refused, 0), "strangers.pictures": Figure(len(refused), 0, True)}
+
+
+def pictures(_: Path) -> Figures:
+    """Every tenth picture of the kitchen, shuffled, without times, poses or intrinsics."""
+    known = read_recording(KITCHEN, rooms.KITCHEN_CAMERA, "400:1000:10")
+    assert known.poses is not None
+    order = np.random.default_rng(SEED).permutation(len(known.frames.times))
+    with tempfile.TemporaryDirectory() as name:
+        for number, row in enumerate(order):
+            source = KITCHEN / "frames" / f"frame-{known.frames.numbers[row]:06d}.jpg"
+            (Path(name) / f"{number:04d}.jpg").symlink_to(source)
+        found = estimate_trajectory(read_recording(Path(name)), PoseMethod.AUTO)
+    T = known.poses.T_map_camera[order[found.rows]]
+    placed = align_poses(found.T_map_camera, T).poses(found.T_map_camera)
+    off_cm = 100 * np.linalg.norm(placed[:, :3, 3] - T[:, :3, 3], axis=1)
+    return {
+        "pictures.placed_percent": share(np.isin(np.arange(len(order)), found.rows), 0),
+        "pictures.median_cm": length_cm(float(np.median(off_cm)), 0.2),
+    }
+
+
+def request(cache: Path) -> Figures:
+    """What an easy frame and a stranger's picture cost, in multiples of what finding an easy frame's features costs."""
+    named = rooms.ROOMS[0]
+    room = named.make(cache)
+    camera = room.asked.camera
+    assert camera is not None
+    localizer = Localizer(rooms.map_of(named, room.mapped, DEFAULT_FEATURES, cache))
+
+    def spent(image: np.ndarray, seen_by: Any) -> tuple[float, float]:
+        begun = time.thread_time()
+        query = Query.of_picture(image, localizer.extractor, seen_by)
+        extracted = time.thread_time()
+        localizer.localize(query)
+        return extracted - begun, time.thread_time() - begun
+
+    easy = [spent(image, camera) for _, image in room.pictures()]
+    other = [spent(image, seen_by) for image, seen_by in rooms.real_strangers(named.recording, 4)]
+    extract_s, answered_s = np.median(easy, axis=0)
+    refused_s = float(np.median([whole for _, whole in other]))
+    return {
+        "request.answered_to_extracting_ratio": Figure(round(answered_s / extract_s, 2), AGAIN_RATIO, False),
+        "request.refused_to_answered_ratio": Figure(round(refused_s / answered_s, 2), 1.0, False),
+    }
+
+
+PARTS: dict[str, Callable[[Path], Figures]] = {
+    "demo": demo,
+    "kitchen": kitchen,
+    "afar": afar,
+    "strangers": strangers,
+    "pictures": pictures,
+    "request": request,
+}
+
+
+# -- files and documents ---------------------------------------------------------------------------------------------
+
+
+def read_results() -> Figures:
+    """All figures that were written."""
+    found = {}
+    for path in sorted(RESULTS.glob("*.json")):
+        found |= {name: Figure(**one) for name, one in json.loads(path.read_text())["figures"].items()}
+    return found
+
+
+def write_results(part: str, figures: Figures) -> None:
+    """The file of a part."""
+    commit = subprocess.run(["git", "rev-parse", "--short", "HEAD"], cwd=ROOT, capture_output=True, text=True)
+    described = {
+        "command": f"python benchmarks/figures.py {part} --write",
+        "commit": commit.stdout.strip(),
+        "date": f"{datetime.now(UTC):%Y-%m-%d}",
+        "machine": f"{os.cpu_count()} cores, {platform.machine()}, Python {platform.python_version()}",
+        "seeds": [SEED],
+        "figures": {name: asdict(one) for name, one in figures.items()},
+    }
+    RESULTS.mkdir(exist_ok=True)
+    (RESULTS / f"{part}.json").write_text(json.dumps(described, indent=1) + "\n")
+
+
+def as_quoted(value: float, like: str) -> str:
+    """A value with as many decimals as a number has."""
+    return f"{value:.{len(like.partition('.')[2])}f}"
+
+
+def quotes(text: str) -> Iterator[tuple[str, str]]:
+    """The figures that a document quotes: their names, and the numbers as they stand there."""
+    for found in QUOTED.finditer(text):
+        yield found["name"], found["number"]
+
+
+def with_figures(text: str, figures: Figures) -> str:
+    """A document with the numbers that were measured; names that are not among the figures stay as they are."""
+
+    def measured(found: re.Match[str]) -> str:
+        name = found["name"]
+        number = as_quoted(figures[name].value, found["number"]) if name in figures else found["number"]
+        return f"{number}{found['between']}<!-- {name} -->"
+
+    return QUOTED.sub(measured, text)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("parts", nargs="*", help=f"default: {', '.join(PARTS)}")
+    parser.add_argument("--write", action="store_true", help="what is measured is what documents quote from now on")
+    parser.add_argument("--cache", type=Path, help="where simulated walks and maps are kept")
+    asked = parser.parse_args()
+    if unknown := set(asked.parts) - set(PARTS):
+        parser.error(f"there is no part {', '.join(sorted(unknown))}")
+    cv2.setNumThreads(1)
+    before, worse = read_results(), []
+    with tempfile.TemporaryDirectory() as name:
+        cache = asked.cache or Path(name)
+        cache.mkdir(parents=True, exist_ok=True)
+        for part in asked.parts or PARTS:
+            begun = time.monotonic()
+            figures = PARTS[part](cache)
+            print(f"{part}, {time.monotonic() - begun:.0f} s")
+            for title, one in figures.items():
+                known = before.get(title)
+                was = "new" if known is None else f"was {known.value:g} ± {known.noise:g}"
+                print(f"  {title:44} {one.value:8g}   {was}", flush=True)
+                if known is not None and one.worse_by(known) > 0:
+                    worse.append(f"{title}: {one.value:g}, {was}")
+            if asked.write:
+                write_results(part, figures)
+    if asked.write:
+        for path in DOCUMENTS:
+            path.write_text(with_figures(path.read_text(encoding="utf-8"), read_results()), encoding="utf-8")
+    elif worse:
+        sys.exit("Worse than what the documents say:\n" + "\n".join(worse))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,96 @@
+"""The database rows of workers: their heartbeats, and why those that die do."""
+
+from __future__ import annotations
+
+import math
+import os
+import socket
+import time
+from dataclasses import dataclass
+
+import sqlalchemy as sa
+
+from rholoc.storage.tables import workers_table
+
+DEAD_AFTER_S = 15.0  # since the last heartbeat
+_TROUBLE_FOR_S = 600.0  # how long an error is reported that nobody reports again
+
+
+@dataclass(frozen=True)
+class WorkerOffer:
+    """A living worker and its capacity.
+
+    Attributes:
+        id: the worker's id.
+        memory_bytes: memory for its jobs.
+    """
+
+    id: str
+    memory_bytes: float
+
+
+def process_name(pid: int | None = None) -> str:
+    """Name of a process among all machines, by default this one's. Ids of its workers are this, a dash and more."""
+    return f"{socket.gethostname()[:40]}-{os.getpid() if pid is None else pid}"
+
+
+class WorkerTable:
+    """The table of workers."""
+
+    def __init__(self, engine: sa.Engine) -> None:
+        self._engine = engine
+
+    def beat(self, worker: str, memory_bytes: float = math.inf) -> None:
+        """Record that the worker is alive, and its memory for jobs."""
+        self._put(worker, int(memory_bytes) if math.isfinite(memory_bytes) else None, None)
+
+    def report(self, starter: str, error: str) -> None:
+        """Record why the workers that ``starter`` starts die."""
+        self._put(starter, None, error)
+
+    def remove(self, worker: str) -> None:
+        """Forget a worker, or what a starter of workers reported."""
+        with self._engine.begin() as connection:
+            connection.execute(workers_table.delete().where(workers_table.c.id == worker))
+
+    def remove_all(self, process: str) -> None:
+        """Forget the workers that ran as a process, named as :func:`process_name` does."""
+        with self._engine.begin() as connection:
+            of_process = workers_table.c.id.startswith(f"{process}-", autoescape=True)
+            connection.execute(workers_table.delete().where(of_process))
+
+    def living(self, dead_after_s: float = DEAD_AFTER_S) -> list[WorkerOffer]:
+        """The workers whose heartbeat is younger than ``dead_after_s``."""
+        recent = workers_table.c.heartbeat > time.time() - dead_after_s
+        with self._engine.connect() as connection:
+            found = connection.execute(sa.select(workers_table).where(recent, workers_table.c.error.is_(None)))
+            rows = found.mappings().all()
+        memory = [math.inf if row["memory_bytes"] is None else row["memory_bytes"] for row in rows]
+        return [WorkerOffer(row["id"], memory_bytes) for row, memory_bytes in zip(rows, memory, strict=True)]
+
+    def error(self) -> str | None:
+        """The last error reported in the last ten minutes; None if there is none."""
+        recent = workers_table.c.heartbeat > time.time() - _TROUBLE_FOR_S
+        reported = sa.select(workers_table.c.error).where(workers_table.c.error.is_not(None), recent)
+        with self._engine.connect() as connection:
+            return connection.execute(reported.order_by(workers_table.c.heartbeat.desc()).limit(1)).scalar()
+
+    def forget(self, dead_after_s: float) -> None:
+        """Forget the workers whose heartbeat is older than ``dead_after_s``, and old errors."""
+        now, heartbeat, error = time.time(), workers_table.c.heartbeat, workers_table.c.error
+        old = sa.or_(
+            sa.and_(error.is_(None), heartbeat < now - dead_after_s),
+            heartbeat < now - max(_TROUBLE_FOR_S, dead_after_s),
+        )
+        with self._engine.connect() as connection:
+            found = connection.execute(sa.select(workers_table.c.id).where(old)).first()
+        if found is not None:
+            with self._engine.begin() as connection:
+                connection.execute(workers_table.delete().where(old))
+
+    def _put(self, row_id: str, memory_bytes: int | None, error: str | None) -> None:
+        values = {"heartbeat": time.time(), "memory_bytes": memory_bytes, "error": error}
+        with self._engine.begin() as connection:
+            changed = connection.execute(workers_table.update().where(workers_table.c.id == row_id).values(**values))
+            if not changed.rowcount:
+                connection.execute(workers_table.insert().values(id=row_id, **values))

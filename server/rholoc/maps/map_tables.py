@@ -1,0 +1,203 @@
+"""The tables that a map is made of. A column declares its type and shape once; rows are taken and joined by them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import Field, dataclass, field, fields, replace
+from typing import Any, Self
+
+import numpy as np
+
+from rholoc.geometry import BoolArray, ByteArray, FloatArray, IntArray
+
+UNKNOWN_GREY = 128  # the red, green and blue of landmarks whose colour is not known
+
+
+@dataclass(frozen=True)
+class Column:
+    """What a table's column holds.
+
+    Attributes:
+        dtype: of its array; ``object`` for a tuple of Python objects.
+        shape: of one row; None is any length.
+        optional: whether the whole column may be None.
+        unknown: the value of a row that is not known, where other rows of an optional column are; None if rows of an
+            optional column are all known, or none.
+    """
+
+    dtype: type[Any]
+    shape: tuple[int | None, ...] = ()
+    optional: bool = False
+    unknown: Any = None
+
+
+def _column(dtype: type[Any], *shape: int | None) -> dict[str, Column]:
+    return {"column": Column(dtype, shape)}
+
+
+def _optional(dtype: type[Any], *shape: int | None, unknown: Any = None) -> dict[str, Column]:
+    return {"column": Column(dtype, shape, True, unknown)}
+
+
+@dataclass(frozen=True, eq=False)
+class MapTable:
+    """Columns of one length: arrays (N, ...), or tuples (N,); an optional column may be None."""
+
+    def __len__(self) -> int:
+        return len(getattr(self, _fields(type(self))[0].name))
+
+    @classmethod
+    def columns(cls) -> dict[str, Column]:
+        """What each column holds, by its name."""
+        return {one.name: one.metadata["column"] for one in _fields(cls)}
+
+    def take(self, rows: IntArray | BoolArray) -> Self:
+        """The given rows of all columns, by their numbers (M,) or by a mask (N,)."""
+        return replace(self, **{one.name: _taken(getattr(self, one.name), rows) for one in _fields(type(self))})
+
+    @classmethod
+    def concat(cls, tables: Sequence[Self]) -> Self:
+        """The rows of all tables, one after the other. A column that no table has is None."""
+        joined = {}
+        for name, column in cls.columns().items():
+            if column.unknown is None:
+                parts = [getattr(table, name) for table in tables]
+            else:
+                parts = [table.known(name) for table in tables]
+            nowhere = all(getattr(table, name) is None for table in tables)
+            joined[name] = None if nowhere or any(part is None for part in parts) else _joined(parts)
+        return cls(**joined)
+
+    def known(self, name: str) -> Any:
+        """An optional column, every row of it its ``unknown`` value where the column is None."""
+        values, column = getattr(self, name), self.columns()[name]
+        if values is not None:
+            return values
+        if column.dtype is object:
+            return (column.unknown,) * len(self)
+        return np.full((len(self), *column.shape), column.unknown, dtype=column.dtype)
+
+
+def _fields(table: type[MapTable]) -> tuple[Field[Any], ...]:
+    return fields(table)
+
+
+def _taken(values: Any, rows: IntArray | BoolArray) -> Any:
+    if isinstance(values, tuple):
+        return tuple(values[row] for row in np.arange(len(values))[rows].tolist())
+    return None if values is None else values[rows]
+
+
+def _joined(parts: Sequence[Any]) -> Any:
+    return sum(parts, start=()) if isinstance(parts[0], tuple) else np.concatenate(parts)
+
+
+@dataclass(frozen=True, eq=False)
+class MapLandmarks(MapTable):
+    """F features of a map.
+
+    A feature's landmark is m = Λ⁻¹ η, of the information sums Λ = Σ w (I − b bᵀ) and η = Σ w (I − b bᵀ) x over its
+    observations (:mod:`rholoc.density.ray`).
+
+    Attributes:
+        channels: (F,) uint8, the channel of each feature.
+        positions: (F, 3) float32, metres, map frame.
+        covariances: (F, 3, 3) float32, m², of the positions.
+        colours: (F, 3) uint8, red, green and blue in the pictures; None if they are not known.
+        patches: (F, 3) float32, of each a vector along the orientation of the patch that its descriptors describe, in
+            the map frame, as long as the patch's diameter, metres (:mod:`rholoc.geometry.patches`); NaN where not
+            known. None if none is known.
+    """
+
+    channels: ByteArray = field(metadata=_column(np.uint8))
+    positions: FloatArray = field(metadata=_column(np.float32, 3))
+    covariances: FloatArray = field(metadata=_column(np.float32, 3, 3))
+    colours: ByteArray | None = field(default=None, metadata=_optional(np.uint8, 3, unknown=UNKNOWN_GREY))
+    patches: FloatArray | None = field(default=None, metadata=_optional(np.float32, 3, unknown=np.nan))
+
+    @property
+    def known_colours(self) -> ByteArray:
+        """(F, 3) as ``colours``, all grey where there are none."""
+        return np.asarray(self.known("colours"))
+
+    @property
+    def known_patches(self) -> FloatArray:
+        """(F, 3) as ``patches``, all NaN where there are none."""
+        return np.asarray(self.known("patches"))
+
+
+@dataclass(frozen=True, eq=False)
+class MapDescriptors(MapTable):
+    """D descriptors of a map's features, sorted by feature, of which each has one or more.
+
+    Attributes:
+        values: (D, B) uint8.
+        features: (D,) int32, the feature that each belongs to.
+        sources: (D,) int32, the row of ``info.sources`` that each comes from; None if the map does not keep it.
+    """
+
+    values: ByteArray = field(metadata=_column(np.uint8, None))
+    features: IntArray = field(metadata=_column(np.int32))
+    sources: IntArray | None = field(default=None, metadata=_optional(np.int32))
+
+
+@dataclass(frozen=True, eq=False)
+class MapViews(MapTable):
+    """K views (keyframes) of a map.
+
+    Attributes:
+        times: (K,) float64, seconds.
+        T_map_camera: (K, 4, 4) float64.
+        covariances: (K, 6, 6) float32 of the poses: x, y, z in metres, then a small rotation about the map's axes, from
+            the left, in radians; NaN for views whose uncertainty is not known. None if no view's is.
+        pictures: (K,) a small JPEG of each, empty for views without one. None if no view has one.
+        sources: (K,) int32, the row of ``info.sources`` that each comes from; None if the map does not keep it.
+    """
+
+    times: FloatArray = field(metadata=_column(np.float64))
+    T_map_camera: FloatArray = field(metadata=_column(np.float64, 4, 4))
+    covariances: FloatArray | None = field(default=None, metadata=_optional(np.float32, 6, 6, unknown=np.nan))
+    pictures: tuple[bytes, ...] | None = field(default=None, metadata=_optional(object, unknown=b""))
+    sources: IntArray | None = field(default=None, metadata=_optional(np.int32))
+
+    @property
+    def known_pictures(self) -> tuple[bytes, ...]:
+        """(K,) as ``pictures``, all empty where there are none."""
+        return tuple(self.known("pictures"))
+
+    @property
+    def known_covariances(self) -> FloatArray:
+        """(K, 6, 6) as ``covariances``, all NaN where there are none."""
+        return np.asarray(self.known("covariances"))
+
+    @property
+    def positions(self) -> FloatArray:
+        """(K, 3) metres, where the cameras were."""
+        return self.T_map_camera[:, :3, 3]
+
+    @property
+    def headings(self) -> FloatArray:
+        """(K, 3) unit vectors, their optical axes."""
+        return self.T_map_camera[:, :3, 2]
+
+    @property
+    def expected_errors_m(self) -> FloatArray:
+        """(K,) how far each is expected to be from the truth (root mean square, metres); NaN where unknown."""
+        variances = np.trace(self.known_covariances[:, :3, :3].astype(np.float64), axis1=1, axis2=2)
+        return np.asarray(np.sqrt(variances))
+
+
+@dataclass(frozen=True, eq=False)
+class MapObservations(MapTable):
+    """V observations of features in views, sorted by view.
+
+    Attributes:
+        views: (V,) int32, the view of each, never decreasing.
+        features: (V,) int32, its feature.
+        pixels: (V, 2) float64, u and v, in whole steps of :func:`rholoc.maps.observations.packed_pixels`; None if the
+            map does not keep them.
+    """
+
+    views: IntArray = field(metadata=_column(np.int32))
+    features: IntArray = field(metadata=_column(np.int32))
+    pixels: FloatArray | None = field(default=None, metadata=_optional(np.float64, 2))

@@ -1,0 +1,79 @@
+"""Files of a recording's folder that nothing reads."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from fnmatch import fnmatchcase
+from itertools import groupby
+from pathlib import Path, PurePath
+
+from rholoc.recordings.frames.image_folder import ImageFolderFrames
+from rholoc.recordings.frames.unified_pictures import UnifiedPictures
+from rholoc.recordings.frames.video import VideoFrames
+from rholoc.recordings.recording import FrameSource, Recording
+from rholoc.recordings.selection import SelectedFrames
+from rholoc.reports import RecordingWarning, WarningKind
+
+_ALWAYS = (
+    "waypoints.csv",
+    "lengths.csv",
+    "camera.json",
+    "readme*",
+    "*/readme*",
+    "licen[cs]e*",
+    "__macosx/*",
+    "*thumbs.db",
+    "*desktop.ini",
+)
+_MAX_NAMED = 4
+
+
+def with_unused_files(recording: Recording, folder: Path, tables: tuple[str, ...]) -> Recording:
+    """The recording with a warning that names the files of its folder that are not used, if there are any.
+
+    Args:
+        recording: as it was read from the folder.
+        tables: patterns, in small letters, of the paths of files that are neither pictures nor videos.
+    """
+    used = {path.resolve() for path in (*_files_of(recording.frames), *_depth_files(recording))}
+    unused = [
+        path.relative_to(folder)
+        for path in sorted(folder.rglob("*"))
+        if path.is_file() and path.resolve() not in used and not _is_known(path.relative_to(folder), tables)
+    ]
+    if not unused:
+        return recording
+    named = [_described(top, list(paths)) for top, paths in groupby(unused, key=lambda path: path.parts[0])]
+    rest = len(named) - _MAX_NAMED
+    listed = ", ".join(named[:_MAX_NAMED]) + (f" and {rest} more" if rest > 0 else "")
+    text = f"Not used, since a recording of this format has no such files: {listed}."
+    return replace(recording, warnings=(*recording.warnings, RecordingWarning(WarningKind.NOT_USED, text)))
+
+
+def _described(top: str, paths: list[PurePath]) -> str:
+    """A file of the folder by its name, those of a folder within it by how many they are."""
+    return (
+        top if len(paths[0].parts) == 1 else paths[0].as_posix() if len(paths) == 1 else f"{top}/ ({len(paths)} files)"
+    )
+
+
+def _is_known(path: PurePath, tables: tuple[str, ...]) -> bool:
+    name = path.as_posix().lower()
+    hidden = any(part.startswith(".") for part in path.parts)
+    return hidden or any(fnmatchcase(name, pattern) for pattern in (*_ALWAYS, *tables))
+
+
+def _files_of(frames: FrameSource) -> tuple[Path, ...]:
+    match frames:
+        case SelectedFrames():
+            return _files_of(frames.source)
+        case ImageFolderFrames() | UnifiedPictures():
+            return frames.paths
+        case VideoFrames():
+            return (frames.path,)
+        case _:
+            return ()
+
+
+def _depth_files(recording: Recording) -> tuple[Path, ...]:
+    return () if recording.depth is None else tuple(path for path in recording.depth.paths if path is not None)

@@ -1,0 +1,163 @@
+"""Whether poses that came with a recording agree with its pictures, and in which axes they are written."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+
+from rholoc.geometry import Camera, FloatArray, IntArray, rotation_angles
+from rholoc.recordings import Recording
+from rholoc.trajectory.visual.keyframe_features import KeyframeFeatures
+from rholoc.trajectory.visual.two_view import ratio_matches, rays_of, relative_pose, unit_descriptors
+
+_ANCHORS = 10  # frames spread over the recording, each compared with …
+_APART = (1, 4)  # … the frame so many rows later, and …
+_NEAREST = 2  # … so many of those nearest to it that look the same way
+_SAME_WAY_RAD = np.radians(25)
+_MIN_MATCHES = 30
+_MIN_PAIRS = 3
+_TOLERANCE = 2.5e-3  # of the focal length: how far a match may be from its epipolar line
+_MAX_EXACT = 2.0e-3  # epipolar error of poses that are exact, as a share of the focal length
+_MAX_USABLE = 12e-3  # … and of poses that an adjustment can start from
+_CLEARLY = 0.5  # times the error of the axes as documented, for other axes to be taken
+
+
+class PoseAxes(StrEnum):
+    """How poses are written."""
+
+    AS_DOCUMENTED = "as documented"  # T_map_camera, camera x right, y down, z forward
+    LOOKING_BACK = "of a camera that looks along −z with y up (OpenGL, ARKit)"
+    INVERTED = "of the world in the camera"
+    INVERTED_LOOKING_BACK = "of the world in a camera that looks along −z with y up (OpenGL, ARKit)"
+
+
+_FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
+_READ: dict[PoseAxes, Callable[[FloatArray], FloatArray]] = {
+    PoseAxes.AS_DOCUMENTED: lambda T: T,
+    PoseAxes.LOOKING_BACK: lambda T: T @ _FLIP,
+    PoseAxes.INVERTED: np.linalg.inv,
+    PoseAxes.INVERTED_LOOKING_BACK: lambda T: np.linalg.inv(T) @ _FLIP,
+}
+
+
+@dataclass(frozen=True)
+class PoseCheck:
+    """Given poses held against the pictures.
+
+    Attributes:
+        axes: the axes in which they agree best.
+        error: median epipolar error of correct matches, as a share of the focal length; NaN if nothing could be
+            compared.
+        pairs: pairs of frames that were compared.
+    """
+
+    axes: PoseAxes
+    error: float
+    pairs: int
+
+    @property
+    def exact(self) -> bool:
+        """Whether the poses agree with the pictures as exactly as features are found."""
+        return self.error <= _MAX_EXACT
+
+    @property
+    def usable(self) -> bool:
+        """Whether an adjustment can start from the poses."""
+        return self.error <= _MAX_USABLE
+
+    def read(self, T: FloatArray) -> FloatArray:
+        """Poses (N, 4, 4) as T_map_camera with OpenCV's camera axes."""
+        return np.asarray(_READ[self.axes](T))
+
+
+@dataclass(frozen=True, eq=False)
+class _Matched:
+    """Matches of two frames that some relative pose explains: (M, 2) on the plane z = 1 of each."""
+
+    first: int
+    second: int
+    a: FloatArray
+    b: FloatArray
+
+
+def check_given_poses(recording: Recording, camera: Camera) -> PoseCheck:
+    """Hold a recording's poses against its pictures by the epipolar error over pairs of frames.
+
+    Matches are first filtered by the relative pose that the pictures themselves show, so that false matches do not
+    count against the poses. Raises InvalidRecording if a frame cannot be decoded.
+    """
+    assert recording.poses is not None
+    rows = np.flatnonzero(recording.poses.known)
+    T = recording.poses.T_map_camera
+    matched = _matched(recording, camera, _pairs(rows, T))
+    if len(matched) < _MIN_PAIRS:
+        return PoseCheck(PoseAxes.AS_DOCUMENTED, np.nan, len(matched))
+    errors = {axes: _error(matched, read, T) for axes, read in _READ.items()}
+    best = min(errors, key=lambda axes: errors[axes])
+    if errors[best] > _CLEARLY * errors[PoseAxes.AS_DOCUMENTED]:
+        best = PoseAxes.AS_DOCUMENTED
+    return PoseCheck(best, errors[best], len(matched))
+
+
+def _pairs(rows: IntArray, T: FloatArray) -> list[tuple[int, int]]:
+    """Pairs of rows that may overlap: near in order, and near in place with much the same direction."""
+    anchors = np.unique(np.linspace(0, len(rows) - 1, _ANCHORS).astype(np.int64)).tolist()
+    pairs: set[tuple[int, int]] = set()
+    for anchor in anchors:
+        pairs |= {(anchor, anchor + apart) for apart in _APART if anchor + apart < len(rows)}
+        away = np.linalg.norm(T[rows, :3, 3] - T[rows[anchor], :3, 3], axis=1)
+        turned = rotation_angles(T[rows, :3, :3], np.broadcast_to(T[rows[anchor], :3, :3], (len(rows), 3, 3)))
+        away[(turned > _SAME_WAY_RAD) | (away == 0)] = np.inf
+        nearest = np.argsort(away, kind="stable")[:_NEAREST].tolist()
+        pairs |= {(min(anchor, other), max(anchor, other)) for other in nearest if np.isfinite(away[other])}
+    return sorted((int(rows[a]), int(rows[b])) for a, b in pairs)
+
+
+def _matched(recording: Recording, camera: Camera, pairs: list[tuple[int, int]]) -> list[_Matched]:
+    needed = np.unique(list(itertools.chain.from_iterable(pairs))).astype(np.int64)
+    with KeyframeFeatures(recording.frames) as extractor:
+        features = dict(zip(needed.tolist(), extractor.of(needed), strict=True))
+    descriptors = {row: unit_descriptors(found) for row, found in features.items()}
+    planes = {row: camera.undistort(found.pixels.astype(np.float64)) for row, found in features.items()}
+    matched = []
+    for first, second in pairs:
+        matches = ratio_matches(descriptors[first], descriptors[second])
+        if len(matches) < _MIN_MATCHES:
+            continue
+        a, b = planes[first][matches[:, 0]], planes[second][matches[:, 1]]
+        inliers = relative_pose(a, b, _TOLERANCE).inliers
+        if inliers.sum() >= _MIN_MATCHES:
+            matched.append(_Matched(first, second, a[inliers], b[inliers]))
+    return matched
+
+
+def _error(matched: list[_Matched], read: Callable[[FloatArray], FloatArray], T: FloatArray) -> float:
+    """Median over pairs of the median epipolar error (Sampson's distance) on the plane z = 1."""
+    medians = []
+    for one in matched:
+        T_first, T_second = read(T[[one.first, one.second]])
+        medians.append(float(np.median(epipolar_errors(np.linalg.inv(T_second) @ T_first, one.a, one.b))))
+    return float(np.median(medians))
+
+
+def epipolar_errors(T_second_first: FloatArray, a: FloatArray, b: FloatArray) -> FloatArray:
+    """Sampson's distances (M,) on the plane z = 1 of matches ``a``, ``b`` (M, 2) under a relative pose (4, 4).
+
+    Hartley and Zisserman, Multiple View Geometry, equation 11.9. Matches that lie in front of only one of the cameras
+    count as infinitely far off, and so do matches of cameras at one place that differ by more than the rotation.
+    """
+    R, t = T_second_first[:3, :3], T_second_first[:3, 3]
+    length = float(np.linalg.norm(t))
+    if length < 1e-9:
+        return np.asarray(np.linalg.norm(rays_of(b) - rays_of(a) @ R.T, axis=1))
+    tx, ty, tz = t / length
+    E = np.array([[0, -tz, ty], [tz, 0, -tx], [-ty, tx, 0]]) @ R
+    first, second = np.column_stack([a, np.ones(len(a))]), np.column_stack([b, np.ones(len(b))])
+    lines_b, lines_a = first @ E.T, second @ E
+    algebraic = np.sum(second * lines_b, axis=1)
+    gradient = np.sqrt(np.sum(lines_b[:, :2] ** 2, axis=1) + np.sum(lines_a[:, :2] ** 2, axis=1))
+    return np.asarray(np.abs(algebraic) / np.maximum(gradient, 1e-12))

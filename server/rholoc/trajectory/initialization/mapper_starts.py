@@ -1,0 +1,164 @@
+"""First poses of pictures by pycolmap's incremental and global mappers, from our own verified matches."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from pathlib import Path
+
+import numpy as np
+import pycolmap
+
+from rholoc.geometry import Camera, FloatArray, IntArray
+from rholoc.trajectory.visual.matching import VerifiedPair
+
+_LEAST_PIECE = 3  # pictures
+_SEED = 1
+_THREADS = 2
+_CAMERA = 1
+_CENTRE_SHIFT = 0.5  # COLMAP's pixel (0.5, 0.5) is the centre of the top-left one
+
+
+class Mapper(StrEnum):
+    """A way to the first poses."""
+
+    OWN = "own"  # rotation averaging, then global positioning
+    GLOBAL = "global"  # pycolmap's global mapper
+    INCREMENTAL = "incremental"  # pycolmap's incremental mapper
+
+
+@dataclass(frozen=True, eq=False)
+class Piece:
+    """First poses of some of K pictures, in a frame and unit of their own.
+
+    Attributes:
+        mapper: where the poses come from.
+        members: (N,) the pictures, increasing.
+        T_world_camera: (N, 4, 4).
+        camera: the intrinsics.
+    """
+
+    mapper: Mapper
+    members: IntArray
+    T_world_camera: FloatArray
+    camera: Camera
+
+
+def largest_piece(
+    mapper: Mapper, camera: Camera, is_known: bool, pixels: Sequence[FloatArray], pairs: Sequence[VerifiedPair]
+) -> Piece | None:
+    """The largest piece that a mapper of pycolmap places; None if it places none.
+
+    Args:
+        mapper: ``GLOBAL`` or ``INCREMENTAL``.
+        camera: of all pictures.
+        is_known: whether the intrinsics are held, or refined from a guess.
+        pixels: of K pictures the features, (F, 2) each.
+        pairs: verified matches.
+    """
+    pycolmap.logging.minloglevel = 3  # what fails is said by the result
+    with tempfile.TemporaryDirectory(prefix="rholoc-mapper-") as name:
+        folder = Path(name)
+        database = folder / "pictures.db"
+        model = _model(camera, is_known)
+        places = [camera.undistort(some) * camera.focal + _centre(camera) if is_known else some for some in pixels]
+        _write(database, model, [some + _CENTRE_SHIFT for some in places], pairs)
+        found = _run(mapper, database, folder, is_known)
+    if not found:
+        return None
+    return _piece(mapper, max(found, key=lambda one: one.num_reg_images()), camera, is_known)
+
+
+def _centre(camera: Camera) -> FloatArray:
+    return np.array([camera.cx, camera.cy])
+
+
+def _model(camera: Camera, is_known: bool) -> pycolmap.Camera:
+    """The camera as pycolmap has it: ideal if it is known, for its pixels are undistorted then; else with one k."""
+    cx, cy = camera.cx + _CENTRE_SHIFT, camera.cy + _CENTRE_SHIFT
+    kind, params = (
+        ("SIMPLE_PINHOLE", [camera.focal, cx, cy]) if is_known else ("SIMPLE_RADIAL", [camera.focal, cx, cy, 0.0])
+    )
+    model = pycolmap.Camera(camera_id=_CAMERA, model=kind, width=camera.width, height=camera.height, params=params)
+    model.has_prior_focal_length = True
+    return model
+
+
+def _write(path: Path, model: pycolmap.Camera, places: Sequence[FloatArray], pairs: Sequence[VerifiedPair]) -> None:
+    """Write pictures, features and verified matches; each pair is told to be a plane, a turn, or general."""
+    database = pycolmap.Database.open(str(path))
+    try:
+        camera_id = database.write_camera(model)
+        sensor = pycolmap.sensor_t(pycolmap.SensorType.CAMERA, camera_id)
+        rig = pycolmap.Rig()
+        rig.add_ref_sensor(sensor)
+        rig_id = database.write_rig(rig)
+        ids = []
+        for k, some in enumerate(places):
+            ids.append(database.write_image(pycolmap.Image(name=_name(k), camera_id=camera_id)))
+            frame = pycolmap.Frame()
+            frame.rig_id = rig_id
+            frame.add_data_id(pycolmap.data_t(sensor, ids[-1]))
+            database.write_frame(frame)
+            database.write_keypoints(ids[-1], some.astype(np.float32))
+        options = pycolmap.TwoViewGeometryOptions()
+        options.compute_relative_pose = True
+        options.ransac.random_seed = _SEED
+        for pair in pairs:
+            matches = pair.matches.astype(np.uint32)
+            geometry = pycolmap.estimate_two_view_geometry(
+                model, places[pair.first], model, places[pair.second], matches, options
+            )
+            database.write_matches(ids[pair.first], ids[pair.second], matches)
+            database.write_two_view_geometry(ids[pair.first], ids[pair.second], geometry)
+    finally:
+        database.close()
+
+
+def _run(mapper: Mapper, database: Path, folder: Path, is_known: bool) -> list[pycolmap.Reconstruction]:
+    output = folder / "models"
+    output.mkdir()
+    arguments = str(database), str(folder), str(output)
+    try:
+        if mapper is Mapper.GLOBAL:
+            return list(pycolmap.global_mapping(*arguments, _global_options(is_known)).values())
+        return list(pycolmap.incremental_mapping(*arguments, _incremental_options(is_known)).values())
+    except (RuntimeError, ValueError):  # pycolmap's words for a mapper that cannot begin
+        return []
+
+
+def _global_options(is_known: bool) -> pycolmap.GlobalPipelineOptions:
+    options = pycolmap.GlobalPipelineOptions()
+    options.mapper.bundle_adjustment.refine_focal_length = not is_known
+    options.mapper.bundle_adjustment.refine_extra_params = not is_known
+    options.random_seed, options.num_threads, options.min_model_size = _SEED, _THREADS, _LEAST_PIECE
+    return options
+
+
+def _incremental_options(is_known: bool) -> pycolmap.IncrementalPipelineOptions:
+    options = pycolmap.IncrementalPipelineOptions()
+    options.ba_refine_focal_length = options.ba_refine_extra_params = not is_known
+    options.extract_colors = False
+    options.random_seed, options.num_threads, options.min_model_size = _SEED, _THREADS, _LEAST_PIECE
+    return options
+
+
+def _piece(mapper: Mapper, model: pycolmap.Reconstruction, camera: Camera, is_known: bool) -> Piece:
+    poses = {
+        int(image.name): image.cam_from_world().inverse().matrix() for image in model.images.values() if image.has_pose
+    }
+    members = sorted(poses)
+    T = np.tile(np.eye(4), (len(members), 1, 1))
+    T[:, :3] = [poses[k] for k in members]
+    if not is_known:
+        focal, cx, cy, k1 = next(iter(model.cameras.values())).params
+        camera = Camera(
+            camera.width, camera.height, focal, focal, cx - _CENTRE_SHIFT, cy - _CENTRE_SHIFT, (k1, 0.0, 0.0, 0.0)
+        )
+    return Piece(mapper, np.array(members, dtype=np.int64), T, camera)
+
+
+def _name(k: int) -> str:
+    return f"{k:06d}"

@@ -1,0 +1,109 @@
+"""The scale of a reconstruction by depth pictures and known lengths."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from rholoc.geometry import Camera, FloatArray, Similarity
+from rholoc.recordings.frames.depth import DepthImages
+from rholoc.trajectory.frame.map_frame import ScaleMeasurement, ScaleSource
+from rholoc.trajectory.optimization.adjustment import Adjusted, Problem, State
+from rholoc.trajectory.reconstruction.outcome import moved, right_sightings
+from rholoc.trajectory.visual.tracks import Observations
+
+DEPTH_SIGMA = 0.02  # of a depth, relative, with what its neighbours share
+_MIN_SIGHTINGS = 8  # with a depth, of a keyframe that counts
+_MIN_KEYFRAMES = 4
+_PARTS = 12  # of the walk; ratios within one are not independent, since its keyframes see the same points
+_MAX_MISFIT = 0.1  # of ratios from their median, in the median, above which the two contradict each other …
+_MAX_START_SIGMA = 0.25  # … and of the scale, before the reconstruction is adjusted to depths
+_LENGTH_SIGMA_M = 0.03  # of a measured distance between two places of the camera, which people hold
+_SENSOR_SIGMA = 0.01  # by which a depth camera is usually off as a whole
+_MAD_TO_SIGMA = 1.4826
+_MEDIAN_TO_MEAN = 1.2533  # standard deviation of a median, by that of a mean
+
+
+def with_depths(observations: Observations, depth: DepthImages | None, camera: Camera) -> Observations:
+    """Sightings with their measured depths.
+
+    Args:
+        depth: depth pictures of the keyframes, or None.
+        camera: of the keyframes.
+    """
+    if depth is None:
+        return observations
+    rays = np.column_stack([camera.undistort(observations.pixels), np.ones(len(observations))])
+    found = np.full(len(observations), np.nan)
+    for keyframe in np.unique(observations.keyframes).tolist():
+        image = depth.of_frame(keyframe, camera)
+        if image is not None:
+            rows = observations.keyframes == keyframe
+            found[rows] = image.at(rays[rows])
+    return replace(observations, depths=found)
+
+
+def scaled_by_depth(problem: Problem, adjusted: Adjusted) -> State | None:
+    """The reconstruction in metres, to be adjusted to its depths; None where these do not fix its scale."""
+    found = scale_by_depth(problem, adjusted)
+    if found is None or found.sigma > _MAX_START_SIGMA:
+        return None
+    return moved(adjusted.state, Similarity(found.ratio, np.eye(3), np.zeros(3)))
+
+
+def scale_by_depth(problem: Problem, adjusted: Adjusted) -> ScaleMeasurement | None:
+    """Median ratio of measured depths to depths of the reconstruction's points.
+
+    Its standard deviation is that of the medians of consecutive parts of the walk, and of the depth camera as a whole.
+
+    Returns:
+        None without depth pictures that show enough of the points.
+    """
+    if problem.observations.depths is None:
+        return None
+    right = right_sightings(problem, adjusted)
+    ratios = _ratios(problem.observations, adjusted.state, adjusted.state.points)
+    known = np.isfinite(ratios) & right
+    keyframes = problem.observations.keyframes
+    often = np.flatnonzero(np.bincount(keyframes[known]) >= _MIN_SIGHTINGS)
+    if len(often) < _MIN_KEYFRAMES:
+        return None
+    ratio, misfit = _median(ratios[known])
+    if misfit > _MAX_MISFIT:
+        return ScaleMeasurement(ScaleSource.DEPTH, ratio, misfit)
+    parts = np.array_split(often, min(_PARTS, len(often)))
+    medians = np.array([np.median(ratios[known & np.isin(keyframes, part)]) for part in parts])
+    spread = _MAD_TO_SIGMA * float(np.median(np.abs(medians / ratio - 1)))
+    sigma = float(np.hypot(_MEDIAN_TO_MEAN * spread / np.sqrt(len(parts)), _SENSOR_SIGMA))
+    return ScaleMeasurement(ScaleSource.DEPTH, ratio, sigma)
+
+
+def scales_by_lengths(lengths: Sequence[tuple[int, int, float]], adjusted: Adjusted) -> list[ScaleMeasurement]:
+    """The scale by each known length.
+
+    Args:
+        lengths: two keyframes and the distance between them [m].
+        adjusted: the reconstruction, which has these keyframes.
+    """
+    positions = adjusted.state.positions
+    apart = [float(np.linalg.norm(positions[a] - positions[b])) for a, b, _ in lengths]
+    return [
+        ScaleMeasurement(ScaleSource.LENGTH, length_m / max(one, 1e-9), _LENGTH_SIGMA_M / length_m)
+        for one, (_, _, length_m) in zip(apart, lengths, strict=True)
+    ]
+
+
+def _median(ratios: FloatArray) -> tuple[float, float]:
+    """The median of ratios (N,), and how far they are from it in the median, relative."""
+    ratio = float(np.median(ratios))
+    return ratio, float(np.median(np.abs(ratios / ratio - 1)))
+
+
+def _ratios(observations: Observations, state: State, points: FloatArray) -> FloatArray:
+    """Ratio of each sighting's (N,) measured depth to its point's; NaN where either is unknown."""
+    assert observations.depths is not None
+    T = state.T_map_camera[observations.keyframes]
+    reached = np.einsum("ni,ni->n", points[observations.tracks] - T[:, :3, 3], T[:, :3, 2])
+    return np.where(reached > 0, observations.depths, np.nan) / np.where(reached > 0, reached, 1.0)

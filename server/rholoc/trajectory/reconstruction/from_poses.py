@@ -1,0 +1,98 @@
+"""Poses that drift, as ARKit's, and pictures → the walk: the poses are the start and a measurement of each step."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+from threadpoolctl import threadpool_limits
+
+from rholoc.geometry import Camera, FloatArray, Similarity, kabsch
+from rholoc.progress import ProgressListener, silent
+from rholoc.trajectory.checks.given_poses import epipolar_errors
+from rholoc.trajectory.frame.map_frame import MapFrame
+from rholoc.trajectory.optimization.adjustment import Problem, State, Step
+from rholoc.trajectory.reconstruction.outcome import Reconstruction, Solved, finished
+from rholoc.trajectory.reconstruction.rounds import AdjustmentProgress, adjusted_in_rounds, camera_sigmas
+from rholoc.trajectory.reconstruction.sights import Sights, gather_evidence
+from rholoc.trajectory.trajectory import Scale
+from rholoc.trajectory.visual.matching import VerifiedPair
+
+_STEP_SIGMA = 0.02  # of a step's length …
+_LEAST_STEP_SIGMA = 0.02  # … and of the median step's
+_STEP_SIGMA_RAD = np.radians(0.3)
+_ROUNDS = 3
+_MAX_PAIR_ERROR = 30e-3  # median epipolar error of a pair's matches by the poses, above which it shows another place
+
+
+def reconstruct_from_poses(
+    sights: Sights, camera: Camera, T_map_camera: FloatArray, frame: MapFrame, progress: ProgressListener = silent
+) -> Reconstruction:
+    """Adjust poses that drift to what the pictures show.
+
+    Pairs of pictures that the poses contradict, as of doors that look alike, are left out.
+
+    Args:
+        sights: what K keyframes see.
+        camera: of the frames.
+        T_map_camera: (K, 4, 4) the poses.
+        frame: of the poses; its similarity is replaced by the one that brings the result back to them.
+        progress: hears of :data:`Stage.POSES`.
+
+    Raises:
+        MappingFailed: the pictures show nothing that could be matched.
+    """
+    with threadpool_limits(1, "blas"):
+        return _reconstruct(sights, camera, T_map_camera, frame, progress)
+
+
+def _reconstruct(
+    sights: Sights, camera: Camera, T: FloatArray, frame: MapFrame, progress: ProgressListener
+) -> Reconstruction:
+    turned = Rotation.from_matrix(T[0, :3, :3].T @ T[:, :3, :3])
+    evidence = gather_evidence(sights, camera, turned, progress)
+    planes = [camera.undistort(found.pixels.astype(np.float64)) for found in sights.features]
+    evidence = replace(
+        evidence,
+        sequential=[pair for pair in evidence.sequential if _fits(pair, planes, T)],
+        loops=[pair for pair in evidence.loops if _fits(pair, planes, T)],
+    )
+    problem = Problem(
+        sights.times,
+        evidence.observations(sights),
+        camera_sigmas=camera_sigmas(sights.camera),
+        steps=_steps(T),
+    )
+    state = State(T, np.zeros((0, 3)), camera)
+    problem, adjusted = adjusted_in_rounds(problem, state, AdjustmentProgress(progress), (0.45, 0.9), _ROUNDS)
+    back = kabsch(adjusted.state.positions, T[:, :3, 3]) if _spread(T) > 0 else frame.similarity
+    solved = Solved(problem, adjusted, replace(frame, similarity=back))
+    return finished(solved, len(evidence.loops), sights.camera is not None, None, "")
+
+
+def _fits(pair: VerifiedPair, planes: list[FloatArray], T: FloatArray) -> bool:
+    a, b = planes[pair.first][pair.matches[:, 0]], planes[pair.second][pair.matches[:, 1]]
+    errors = epipolar_errors(np.linalg.inv(T[pair.second]) @ T[pair.first], a, b)
+    return float(np.median(errors)) <= _MAX_PAIR_ERROR
+
+
+def _steps(T: FloatArray) -> tuple[Step, ...]:
+    """The steps between neighbours, each known to a share of its length."""
+    lengths = np.linalg.norm(np.diff(T[:, :3, 3], axis=0), axis=1)
+    least = _LEAST_STEP_SIGMA * max(float(np.median(lengths)), 1e-6)
+    return tuple(
+        Step(k, k + 1, np.linalg.inv(T[k]) @ T[k + 1], float(np.hypot(_STEP_SIGMA * length, least)), _STEP_SIGMA_RAD)
+        for k, length in enumerate(lengths)
+    )
+
+
+def _spread(T: FloatArray) -> float:
+    """Second singular value of the centred positions: 0 if they lie on a line."""
+    return float(np.linalg.svd(T[:, :3, 3] - T[:, :3, 3].mean(axis=0), compute_uv=False)[1])
+
+
+def unmoved_frame(scale: Scale, upright: bool, why_up: str) -> MapFrame:
+    """The poses' own frame."""
+    why = "The poses came in metres." if scale is Scale.METRIC else "The poses' unit of length is not stated."
+    return MapFrame(Similarity.identity(), scale, upright, why_up, why)

@@ -1,0 +1,81 @@
+"""Pictures that a reconstruction left out, placed by the points that it has."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from rholoc.geometry import FloatArray, IntArray
+from rholoc.trajectory.optimization.adjustment import State, residuals_px, triangulate
+from rholoc.trajectory.visual.tracks import Observations
+from rholoc.trajectory.visual.two_view import absolute_pose
+
+_ROUNDS = 5  # each may place pictures that see only what the round before has placed
+_MIN_POINTS = 15
+_MIN_INLIER_SHARE = 0.4
+_TOLERANCE_PX = 4.0
+_MIN_PARALLAX_DEG = 1.5
+_MAX_OFF_PX = 4.0  # of a point's sightings, in the median
+
+
+def with_missing_placed(
+    observations: Observations, members: IntArray, state: State, count: int
+) -> tuple[State, IntArray]:
+    """Add the pictures that see enough known points to a reconstruction (P3P in LO-RANSAC).
+
+    Args:
+        observations: of all ``count`` pictures.
+        members: (N,) the pictures that are placed, increasing.
+        state: of those.
+        count: pictures in all.
+
+    Returns:
+        The state of more pictures, without points, and which they are.
+    """
+    T = np.full((count, 4, 4), np.nan)
+    T[members] = state.T_map_camera
+    placed = np.zeros(count, dtype=np.bool_)
+    placed[members] = True
+    for _ in range(_ROUNDS):
+        points, known = _known_points(observations, placed, T, state)
+        added = False
+        for k in np.flatnonzero(~placed).tolist():
+            pose = _resected(observations, k, points, known, state)
+            if pose is not None:
+                T[k], placed[k], added = pose, True, True
+        if not added:
+            break
+    now = np.flatnonzero(placed)
+    return replace(state, T_map_camera=T[now], points=np.zeros((0, 3))), now
+
+
+def _known_points(
+    observations: Observations, placed: np.ndarray, T: FloatArray, state: State
+) -> tuple[FloatArray, np.ndarray]:
+    """The points (M, 3) by the pictures that are placed, and which (M,) of them are well known."""
+    number = np.cumsum(placed) - 1
+    seen = observations.at(placed[observations.keyframes])
+    seen = replace(seen, keyframes=number[seen.keyframes])
+    now = replace(state, T_map_camera=T[placed])
+    found, parallax_deg = triangulate(seen, now)
+    off_px = residuals_px(seen, now, found)
+    worst = np.zeros(len(found))
+    np.maximum.at(worst, seen.tracks, off_px)
+    points = np.full((observations.points, 3), np.nan)
+    points[: len(found)] = found
+    known = np.zeros(observations.points, dtype=np.bool_)
+    known[: len(found)] = (parallax_deg > _MIN_PARALLAX_DEG) & (worst < _MAX_OFF_PX)
+    return points, known
+
+
+def _resected(
+    observations: Observations, k: int, points: FloatArray, known: np.ndarray, state: State
+) -> FloatArray | None:
+    rows = np.flatnonzero(observations.keyframes == k)
+    rows = rows[known[observations.tracks[rows]]]
+    if len(rows) < _MIN_POINTS:
+        return None
+    plane = state.camera.undistort(observations.pixels[rows])
+    T, inliers = absolute_pose(plane, points[observations.tracks[rows]], _TOLERANCE_PX / state.camera.focal)
+    return T if inliers >= max(_MIN_POINTS, _MIN_INLIER_SHARE * len(rows)) else None

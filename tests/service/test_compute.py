@@ -1,0 +1,126 @@
+"""Compute threads are shared fairly: by time on a core, whoever sends how much."""
+
+from __future__ import annotations
+
+import asyncio
+import statistics
+import time
+
+import pytest
+
+from rholoc.errors import Busy
+from rholoc.service.access import CLIENT
+from rholoc.service.compute import ComputePool, Effort
+
+
+def work_for(seconds: float):
+    """Work of so many seconds on a core."""
+
+    def work() -> None:
+        until_s = time.thread_time() + seconds
+        while time.thread_time() < until_s:
+            time.sleep(0)  # as code that leaves the interpreter to others does
+
+    return work
+
+
+async def ask(pool: ComputePool, client: str, seconds: float, effort: Effort = Effort.ORDINARY) -> float:
+    """How long a call took, with its wait."""
+    CLIENT.set(client)
+    begun_s = time.perf_counter()
+    await pool.run(work_for(seconds), effort)
+    return time.perf_counter() - begun_s
+
+
+async def keep_asking(pool: ComputePool, client: str, seconds: float) -> None:
+    while True:
+        await ask(pool, client, seconds)
+
+
+def test_clients_whose_frames_cost_much_do_not_hold_up_those_whose_cost_little():
+    async def main() -> list[float]:
+        pool = ComputePool(2, 16)
+        await ask(pool, "honest", 0.01)
+        others = [asyncio.create_task(keep_asking(pool, f"stranger {number}", 0.4)) for number in range(4)]
+        await asyncio.sleep(2.0)  # what they cost is known
+        took_s = []
+        for _ in range(30):
+            took_s.append(await ask(pool, "honest", 0.01))
+            await asyncio.sleep(0.02)
+        for other in others:
+            other.cancel()
+        await asyncio.gather(*others, return_exceptions=True)
+        pool.close()
+        return took_s
+
+    assert statistics.median(asyncio.run(main())) < 0.15  # less than half a stranger's frame
+
+
+def test_a_client_with_many_calls_waits_for_its_own():
+    async def main() -> list[str]:
+        pool, order = ComputePool(1, 16), []
+
+        async def noted(client: str) -> None:
+            await ask(pool, client, 0.02)
+            order.append(client)
+
+        greedy = [asyncio.create_task(noted("greedy")) for _ in range(8)]
+        await asyncio.sleep(0.01)
+        modest = [asyncio.create_task(noted("modest")) for _ in range(2)]
+        await asyncio.gather(*greedy, *modest)
+        pool.close()
+        return order
+
+    assert "modest" in asyncio.run(main())[:3]
+
+
+def test_a_full_queue_has_room_for_a_client_that_has_less_in_it():
+    async def main() -> None:
+        pool = ComputePool(1, 4)
+        greedy = [asyncio.create_task(ask(pool, "greedy", 0.05)) for _ in range(5)]
+        await asyncio.sleep(0)
+        CLIENT.set("greedy")
+        with pytest.raises(Busy):
+            pool.check_room(Effort.ORDINARY)
+        await ask(pool, "modest", 0.01)
+        ended = await asyncio.gather(*greedy, return_exceptions=True)
+        assert sum(isinstance(one, Busy) for one in ended) == 1
+        assert pool.taken == 0
+        pool.close()
+
+    asyncio.run(main())
+
+
+def test_a_lone_client_has_all_threads_whatever_its_frames_cost():
+    async def main() -> float:
+        pool = ComputePool(2, 16)
+        for _ in range(2):
+            await ask(pool, "alone", 0.4)
+        begun_s = time.perf_counter()
+        await asyncio.gather(*(pool.run(lambda: time.sleep(0.5)) for _ in range(2)))
+        pool.close()
+        return time.perf_counter() - begun_s
+
+    assert asyncio.run(main()) < 0.95
+
+
+def test_a_cancelled_call_leaves_the_queue_and_an_error_comes_through():
+    async def main() -> None:
+        pool = ComputePool(1, 4)
+        running = asyncio.create_task(ask(pool, "a", 0.1))
+        waiting = asyncio.create_task(ask(pool, "b", 0.1))
+        await asyncio.sleep(0.02)
+        assert pool.taken == 2
+        waiting.cancel()
+        await asyncio.gather(waiting, return_exceptions=True)
+        assert pool.taken == 1
+        await running
+
+        def fail() -> None:
+            raise ValueError("as it is")
+
+        with pytest.raises(ValueError, match="as it is"):
+            await pool.run(fail)
+        pool.close()
+
+    asyncio.run(main())
