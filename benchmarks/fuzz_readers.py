@@ -43,7 +43,6 @@ from rholoc.errors import RholocError
 from rholoc.evaluation.reading import read_frame_poses
 from rholoc.exports import ExportFormat, export_map
 from rholoc.jobs import Stores
-from rholoc.mapping.table_reading import read_observations
 from rholoc.maps import (
     CameraLibrary,
     DensityKind,
@@ -59,8 +58,9 @@ from rholoc.maps import (
     read_coefficient_table,
 )
 from rholoc.maps.floor_plan import MEDIA_TYPES, check_plan
-from rholoc.maps.rho_file import load_map
-from rholoc.maps.trajectory_table import read_trajectory_csv
+from rholoc.maps.formats.rho_file import load_map
+from rholoc.maps.formats.trajectory_table import read_trajectory_csv
+from rholoc.paper.table_reading import read_observations
 from rholoc.processes.limits import limit_own_memory
 from rholoc.recordings import (
     check_archive,

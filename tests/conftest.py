@@ -33,10 +33,10 @@ from rholoc.geometry import (
     patch_appearance,
     poses_from_rows,
 )
-from rholoc.mapping.assembly import assemble
-from rholoc.mapping.landmarks import select_stable, triangulate
-from rholoc.mapping.memory import with_landmarks
-from rholoc.mapping.observations import Views, link_observations
+from rholoc.mapping.build.assembly import assemble
+from rholoc.mapping.build.landmarks import select_stable, triangulate
+from rholoc.mapping.build.remembered import with_landmarks
+from rholoc.mapping.build.tracks import Views, link_observations
 from rholoc.maps import (
     DensityKind,
     Map,

@@ -23,7 +23,7 @@ from rholoc.density.observed import (
     sample_counts,
     seen_loss,
 )
-from rholoc.density.recursive import RecursiveFit, batch_fit
+from rholoc.density.recursive_least_squares import RecursiveFit, batch_fit
 from rholoc.density.tensor import Layout
 from rholoc.geometry import FloatArray, Pose, Similarity, rotation_from_heading
 

@@ -18,8 +18,8 @@ PACKAGE = Path(__file__).parents[2] / "server" / "rholoc"
         ("cameras as text and JSON", r"\*distortion = |asdict\([\w.]*camera\)", {"geometry/camera.py"}),
         ("visual words", r"\bKmeans\b", {"features/vlad.py"}),
         ("a full disk's errors", r"\bENOSPC\b|\bEDQUOT\b", {"disk.py"}),
-        ("VTK's PolyData", r'VTKFile type="PolyData"', {"maps/vtp.py"}),
-        ("VTK's ImageData", r'VTKFile type="ImageData"', {"maps/vti.py"}),
+        ("VTK's PolyData", r'VTKFile type="PolyData"', {"maps/formats/vtp.py"}),
+        ("VTK's ImageData", r'VTKFile type="ImageData"', {"maps/formats/vti.py"}),
         (
             "starting and killing processes",
             r"\bPopen\(|\bget_context\(|create_subprocess_|\bos\.(kill|killpg|fork)\(|subprocess\.run\(",

@@ -18,7 +18,7 @@ from starlette.requests import ClientDisconnect
 from rholoc.errors import InvalidMap
 from rholoc.exports import ExportFormat
 from rholoc.maps import MapLibrary, load_map, map_to_bytes
-from rholoc.maps.rho_file import _checksum
+from rholoc.maps.formats.rho_file import _checksum
 from rholoc.service import routes
 from rholoc.service.exports import ExportRequest, Exports, is_long
 

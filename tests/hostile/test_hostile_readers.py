@@ -24,7 +24,7 @@ from rholoc.errors import RholocError
 from rholoc.evaluation.reading import read_frame_poses
 from rholoc.geometry import Camera
 from rholoc.maps import read_coefficient_table, write_coefficient_table
-from rholoc.maps.trajectory_table import PAPER_COLUMNS, read_trajectory_csv
+from rholoc.maps.formats.trajectory_table import PAPER_COLUMNS, read_trajectory_csv
 from rholoc.recordings import RecordingFormat, read_imu_csv, read_recording
 
 EXAMPLES = 40  # of each reader

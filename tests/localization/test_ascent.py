@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from rholoc.density import Evidence, RayDensities
 from rholoc.geometry import Pose, pose_matrix
 from rholoc.localization import Dof
-from rholoc.localization.ascent import ascend, covariance_at, gains, gradient, sharpen
+from rholoc.localization.pose.ascent import ascend, covariance_at, gains, gradient, sharpen
 
 FOCAL_PX = 500.0
 RAY = RayDensities()

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from rholoc.density import Evidence, RayDensities
 from rholoc.geometry import FloatArray, Pose, pose_distances
 from rholoc.localization import Dof
-from rholoc.localization.ascent import (
+from rholoc.localization.pose.ascent import (
     Step,
     _bounded,
     _by_focal,
@@ -374,7 +374,7 @@ def test_with_a_free_focal_length_steps_of_a_centimetre_end_a_tolerance_and_of_a
         lengths.setdefault(tolerance_px, []).append(float(np.abs(step).max()))
         return slope, curvature
 
-    monkeypatch.setattr("rholoc.localization.ascent._focal_equations", equations)
+    monkeypatch.setattr("rholoc.localization.pose.ascent._focal_equations", equations)
     between = 0
     for seed in range(20):
         lengths.clear()

@@ -10,10 +10,10 @@ import pytest
 
 from rholoc.geometry import pose_distances
 from rholoc.localization import Localizer
-from rholoc.localization.density_localizer import TOLERANCES_PX, DensityLocalizer
 from rholoc.localization.place_recognition import likeliest_views
-from rholoc.localization.seeds import Place, vote_for_places
+from rholoc.localization.pose.seeds import Place, vote_for_places
 from rholoc.maps import Map
+from rholoc.paper.density_localizer import TOLERANCES_PX, DensityLocalizer
 
 
 @pytest.fixture(scope="module")
@@ -76,7 +76,7 @@ def test_four_places_are_climbed_from_and_one_where_the_start_is_given(
         voted.append((most, views_each))
         return vote_for_places(index, matches, most, views_each, prior)
 
-    monkeypatch.setattr("rholoc.localization.density_localizer.vote_for_places", vote)
+    monkeypatch.setattr("rholoc.paper.density_localizer.vote_for_places", vote)
     features = point_room.see(point_room.walk(40, sideways_m=0.1)[20], 7)
     every = list(four.ascents(features, point_room.camera))
     assert len(every) == 4

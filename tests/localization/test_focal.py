@@ -13,9 +13,12 @@ from scipy.stats import norm
 from rholoc.density import Evidence
 from rholoc.features import FeatureSet
 from rholoc.geometry import Camera, FloatArray, Pose
-from rholoc.localization import Cause, Intrinsics, Localizer, Query, focal
-from rholoc.localization.ascent import ascend_with_focal, freed_focal
-from rholoc.localization.focal import (
+from rholoc.localization import Cause, Intrinsics, Localizer, Query
+from rholoc.localization.belief.map_uncertainty import worst_sigma
+from rholoc.localization.index.matches import Matches
+from rholoc.localization.pose import focal
+from rholoc.localization.pose.ascent import ascend_with_focal, freed_focal
+from rholoc.localization.pose.focal import (
     FocalEstimate,
     _belief,
     _compared,
@@ -26,11 +29,9 @@ from rholoc.localization.focal import (
     focal_seed,
     verify_with_focal,
 )
-from rholoc.localization.map_uncertainty import worst_sigma
-from rholoc.localization.matches import Matches
+from rholoc.localization.pose.rematching import evidence_of, verify
 from rholoc.localization.types import Dof
-from rholoc.localization.verification import evidence_of, verify
-from rholoc.mapping.correcting import set_distance
+from rholoc.mapping.edit.correcting import set_distance
 from rholoc.maps import Map, load_map
 from rholoc.recordings import read_image
 
@@ -245,7 +246,7 @@ def test_a_focal_length_fits_where_freeing_it_changes_nothing_around_the_pose_an
         assert tolerance_px == 14.0
         return changes[len(evidence)]
 
-    monkeypatch.setattr("rholoc.localization.focal.freed_focal", freed)
+    monkeypatch.setattr("rholoc.localization.pose.focal.freed_focal", freed)
     assert _fits(localizer.index, query, verified, place) is fits
     changes = {len(verified.wide): (moved_m, gain), len(place): (0.0, 0.0)}
     assert _fits(localizer.index, query, verified, place) is fits

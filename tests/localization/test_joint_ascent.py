@@ -11,8 +11,8 @@ from scipy.spatial.transform import Rotation
 
 from rholoc.density import Evidence, RayDensities
 from rholoc.geometry import FloatArray, pose_distances, pose_matrix
-from rholoc.localization.ascent import ascend, covariance_at, information_at, moved, optimum_at
-from rholoc.localization.joint_ascent import Link, _bounded, _link_equations, ascend_together, joint_covariances
+from rholoc.localization.pose.ascent import ascend, covariance_at, information_at, moved, optimum_at
+from rholoc.localization.pose.joint_ascent import Link, _bounded, _link_equations, ascend_together, joint_covariances
 from rholoc.localization.types import Dof
 
 _FOCAL_PX = 500.0

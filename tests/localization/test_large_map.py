@@ -26,10 +26,10 @@ from rholoc.localization import (
     localize_together,
     localizer_of,
 )
+from rholoc.localization.index.map_index import MapIndex
+from rholoc.localization.index.matches import Matches, NearestLandmarks, match_chances
 from rholoc.localization.large_map import PlaceIndex, _Clock, _in_part, _PartIndex, _Size
-from rholoc.localization.map_index import MapIndex
-from rholoc.localization.matches import Matches, NearestLandmarks, match_chances
-from rholoc.localization.seeds import view_votes
+from rholoc.localization.pose.seeds import view_votes
 from rholoc.maps import Map, part_of, without_memory
 
 _ROOMS, _ROOM_PITCH_M = 40, 20.0

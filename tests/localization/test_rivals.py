@@ -12,10 +12,10 @@ import pytest
 from rholoc.features import FeatureSet
 from rholoc.geometry import Pose
 from rholoc.localization import Dof, Localizer, Query, SeveralFrames, localize_together
-from rholoc.localization.ascent import Optimum
-from rholoc.localization.matches import Matches
-from rholoc.localization.rivals import _unexplained, are_rivals, rival_seeds, shares
-from rholoc.localization.verification import verify
+from rholoc.localization.index.matches import Matches
+from rholoc.localization.pose.ascent import Optimum
+from rholoc.localization.pose.rematching import verify
+from rholoc.localization.pose.rivals import _unexplained, are_rivals, rival_seeds, shares
 
 
 @pytest.fixture(scope="module")
@@ -152,7 +152,7 @@ def test_a_rival_has_eight_matches_and_a_fifth_of_those_of_the_pose(
         asked.append((len(plane), *how))
         return truth.T_map_camera, agreeing
 
-    monkeypatch.setattr("rholoc.localization.rivals.lo_ransac", ransac)
+    monkeypatch.setattr("rholoc.localization.pose.rivals.lo_ransac", ransac)
     query, found = Query(seen, point_room.camera), _found(away, inliers)
     rivals = list(rival_seeds(localizer.index, nearest, query, rays, found))
     assert len(rivals) == seeds
@@ -164,5 +164,5 @@ def test_a_rival_has_eight_matches_and_a_fifth_of_those_of_the_pose(
     half = localizer.index.nearest_everywhere(seen, np.arange(0, len(seen), 2))  # half as many can be expected
     some = list(rival_seeds(localizer.index, half, query, rays, found))
     assert len(some) == (2 if agreeing >= max(8, 0.1 * inliers) and inliers < 100 else 0)
-    monkeypatch.setattr("rholoc.localization.rivals.lo_ransac", lambda *_: None)
+    monkeypatch.setattr("rholoc.localization.pose.rivals.lo_ransac", lambda *_: None)
     assert list(rival_seeds(localizer.index, nearest, query, rays, found)) == []

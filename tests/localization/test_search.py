@@ -22,12 +22,9 @@ from rholoc.localization import (
     Prior,
     Query,
     Reason,
-    density_localizer,
-    focal,
 )
 from rholoc.localization import localizer as module
-from rholoc.localization.ascent import Optimum
-from rholoc.localization.focal import FocalEstimate
+from rholoc.localization.index.matches import Matches
 from rholoc.localization.localizer import (
     SearchOptions,
     _Found,
@@ -38,9 +35,11 @@ from rholoc.localization.localizer import (
     _Stopwatch,
     _true_to_gravity,
 )
-from rholoc.localization.matches import Matches
-from rholoc.localization.support import Support
-from rholoc.localization.verification import (
+from rholoc.localization.pose import focal
+from rholoc.localization.pose.ascent import Optimum
+from rholoc.localization.pose.focal import FocalEstimate
+from rholoc.localization.pose.pose_evidence import Support
+from rholoc.localization.pose.rematching import (
     FINAL_TOLERANCE_PX,
     SEARCH_RADII_PX,
     Verified,

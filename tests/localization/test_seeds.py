@@ -13,12 +13,12 @@ import pytest
 from rholoc.density import Evidence
 from rholoc.geometry import Pose, pose_distances
 from rholoc.localization import Localizer
-from rholoc.localization.ascent import gains
-from rholoc.localization.map_index import MapIndex
-from rholoc.localization.matches import Matches
-from rholoc.localization.ransac import lo_ransac
-from rholoc.localization.rivals import shares
-from rholoc.localization.seeds import (
+from rholoc.localization.index.map_index import MapIndex
+from rholoc.localization.index.matches import Matches
+from rholoc.localization.pose.ascent import gains
+from rholoc.localization.pose.ransac import lo_ransac
+from rholoc.localization.pose.rivals import shares
+from rholoc.localization.pose.seeds import (
     _draw_triples,
     groups_by_votes,
     minimal_samples,
@@ -98,7 +98,7 @@ def test_what_ransac_is_asked_and_what_it_may_answer(monkeypatch: pytest.MonkeyP
         np.testing.assert_allclose(plane, 500 * rays[:, :2] / rays[:, 2:])
         return pose, {"num_inliers": agreeing}
 
-    monkeypatch.setattr("rholoc.localization.ransac.poselib.estimate_absolute_pose", estimate)
+    monkeypatch.setattr("rholoc.localization.pose.ransac.poselib.estimate_absolute_pose", estimate)
     rays, points = seen(10)
     plane = rays[:, :2] / rays[:, 2:]
     found = lo_ransac(plane, points, 500.0, 4.0, 300, 30)

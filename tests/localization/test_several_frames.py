@@ -25,8 +25,8 @@ from rholoc.localization import (
     localize_together,
     several_frames,
 )
-from rholoc.localization.matches import Matches
-from rholoc.localization.seeds import Place
+from rholoc.localization.index.matches import Matches
+from rholoc.localization.pose.seeds import Place
 from rholoc.localization.several_frames import _Candidate, _Joint
 
 _ODOMETRY = np.linalg.inv(pose_matrix(Rotation.from_euler("xyz", (0.3, -0.2, 0.9)).as_matrix(), np.array([4.0, 1, -2])))

@@ -12,9 +12,9 @@ from rholoc.density import Evidence
 from rholoc.features import FeatureSet
 from rholoc.geometry import Camera, Pose
 from rholoc.localization import Dof, Localizer, Query
-from rholoc.localization.ascent import Optimum
-from rholoc.localization.matches import Matches
-from rholoc.localization.support import Support, _beyond_chance, _Grid, support_of
+from rholoc.localization.index.matches import Matches
+from rholoc.localization.pose.ascent import Optimum
+from rholoc.localization.pose.pose_evidence import Support, _beyond_chance, _Grid, support_of
 from rholoc.maps import Map
 
 WIDE = Camera(640, 360, 500.0, 500.0, 319.5, 179.5)

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from rholoc.geometry import Pose
-from rholoc.localization import Dof, Localizer, Query, verification
-from rholoc.localization.ascent import ascend
-from rholoc.localization.map_index import MapIndex
-from rholoc.localization.verification import FINAL_TOLERANCE_PX, evidence_of, settle, verify
+from rholoc.localization import Dof, Localizer, Query
+from rholoc.localization.index.map_index import MapIndex
+from rholoc.localization.pose.ascent import ascend
+from rholoc.localization.pose.rematching import FINAL_TOLERANCE_PX, evidence_of, settle, verify
 from rholoc.maps import DensityKind, Map, MapDescriptors, MapInfo, MapLandmarks, MapObservations, MapViews
 
 _VIEWS = 12

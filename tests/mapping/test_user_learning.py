@@ -15,8 +15,9 @@ from scipy.spatial import cKDTree
 from rholoc.errors import Conflict, InvalidInput, MappingFailed
 from rholoc.geometry import BoolArray, Camera, Pose
 from rholoc.localization import Dof, Localizer, Query
-from rholoc.mapping import AnsweredQuery, forget_recording, learn_from_queries, user_learning
-from rholoc.mapping.memory import keep_features
+from rholoc.mapping import AnsweredQuery, forget_recording, learn_from_queries
+from rholoc.mapping.build.remembered import keep_features
+from rholoc.mapping.learn import from_queries as user_learning
 from rholoc.maps import Map, map_to_bytes, without_memory
 from rholoc.progress import silent
 

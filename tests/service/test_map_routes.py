@@ -9,7 +9,7 @@ import httpx
 import numpy as np
 
 from rholoc.geometry import Similarity
-from rholoc.mapping.moving import move_map
+from rholoc.mapping.edit.moving import move_map
 from rholoc.maps import Cloud, load_map, map_to_bytes
 from rholoc.reports import MapReport, report_from_json
 

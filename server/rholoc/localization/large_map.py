@@ -19,11 +19,11 @@ from scipy.sparse import csr_array
 from rholoc.features import Extractor, FeatureSet, get_extractor
 from rholoc.features.matching import DescriptorIndex
 from rholoc.geometry import FloatArray, IntArray, ranges
-from rholoc.localization.confidence import MIN_RECOGNIZED
+from rholoc.localization.belief.confidence import MIN_RECOGNIZED
+from rholoc.localization.index.map_index import MapIndex, chance_of_likeness
+from rholoc.localization.index.matches import Matches, NearestLandmarks
 from rholoc.localization.localizer import Localizer, SearchOptions, check_kind
-from rholoc.localization.map_index import MapIndex, chance_of_likeness
-from rholoc.localization.matches import Matches, NearestLandmarks
-from rholoc.localization.seeds import VIEWS_OF_LITTLE, groups_by_votes, views_by_prior
+from rholoc.localization.pose.seeds import VIEWS_OF_LITTLE, groups_by_votes, views_by_prior
 from rholoc.localization.types import Localization, Prior, Query
 from rholoc.maps import DensityKind, Map, MapPart, part_of
 
@@ -77,7 +77,7 @@ class PlaceIndex:
         return NearestLandmarks(detections, landmarks, distances, self.metric)
 
     def votes(self, matches: Matches) -> FloatArray:
-        """(K,) as :func:`rholoc.localization.seeds.view_votes`."""
+        """(K,) as :func:`rholoc.localization.pose.seeds.view_votes`."""
         landmarks, own = np.unique(matches.landmarks, return_inverse=True)
         belief = np.minimum(np.bincount(own, weights=matches.chances, minlength=len(landmarks)), 1.0)
         votes = self._sums(landmarks, belief)

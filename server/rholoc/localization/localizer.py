@@ -15,8 +15,8 @@ from rholoc.density import Evidence
 from rholoc.errors import InvalidDescriptors
 from rholoc.features import Extractor, FeatureSet, get_extractor
 from rholoc.geometry import UP, Camera, FloatArray, IntArray, Pose, angles_between, pose_distances
-from rholoc.localization.ascent import Optimum, ascend, upright
-from rholoc.localization.confidence import MIN_RECOGNIZED, belief_of
+from rholoc.localization.belief.confidence import MIN_RECOGNIZED, belief_of
+from rholoc.localization.belief.map_uncertainty import gated, with_map_error, worst_sigma
 from rholoc.localization.diagnosis import (
     INEXACT_MAP,
     TOO_LITTLE_TIME,
@@ -26,13 +26,14 @@ from rholoc.localization.diagnosis import (
     diagnose_picture,
     wrong_camera,
 )
-from rholoc.localization.focal import FocalEstimate, check_focal, focal_seed, verify_with_focal
-from rholoc.localization.map_index import MapIndex
-from rholoc.localization.map_uncertainty import gated, with_map_error, worst_sigma
-from rholoc.localization.matches import Matches, NearestLandmarks
-from rholoc.localization.ransac import lo_ransac
-from rholoc.localization.rivals import are_rivals, rival_seeds, shares
-from rholoc.localization.seeds import Place, minimal_samples, place_of_prior, places_by_votes, view_votes
+from rholoc.localization.index.map_index import MapIndex
+from rholoc.localization.index.matches import Matches, NearestLandmarks
+from rholoc.localization.pose.ascent import Optimum, ascend, upright
+from rholoc.localization.pose.focal import FocalEstimate, check_focal, focal_seed, verify_with_focal
+from rholoc.localization.pose.ransac import lo_ransac
+from rholoc.localization.pose.rematching import SEARCH_RADII_PX, Verified, evidence_of, verify
+from rholoc.localization.pose.rivals import are_rivals, rival_seeds, shares
+from rholoc.localization.pose.seeds import Place, minimal_samples, place_of_prior, places_by_votes, view_votes
 from rholoc.localization.types import (
     MAX_ALTERNATIVES,
     MIN_WEIGHT,
@@ -46,7 +47,6 @@ from rholoc.localization.types import (
     Query,
     Reason,
 )
-from rholoc.localization.verification import SEARCH_RADII_PX, Verified, evidence_of, verify
 from rholoc.maps import Map
 
 _MIN_FEATURES = 8

@@ -18,19 +18,19 @@ from rholoc.density import Evidence
 from rholoc.errors import InvalidInput
 from rholoc.geometry import FloatArray, Pose, is_rotation, pose_matrix
 from rholoc.lazy import lazy
-from rholoc.localization.ascent import Optimum
-from rholoc.localization.confidence import MIN_RECOGNIZED, joint_belief
-from rholoc.localization.joint_ascent import Link, ascend_together, joint_covariances
+from rholoc.localization.belief.confidence import MIN_RECOGNIZED, joint_belief
+from rholoc.localization.belief.map_uncertainty import gated, with_map_error
+from rholoc.localization.index.map_index import MapIndex
+from rholoc.localization.index.matches import Matches, NearestLandmarks
 from rholoc.localization.large_map import AnyLocalizer
 from rholoc.localization.localizer import Localizer, check_kind
-from rholoc.localization.map_index import MapIndex
-from rholoc.localization.map_uncertainty import gated, with_map_error
-from rholoc.localization.matches import Matches, NearestLandmarks
-from rholoc.localization.rivals import RIVAL_PLACES, are_rivals, fewest_agreeing, shares, unexplained_by_place
-from rholoc.localization.seeds import vote_for_places
-from rholoc.localization.support import Support, support_of
+from rholoc.localization.pose.ascent import Optimum
+from rholoc.localization.pose.joint_ascent import Link, ascend_together, joint_covariances
+from rholoc.localization.pose.pose_evidence import Support, support_of
+from rholoc.localization.pose.rematching import FINAL_TOLERANCE_PX, SEARCH_RADII_PX, Verified, evidence_of
+from rholoc.localization.pose.rivals import RIVAL_PLACES, are_rivals, fewest_agreeing, shares, unexplained_by_place
+from rholoc.localization.pose.seeds import vote_for_places
 from rholoc.localization.types import NO_BELIEF, Belief, Dof, Intrinsics, Localization, Query, Reason
-from rholoc.localization.verification import FINAL_TOLERANCE_PX, SEARCH_RADII_PX, Verified, evidence_of
 
 FEWEST_FRAMES, MOST_FRAMES = 2, 10
 _PLACES = 6

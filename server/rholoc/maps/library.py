@@ -16,10 +16,10 @@ from uuid import uuid4
 from rholoc.errors import Conflict, InvalidInput, InvalidMap, InvalidName, RholocError, UnknownMap
 from rholoc.maps.documents import Documents
 from rholoc.maps.files import replace_file
+from rholoc.maps.formats.rho_file import SUFFIX, MapOutline, load_info, load_map, load_outline, map_to_bytes
 from rholoc.maps.info import MapInfo
 from rholoc.maps.map import Map
 from rholoc.maps.map_cache import MapCache, Signature
-from rholoc.maps.rho_file import SUFFIX, MapOutline, load_info, load_map, load_outline, map_to_bytes
 
 _NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9._-]{0,63}")
 _NAMES_SHOWN = 5

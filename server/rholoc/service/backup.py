@@ -28,7 +28,7 @@ from rholoc.jobs import MovedIn, RecordingStore, Stores, move_in
 from rholoc.jobs.recording_store import ENTRY_FILE
 from rholoc.maps import FolderDocuments, MapLibrary
 from rholoc.maps.cameras import FOLDER as CAMERAS_FOLDER
-from rholoc.maps.rho_file import load_outline
+from rholoc.maps.formats.rho_file import load_outline
 from rholoc.maps.sites import SITES_FOLDER
 from rholoc.storage import CAMERAS, KEYS, SITES, MissingObject, SharedStorage
 

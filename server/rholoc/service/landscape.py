@@ -6,8 +6,8 @@ import numpy as np
 
 from rholoc.geometry import Pose
 from rholoc.localization import Localizer, Query
-from rholoc.localization.density_localizer import DensityLocalizer
-from rholoc.localization.landscape import landscape_around
+from rholoc.paper.density_localizer import DensityLocalizer
+from rholoc.paper.landscape import landscape_around
 from rholoc.service.localize import FrameFeatures, Stopwatch, frame_deadline_s, pose_out
 from rholoc.service.localizers import LocalizerSource
 from rholoc.service.queries import Frame, camera_for, gravity_of, prior_of

@@ -14,8 +14,8 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from rholoc.errors import InvalidMap
 from rholoc.maps import Map, MapInfo, MapLibrary, MapStat, check_map_name, load_map
+from rholoc.maps.formats.rho_file import LENGTH_BYTES, MapOutline, header_bytes, load_info, outline_of
 from rholoc.maps.library import KEPT_VERSIONS, changed, name_taken, no_version
-from rholoc.maps.rho_file import LENGTH_BYTES, MapOutline, header_bytes, load_info, outline_of
 from rholoc.storage.copies import Copies
 from rholoc.storage.objects import MissingObject
 from rholoc.storage.replica import MapRow, Replica

@@ -38,7 +38,6 @@ from rholoc.features import get_extractor
 from rholoc.geometry import Camera
 from rholoc.jobs import JobKind, JobOptions
 from rholoc.localization import localizer_of
-from rholoc.localization.landscape import presence_of
 from rholoc.mapping import forget_recording, levelled, merge_maps, set_floor_plan
 from rholoc.maps import (
     MAX_PLAN_BYTES,
@@ -59,6 +58,7 @@ from rholoc.maps import (
     trust_of,
 )
 from rholoc.maps.floor_plan import GEOJSON, MEDIA_TYPES
+from rholoc.paper.landscape import presence_of
 from rholoc.pictures.rendering import Rendering
 from rholoc.reports import CoverageReport
 from rholoc.service.access import NEEDS_ADMIN, NEEDS_MAP, NEEDS_READ, request_key

@@ -1,0 +1,171 @@
+"""What speaks for a pose and what against it, counted by parts of the picture.
+
+Matches that lie side by side stand or fall together: a hundred on one poster say that the poster is there, not which of
+two like it. So the picture is divided into cells, and what a cell can say is bounded. What a place should show and does
+not, where the picture shows something else, speaks against the pose: a door of the same make, a desk with the same
+screen agree as far as they reach, and no farther.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import astuple, dataclass
+
+import numpy as np
+
+from rholoc.density import Evidence
+from rholoc.geometry import Camera, FloatArray, IntArray
+from rholoc.localization.index.map_index import MapIndex
+from rholoc.localization.index.matches import Matches
+from rholoc.localization.pose.ascent import Optimum
+from rholoc.localization.pose.colour_evidence import colour_agreement
+from rholoc.localization.pose.patch_evidence import patch_agreement, patch_log_odds
+from rholoc.localization.types import Query
+
+_CELLS_ACROSS = 8
+_CELL_NATS = 10.0  # the most that a cell can say
+_CHANCE_NATS = 1.5  # what a match by chance says, about
+_VIEWS_ALIKE = 10
+_FEWEST_EXPECTED, _FEWEST_DETECTED = 2, 3  # landmarks, features of a cell that can contradict
+_HIGHEST_RATE = 0.9
+_CLOSE_PX, _AROUND_PX = 4.0, 14.0  # of where landmarks should be
+_LIKENESSES = np.array([0.95, 0.9, 0.8, 0.65, 0.5, 0.35, 0.2, 0.0])  # the least chance of being true, by descriptors
+_LEAST_BY_CHANCE = 0.15  # matches: where none is around, that much is allowed for
+
+
+@dataclass(frozen=True)
+class Support:
+    """How far a picture bears a pose out.
+
+    Attributes:
+        seen: nats, what its matches say for it, cell by cell.
+        missing: nats, what the cells say against it where landmarks should be and other things are.
+        found: how many landmarks are where views from hereabouts saw them.
+        expected: how many of them should be: as many as those views saw, or as the picture has features for.
+        beyond_chance: nats, how surely more matches of a wider search are close to their landmarks than chance puts
+            there, by how many it put around.
+        colours: how well the matches' lightness follows from the colours of their landmarks, 0 by chance, 1 at best;
+            NaN where they are not known. See :func:`rholoc.localization.pose.colour_evidence.colour_agreement`.
+        patches: nats, how much a match speaks for the pose by its orientation and size, about -1 by chance, 2 at best;
+            NaN where they are not known. See :func:`rholoc.localization.pose.patch_evidence.patch_agreement`.
+    """
+
+    seen: float
+    missing: float
+    found: float = 0.0
+    expected: float = 0.0
+    beyond_chance: float = 0.0
+    colours: float = np.nan
+    patches: float = np.nan
+
+    @property
+    def net(self) -> float:
+        """Nats for the pose, by which hypotheses compare."""
+        return self.seen - self.missing
+
+    @classmethod
+    def mean(cls, supports: Sequence[Support]) -> Support:
+        """Of several frames: they show much the same, so that together they say little more than each."""
+        return cls(*np.mean([astuple(one) for one in supports], axis=0).tolist())
+
+
+def support_of(
+    index: MapIndex,
+    query: Query,
+    found: Matches,
+    evidence: Evidence,
+    optimum: Optimum,
+    by_chance: FloatArray,
+    wide: Matches,
+) -> Support:
+    """The support of an optimum.
+
+    Args:
+        index: of the map.
+        query: the picture, of N features.
+        found: the matches that the optimum rests on.
+        evidence: what they say.
+        optimum: the pose.
+        by_chance: (N,) how probably each feature matches something there by chance.
+        wide: the matches of a wider search.
+    """
+    pixels, camera = query.features.pixels, query.camera
+    agreeing = np.flatnonzero(optimum.density > 0)
+    if len(agreeing) == 0:
+        return Support(0.0, 0.0)
+    detections, landmarks = found.detections[agreeing], found.landmarks[agreeing]
+    grid = _Grid.of(camera)
+    gains = np.log1p(optimum.density[agreeing] / evidence.epsilon[agreeing])
+    said = grid.sums(pixels[detections], gains) - _CHANCE_NATS * grid.sums(pixels, by_chance)
+    shown, should_be = _expected(index, landmarks, camera, optimum.T_map_camera)
+    expected = grid.sums(should_be)
+    is_found = np.isin(shown, landmarks)
+    seen = grid.sums(should_be[is_found])
+    empty = (seen == 0) & (expected >= _FEWEST_EXPECTED) & (grid.sums(pixels) >= _FEWEST_DETECTED)
+    rate = min(float(seen.sum()) / max(float(expected[seen > 0].sum()), 1.0), _HIGHEST_RATE)
+    against = -np.log(1 - rate) * expected[empty]
+    return Support(
+        float(np.clip(said, 0, _CELL_NATS).sum()),
+        float(np.minimum(against, _CELL_NATS).sum()),
+        float(is_found.sum()),
+        float(min(len(shown), len(pixels))),
+        _beyond_chance(index, pixels, camera, wide, optimum.T_map_camera),
+        _colour_agreement(index, query, detections, landmarks),
+        patch_agreement(patch_log_odds(index.map, query.features, camera, optimum.T_map_camera, detections, landmarks)),
+    )
+
+
+def _beyond_chance(
+    index: MapIndex, pixels: FloatArray, camera: Camera, wide: Matches, T_map_camera: FloatArray
+) -> float:
+    """How surely more matches are close to their landmarks than those a little farther off make it likely by chance.
+
+    Nats, by Chernoff's bound of the Poisson distribution's tail, among matches as alike as makes it surest: those of
+    chance are less alike than true ones, but how alike true ones are depends on light and distance.
+    """
+    T = T_map_camera
+    shown = camera.project((index.landmarks[wide.landmarks] - T[:3, 3]) @ T[:3, :3])
+    off_px = np.linalg.norm(shown - pixels[wide.detections], axis=1)
+    alike = wide.chances >= _LIKENESSES[:, None]
+    close, around = (off_px < _CLOSE_PX), (off_px < _AROUND_PX)
+    by_chance = _LEAST_BY_CHANCE + (alike & around & ~close).sum(axis=1) * _CLOSE_PX**2 / (_AROUND_PX**2 - _CLOSE_PX**2)
+    count = np.maximum((alike & close).sum(axis=1), by_chance)
+    return float((count * np.log(count / by_chance) - (count - by_chance)).max())
+
+
+def _colour_agreement(index: MapIndex, query: Query, detections: IntArray, landmarks: IntArray) -> float:
+    """How well the colours of detections (M,) are those of their landmarks (M,)."""
+    shown, known = query.colours, index.map.landmarks.colours
+    if shown is None or known is None:
+        return np.nan
+    return colour_agreement(shown[detections], known[landmarks])
+
+
+def _expected(
+    index: MapIndex, agreeing: IntArray, camera: Camera, T_map_camera: FloatArray
+) -> tuple[IntArray, FloatArray]:
+    """The landmarks (E,) that views from hereabouts saw and this one should, and where (E, 2)."""
+    seen = np.flatnonzero(index.seen_alike(agreeing, _VIEWS_ALIKE))
+    rows = seen[index.present(T_map_camera[:3, 3], seen)]
+    pixels = camera.project((index.landmarks[rows] - T_map_camera[:3, 3]) @ T_map_camera[:3, :3])
+    inside = camera.contains(pixels)
+    return rows[inside], pixels[inside]
+
+
+@dataclass(frozen=True)
+class _Grid:
+    """Square cells over a picture."""
+
+    size_px: float
+    rows: int
+
+    @classmethod
+    def of(cls, camera: Camera) -> _Grid:
+        size_px = max(camera.width, camera.height) / _CELLS_ACROSS
+        return cls(size_px, int(np.ceil(camera.height / size_px)))
+
+    def sums(self, pixels: FloatArray, weights: FloatArray | None = None) -> FloatArray:
+        """The sum of ``weights`` (N,), or the number, of ``pixels`` (N, 2) in each cell."""
+        column, row = np.clip((pixels // self.size_px).astype(np.int64), 0, (_CELLS_ACROSS - 1, self.rows - 1)).T
+        cells = row * _CELLS_ACROSS + column
+        return np.bincount(cells, weights, minlength=self.rows * _CELLS_ACROSS).astype(np.float64)
