@@ -46,6 +46,7 @@ from rholoc.localization.pose.rematching import (
     matches_about,
     verify,
 )
+from rholoc.paper.density_localizer import TOLERANCES_PX
 
 HERE = Pose.from_heading(np.array([1.0, 2.0, 1.5]), np.array([0.6, 0.8, 0.0]))
 
@@ -431,7 +432,7 @@ def test_a_pose_is_verified_by_six_matches(
         SearchOptions().seed_tolerances_px,
         focal._TOLERANCES_PX,
         focal._FIRST_TOLERANCES_PX,
-        density_localizer.TOLERANCES_PX,
+        TOLERANCES_PX,
         SEARCH_RADII_PX,
     ],
 )

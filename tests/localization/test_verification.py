@@ -93,9 +93,9 @@ def test_a_pose_is_looked_for_within_the_wider_radius_and_then_the_narrower(
     match_near = index.match_near
     monkeypatch.setattr(index, "match_near", lambda *how: (radii_px.append(how[3]), match_near(*how))[1])
     for name in ("end_of_climb", "ascend"):
-        climb = getattr(verification, name)
+        climb = getattr(rematching, name)
         monkeypatch.setattr(
-            verification, name, lambda *how, climb=climb: (climbs.append((how[3], *how[5:])), climb(*how))[1]
+            rematching, name, lambda *how, climb=climb: (climbs.append((how[3], *how[5:])), climb(*how))[1]
         )
     query = Query(seen, point_room.camera, Dof.FREE)
     verified = verify(index, query, rays, truth.T_map_camera)
