@@ -11,6 +11,7 @@ import pytest
 from rholoc.geometry import Pose
 from rholoc.localization import Dof, Localizer, Query
 from rholoc.localization.index.map_index import MapIndex
+from rholoc.localization.pose import rematching
 from rholoc.localization.pose.ascent import ascend
 from rholoc.localization.pose.rematching import FINAL_TOLERANCE_PX, evidence_of, settle, verify
 from rholoc.maps import DensityKind, Map, MapDescriptors, MapInfo, MapLandmarks, MapObservations, MapViews

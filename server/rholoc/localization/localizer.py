@@ -16,7 +16,7 @@ from rholoc.errors import InvalidDescriptors
 from rholoc.features import Extractor, FeatureSet, get_extractor
 from rholoc.geometry import UP, Camera, FloatArray, IntArray, Pose, angles_between, pose_distances
 from rholoc.localization.belief.confidence import MIN_RECOGNIZED, belief_of
-from rholoc.localization.belief.map_uncertainty import gated, with_map_error, worst_sigma
+from rholoc.localization.belief.map_uncertainty import gated, with_map_error
 from rholoc.localization.diagnosis import (
     INEXACT_MAP,
     TOO_LITTLE_TIME,
@@ -26,6 +26,7 @@ from rholoc.localization.diagnosis import (
     diagnose_picture,
     wrong_camera,
 )
+from rholoc.localization.index.map_error import worst_sigma
 from rholoc.localization.index.map_index import MapIndex
 from rholoc.localization.index.matches import Matches, NearestLandmarks
 from rholoc.localization.pose.ascent import Optimum, ascend, upright

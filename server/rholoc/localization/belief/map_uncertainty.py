@@ -4,11 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import numpy as np
-
-from rholoc.geometry import FloatArray
 from rholoc.localization.diagnosis import too_inexact
-from rholoc.localization.index.map_error import PLACE_M, PLACE_RAD, rms_position_error, trust_in_map
+from rholoc.localization.index.map_error import PLACE_M, PLACE_RAD, rms_position_error, trust_in_map, worst_sigma
 from rholoc.localization.index.map_index import MapIndex
 from rholoc.localization.types import MAX_ALTERNATIVES, MIN_WEIGHT, Alternative, Belief, Localization, Query, Reason
 
@@ -69,8 +66,3 @@ def gated(answer: Localization, min_recognized: float, query: Query) -> Localiza
         return answer
     diagnosis = too_inexact(sigma_m, sigma_rad, query.max_sigma_m, query.max_sigma_rad)
     return replace(refused, reason=Reason.TOO_INEXACT, diagnosis=diagnosis)
-
-
-def worst_sigma(covariance: FloatArray) -> float:
-    """The standard deviation along the worst axis of a covariance (3, 3)."""
-    return float(np.sqrt(max(float(np.linalg.eigvalsh(covariance)[-1]), 0.0)))

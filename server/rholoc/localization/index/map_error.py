@@ -65,6 +65,11 @@ def rms_position_error(covariance: FloatArray) -> float:
     return float(np.sqrt(np.trace(covariance[:3, :3])))
 
 
+def worst_sigma(covariance: FloatArray) -> float:
+    """Standard deviation along the worst axis of a covariance (3, 3), in the square root of its unit."""
+    return float(np.sqrt(max(float(np.linalg.eigvalsh(covariance)[-1]), 0.0)))
+
+
 def probability_right(covariance: FloatArray, within_m: float = RIGHT_M, within_rad: float = RIGHT_RAD) -> float:
     """The probability that a pose of this covariance (6, 6) is within both bounds of the truth.
 

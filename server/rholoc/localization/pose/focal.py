@@ -15,7 +15,7 @@ from math import erf, sqrt
 import numpy as np
 
 from rholoc.geometry import Camera, FloatArray
-from rholoc.localization.index.map_error import PLACE_M, RIGHT_M
+from rholoc.localization.index.map_error import PLACE_M, RIGHT_M, worst_sigma
 from rholoc.localization.index.map_index import MapIndex
 from rholoc.localization.index.matches import Matches
 from rholoc.localization.pose.ascent import ascend_with_focal, focal_sigma, freed_focal, information_at
@@ -228,7 +228,7 @@ def verify_with_focal(
     if verified is None:
         return None
     focal_px = query.camera.focal
-    sigma_m = float(np.sqrt(np.linalg.eigvalsh(verified.covariance[:3, :3])[-1]))
+    sigma_m = worst_sigma(verified.covariance[:3, :3])
     here, exact = (erf(limit_m / (sqrt(2) * sigma_m)) for limit_m in (PLACE_M, RIGHT_M))
     return verified, FocalEstimate(focal_px, _spread(sigma) * focal_px, 0.0, here, exact / here), query
 
