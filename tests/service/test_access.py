@@ -1,4 +1,4 @@
-"""Every route declares who may use it, the guard holds it to that, and the README and OpenAPI say the same."""
+"""Every route declares who may use it, the guard holds it to that, and the documents and OpenAPI say the same."""
 
 from __future__ import annotations
 
@@ -16,7 +16,9 @@ from rholoc.service.access import OPEN, find_route, route_access
 from rholoc.service.guard import KeyPolicy
 from rholoc.service.keys import KeyStore, Scope
 
-README = (Path(__file__).parents[2] / "server" / "README.md").read_text(encoding="utf-8")
+PAGES = "".join(
+    page.read_text(encoding="utf-8") for page in sorted((Path(__file__).parents[2] / "docs" / "service").glob("*.md"))
+)
 ROUTES = route_access(create_app(Settings()).routes)
 REQUESTS = [(method, route) for route in ROUTES for method in sorted(route.methods)]
 NAMES = {
@@ -82,7 +84,7 @@ def test_a_key_that_localizes_changes_no_map_or_camera_called_localize(http, sec
 
 
 def test_the_readme_shows_what_the_code_declares():
-    section = README.split("## Routes\n", 1)[1].split("\nNames of maps", 1)[0]
+    section = PAGES.split("## Routes\n", 1)[1].split("\nNames of maps", 1)[0]
     documented = dict(re.findall(r"^\| `(\w+ \S+)` \| `?(\w+)`? \|", section, re.MULTILINE))
     declared = {name_of(one): str(one[1].access.scope or "open") for one in REQUESTS}
     assert documented == {name: declared[name] for name in documented}
