@@ -33,7 +33,7 @@ from rholoc.mapping import BuildOptions, build_map, set_labels, set_names
 from rholoc.maps import Map, MapLabels, MapNames, NamedArea, NamedPoint, save_map
 from rholoc.recordings import Recording, read_recording
 from rholoc.service import Settings, create_app
-from rholoc.service.live import ASKER
+from rholoc.service.frames.live import ASKER
 from rholoc.service.schemas import LocalizationOut
 from rholoc.simulation import simulate_recording
 

@@ -28,7 +28,7 @@ from playwright.sync_api import Browser, Page, Playwright, sync_playwright
 
 from rholoc.cli.server_process import running_server
 from rholoc.service import Settings, create_app
-from rholoc.service.live import ASKER
+from rholoc.service.frames.live import ASKER
 from rholoc.service.schemas import LocalizationOut
 from rholoc.service.state import State
 

@@ -8,7 +8,7 @@ import httpx
 import pytest
 
 from rholoc.service import Settings
-from rholoc.service.json_bodies import JsonLimits
+from rholoc.service.http.json_bodies import JsonLimits
 from rholoc_client import Client
 
 JSON = {"Content-Type": "application/json"}

@@ -17,10 +17,10 @@ from PIL import Image
 from rholoc.errors import InvalidImage
 from rholoc.features import get_extractor
 from rholoc.recordings.frames.image import MAX_JPEG_SCANS, decode_image, jpeg_scans, visited_pixels
-from rholoc.service import localize
-from rholoc.service.compute import Effort
-from rholoc.service.localize import extract_bounded
-from rholoc.service.queries import effort_of_set
+from rholoc.service.frames import single_frame as localize
+from rholoc.service.frames.queries import effort_of_set
+from rholoc.service.frames.single_frame import extract_bounded
+from rholoc.service.threads.compute import Effort
 
 
 def encoded(format_: str, size=(64, 48), **options) -> bytes:

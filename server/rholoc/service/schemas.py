@@ -27,9 +27,9 @@ from rholoc.maps import (
 )
 from rholoc.progress import Stage
 from rholoc.reports import LearningReport, MapReport
-from rholoc.service.examples import CORRECTION, NAMES, REPORT, SOURCE, WAYPOINT, sent
-from rholoc.service.keys import Scope
-from rholoc.service.stream_kind import StreamKind
+from rholoc.service.access.keys import Scope
+from rholoc.service.access.stream_kind import StreamKind
+from rholoc.service.maps.examples import CORRECTION, NAMES, REPORT, SOURCE, WAYPOINT, sent
 from rholoc.trajectory import PoseMethod, Scale
 
 _LARGEST_SIZE_PX = 2**31

@@ -13,7 +13,7 @@ from rholoc.jobs import BuildLimits, Capacity
 from rholoc.localization import MIN_RECOGNIZED
 from rholoc.processes import machine_memory_bytes
 from rholoc.recordings import MAX_FRAME_PIXELS
-from rholoc.service.guard import KeyPolicy
+from rholoc.service.access.guard import KeyPolicy
 
 _JOB_MEMORY_SHARE = 0.75
 _MAP_MEMORY_SHARE = 1 / 16

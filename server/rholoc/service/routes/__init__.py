@@ -9,18 +9,17 @@ from rholoc.service.routes import (
     keys,
     learning,
     live,
-    localize,
-    maps,
     recordings,
     sites,
-    track,
     uploads,
 )
+from rholoc.service.routes.frames import localize, track
+from rholoc.service.routes.maps import listing
 
 _RESOURCES = (
     localize,
     track,
-    maps,
+    listing,
     learning,
     sites,
     live,

@@ -8,8 +8,8 @@ from fastapi import APIRouter, Query
 
 from rholoc.errors import InvalidName
 from rholoc.maps import check_map_name
-from rholoc.service.access import NEEDS_ADMIN
-from rholoc.service.openapi import failures
+from rholoc.service.access.scopes import NEEDS_ADMIN
+from rholoc.service.http.openapi import failures
 from rholoc.service.schemas import ChangeOut, ChangesOut
 from rholoc.service.state import Service
 

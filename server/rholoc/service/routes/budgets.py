@@ -5,9 +5,9 @@ from __future__ import annotations
 from fastapi import APIRouter
 
 from rholoc.errors import NotFound
-from rholoc.service.access import NEEDS_ADMIN
+from rholoc.service.access.scopes import NEEDS_ADMIN
 from rholoc.service.errors import InvalidRequest
-from rholoc.service.openapi import failures
+from rholoc.service.http.openapi import failures
 from rholoc.service.schemas import OpenStreamList, OpenStreamOut, UploadList, UploadOut
 from rholoc.service.state import Service
 

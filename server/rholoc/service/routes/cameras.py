@@ -7,9 +7,9 @@ from fastapi import APIRouter, Response
 from rholoc.errors import InvalidCamera, InvalidInput, InvalidName, RholocError, StorageFull, UnknownCamera
 from rholoc.geometry import Camera
 from rholoc.maps import CameraLibrary, CameraProfile
-from rholoc.service.access import NEEDS_MAP, NEEDS_READ
+from rholoc.service.access.scopes import NEEDS_MAP, NEEDS_READ
 from rholoc.service.errors import InvalidRequest
-from rholoc.service.openapi import failures
+from rholoc.service.http.openapi import failures
 from rholoc.service.schemas import CameraList, CameraProfileIn, CameraProfileOut
 from rholoc.service.state import Service
 

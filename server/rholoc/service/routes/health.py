@@ -6,10 +6,10 @@ from fastapi import APIRouter, Response
 from starlette.concurrency import run_in_threadpool
 
 from rholoc import __version__
-from rholoc.service.access import NEEDS_READ, OPEN
-from rholoc.service.metrics import METRICS_TYPE
-from rholoc.service.openapi import BINARY
-from rholoc.service.readings import OK, text_of, unanswered
+from rholoc.service.access.scopes import NEEDS_READ, OPEN
+from rholoc.service.http.metrics import METRICS_TYPE
+from rholoc.service.http.openapi import BINARY
+from rholoc.service.operate.readings import OK, text_of, unanswered
 from rholoc.service.schemas import Health, Readiness
 from rholoc.service.state import Service, State
 

@@ -10,15 +10,15 @@ from typing import Annotated
 from fastapi import APIRouter, Header, Query, Request, Response
 
 from rholoc.errors import Conflict, UnknownJob
-from rholoc.service.access import NEEDS_MAP, NEEDS_READ
+from rholoc.service.access.open_streams import EventStream
+from rholoc.service.access.scopes import NEEDS_MAP, NEEDS_READ
+from rholoc.service.access.stream_kind import StreamKind
 from rholoc.service.errors import InvalidRequest
-from rholoc.service.intake import counted_job
-from rholoc.service.job_events import LOOK_EVERY_S, job_out
-from rholoc.service.open_streams import EventStream
-from rholoc.service.openapi import failures
+from rholoc.service.http.openapi import failures
+from rholoc.service.maps.job_events import LOOK_EVERY_S, job_out
+from rholoc.service.routes.intake import counted_job
 from rholoc.service.schemas import JobChange, JobList, JobOut
 from rholoc.service.state import Service, State
-from rholoc.service.stream_kind import StreamKind
 
 router = APIRouter(prefix="/v1/jobs", tags=["jobs"])
 

@@ -14,10 +14,10 @@ from fastapi import APIRouter, Request, Response
 from starlette.concurrency import run_in_threadpool
 
 from rholoc.errors import Busy, InvalidInput, NotFound, StorageFull
-from rholoc.service.access import NEEDS_ADMIN, NEEDS_MAP, NEEDS_READ, forbidden, granted_key, request_key
+from rholoc.service.access.keys import HANDED_PREFIX, ApiKey, KeyLimits, KeyStore
+from rholoc.service.access.scopes import NEEDS_ADMIN, NEEDS_MAP, NEEDS_READ, forbidden, granted_key, request_key
 from rholoc.service.errors import InvalidRequest, QuotaExceeded
-from rholoc.service.keys import HANDED_PREFIX, ApiKey, KeyLimits, KeyStore
-from rholoc.service.openapi import failures
+from rholoc.service.http.openapi import failures
 from rholoc.service.schemas import (
     HandedKeyOut,
     KeyDetail,

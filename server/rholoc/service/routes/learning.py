@@ -19,11 +19,11 @@ from rholoc.errors import (
 from rholoc.jobs import Job, JobKind, JobOptions
 from rholoc.mapping import FEWEST_QUERIES, too_few_queries
 from rholoc.maps import check_memory
-from rholoc.service.access import NEEDS_MAP, NEEDS_READ
+from rholoc.service.access.scopes import NEEDS_MAP, NEEDS_READ
 from rholoc.service.errors import InvalidRequest
-from rholoc.service.intake import counted_job
-from rholoc.service.job_events import job_out
-from rholoc.service.openapi import failures
+from rholoc.service.http.openapi import failures
+from rholoc.service.maps.job_events import job_out
+from rholoc.service.routes.intake import counted_job
 from rholoc.service.schemas import DeletedQueries, JobOut, LearningOut
 from rholoc.service.state import Service, State
 

@@ -11,13 +11,13 @@ from functools import lru_cache
 from fastapi import APIRouter, Request, Response
 
 from rholoc.errors import Conflict, InvalidName, UnknownMap
-from rholoc.service.access import NEEDS_READ
-from rholoc.service.live import Sighting
-from rholoc.service.open_streams import EventStream
-from rholoc.service.openapi import failures
+from rholoc.service.access.open_streams import EventStream
+from rholoc.service.access.scopes import NEEDS_READ
+from rholoc.service.access.stream_kind import StreamKind
+from rholoc.service.frames.live import Sighting
+from rholoc.service.http.openapi import failures
 from rholoc.service.schemas import FailureOut, FailuresOut
 from rholoc.service.state import Service, State
-from rholoc.service.stream_kind import StreamKind
 
 router = APIRouter(prefix="/v1/maps", tags=["maps"])
 

@@ -42,13 +42,14 @@ from rholoc.recordings import (
     check_file_name,
     check_file_start,
 )
-from rholoc.service.access import NEEDS_MAP, NEEDS_READ, granted_key, request_key
-from rholoc.service.bodies import declared_length, media_type, read_multipart
+from rholoc.service.access.keys import Scope
+from rholoc.service.access.scopes import NEEDS_MAP, NEEDS_READ, granted_key, request_key
 from rholoc.service.errors import InvalidRequest, UnsupportedMediaType, UnsupportedVersion
-from rholoc.service.intake import UPLOAD_FAILURES, RecordingFields, checked_options, counted_job
-from rholoc.service.job_events import job_out
-from rholoc.service.keys import Scope
-from rholoc.service.openapi import BINARY, failures, request_body
+from rholoc.service.http.bodies import declared_length, media_type, read_multipart
+from rholoc.service.http.openapi import BINARY, failures, request_body
+from rholoc.service.http.tus import RESUMABLE
+from rholoc.service.maps.job_events import job_out
+from rholoc.service.routes.intake import UPLOAD_FAILURES, RecordingFields, checked_options, counted_job
 from rholoc.service.routes.uploads import begin_upload
 from rholoc.service.schemas import (
     JobOut,
@@ -60,7 +61,6 @@ from rholoc.service.schemas import (
     WaypointsIn,
 )
 from rholoc.service.state import Service, State
-from rholoc.service.tus import RESUMABLE
 from rholoc.storage.holdings import Kind
 from rholoc.trajectory import PoseMethod
 

@@ -20,15 +20,15 @@ from rholoc.errors import (
 )
 from rholoc.jobs import Job
 from rholoc.mapping import find_link, solve_site, with_link
-from rholoc.service.access import NEEDS_ADMIN, NEEDS_MAP, NEEDS_READ
-from rholoc.service.compute import Effort
+from rholoc.service.access.scopes import NEEDS_ADMIN, NEEDS_MAP, NEEDS_READ
 from rholoc.service.errors import InvalidRequest
-from rholoc.service.intake import counted_job
-from rholoc.service.job_events import job_out
-from rholoc.service.openapi import failures
+from rholoc.service.http.openapi import failures
+from rholoc.service.maps.job_events import job_out
+from rholoc.service.maps.site_documents import site_of, site_out
+from rholoc.service.routes.intake import counted_job
 from rholoc.service.schemas import JobOut, SiteIn, SiteLinkWanted, SiteList, SiteOut
-from rholoc.service.site_documents import site_of, site_out
 from rholoc.service.state import Service, State
+from rholoc.service.threads.compute import Effort
 
 router = APIRouter(prefix="/v1/sites", tags=["sites"])
 
