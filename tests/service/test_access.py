@@ -12,9 +12,9 @@ import pytest
 from fastapi import Request
 
 from rholoc.service import Settings, create_app
-from rholoc.service.access.guard import KeyPolicy
 from rholoc.service.access.keys import KeyStore, Scope
 from rholoc.service.access.scopes import OPEN, find_route, route_access
+from rholoc.service.settings import KeyPolicy
 
 README = (Path(__file__).parents[2] / "server" / "README.md").read_text(encoding="utf-8")
 ROUTES = route_access(create_app(Settings()).routes)

@@ -12,8 +12,8 @@ from sqlalchemy.exc import OperationalError
 
 from rholoc.service.access import audit as module
 from rholoc.service.access.audit import AuditLog, Change
-from rholoc.service.access.guard import KeyPolicy
 from rholoc.service.access.keys import KeyStore, Scope
+from rholoc.service.settings import KeyPolicy
 from rholoc.storage.database import open_database
 
 PATIENCE_S = 60

@@ -9,7 +9,7 @@ import time
 import pytest
 
 from rholoc.errors import Busy
-from rholoc.service.access.scopes import CLIENT
+from rholoc.service.caller import CLIENT
 from rholoc.service.threads.compute import ComputePool, Effort
 
 

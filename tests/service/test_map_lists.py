@@ -15,7 +15,7 @@ from rholoc.errors import InvalidInput, UnknownRecording
 from rholoc.jobs import RecordingStore
 from rholoc.maps import FloorPlan, MapLibrary
 from rholoc.maps.floor_plan import check_plan
-from rholoc.service.access.guard import KeyPolicy
+from rholoc.service.settings import KeyPolicy
 
 _RHO = {"Content-Type": "application/octet-stream"}
 
@@ -75,7 +75,7 @@ def test_a_map_that_was_changed_is_not_replaced_if_the_request_says_so(running, 
 def test_a_picture_is_refused_by_its_header_before_it_is_decoded(running, picture_world, monkeypatch):
     put(running, "room", picture_world.rho()).raise_for_status()
     decoded = []
-    monkeypatch.setattr("rholoc.service.frames.single_frame.decode_image", lambda *_: decoded.append(1))
+    monkeypatch.setattr("rholoc.service.frames.frame_features.decode_image", lambda *_: decoded.append(1))
     file = io.BytesIO()
     Image.new("L", (7000, 7000)).save(file, "PNG")
     answer = httpx.post(

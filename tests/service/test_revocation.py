@@ -10,8 +10,8 @@ from contextlib import ExitStack
 import httpx
 import pytest
 
-from rholoc.service.access.guard import KeyPolicy
 from rholoc.service.access.keys import KeyStore, Scope
+from rholoc.service.settings import KeyPolicy
 from waiting import until
 
 

@@ -18,7 +18,7 @@ from opentelemetry.trace import SpanKind, StatusCode
 
 from rholoc import telemetry
 from rholoc.errors import NotFound
-from rholoc.service.access.guard import KeyPolicy
+from rholoc.service.settings import KeyPolicy
 from waiting import until
 
 TRACE, PARENT = "0af7651916cd43dd8448eb211c80319c", "b7ad6b7169203331"

@@ -54,7 +54,7 @@ def restore(
 
 @contextmanager
 def _opened(settings: Settings) -> Iterator[Stores]:
-    from rholoc.service.app import stores_of
+    from rholoc.service.operate.stores import stores_of
 
     stores = stores_of(settings)
     try:

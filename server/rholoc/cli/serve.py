@@ -57,8 +57,8 @@ def serve(
 
     from rholoc.logs import configure_process_logs
     from rholoc.service import create_app
-    from rholoc.service.access.guard import keys_needed
     from rholoc.service.http.connections import protocol_of, websocket_options
+    from rholoc.service.settings import keys_needed
     from rholoc.service.threads.compute import compute_threads
     from rholoc.service.threads.storage import storage_threads
 
@@ -168,7 +168,7 @@ def opened_keys(settings: Settings) -> KeyStore:
     Raises:
         InvalidInput, Conflict, StorageFull, StorageUnavailable: it cannot be opened.
     """
-    from rholoc.service.app import open_keys, stores_of
+    from rholoc.service.operate.stores import open_keys, stores_of
 
     stores = stores_of(settings)
     stores.open()

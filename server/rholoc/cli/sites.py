@@ -61,8 +61,7 @@ def put(
 
     from rholoc.mapping import solve_site
     from rholoc.maps import MapLibrary, SiteLibrary
-    from rholoc.service.maps.site_documents import site_of
-    from rholoc.service.schemas import SiteIn
+    from rholoc.service.maps.site_documents import SiteIn, site_of
 
     try:
         wanted = SiteIn.model_validate_json(file.read_bytes())

@@ -63,12 +63,14 @@ from rholoc.service.maps.job_events import JobEvents
 from rholoc.service.maps.map_watch import MapWatch
 from rholoc.service.maps.renderings import Renderings
 from rholoc.service.operate.readings import Readings
+from rholoc.service.operate.stores import open_keys, stores_of
 from rholoc.service.routes import ROUTERS
+from rholoc.service.routes.frames.reading import READ_BY_HAND
 from rholoc.service.settings import Settings
 from rholoc.service.state import State
 from rholoc.service.threads.compute import ComputePool
 from rholoc.service.threads.storage import StorageLanes
-from rholoc.storage import ASKERS, CAMERAS, KEYS, SITES
+from rholoc.storage import ASKERS, CAMERAS, SITES
 from rholoc.storage.holdings import Holdings
 
 _log = structlog.get_logger("rholoc.service")
@@ -147,29 +149,8 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     app.add_middleware(Traced)
     app.add_middleware(SecurityHeaders)
     app.add_middleware(Metered, metrics=metrics)
-    install(app)
+    install(app, READ_BY_HAND)
     return app
-
-
-def stores_of(settings: Settings) -> Stores:
-    """Where the service keeps what it holds, not yet opened.
-
-    Raises:
-        InvalidInput: an URL is not valid.
-    """
-    return Stores(
-        settings.maps_dir,
-        settings.data_dir,
-        settings.jobs_database,
-        settings.shared_storage,
-        settings.storage_cache_bytes,
-        settings.map_cache_bytes,
-    )
-
-
-def open_keys(stores: Stores) -> KeyStore:
-    """The API keys of the service."""
-    return KeyStore(stores.data_dir, stores.documents(KEYS))
 
 
 def _start(settings: Settings, metrics: Metrics, keys: KeyStore, audit: AuditLog, stores: Stores) -> State:

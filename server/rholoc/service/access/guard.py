@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-import ipaddress
 from collections.abc import Collection, Sequence
-from enum import StrEnum
 from urllib.parse import urlsplit
 
 from starlette.datastructures import Headers, MutableHeaders, QueryParams
@@ -26,8 +24,9 @@ from rholoc.service.access.scopes import (
     route_access,
     undeclared,
 )
+from rholoc.service.caller import ASKER
 from rholoc.service.errors import CrossSite, InvalidRequest, MethodNotAllowed, Unauthorized, UnknownRoute
-from rholoc.service.frames.live import ASKER
+from rholoc.service.settings import KeyPolicy, is_loopback, keys_needed
 from rholoc.service.threads.storage import StorageLanes
 
 _READING = ("GET", "HEAD", "OPTIONS")
@@ -46,14 +45,6 @@ SECURITY_HEADERS = {
     "X-Content-Type-Options": "nosniff",
     "X-Frame-Options": "DENY",
 }
-
-
-class KeyPolicy(StrEnum):
-    """When a request needs an API key."""
-
-    AUTO = "auto"  # unless the server listens on this machine alone
-    ALWAYS = "always"
-    NEVER = "never"  # something in front of the server authenticates clients
 
 
 class SecurityHeaders:
@@ -191,11 +182,6 @@ def _authorization(scope: Scope, headers: Headers) -> str:
     return headers.get("authorization", f"Bearer {keys[0]}" if keys else "")
 
 
-def keys_needed(policy: KeyPolicy, host: str) -> bool:
-    """Whether a server that listens on ``host`` requires keys."""
-    return policy is KeyPolicy.ALWAYS or (policy is KeyPolicy.AUTO and not _is_loopback(host))
-
-
 def check_query(scope: Scope, route: RouteAccess) -> None:
     """Refuse a query with a name that the route does not know: a mistyped option would be silently ignored.
 
@@ -221,7 +207,7 @@ def check_same_site(method: str, headers: Headers, local_only: bool) -> None:
         CrossSite: another site sent it.
     """
     host, origin, site = headers.get("host", ""), headers.get("origin"), headers.get("sec-fetch-site")
-    if local_only and not _is_loopback(_host_name(host)):
+    if local_only and not is_loopback(_host_name(host)):
         raise CrossSite(f"This server does not answer to the name {host[:64]}.", "Use localhost.")
     if site is not None:
         followed = method in _READING and headers.get("sec-fetch-mode") == "navigate"
@@ -238,12 +224,3 @@ def _host_name(host: str) -> str:
         return urlsplit(f"//{host}").hostname or ""
     except ValueError:
         return ""
-
-
-def _is_loopback(host: str) -> bool:
-    if host == "localhost":  # names below it may be anybody's, where a resolver does not keep them here
-        return True
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return False

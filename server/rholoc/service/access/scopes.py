@@ -7,7 +7,6 @@ and checks the key before any of the body is read; a route that declares nothing
 from __future__ import annotations
 
 from collections.abc import Sequence
-from contextvars import ContextVar
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -20,10 +19,8 @@ from starlette.routing import BaseRoute, Match
 from starlette.types import Scope as RequestScope
 
 from rholoc.service.access.keys import ApiKey, Scope
+from rholoc.service.caller import CLIENT
 from rholoc.service.errors import Forbidden
-
-CLIENT: ContextVar[str] = ContextVar("client", default="")
-"""Whom the request that is being answered counts to."""
 
 _KEY = "api_key"  # members of a request's state: its key,
 _GRANTED = "granted"  # what the key allows,

@@ -3,17 +3,65 @@
 from __future__ import annotations
 
 import numpy as np
+from pydantic import ConfigDict, Field
 
 from rholoc.geometry import Pose
 from rholoc.localization import Localizer, Query
 from rholoc.localization.density_localizer import DensityLocalizer
 from rholoc.localization.landscape import landscape_around
+from rholoc.service.frames.answers import POSE_EXAMPLE, PoseOut, pose_out
+from rholoc.service.frames.frame_features import FrameFeatures
 from rholoc.service.frames.localizers import LocalizerSource
 from rholoc.service.frames.queries import Frame, camera_for, gravity_of, prior_of
-from rholoc.service.frames.single_frame import FrameFeatures, Stopwatch, frame_deadline_s, pose_out
-from rholoc.service.schemas import LandscapeOut, WayOut
+from rholoc.service.frames.stopwatch import Stopwatch, frame_deadline_s
+from rholoc.service.http.models import MAP_ID_EXAMPLE, AnswerModel
 from rholoc.service.settings import Settings
 from rholoc.trajectory import Scale
+
+
+class WayOut(AnswerModel):
+    """The path of an ascent."""
+
+    positions: list[list[float]] = Field(description="x, y, z of the camera, step by step, the start first")
+    gain_nats: float = Field(description="what the densities say for its end, Σ log((ε + ρ) / ε)")
+
+
+class LandscapeOut(AnswerModel):
+    """The densities of the features that a frame shows, around its pose."""
+
+    model_config = ConfigDict(
+        frozen=True,
+        json_schema_extra={
+            "example": {
+                "localized": True,
+                "map": "testsite",
+                "map_id": MAP_ID_EXAMPLE,
+                "map_version": 1,
+                "scale": "metric",
+                "pose": POSE_EXAMPLE,
+                "origin": [0.7, -0.1, 1.5],
+                "spacing": 0.5,
+                "values": [[12.1, 80.4, 9.3], [95.7, 912.8, 101.2], [7.7, 88.1, 14.9]],
+                "tolerance_px": 12.0,
+                "ways": [{"positions": [[0.9, 0.1, 1.5], [1.18, 0.38, 1.5], [1.2, 0.4, 1.5]], "gain_nats": 912.8}],
+            }
+        },
+    )
+
+    localized: bool = Field(description="whether the frame has a pose; without one it is the best optimum's landscape")
+    map: str
+    map_id: str
+    map_version: int
+    scale: Scale
+    pose: PoseOut | None = Field(description="the pose; null where too little matches to climb by")
+    origin: list[float] | None = Field(description="the position of the first value")
+    spacing: float | None = Field(description="between neighbouring positions")
+    values: list[list[float]] = Field(
+        description="Σ log((ε + ρ) / ε), nats, of a camera at the pose's height that is turned as it is: rows of "
+        "increasing y, in a row by increasing x"
+    )
+    tolerance_px: float | None = Field(description="how far a feature may be off and still count")
+    ways: list[WayOut] = Field(description="from the places that most matches speak for, the best last")
 
 
 def landscape_of(

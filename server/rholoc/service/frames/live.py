@@ -6,14 +6,11 @@ import asyncio
 import time
 from collections import deque
 from collections.abc import Sequence
-from contextvars import ContextVar
 from dataclasses import dataclass
 
 from rholoc.errors import Conflict
-from rholoc.service.schemas import LocalizationOut
-
-ASKER: ContextVar[str] = ContextVar("asker", default="")
-"""Whose request is being answered: the name of its key, or its address where no key is required."""
+from rholoc.service.caller import ASKER
+from rholoc.service.frames.answers import LocalizationOut
 
 UNSURE_BELOW = 0.8  # a confidence
 LIVE_S = 10.0  # how long a client is shown after its last request

@@ -16,7 +16,8 @@ from rholoc.features import Extractor, FeatureSet
 from rholoc.geometry import ByteArray, Camera, FloatArray, Pose
 from rholoc.localization import Intrinsics, Prior
 from rholoc.recordings.frames.image import visited_pixels
-from rholoc.service.schemas import CameraIn, FeaturesIn, LocalizeOptions, PriorIn
+from rholoc.service.frames.requests import FeaturesIn, LocalizeOptions, PriorIn
+from rholoc.service.http.models import CameraIn
 from rholoc.service.threads.compute import Effort
 
 _CAMERA_HINT = "Send fx, fy, cx, cy (and distortion) of the image, in pixels."

@@ -20,11 +20,14 @@ from rholoc.localization import (
     SeveralFrames,
     localize_together,
 )
+from rholoc.service.frames.answers import FramePoseOut, LocalizationOut, PoseOut, answer_of, pose_out, too_late
+from rholoc.service.frames.best_map import best_map, chosen
+from rholoc.service.frames.frame_features import FrameFeatures
 from rholoc.service.frames.localizers import LocalizerSource
 from rholoc.service.frames.map_choice import MapChoice
 from rholoc.service.frames.queries import Frame, camera_for, direction, finite, gravity_of, max_sigmas
-from rholoc.service.frames.single_frame import FrameFeatures, Stopwatch, answer_of, best_map, chosen, pose_out, too_late
-from rholoc.service.schemas import FrameIn, FramePoseOut, FramesQuery, LocalizationOut, LocalizeOptions, PoseOut
+from rholoc.service.frames.requests import FrameIn, FramesQuery, LocalizeOptions
+from rholoc.service.frames.stopwatch import Stopwatch
 from rholoc.service.settings import Settings
 
 

@@ -8,7 +8,7 @@ from rholoc.errors import InvalidInput, NotFound
 from rholoc.geometry import Pose
 from rholoc.mapping import pose_in_site
 from rholoc.maps import Site, SiteLibrary, SiteMap
-from rholoc.service.schemas import EarthOut, LocalizationOut, SitePoseOut
+from rholoc.service.frames.answers import EarthOut, LocalizationOut, SitePoseOut
 
 _DEGREES = np.array([1, 1, 1, *[180 / np.pi] * 3])
 

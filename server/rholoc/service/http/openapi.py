@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 from fastapi import FastAPI
 from fastapi.openapi.utils import get_openapi
 from fastapi.responses import JSONResponse
-from pydantic import BaseModel
+from pydantic import BaseModel, ConfigDict, Field
 from pydantic.json_schema import models_json_schema
 
 from rholoc.errors import RholocError, TooLarge
@@ -21,10 +22,31 @@ from rholoc.service.errors import (
     Unauthorized,
     status_of,
 )
-from rholoc.service.schemas import DescriptorQuery, ErrorAnswer, FramesQuery, LocalizeOptions
+from rholoc.service.http.models import AnswerModel
+
+
+class ErrorAnswer(AnswerModel):
+    """The one shape of all errors."""
+
+    model_config = ConfigDict(
+        frozen=True,
+        json_schema_extra={
+            "example": {
+                "code": "unknown_map",
+                "message": "There is no map called 'kitchen'.",
+                "hint": "GET /v1/maps lists the maps.",
+                "request_id": "7d7f0a1c2b3d4e5f8091a2b3c4d5e6f7",
+            }
+        },
+    )
+
+    code: str = Field(description="Stable: programs tell errors apart by it.")
+    message: str = Field(description="One line: what is wrong.")
+    hint: str = Field(description="One line: what to do.")
+    request_id: str = Field(description="The same as in the header X-Request-ID and in the service's log.")
+
 
 _REF = "#/components/schemas/{model}"
-_BY_HAND: tuple[type[BaseModel], ...] = (LocalizeOptions, DescriptorQuery, FramesQuery)
 _PATTERNS = {
     **dict.fromkeys(("map_name", "site", "camera", "name"), r"^[A-Za-z0-9_][A-Za-z0-9._-]{0,63}$"),
     **dict.fromkeys(("recording", "job"), "^[0-9a-f]{32}$"),
@@ -79,8 +101,8 @@ def _describe_names(operation: dict[str, Any]) -> None:
             parameter["schema"]["pattern"] = _PATTERNS[parameter["name"]]
 
 
-def install(app: FastAPI) -> None:
-    """Make ``app.openapi()`` define the models of bodies that are read by hand, and no errors but ours."""
+def install(app: FastAPI, read_by_hand: Sequence[type[BaseModel]]) -> None:
+    """Serve the OpenAPI document, with the models of bodies that routes read by hand, and no errors but ours."""
 
     def openapi() -> dict[str, Any]:
         if app.openapi_schema is None:
@@ -91,7 +113,7 @@ def install(app: FastAPI) -> None:
                 routes=app.routes,
                 tags=app.openapi_tags,
             )
-            _, definitions = models_json_schema([(model, "validation") for model in _BY_HAND], ref_template=_REF)
+            _, definitions = models_json_schema([(model, "validation") for model in read_by_hand], ref_template=_REF)
             schema["components"]["schemas"] = {**definitions["$defs"], **schema["components"]["schemas"]}
             for own in ("HTTPValidationError", "ValidationError"):
                 schema["components"]["schemas"].pop(own, None)

@@ -7,9 +7,84 @@ import hashlib
 import time
 from dataclasses import dataclass
 
-from rholoc.jobs import Job, JobQueue
-from rholoc.service.schemas import JobError, JobOut
+from pydantic import ConfigDict, Field
+from pydantic.config import JsonDict
+
+from rholoc.jobs import Job, JobKind, JobPriority, JobQueue, JobState, Obstacle
+from rholoc.progress import Stage
+from rholoc.service.http.models import AnswerModel
 from rholoc.service.threads.storage import StorageThreads
+
+JOB_ID_EXAMPLE = "0b6e0f6f4f0c4d5f9a8b7c6d5e4f3a21"
+RECORDING_ID_EXAMPLE = "9c5d1c3f5b8e4a0d8e6f7a8b9c0d1e2f"
+
+
+class JobError(AnswerModel):
+    """Why a job failed."""
+
+    code: str
+    message: str
+    hint: str
+
+
+JOB_EXAMPLE: JsonDict = {
+    "id": JOB_ID_EXAMPLE,
+    "kind": "build",
+    "recording": RECORDING_ID_EXAMPLE,
+    "map": "testsite",
+    "site": None,
+    "state": "running",
+    "stage": "poses",
+    "progress": 0.42,
+    "message": "31 of 60 keyframes placed",
+    "log": ["60 keyframes chosen"],
+    "warnings": [],
+    "trusted": None,
+    "error": None,
+    "created": 1767607200.0,
+    "started": 1767607201.5,
+    "ended": None,
+    "attempts": 1,
+    "priority": "normal",
+    "memory_bytes": 1_100_000_000,
+    "obstacle": None,
+}
+
+
+class JobOut(AnswerModel):
+    """A mapping job."""
+
+    model_config = ConfigDict(frozen=True, json_schema_extra={"example": JOB_EXAMPLE})
+
+    id: str
+    kind: JobKind
+    recording: str = Field(description="the recording's id; empty where the job needs none")
+    map: str = Field(description="the name of the map that it publishes; empty where it places a site's maps")
+    site: str | None = Field(description="the site whose maps it places; null where it makes a map")
+    state: JobState
+    stage: Stage
+    progress: float = Field(description="0..1 over all stages")
+    message: str
+    log: list[str]
+    warnings: list[str] = Field(
+        description="why its published map is not to be trusted, or why maps of its site are not placed"
+    )
+    trusted: bool | None = Field(
+        description="whether its published map is to be trusted; `warnings` say why not; null before it is published, "
+        "and for a job that publishes none"
+    )
+    error: JobError | None
+    created: float = Field(description="s since the epoch")
+    started: float | None
+    ended: float | None
+    attempts: int
+    priority: JobPriority
+    memory_bytes: int | None = Field(description="about how much memory it needs; null until its recording was read")
+    obstacle: Obstacle | None = Field(
+        description="why no worker can take it, as `message` says: none is running, those that are started die, or "
+        "none has as much memory; null where one can"
+    )
+
 
 LOOK_EVERY_S = 0.5
 _MAX_KEPT = 1000  # jobs that were watched

@@ -20,10 +20,9 @@ from rholoc.maps import MapLibrary, SiteLibrary, load_info
 from rholoc.pictures.style import missing_fonts
 from rholoc.processes import machine_memory_bytes
 from rholoc.recordings.frames.video import read_video
-from rholoc.service.access.guard import KeyPolicy, keys_needed
 from rholoc.service.access.keys import KeyStore
-from rholoc.service.app import stores_of
-from rholoc.service.settings import Settings
+from rholoc.service.operate.stores import stores_of
+from rholoc.service.settings import KeyPolicy, Settings, keys_needed
 
 _LEAST_FREE_BYTES, _LITTLE_FREE_BYTES = 2**28, 2**32
 _CLOCK_TOLERANCE_S = 5.0

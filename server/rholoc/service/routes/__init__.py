@@ -14,12 +14,14 @@ from rholoc.service.routes import (
     uploads,
 )
 from rholoc.service.routes.frames import localize, track
-from rholoc.service.routes.maps import listing
+from rholoc.service.routes.maps import contents, editing, library
 
 _RESOURCES = (
     localize,
     track,
-    listing,
+    library,
+    contents,
+    editing,
     learning,
     sites,
     live,

@@ -5,6 +5,7 @@ from __future__ import annotations
 from functools import partial
 
 from fastapi import APIRouter, Request, Response
+from pydantic import ConfigDict, Field
 
 from rholoc.errors import (
     Busy,
@@ -22,13 +23,34 @@ from rholoc.jobs import Job
 from rholoc.mapping import find_link, solve_site, with_link
 from rholoc.service.access.scopes import NEEDS_ADMIN, NEEDS_MAP, NEEDS_READ
 from rholoc.service.errors import InvalidRequest
+from rholoc.service.http.models import AnswerModel, RequestModel
 from rholoc.service.http.openapi import failures
-from rholoc.service.maps.job_events import job_out
-from rholoc.service.maps.site_documents import site_of, site_out
+from rholoc.service.maps.job_events import JobOut, job_out
+from rholoc.service.maps.site_documents import SITE_EXAMPLE, SiteIn, SiteOut, site_of, site_out
 from rholoc.service.routes.intake import counted_job
-from rholoc.service.schemas import JobOut, SiteIn, SiteLinkWanted, SiteList, SiteOut
 from rholoc.service.state import Service, State
 from rholoc.service.threads.compute import Effort
+
+
+class SiteLinkWanted(RequestModel):
+    """Two maps of a site, the pose between which is looked for."""
+
+    model_config = ConfigDict(
+        extra="forbid", frozen=True, json_schema_extra={"example": {"first": "hall", "second": "kitchen"}}
+    )
+
+    first: str
+    second: str
+
+
+class SiteList(AnswerModel):
+    """All sites."""
+
+    model_config = ConfigDict(frozen=True, json_schema_extra={"example": {"sites": [SITE_EXAMPLE], "unreadable": {}}})
+
+    sites: list[SiteOut]
+    unreadable: dict[str, str] = Field(description="names of site files that cannot be read, and why")
+
 
 router = APIRouter(prefix="/v1/sites", tags=["sites"])
 

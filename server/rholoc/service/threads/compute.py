@@ -22,7 +22,7 @@ import cv2
 import faiss
 
 from rholoc.errors import Busy
-from rholoc.service.access.scopes import CLIENT
+from rholoc.service.caller import CLIENT
 
 _T = TypeVar("_T")
 _SMOOTHING = 0.2  # weight of the newest duration in the running mean

@@ -12,13 +12,14 @@ from rholoc.errors import RholocError
 from rholoc.service.access.scopes import STREAM_NEEDS_LOCALIZE, STREAM_PROTOCOL
 from rholoc.service.access.stream_kind import StreamKind
 from rholoc.service.errors import Internal, as_rholoc_error, error_body
+from rholoc.service.frames.answers import LocalizationOut
 from rholoc.service.frames.map_choice import MapChoice
 from rholoc.service.frames.queries import Frame
-from rholoc.service.frames.single_frame import Stopwatch
-from rholoc.service.routes.frames.localize import answer_frame, check_known
+from rholoc.service.frames.stopwatch import Stopwatch
+from rholoc.service.routes.frames.localize import answer_frame
 from rholoc.service.routes.frames.track_messages import StreamError
 from rholoc.service.routes.frames.track_stream import Stream
-from rholoc.service.schemas import LocalizationOut
+from rholoc.service.routes.frames.which_maps import check_known
 from rholoc.service.state import State
 
 router = APIRouter(prefix="/v1", tags=["localization"])

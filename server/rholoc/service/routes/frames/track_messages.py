@@ -7,7 +7,9 @@ from typing import Annotated, Literal
 from pydantic import BaseModel, ConfigDict, Field
 
 from rholoc.localization import Dof
-from rholoc.service.schemas import CameraChoice, LocalizationOut, Number, PoseOut, Quaternion, Vector3
+from rholoc.service.frames.answers import LocalizationOut, PoseOut
+from rholoc.service.frames.requests import CameraChoice
+from rholoc.service.http.models import Number, Quaternion, Vector3
 from rholoc.trajectory import Scale
 from rholoc_client.tracking import TrackStatus
 

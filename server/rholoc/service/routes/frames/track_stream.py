@@ -20,11 +20,12 @@ from rholoc.geometry import Camera
 from rholoc.localization import AnyLocalizer
 from rholoc.recordings.frames.image import SENT_FORMATS, decode_image
 from rholoc.service.errors import InvalidRequest, RequestTimeout
+from rholoc.service.frames.answers import LocalizationOut, PoseOut
 from rholoc.service.frames.queries import Frame, camera_for, effort_of
-from rholoc.service.frames.single_frame import Stopwatch
+from rholoc.service.frames.requests import LocalizeOptions, PriorIn
+from rholoc.service.frames.stopwatch import Stopwatch
 from rholoc.service.http.json_bodies import JsonLimits, check_json
 from rholoc.service.routes.frames.track_messages import Begin, Begun, FrameMessage, TrackedOut
-from rholoc.service.schemas import LocalizationOut, LocalizeOptions, PoseOut, PriorIn
 from rholoc.service.state import State
 from rholoc.trajectory import Scale
 from rholoc_client import Camera as ClientCamera
