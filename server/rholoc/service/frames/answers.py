@@ -5,14 +5,14 @@ from __future__ import annotations
 from dataclasses import asdict, replace
 
 import numpy as np
-from pydantic import ConfigDict, Field
+from pydantic import Field
 from pydantic.config import JsonDict
 
 from rholoc.geometry import FloatArray, Pose
-from rholoc.localization import NO_BELIEF, TOO_LITTLE_TIME, AnyLocalizer, Cause, Localization, Reason
+from rholoc.localization import TOO_LITTLE_TIME, AnyLocalizer, Cause, Localization, Reason
 from rholoc.maps import areas_at, points_near, trust_of
 from rholoc.service.frames.stopwatch import Stopwatch
-from rholoc.service.http.models import MAP_ID_EXAMPLE, AnswerModel
+from rholoc.service.http.models import MAP_ID_EXAMPLE, AnswerModel, example
 from rholoc.trajectory import Scale
 
 POSE_EXAMPLE: JsonDict = {
@@ -105,10 +105,7 @@ class AlternativeOut(AnswerModel):
 class LocalizationOut(AnswerModel):
     """The answer for one frame. ``localized`` false is an answer, not an error."""
 
-    model_config = ConfigDict(
-        frozen=True,
-        json_schema_extra={
-            "example": {
+    model_config = example({
                 "localized": True,
                 "reason": None,
                 "pose": POSE_EXAMPLE,
@@ -136,9 +133,7 @@ class LocalizationOut(AnswerModel):
                     "queue": 0.1, "load": 0.0, "decode": 2.1, "extract": 11.0, "match": 9.5, "seed": 14.2,
                     "ascend": 20.3, "verify": 1.7, "diagnose": 0.0, "total": 59.4,
                 },
-            }
-        },
-    )  # fmt: skip
+            })  # fmt: skip
 
     localized: bool
     reason: Reason | None = Field(description="why there is no pose, else null")
@@ -204,22 +199,19 @@ class PlaceOut(AnswerModel):
 class PlacesOut(AnswerModel):
     """The most similar views of all maps that were asked, the best match first."""
 
-    model_config = ConfigDict(
-        frozen=True,
-        json_schema_extra={
-            "example": {
-                "places": [
-                    {
-                        "map": "testsite",
-                        "map_id": MAP_ID_EXAMPLE,
-                        "map_version": 1,
-                        "view": 41,
-                        "pose": POSE_EXAMPLE,
-                        "score": 6.3,
-                    }
-                ]
-            }
-        },
+    model_config = example(
+        {
+            "places": [
+                {
+                    "map": "testsite",
+                    "map_id": MAP_ID_EXAMPLE,
+                    "map_version": 1,
+                    "view": 41,
+                    "pose": POSE_EXAMPLE,
+                    "score": 6.3,
+                }
+            ]
+        }
     )
 
     places: list[PlaceOut]
@@ -237,10 +229,7 @@ def late_answer(name: str, localizer: AnyLocalizer, clock: Stopwatch) -> Localiz
 
 def too_late() -> Localization:
     """The localizer's answer where the deadline passed before it was asked."""
-    nothing = np.zeros(0, np.int64)
-    return Localization(
-        False, Reason.DEADLINE, None, None, NO_BELIEF, 0, 0, np.zeros((0, 2)), nothing, diagnosis=TOO_LITTLE_TIME
-    )
+    return Localization.refused(Reason.DEADLINE, diagnosis=TOO_LITTLE_TIME)
 
 
 def answer_of(

@@ -4,11 +4,24 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from pydantic import ConfigDict, FailFast, Field
+from pydantic import FailFast, Field
 
 from rholoc.features import Channel
 from rholoc.localization import Dof, Intrinsics
-from rholoc.service.http.models import CAMERA_EXAMPLE, CameraIn, Number, Quaternion, RequestModel, Vector3
+from rholoc.service.http.models import CAMERA_EXAMPLE, CameraIn, Number, Quaternion, RequestModel, Vector3, example
+
+DeadlineMs = Annotated[float | None, Field(gt=0, le=600_000, description="how long the answer may take")]
+MaxSigmaM = Annotated[
+    float | None,
+    Field(
+        gt=0,
+        le=1000,
+        description="the position's greatest standard deviation along any axis, m; a less exact pose is withheld",
+    ),
+]
+MaxSigmaDeg = Annotated[
+    float | None, Field(gt=0, le=180, description="the rotation's, degrees; a less exact pose is withheld")
+]
 
 
 class CameraChoice(CameraIn):
@@ -20,11 +33,7 @@ class CameraChoice(CameraIn):
 class PriorIn(RequestModel):
     """The pose near which the answer is expected: a position and either a heading or a quaternion."""
 
-    model_config = ConfigDict(
-        extra="forbid",
-        frozen=True,
-        json_schema_extra={"example": {"position": [1.2, 0.4, 1.5], "heading": [1, 0, 0], "radius_m": 0.5}},
-    )
+    model_config = example({"position": [1.2, 0.4, 1.5], "heading": [1, 0, 0], "radius_m": 0.5})
 
     position: Vector3 = Field(description="m, map frame")
     heading: Vector3 | None = Field(default=None, description="the optical axis in the map frame")
@@ -36,11 +45,7 @@ class PriorIn(RequestModel):
 class LocalizeOptions(RequestModel):
     """How to localize one frame: the part ``request`` of a multipart body."""
 
-    model_config = ConfigDict(
-        extra="forbid",
-        frozen=True,
-        json_schema_extra={"example": {"camera": CAMERA_EXAMPLE, "dof": 6, "deadline_ms": 500}},
-    )
+    model_config = example({"camera": CAMERA_EXAMPLE, "dof": 6, "deadline_ms": 500})
 
     camera: CameraChoice = Field(default_factory=CameraChoice)
     dof: Dof = Field(
@@ -55,16 +60,9 @@ class LocalizeOptions(RequestModel):
     )
     prior: PriorIn | None = None
     gravity: Vector3 | None = Field(default=None, description="the direction of gravity (down) in the camera frame")
-    deadline_ms: float | None = Field(default=None, gt=0, le=600_000, description="how long the answer may take")
-    max_sigma_m: float | None = Field(
-        default=None,
-        gt=0,
-        le=1000,
-        description="the position's greatest standard deviation along any axis, m; a less exact pose is withheld",
-    )
-    max_sigma_deg: float | None = Field(
-        default=None, gt=0, le=180, description="the rotation's, degrees; a less exact pose is withheld"
-    )
+    deadline_ms: DeadlineMs = None
+    max_sigma_m: MaxSigmaM = None
+    max_sigma_deg: MaxSigmaDeg = None
     with_matches: bool = Field(
         default=False, description="whether the answer lists the matches that agree with the pose"
     )
@@ -100,22 +98,18 @@ class FeaturesIn(RequestModel):
 class DescriptorQuery(LocalizeOptions):
     """A frame by its features alone: the picture stays with the robot."""
 
-    model_config = ConfigDict(
-        extra="forbid",
-        frozen=True,
-        json_schema_extra={
-            "example": {
-                "camera": CAMERA_EXAMPLE,
-                "features": {
-                    "pixels": [[100.5, 80.25], [320.0, 200.75]],
-                    "channels": ["L", "L"],
-                    "descriptors": ["9f" * 32, "0a" * 32],
-                    "sizes_px": [31.0, 31.0],
-                    "angles_deg": [12.5, 270.0],
-                },
-                "dof": 6,
-            }
-        },
+    model_config = example(
+        {
+            "camera": CAMERA_EXAMPLE,
+            "features": {
+                "pixels": [[100.5, 80.25], [320.0, 200.75]],
+                "channels": ["L", "L"],
+                "descriptors": ["9f" * 32, "0a" * 32],
+                "sizes_px": [31.0, 31.0],
+                "angles_deg": [12.5, 270.0],
+            },
+            "dof": 6,
+        }
     )
 
     features: FeaturesIn
@@ -137,20 +131,16 @@ class FrameIn(RequestModel):
 class FramesQuery(RequestModel):
     """2 to 10 frames whose poses relative to each other are known: a rig's cameras, or one camera with odometry."""
 
-    model_config = ConfigDict(
-        extra="forbid",
-        frozen=True,
-        json_schema_extra={
-            "example": {
-                "camera": CAMERA_EXAMPLE,
-                "frames": [
-                    {"image": "/9j/4AAQ…", "position": [0, 0, 0], "quaternion_xyzw": [0, 0, 0, 1]},
-                    {"image": "/9j/4AAQ…", "position": [0.21, 0, 0.02], "quaternion_xyzw": [0, 0.087, 0, 0.996]},
-                ],
-                "sigma_m": 0.01,
-                "sigma_deg": 0.5,
-            }
-        },
+    model_config = example(
+        {
+            "camera": CAMERA_EXAMPLE,
+            "frames": [
+                {"image": "/9j/4AAQ…", "position": [0, 0, 0], "quaternion_xyzw": [0, 0, 0, 1]},
+                {"image": "/9j/4AAQ…", "position": [0.21, 0, 0.02], "quaternion_xyzw": [0, 0.087, 0, 0.996]},
+            ],
+            "sigma_m": 0.01,
+            "sigma_deg": 0.5,
+        }
     )
 
     frames: list[FrameIn]
@@ -158,13 +148,6 @@ class FramesQuery(RequestModel):
     dof: Dof = Dof.AUTO
     sigma_m: Number = Field(default=0.005, description="one sigma of a frame's position as its predecessor sees it, m")
     sigma_deg: Number = Field(default=0.2, description="one sigma of its rotation, degrees")
-    deadline_ms: float | None = Field(default=None, gt=0, le=600_000, description="how long the answer may take")
-    max_sigma_m: float | None = Field(
-        default=None,
-        gt=0,
-        le=1000,
-        description="the position's greatest standard deviation along any axis, m; a less exact pose is withheld",
-    )
-    max_sigma_deg: float | None = Field(
-        default=None, gt=0, le=180, description="the rotation's, degrees; a less exact pose is withheld"
-    )
+    deadline_ms: DeadlineMs = None
+    max_sigma_m: MaxSigmaM = None
+    max_sigma_deg: MaxSigmaDeg = None

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from pydantic import BaseModel, ConfigDict, Field, Strict
+from pydantic import BaseModel, ConfigDict, Field, JsonValue, Strict
 from pydantic.config import JsonDict
 
 _LARGEST_SIZE_PX = 2**31
@@ -26,11 +26,20 @@ CAMERA_EXAMPLE: JsonDict = {
 }
 
 
+def example(value: JsonValue) -> ConfigDict:
+    """``model_config`` of a model whose example in the OpenAPI document is ``value``."""
+    return ConfigDict(json_schema_extra={"example": value})
+
+
 class RequestModel(BaseModel):
+    """Base of what clients send. Unknown members are refused."""
+
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
 class AnswerModel(BaseModel):
+    """Base of what clients are sent."""
+
     model_config = ConfigDict(frozen=True)
 
 
@@ -41,7 +50,7 @@ class CameraIn(RequestModel):
     ratio but another size they are scaled. Without ``fx`` the map's own camera is used if it has the same aspect ratio.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True, json_schema_extra={"example": CAMERA_EXAMPLE})
+    model_config = example(CAMERA_EXAMPLE)
 
     width: SizePx | None = Field(default=None, description="px; default: the image's")
     height: SizePx | None = Field(default=None, description="px; default: the image's")

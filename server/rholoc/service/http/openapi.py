@@ -8,7 +8,7 @@ from typing import Any
 from fastapi import FastAPI
 from fastapi.openapi.utils import get_openapi
 from fastapi.responses import JSONResponse
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, Field
 from pydantic.json_schema import models_json_schema
 
 from rholoc.errors import RholocError, TooLarge
@@ -22,22 +22,19 @@ from rholoc.service.errors import (
     Unauthorized,
     status_of,
 )
-from rholoc.service.http.models import AnswerModel
+from rholoc.service.http.models import AnswerModel, example
 
 
 class ErrorAnswer(AnswerModel):
     """The one shape of all errors."""
 
-    model_config = ConfigDict(
-        frozen=True,
-        json_schema_extra={
-            "example": {
-                "code": "unknown_map",
-                "message": "There is no map called 'kitchen'.",
-                "hint": "GET /v1/maps lists the maps.",
-                "request_id": "7d7f0a1c2b3d4e5f8091a2b3c4d5e6f7",
-            }
-        },
+    model_config = example(
+        {
+            "code": "unknown_map",
+            "message": "There is no map called 'kitchen'.",
+            "hint": "GET /v1/maps lists the maps.",
+            "request_id": "7d7f0a1c2b3d4e5f8091a2b3c4d5e6f7",
+        }
     )
 
     code: str = Field(description="Stable: programs tell errors apart by it.")

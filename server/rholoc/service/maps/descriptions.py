@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pydantic import ConfigDict, Field
+from pydantic import Field
 from pydantic.config import JsonDict
 
 from rholoc.geometry import Camera
@@ -24,7 +24,7 @@ from rholoc.maps import (
     trust_of,
 )
 from rholoc.reports import MapReport
-from rholoc.service.http.models import CAMERA_EXAMPLE, MAP_ID_EXAMPLE, AnswerModel, CameraIn
+from rholoc.service.http.models import CAMERA_EXAMPLE, MAP_ID_EXAMPLE, AnswerModel, CameraIn, example
 from rholoc.service.maps.examples import CORRECTION, NAMES, REPORT, SOURCE, WAYPOINT, sent
 from rholoc.trajectory import Scale
 
@@ -52,7 +52,7 @@ SUMMARY_EXAMPLE: JsonDict = {
 class MapSummary(AnswerModel):
     """A map in a list."""
 
-    model_config = ConfigDict(frozen=True, json_schema_extra={"example": SUMMARY_EXAMPLE})
+    model_config = example(SUMMARY_EXAMPLE)
 
     name: str
     id: str = Field(description="unique for each built map")
@@ -93,23 +93,20 @@ class PreviousMap(AnswerModel):
 class MapDetail(MapSummary):
     """A map with its sources and its extent."""
 
-    model_config = ConfigDict(
-        frozen=True,
-        json_schema_extra={
-            "example": {
-                **SUMMARY_EXAMPLE,
-                "sources": [sent(SOURCE)],
-                "waypoints": [sent(WAYPOINT)],
-                "bounds_m": [[-1.0, -2.0, 0.0], [5.0, 3.0, 2.8]],
-                "previous": None,
-                "names": sent(NAMES),
-                "corrections": [sent(CORRECTION)],
-                "plan": None,
-                "points": 24180,
-                "pictures": False,
-                "levelling": None,
-            }
-        },
+    model_config = example(
+        {
+            **SUMMARY_EXAMPLE,
+            "sources": [sent(SOURCE)],
+            "waypoints": [sent(WAYPOINT)],
+            "bounds_m": [[-1.0, -2.0, 0.0], [5.0, 3.0, 2.8]],
+            "previous": None,
+            "names": sent(NAMES),
+            "corrections": [sent(CORRECTION)],
+            "plan": None,
+            "points": 24180,
+            "pictures": False,
+            "levelling": None,
+        }
     )
 
     sources: tuple[Source, ...]
@@ -134,16 +131,13 @@ class MapDetail(MapSummary):
 class MapReportOut(AnswerModel):
     """What the map found out about itself while it was built."""
 
-    model_config = ConfigDict(
-        frozen=True,
-        json_schema_extra={
-            "example": {
-                "map": "testsite",
-                "map_id": MAP_ID_EXAMPLE,
-                "map_version": 1,
-                "report": sent(REPORT),
-            }
-        },
+    model_config = example(
+        {
+            "map": "testsite",
+            "map_id": MAP_ID_EXAMPLE,
+            "map_version": 1,
+            "report": sent(REPORT),
+        }
     )
 
     map: str

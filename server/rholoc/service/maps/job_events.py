@@ -7,12 +7,12 @@ import hashlib
 import time
 from dataclasses import dataclass
 
-from pydantic import ConfigDict, Field
+from pydantic import Field
 from pydantic.config import JsonDict
 
 from rholoc.jobs import Job, JobKind, JobPriority, JobQueue, JobState, Obstacle
 from rholoc.progress import Stage
-from rholoc.service.http.models import AnswerModel
+from rholoc.service.http.models import AnswerModel, example
 from rholoc.service.threads.storage import StorageThreads
 
 JOB_ID_EXAMPLE = "0b6e0f6f4f0c4d5f9a8b7c6d5e4f3a21"
@@ -54,7 +54,7 @@ JOB_EXAMPLE: JsonDict = {
 class JobOut(AnswerModel):
     """A mapping job."""
 
-    model_config = ConfigDict(frozen=True, json_schema_extra={"example": JOB_EXAMPLE})
+    model_config = example(JOB_EXAMPLE)
 
     id: str
     kind: JobKind

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Collection
 
-from pydantic import ConfigDict, Field
+from pydantic import Field
 from pydantic.config import JsonDict
 
 from rholoc.maps import MOST_MAPS, FramePose, LinkOrigin, Site, SiteLink, SiteMap, SiteOnEarth, check_site
-from rholoc.service.http.models import AnswerModel, Number, RequestModel
+from rholoc.service.http.models import AnswerModel, Number, RequestModel, example
 
 _FRAME: JsonDict = {"position": [4.2, 0.0, 0.0], "quaternion_xyzw": [0.0, 0.0, 0.7071, 0.7071]}
 _EARTH: JsonDict = {"latitude_deg": 52.52, "longitude_deg": 13.405, "height_m": 74.0, "heading_deg": 12.5}
@@ -72,7 +72,7 @@ class SiteEarthIn(RequestModel):
 class SiteIn(RequestModel):
     """A site: maps in one frame."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, json_schema_extra={"example": _SITE})
+    model_config = example(_SITE)
 
     maps: list[SiteMapIn] = Field(max_length=MOST_MAPS)
     links: list[SiteLinkIn] = Field(default_factory=list, max_length=10_000)
@@ -96,7 +96,7 @@ class SiteMapOut(AnswerModel):
 class SiteOut(AnswerModel):
     """A site."""
 
-    model_config = ConfigDict(frozen=True, json_schema_extra={"example": SITE_EXAMPLE})
+    model_config = example(SITE_EXAMPLE)
 
     name: str
     version: int

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from fastapi import APIRouter
-from pydantic import ConfigDict, Field
+from pydantic import Field
 
 from rholoc.errors import NotFound
 from rholoc.service.access.scopes import NEEDS_ADMIN
 from rholoc.service.access.stream_kind import StreamKind
 from rholoc.service.errors import InvalidRequest
-from rholoc.service.http.models import AnswerModel
+from rholoc.service.http.models import AnswerModel, example
 from rholoc.service.http.openapi import failures
 from rholoc.service.state import Service
 
@@ -28,22 +28,19 @@ class OpenStreamOut(AnswerModel):
 class OpenStreamList(AnswerModel):
     """The open streams of a server, the oldest first."""
 
-    model_config = ConfigDict(
-        frozen=True,
-        json_schema_extra={
-            "example": {
-                "streams": [
-                    {
-                        "id": "5f0c3a52d1c24e0f8d1c8f1a8f0e6c11",
-                        "kind": "events",
-                        "key": "handed-1f2e3d4c",
-                        "counted_to": "alice",
-                        "path": "/v1/maps/hall/live",
-                        "since": 1767607200.0,
-                    }
-                ]
-            }
-        },
+    model_config = example(
+        {
+            "streams": [
+                {
+                    "id": "5f0c3a52d1c24e0f8d1c8f1a8f0e6c11",
+                    "kind": "events",
+                    "key": "handed-1f2e3d4c",
+                    "counted_to": "alice",
+                    "path": "/v1/maps/hall/live",
+                    "since": 1767607200.0,
+                }
+            ]
+        }
     )
 
     streams: list[OpenStreamOut]
@@ -62,21 +59,18 @@ class UploadOut(AnswerModel):
 class UploadList(AnswerModel):
     """The unfinished uploads."""
 
-    model_config = ConfigDict(
-        frozen=True,
-        json_schema_extra={
-            "example": {
-                "uploads": [
-                    {
-                        "id": "9b2ad7a3f3c84a1fb0f5c5b4f1a0d6ee",
-                        "map": "hall",
-                        "size_bytes": 48_211_004,
-                        "key": "handed-1f2e3d4c",
-                        "counted_to": "alice",
-                    }
-                ]
-            }
-        },
+    model_config = example(
+        {
+            "uploads": [
+                {
+                    "id": "9b2ad7a3f3c84a1fb0f5c5b4f1a0d6ee",
+                    "map": "hall",
+                    "size_bytes": 48_211_004,
+                    "key": "handed-1f2e3d4c",
+                    "counted_to": "alice",
+                }
+            ]
+        }
     )
 
     uploads: list[UploadOut]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from fastapi import APIRouter, Response
-from pydantic import ConfigDict, Field
+from pydantic import Field
 from pydantic.config import JsonDict
 
 from rholoc.errors import InvalidCamera, InvalidInput, InvalidName, RholocError, StorageFull, UnknownCamera
@@ -13,7 +13,7 @@ from rholoc.geometry import Camera
 from rholoc.maps import CameraLibrary, CameraProfile
 from rholoc.service.access.scopes import NEEDS_MAP, NEEDS_READ
 from rholoc.service.errors import InvalidRequest
-from rholoc.service.http.models import CAMERA_EXAMPLE, AnswerModel, Number, RequestModel, SizePx
+from rholoc.service.http.models import CAMERA_EXAMPLE, AnswerModel, Number, RequestModel, SizePx, example
 from rholoc.service.http.openapi import failures
 from rholoc.service.state import Service
 
@@ -23,7 +23,7 @@ _PROFILE: JsonDict = {**CAMERA_EXAMPLE, "calibration": {"rms_px": 0.21, "views":
 class CameraProfileIn(RequestModel):
     """A camera to store: its intrinsics, and how accurate they are."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, json_schema_extra={"example": _PROFILE})
+    model_config = example(_PROFILE)
 
     width: SizePx
     height: SizePx
@@ -40,7 +40,7 @@ class CameraProfileIn(RequestModel):
 class CameraProfileOut(CameraProfileIn):
     """A stored camera."""
 
-    model_config = ConfigDict(frozen=True, json_schema_extra={"example": {"name": "pixel-7", **_PROFILE}})
+    model_config = example({"name": "pixel-7", **_PROFILE})
 
     name: str
 
@@ -48,9 +48,7 @@ class CameraProfileOut(CameraProfileIn):
 class CameraList(AnswerModel):
     """All stored cameras, by name; files that cannot be read are listed separately."""
 
-    model_config = ConfigDict(
-        frozen=True, json_schema_extra={"example": {"cameras": [{"name": "pixel-7", **_PROFILE}], "unreadable": {}}}
-    )
+    model_config = example({"cameras": [{"name": "pixel-7", **_PROFILE}], "unreadable": {}})
 
     cameras: list[CameraProfileOut]
     unreadable: dict[str, str] = Field(description="names of camera files that cannot be read, and why")

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Annotated, Literal
 
 from fastapi import Request
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from rholoc.errors import (
     Busy,
@@ -26,6 +26,7 @@ from rholoc.maps import DensityKind, check_map_name, check_memory
 from rholoc.recordings import parse_frame_slice
 from rholoc.service.access.scopes import request_key
 from rholoc.service.errors import InvalidRequest
+from rholoc.service.http.models import RequestModel, example
 from rholoc.service.state import State
 from rholoc.trajectory import PoseMethod
 
@@ -43,12 +44,10 @@ UPLOAD_FAILURES: tuple[type[RholocError], ...] = (
 )
 
 
-class RecordingFields(BaseModel):
+class RecordingFields(RequestModel):
     """The text fields beside the files of an uploaded recording."""
 
-    model_config = ConfigDict(
-        extra="forbid", frozen=True, json_schema_extra={"example": {"map": "hall", "frames": "30:900"}}
-    )
+    model_config = example({"map": "hall", "frames": "30:900"})
 
     map: Annotated[str, Field(description="the name of the map to publish")]
     kind: Literal[JobKind.BUILD, JobKind.UPDATE] = Field(

@@ -8,7 +8,7 @@ from functools import partial
 from typing import Annotated
 
 from fastapi import APIRouter, Header, Query, Request, Response
-from pydantic import ConfigDict, Field
+from pydantic import Field
 
 from rholoc.errors import Conflict, UnknownJob
 from rholoc.jobs import JobPriority
@@ -16,7 +16,7 @@ from rholoc.service.access.open_streams import EventStream
 from rholoc.service.access.scopes import NEEDS_MAP, NEEDS_READ
 from rholoc.service.access.stream_kind import StreamKind
 from rholoc.service.errors import InvalidRequest
-from rholoc.service.http.models import AnswerModel, RequestModel
+from rholoc.service.http.models import AnswerModel, RequestModel, example
 from rholoc.service.http.openapi import failures
 from rholoc.service.maps.job_events import JOB_EXAMPLE, LOOK_EVERY_S, JobOut, job_out
 from rholoc.service.routes.intake import counted_job
@@ -26,7 +26,7 @@ from rholoc.service.state import Service, State
 class JobChange(RequestModel):
     """What of a job can be changed."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, json_schema_extra={"example": {"priority": "high"}})
+    model_config = example({"priority": "high"})
 
     priority: JobPriority
 
@@ -34,7 +34,7 @@ class JobChange(RequestModel):
 class JobList(AnswerModel):
     """Jobs, the newest first."""
 
-    model_config = ConfigDict(frozen=True, json_schema_extra={"example": {"jobs": [JOB_EXAMPLE], "more": False}})
+    model_config = example({"jobs": [JOB_EXAMPLE], "more": False})
 
     jobs: list[JobOut]
     more: bool = Field(default=False, description="Whether there are older ones: ask with `before`, the last one's id.")

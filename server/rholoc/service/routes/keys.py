@@ -11,14 +11,14 @@ from typing import Any
 
 import segno
 from fastapi import APIRouter, Request, Response
-from pydantic import ConfigDict, Field
+from pydantic import Field
 from starlette.concurrency import run_in_threadpool
 
 from rholoc.errors import Busy, InvalidInput, NotFound, StorageFull
 from rholoc.service.access.keys import HANDED_PREFIX, ApiKey, KeyLimits, KeyStore, Scope
 from rholoc.service.access.scopes import NEEDS_ADMIN, NEEDS_MAP, NEEDS_READ, forbidden, granted_key, request_key
 from rholoc.service.errors import InvalidRequest, QuotaExceeded
-from rholoc.service.http.models import AnswerModel, Number, RequestModel
+from rholoc.service.http.models import AnswerModel, Number, RequestModel, example
 from rholoc.service.http.openapi import failures
 from rholoc.service.state import Service, State
 
@@ -26,11 +26,7 @@ from rholoc.service.state import Service, State
 class KeyLimitsIn(RequestModel):
     """How much a key allows, with all keys that it handed on; what is null or missing is not limited."""
 
-    model_config = ConfigDict(
-        extra="forbid",
-        frozen=True,
-        json_schema_extra={"example": {"requests_per_s": 5, "burst": 20, "maps": 10, "stored_bytes": 1e10, "jobs": 2}},
-    )
+    model_config = example({"requests_per_s": 5, "burst": 20, "maps": 10, "stored_bytes": 1e10, "jobs": 2})
 
     requests_per_s: Number | None = Field(
         default=None, ge=0.001, le=1e6, description="requests a second, to each server"
@@ -58,9 +54,7 @@ class KeyUsageOut(AnswerModel):
 class KeyIn(RequestModel):
     """A key to hand on."""
 
-    model_config = ConfigDict(
-        extra="forbid", frozen=True, json_schema_extra={"example": {"scope": "read", "lifetime_s": 86400}}
-    )
+    model_config = example({"scope": "read", "lifetime_s": 86400})
 
     scope: Scope = Field(default=Scope.READ, description="what it allows; no more than the request's own key")
     lifetime_s: Number = Field(
@@ -85,18 +79,15 @@ class KeyOut(AnswerModel):
 class KeyDetail(KeyOut):
     """A key, and what it holds."""
 
-    model_config = ConfigDict(
-        frozen=True,
-        json_schema_extra={
-            "example": {
-                "name": "robot-7",
-                "scope": "map",
-                "created": 1767607200.0,
-                "expires": None,
-                "limits": {"requests_per_s": 5.0, "maps": 10},
-                "used": {"maps": 2, "stored_bytes": 48_211_004, "jobs": 0},
-            }
-        },
+    model_config = example(
+        {
+            "name": "robot-7",
+            "scope": "map",
+            "created": 1767607200.0,
+            "expires": None,
+            "limits": {"requests_per_s": 5.0, "maps": 10},
+            "used": {"maps": 2, "stored_bytes": 48_211_004, "jobs": 0},
+        }
     )
 
     used: KeyUsageOut
@@ -105,21 +96,18 @@ class KeyDetail(KeyOut):
 class KeyList(AnswerModel):
     """All keys, the oldest first."""
 
-    model_config = ConfigDict(
-        frozen=True,
-        json_schema_extra={
-            "example": {
-                "keys": [
-                    {
-                        "name": "robot-7",
-                        "scope": "localize",
-                        "created": 1767607200.0,
-                        "expires": None,
-                        "limits": {"requests_per_s": 5.0},
-                    }
-                ],
-            }
-        },
+    model_config = example(
+        {
+            "keys": [
+                {
+                    "name": "robot-7",
+                    "scope": "localize",
+                    "created": 1767607200.0,
+                    "expires": None,
+                    "limits": {"requests_per_s": 5.0},
+                }
+            ],
+        }
     )
 
     keys: list[KeyOut]
@@ -128,12 +116,7 @@ class KeyList(AnswerModel):
 class HandedKeyOut(AnswerModel):
     """A key that was handed on."""
 
-    model_config = ConfigDict(
-        frozen=True,
-        json_schema_extra={
-            "example": {"key": "rho_…", "name": "handed-1f2e3d4c", "scope": "read", "expires": 1767693600.0}
-        },
-    )
+    model_config = example({"key": "rho_…", "name": "handed-1f2e3d4c", "scope": "read", "expires": 1767693600.0})
 
     key: str | None = Field(description="the key; null where the server requires none")
     name: str | None = Field(description="the name to revoke it by")
@@ -144,9 +127,7 @@ class HandedKeyOut(AnswerModel):
 class QrIn(RequestModel):
     """A text for a QR code."""
 
-    model_config = ConfigDict(
-        extra="forbid", frozen=True, json_schema_extra={"example": {"text": "https://maps.example/record"}}
-    )
+    model_config = example({"text": "https://maps.example/record"})
 
     text: str = Field(min_length=1, max_length=1000)
 

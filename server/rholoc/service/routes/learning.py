@@ -6,7 +6,7 @@ from functools import partial
 from typing import Annotated
 
 from fastapi import APIRouter, Query, Request, Response
-from pydantic import ConfigDict, Field
+from pydantic import Field
 
 from rholoc.errors import (
     Conflict,
@@ -23,7 +23,7 @@ from rholoc.maps import check_memory
 from rholoc.reports import LearningReport
 from rholoc.service.access.scopes import NEEDS_MAP, NEEDS_READ
 from rholoc.service.errors import InvalidRequest
-from rholoc.service.http.models import AnswerModel
+from rholoc.service.http.models import AnswerModel, example
 from rholoc.service.http.openapi import failures
 from rholoc.service.maps.job_events import JobOut, job_out
 from rholoc.service.routes.intake import counted_job
@@ -33,23 +33,20 @@ from rholoc.service.state import Service, State
 class LearningOut(AnswerModel):
     """What is kept for a map to learn from, and what it last learned."""
 
-    model_config = ConfigDict(
-        frozen=True,
-        json_schema_extra={
-            "example": {
-                "map": "hall",
-                "learns": True,
-                "queries": 214,
-                "size_bytes": 9_630_000,
-                "askers": 3,
-                "oldest": 1767607200.0,
-                "newest": 1767693600.0,
-                "fewest": 30,
-                "last": None,
-                "job": None,
-                "latest": None,
-            }
-        },
+    model_config = example(
+        {
+            "map": "hall",
+            "learns": True,
+            "queries": 214,
+            "size_bytes": 9_630_000,
+            "askers": 3,
+            "oldest": 1767607200.0,
+            "newest": 1767693600.0,
+            "fewest": 30,
+            "last": None,
+            "job": None,
+            "latest": None,
+        }
     )
 
     map: str
@@ -71,7 +68,7 @@ class LearningOut(AnswerModel):
 class DeletedQueries(AnswerModel):
     """How many queries were deleted."""
 
-    model_config = ConfigDict(frozen=True, json_schema_extra={"example": {"deleted": 214}})
+    model_config = example({"deleted": 214})
 
     deleted: int
 

@@ -9,14 +9,14 @@ from dataclasses import asdict
 from functools import lru_cache
 
 from fastapi import APIRouter, Request, Response
-from pydantic import ConfigDict, Field
+from pydantic import Field
 
 from rholoc.errors import Conflict, InvalidName, UnknownMap
 from rholoc.service.access.open_streams import EventStream
 from rholoc.service.access.scopes import NEEDS_READ
 from rholoc.service.access.stream_kind import StreamKind
 from rholoc.service.frames.live import Sighting
-from rholoc.service.http.models import AnswerModel
+from rholoc.service.http.models import AnswerModel, example
 from rholoc.service.http.openapi import failures
 from rholoc.service.state import Service, State
 
@@ -34,21 +34,18 @@ class FailureOut(AnswerModel):
 class FailuresOut(AnswerModel):
     """The failures of the last day, the oldest first."""
 
-    model_config = ConfigDict(
-        frozen=True,
-        json_schema_extra={
-            "example": {
-                "failures": [
-                    {
-                        "time": 1767607200.0,
-                        "position": [2.1, 0.4, 1.5],
-                        "heading": None,
-                        "confidence": 0.31,
-                        "reason": "not_recognized",
-                    }
-                ]
-            }
-        },
+    model_config = example(
+        {
+            "failures": [
+                {
+                    "time": 1767607200.0,
+                    "position": [2.1, 0.4, 1.5],
+                    "heading": None,
+                    "confidence": 0.31,
+                    "reason": "not_recognized",
+                }
+            ]
+        }
     )
 
     failures: list[FailureOut]

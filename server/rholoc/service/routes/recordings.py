@@ -10,7 +10,7 @@ from typing import Any
 
 from fastapi import APIRouter, Request, Response
 from fastapi.responses import JSONResponse
-from pydantic import ConfigDict, Field
+from pydantic import Field
 from pydantic.config import JsonDict
 from starlette.concurrency import run_in_threadpool
 
@@ -48,7 +48,7 @@ from rholoc.service.access.keys import Scope
 from rholoc.service.access.scopes import NEEDS_MAP, NEEDS_READ, granted_key, request_key
 from rholoc.service.errors import InvalidRequest, UnsupportedMediaType, UnsupportedVersion
 from rholoc.service.http.bodies import declared_length, media_type, read_multipart
-from rholoc.service.http.models import AnswerModel, Number, RequestModel, Vector3
+from rholoc.service.http.models import AnswerModel, Number, RequestModel, Vector3, example
 from rholoc.service.http.openapi import BINARY, failures, request_body
 from rholoc.service.http.tus import RESUMABLE
 from rholoc.service.maps.job_events import JOB_EXAMPLE, RECORDING_ID_EXAMPLE, JobOut, job_out
@@ -83,7 +83,7 @@ class RecordingContent(AnswerModel):
 class RecordingOut(AnswerModel):
     """A stored recording."""
 
-    model_config = ConfigDict(frozen=True, json_schema_extra={"example": _RECORDING})
+    model_config = example(_RECORDING)
 
     id: str
     files: list[str]
@@ -107,9 +107,7 @@ class WaypointIn(RequestModel):
 class WaypointsIn(RequestModel):
     """Waypoints that replace a recording's own, in the order of the walk."""
 
-    model_config = ConfigDict(
-        extra="forbid", frozen=True, json_schema_extra={"example": {"waypoints": [_RECORDED_WAYPOINT]}}
-    )
+    model_config = example({"waypoints": [_RECORDED_WAYPOINT]})
 
     waypoints: list[WaypointIn] = Field(max_length=1000, description="three or more")
 
@@ -117,10 +115,7 @@ class WaypointsIn(RequestModel):
 class RecordingDetail(RecordingOut):
     """A stored recording with its waypoints."""
 
-    model_config = ConfigDict(
-        frozen=True,
-        json_schema_extra={"example": {**_RECORDING, "waypoints": [_RECORDED_WAYPOINT], "corrected": False}},
-    )
+    model_config = example({**_RECORDING, "waypoints": [_RECORDED_WAYPOINT], "corrected": False})
 
     waypoints: tuple[RecordedWaypoint, ...] = Field(description="as corrected, else as a job read them from it")
     corrected: bool = Field(description="whether they replace the recording's own")
@@ -129,7 +124,7 @@ class RecordingDetail(RecordingOut):
 class RecordingList(AnswerModel):
     """All stored recordings, the newest first."""
 
-    model_config = ConfigDict(frozen=True, json_schema_extra={"example": {"recordings": [_RECORDING]}})
+    model_config = example({"recordings": [_RECORDING]})
 
     recordings: list[RecordingOut]
 
@@ -137,10 +132,7 @@ class RecordingList(AnswerModel):
 class RecordingAccepted(AnswerModel):
     """A completed upload, and the mapping job that it started."""
 
-    model_config = ConfigDict(
-        frozen=True,
-        json_schema_extra={"example": {"recording": RECORDING_ID_EXAMPLE, "job": {**JOB_EXAMPLE, "state": "queued"}}},
-    )
+    model_config = example({"recording": RECORDING_ID_EXAMPLE, "job": {**JOB_EXAMPLE, "state": "queued"}})
 
     recording: str = Field(description="the recording's id")
     job: JobOut

@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import partial
 
 from fastapi import APIRouter, Request, Response
-from pydantic import ConfigDict, Field
+from pydantic import Field
 
 from rholoc.errors import (
     Busy,
@@ -23,7 +23,7 @@ from rholoc.jobs import Job
 from rholoc.mapping import find_link, solve_site, with_link
 from rholoc.service.access.scopes import NEEDS_ADMIN, NEEDS_MAP, NEEDS_READ
 from rholoc.service.errors import InvalidRequest
-from rholoc.service.http.models import AnswerModel, RequestModel
+from rholoc.service.http.models import AnswerModel, RequestModel, example
 from rholoc.service.http.openapi import failures
 from rholoc.service.maps.job_events import JobOut, job_out
 from rholoc.service.maps.site_documents import SITE_EXAMPLE, SiteIn, SiteOut, site_of, site_out
@@ -35,9 +35,7 @@ from rholoc.service.threads.compute import Effort
 class SiteLinkWanted(RequestModel):
     """Two maps of a site, the pose between which is looked for."""
 
-    model_config = ConfigDict(
-        extra="forbid", frozen=True, json_schema_extra={"example": {"first": "hall", "second": "kitchen"}}
-    )
+    model_config = example({"first": "hall", "second": "kitchen"})
 
     first: str
     second: str
@@ -46,7 +44,7 @@ class SiteLinkWanted(RequestModel):
 class SiteList(AnswerModel):
     """All sites."""
 
-    model_config = ConfigDict(frozen=True, json_schema_extra={"example": {"sites": [SITE_EXAMPLE], "unreadable": {}}})
+    model_config = example({"sites": [SITE_EXAMPLE], "unreadable": {}})
 
     sites: list[SiteOut]
     unreadable: dict[str, str] = Field(description="names of site files that cannot be read, and why")

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from rholoc.localization import Dof
 from rholoc.service.frames.answers import LocalizationOut, PoseOut
 from rholoc.service.frames.requests import CameraChoice
-from rholoc.service.http.models import Number, Quaternion, Vector3
+from rholoc.service.http.models import Number, Quaternion, RequestModel, Vector3
 from rholoc.trajectory import Scale
 from rholoc_client.tracking import TrackStatus
 
@@ -17,11 +17,7 @@ _MOST_READINGS = 2000
 _Reading = Annotated[list[Number], Field(min_length=7, max_length=7)]
 
 
-class _Message(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class OdometryNoiseIn(_Message):
+class OdometryNoiseIn(RequestModel):
     """How accurate the odometry is: one sigma each."""
 
     drift: float = Field(default=0.02, ge=0, le=1, description="of a distance, as a share of it")
@@ -29,7 +25,7 @@ class OdometryNoiseIn(_Message):
     heading_drift_deg_m: float = Field(default=0.5, ge=0, le=90, description="of the heading after a metre, degrees")
 
 
-class Begin(_Message):
+class Begin(RequestModel):
     """The first message: what holds for all frames."""
 
     type: Literal["begin"]
@@ -38,14 +34,14 @@ class Begin(_Message):
     odometry: OdometryNoiseIn = Field(default_factory=OdometryNoiseIn)
 
 
-class OdometryPose(_Message):
+class OdometryPose(RequestModel):
     """Where odometry has the camera, in its own frame."""
 
     position: Vector3
     quaternion_xyzw: Quaternion
 
 
-class FrameMessage(_Message):
+class FrameMessage(RequestModel):
     """A frame; with ``picture`` the next message is its JPEG, PNG or WebP, as binary."""
 
     type: Literal["frame"]
@@ -60,7 +56,7 @@ class FrameMessage(_Message):
     picture: bool = False
 
 
-class Begun(_Message):
+class Begun(RequestModel):
     """The answer to the first message."""
 
     type: Literal["begun"] = "begun"
@@ -70,7 +66,7 @@ class Begun(_Message):
     scale: Scale
 
 
-class TrackedOut(_Message):
+class TrackedOut(RequestModel):
     """The answer to a frame; also sent when a later answer changes what is known of the last one."""
 
     type: Literal["tracked"] = "tracked"
@@ -88,7 +84,7 @@ class TrackedOut(_Message):
     answer: LocalizationOut | None = None
 
 
-class StreamError(_Message):
+class StreamError(RequestModel):
     """The last message of a stream that cannot go on."""
 
     type: Literal["error"] = "error"

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 import numpy as np
 from fastapi import APIRouter, Query, Request, Response
 from fastapi import Path as PathParameter
-from pydantic import ConfigDict, Field
+from pydantic import Field
 from starlette.concurrency import run_in_threadpool
 
 from rholoc.errors import Busy, InvalidInput, UnknownPicture
@@ -20,7 +20,7 @@ from rholoc.reports import CoverageReport
 from rholoc.service.access.scopes import NEEDS_READ
 from rholoc.service.errors import InvalidRequest
 from rholoc.service.http.caching import caching_headers, is_kept, unchanged
-from rholoc.service.http.models import AnswerModel
+from rholoc.service.http.models import AnswerModel, example
 from rholoc.service.http.openapi import BINARY, failures
 from rholoc.service.maps.descriptions import MapReportOut
 from rholoc.service.maps.examples import REPORT, sent
@@ -34,20 +34,17 @@ router = APIRouter(prefix="/v1/maps", tags=["maps"])
 class FeatureOut(AnswerModel):
     """A feature of a map, and where it may be seen from: a truncated cone."""
 
-    model_config = ConfigDict(
-        frozen=True,
-        json_schema_extra={
-            "example": {
-                "feature": 100,
-                "position": [3.1, 0.4, 1.7],
-                "sigma": 0.008,
-                "direction": [-0.98, 0.2, 0.0],
-                "half_angle_deg": 52.0,
-                "nearest": 0.9,
-                "farthest": 5.8,
-                "views": [3, 4, 5, 9],
-            }
-        },
+    model_config = example(
+        {
+            "feature": 100,
+            "position": [3.1, 0.4, 1.7],
+            "sigma": 0.008,
+            "direction": [-0.98, 0.2, 0.0],
+            "half_angle_deg": 52.0,
+            "nearest": 0.9,
+            "farthest": 5.8,
+            "views": [3, 4, 5, 9],
+        }
     )
 
     feature: int

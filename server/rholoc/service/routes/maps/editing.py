@@ -7,7 +7,7 @@ from functools import partial
 from typing import Annotated
 
 from fastapi import APIRouter, Body, Query, Request, Response
-from pydantic import ConfigDict, Field
+from pydantic import Field
 
 from rholoc.errors import (
     Busy,
@@ -27,7 +27,7 @@ from rholoc.maps.floor_plan import MEDIA_TYPES
 from rholoc.service.access.scopes import NEEDS_MAP, request_key
 from rholoc.service.errors import InvalidRequest, UnsupportedMediaType
 from rholoc.service.http.bodies import media_type, read_body
-from rholoc.service.http.models import RequestModel
+from rholoc.service.http.models import RequestModel, example
 from rholoc.service.http.openapi import BINARY, failures, request_body
 from rholoc.service.maps.corrections import CORRECTION_EXAMPLES, CorrectionIn, corrected_map
 from rholoc.service.maps.descriptions import MapDetail
@@ -45,9 +45,7 @@ router = APIRouter(prefix="/v1/maps", tags=["maps"])
 class UpdateIn(RequestModel):
     """A stored recording for a map to learn."""
 
-    model_config = ConfigDict(
-        extra="forbid", frozen=True, json_schema_extra={"example": {"recording": RECORDING_ID_EXAMPLE}}
-    )
+    model_config = example({"recording": RECORDING_ID_EXAMPLE})
 
     recording: str = Field(description="the recording's id")
     poses: PoseMethod | None = Field(
@@ -65,9 +63,7 @@ class UpdateIn(RequestModel):
 class MergeIn(RequestModel):
     """Another map to merge with, and the name of the merged one."""
 
-    model_config = ConfigDict(
-        extra="forbid", frozen=True, json_schema_extra={"example": {"other": "kitchen", "into": "ground-floor"}}
-    )
+    model_config = example({"other": "kitchen", "into": "ground-floor"})
 
     other: str = Field(description="the map whose frame is given up")
     into: str = Field(description="the name of the merged map; a map of that name is replaced")
@@ -76,7 +72,7 @@ class MergeIn(RequestModel):
 class ForgetIn(RequestModel):
     """A recording for a map to forget."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, json_schema_extra={"example": {"source": "walk-1"}})
+    model_config = example({"source": "walk-1"})
 
     source: str = Field(description="its id or name in the map's sources")
 

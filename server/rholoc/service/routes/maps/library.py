@@ -8,7 +8,7 @@ from typing import Annotated
 
 from fastapi import APIRouter, Query, Request, Response
 from fastapi.responses import StreamingResponse
-from pydantic import ConfigDict, Field
+from pydantic import Field
 
 from rholoc.errors import (
     Busy,
@@ -32,7 +32,7 @@ from rholoc.service.access.scopes import NEEDS_ADMIN, NEEDS_MAP, NEEDS_READ, req
 from rholoc.service.errors import InvalidRequest, PreconditionFailed
 from rholoc.service.http.bodies import declared_length, save_body
 from rholoc.service.http.files import OpenedFile
-from rholoc.service.http.models import MAP_ID_EXAMPLE, AnswerModel, RequestModel
+from rholoc.service.http.models import MAP_ID_EXAMPLE, AnswerModel, RequestModel, example
 from rholoc.service.http.openapi import BINARY, failures, request_body
 from rholoc.service.maps.descriptions import (
     SUMMARY_EXAMPLE,
@@ -54,13 +54,8 @@ from rholoc.storage.holdings import Kind
 class MapVersions(AnswerModel):
     """The maps that a map replaced and that are kept, the latest first."""
 
-    model_config = ConfigDict(
-        frozen=True,
-        json_schema_extra={
-            "example": {
-                "versions": [{"number": 1, "id": MAP_ID_EXAMPLE, "version": 1, "created": "2026-01-05T10:00:00Z"}]
-            }
-        },
+    model_config = example(
+        {"versions": [{"number": 1, "id": MAP_ID_EXAMPLE, "version": 1, "created": "2026-01-05T10:00:00Z"}]}
     )
 
     versions: list[PreviousMap]
@@ -69,7 +64,7 @@ class MapVersions(AnswerModel):
 class MapList(AnswerModel):
     """All maps that are served, by name; files that cannot be read are listed separately."""
 
-    model_config = ConfigDict(frozen=True, json_schema_extra={"example": {"maps": [SUMMARY_EXAMPLE], "unreadable": {}}})
+    model_config = example({"maps": [SUMMARY_EXAMPLE], "unreadable": {}})
 
     maps: list[MapSummary]
     unreadable: dict[str, str] = Field(description="names of map files that cannot be read, and why")
@@ -78,7 +73,7 @@ class MapList(AnswerModel):
 class MapPatch(RequestModel):
     """What may be changed of a map: its name."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, json_schema_extra={"example": {"name": "ground-floor"}})
+    model_config = example({"name": "ground-floor"})
 
     name: str
 
