@@ -54,7 +54,7 @@ from fuzz_requests import (
 from hostile import MOST_HEALTH_MS, MOST_MEMORY_MIB, Watched, shipped_service, watch
 from rholoc.maps.library import is_name
 from rholoc.processes.limits import limit_own_memory
-from rholoc.service.keys import KeyStore, Scope
+from rholoc.service.access.keys import KeyStore, Scope
 
 BATCH = 20  # cases of one route in a row
 MADE_UP = 5  # of them by schemathesis

@@ -71,7 +71,7 @@ from rholoc.recordings import (
     read_pose_table,
     read_recording,
 )
-from rholoc.service.backup import back_up, unpack_backup
+from rholoc.service.operate.backup import back_up, unpack_backup
 
 SHIPPED = Path(__file__).resolve().parents[1] / "maps"
 MOST_MEMORY_BYTES = 2 * 2**30

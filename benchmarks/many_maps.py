@@ -42,11 +42,13 @@ from rholoc.features import get_extractor
 from rholoc.localization import VECTORS_FILE, MapFinder
 from rholoc.maps import Map, MapLibrary, load_map, map_to_bytes, part_of, without_memory
 from rholoc.recordings import read_recording
-from rholoc.service.localize import FrameFeatures, Stopwatch, localize_frame
-from rholoc.service.localizers import Localizers
-from rholoc.service.map_choice import MOST_ASKED, MapChoice
-from rholoc.service.queries import Frame
-from rholoc.service.schemas import CameraChoice, LocalizeOptions
+from rholoc.service.frames.frame_features import FrameFeatures
+from rholoc.service.frames.localizers import Localizers
+from rholoc.service.frames.map_choice import MOST_ASKED, MapChoice
+from rholoc.service.frames.queries import Frame
+from rholoc.service.frames.requests import CameraChoice, LocalizeOptions
+from rholoc.service.frames.single_frame import localize_frame
+from rholoc.service.frames.stopwatch import Stopwatch
 from rholoc.service.settings import Settings
 
 COPY_PITCH_M = 100.0

@@ -33,8 +33,8 @@ from rholoc.mapping import BuildOptions, build_map, set_labels, set_names
 from rholoc.maps import Map, MapLabels, MapNames, NamedArea, NamedPoint, save_map
 from rholoc.recordings import Recording, read_recording
 from rholoc.service import Settings, create_app
-from rholoc.service.live import ASKER
-from rholoc.service.schemas import LocalizationOut
+from rholoc.service.caller import ASKER
+from rholoc.service.frames.answers import LocalizationOut
 from rholoc.simulation import simulate_recording
 
 ROOT = Path(__file__).parents[1]

@@ -28,8 +28,8 @@ from playwright.sync_api import Browser, Page, Playwright, sync_playwright
 
 from rholoc.cli.server_process import running_server
 from rholoc.service import Settings, create_app
-from rholoc.service.live import ASKER
-from rholoc.service.schemas import LocalizationOut
+from rholoc.service.caller import ASKER
+from rholoc.service.frames.answers import LocalizationOut
 from rholoc.service.state import State
 
 MAPS = Path(__file__).parents[1] / "maps"

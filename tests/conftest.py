@@ -302,7 +302,7 @@ def serve(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ServeFunction]:
     They refuse at once: thousands of refusals of 20 ms each are a minute.
     """
     from rholoc.service import Settings, create_app
-    from rholoc.service.connections import websocket_options
+    from rholoc.service.http.connections import websocket_options
 
     started: list[tuple[uvicorn.Server, threading.Thread]] = []
 
@@ -324,7 +324,7 @@ def serve(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ServeFunction]:
         return RunningService(f"http://127.0.0.1:{listener.getsockname()[1]}", app, chosen)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("rholoc.service.middleware._REFUSAL_TAKES_S", 0.0)
+        patch.setattr("rholoc.service.http.boundary._REFUSAL_TAKES_S", 0.0)
         yield start
     for server, _ in started:  # all at once: one by one they wait for each other
         server.should_exit = True

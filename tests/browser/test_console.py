@@ -11,8 +11,8 @@ import pytest
 from playwright.sync_api import expect
 
 from rholoc.maps import TrajectoryTable, trajectory_csv
-from rholoc.service.guard import KeyPolicy
-from rholoc.service.keys import KeyStore, Scope
+from rholoc.service.access.keys import KeyStore, Scope
+from rholoc.service.settings import KeyPolicy
 
 HTML = "<img src=x onerror=\"document.title='taken over'\">"
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from rholoc.maps import MapLibrary
-from rholoc.service.keys import KeyStore, Scope
+from rholoc.service.access.keys import KeyStore, Scope
 from rholoc.storage import SharedStorage
 
 Run = Callable[..., tuple[int, str, str]]

@@ -21,7 +21,7 @@ import yaml
 
 from rholoc import __version__
 from rholoc.service import Settings, create_app
-from rholoc.service.web import PAGES, PREFIX
+from rholoc.service.http.web import PAGES, PREFIX
 from waiting import until
 
 _ROOT = Path(__file__).parents[2]

@@ -20,7 +20,7 @@ from rholoc.reports import (
     report_to_json,
 )
 from rholoc.service import Settings, create_app
-from rholoc.service.examples import REPORT
+from rholoc.service.maps.examples import REPORT
 
 FULL = TrajectoryReport(
     method="visual-inertial",

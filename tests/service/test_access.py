@@ -12,9 +12,9 @@ import pytest
 from fastapi import Request
 
 from rholoc.service import Settings, create_app
-from rholoc.service.access import OPEN, find_route, route_access
-from rholoc.service.guard import KeyPolicy
-from rholoc.service.keys import KeyStore, Scope
+from rholoc.service.access.keys import KeyStore, Scope
+from rholoc.service.access.scopes import OPEN, find_route, route_access
+from rholoc.service.settings import KeyPolicy
 
 PAGES = "".join(
     page.read_text(encoding="utf-8") for page in sorted((Path(__file__).parents[2] / "docs" / "service").glob("*.md"))

@@ -16,9 +16,9 @@ from rholoc.errors import Conflict, InvalidInput, StorageUnavailable
 from rholoc.geometry import Camera
 from rholoc.jobs import WAYPOINTS_FILE, Stores
 from rholoc.maps import CameraLibrary, CameraProfile, Map, Site, SiteLibrary, SiteMap
-from rholoc.service import backup as module
-from rholoc.service.backup import back_up, restore
-from rholoc.service.keys import KeyLimits, KeyStore, Scope
+from rholoc.service.access.keys import KeyLimits, KeyStore, Scope
+from rholoc.service.operate import backup as module
+from rholoc.service.operate.backup import back_up, restore
 from rholoc.storage import CAMERAS, KEYS, SITES
 
 SHARED = [False, True]

@@ -9,8 +9,8 @@ import time
 import pytest
 
 from rholoc.errors import Busy
-from rholoc.service.access import CLIENT
-from rholoc.service.compute import ComputePool, Effort
+from rholoc.service.caller import CLIENT
+from rholoc.service.threads.compute import ComputePool, Effort
 
 
 def work_for(seconds: float):

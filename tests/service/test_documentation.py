@@ -10,7 +10,7 @@ from fastapi.routing import APIWebSocketRoute, iter_route_contexts
 
 from rholoc.service import Settings, create_app
 from rholoc.service.errors import error_classes, status_of
-from rholoc.service.track_messages import Begin, FrameMessage, TrackedOut
+from rholoc.service.routes.frames.track_messages import Begin, FrameMessage, TrackedOut
 
 PAGES = "".join(
     page.read_text(encoding="utf-8") for page in sorted((Path(__file__).parents[2] / "docs" / "service").glob("*.md"))

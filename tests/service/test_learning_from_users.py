@@ -13,10 +13,10 @@ from rholoc.features import get_extractor
 from rholoc.jobs import JobKind
 from rholoc.jobs.table import JobTable
 from rholoc.maps import MapLibrary, load_map, save_map
-from rholoc.service import learning
-from rholoc.service.guard import KeyPolicy
+from rholoc.service.access.keys import HANDED_PREFIX, KeyStore, Scope
+from rholoc.service.frames import learning
 from rholoc.service.housekeeping import learn_tonight
-from rholoc.service.keys import HANDED_PREFIX, KeyStore, Scope
+from rholoc.service.settings import KeyPolicy
 from waiting import until
 
 PNG = {"Content-Type": "image/png"}

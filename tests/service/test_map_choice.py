@@ -8,7 +8,7 @@ import httpx
 import pytest
 
 from rholoc.maps import map_to_bytes
-from rholoc.service.map_choice import MOST_ASKED, Candidates
+from rholoc.service.frames.map_choice import MOST_ASKED, Candidates
 
 PNG = {"content-type": "image/png"}
 PATIENCE_S = 60.0

@@ -15,7 +15,7 @@ from rholoc.errors import InvalidInput, UnknownRecording
 from rholoc.jobs import RecordingStore
 from rholoc.maps import FloorPlan, MapLibrary
 from rholoc.maps.floor_plan import check_plan
-from rholoc.service.guard import KeyPolicy
+from rholoc.service.settings import KeyPolicy
 
 _RHO = {"Content-Type": "application/octet-stream"}
 
@@ -75,7 +75,7 @@ def test_a_map_that_was_changed_is_not_replaced_if_the_request_says_so(running, 
 def test_a_picture_is_refused_by_its_header_before_it_is_decoded(running, picture_world, monkeypatch):
     put(running, "room", picture_world.rho()).raise_for_status()
     decoded = []
-    monkeypatch.setattr("rholoc.service.localize.decode_image", lambda *_: decoded.append(1))
+    monkeypatch.setattr("rholoc.service.frames.frame_features.decode_image", lambda *_: decoded.append(1))
     file = io.BytesIO()
     Image.new("L", (7000, 7000)).save(file, "PNG")
     answer = httpx.post(
@@ -137,7 +137,7 @@ def test_pictures_of_maps_on_a_full_disk_say_so(serve, picture_world, monkeypatc
     async def start(*_args, **_options):
         return Full()
 
-    monkeypatch.setattr("rholoc.service.renderings.AsyncProgram.start", start)
+    monkeypatch.setattr("rholoc.service.maps.renderings.AsyncProgram.start", start)
     for path in ("preview.png", "report.png", "coverage", "download?format=png"):
         answer = httpx.get(f"{running.url}/v1/maps/room/{path}")
         assert (answer.status_code, answer.json()["code"]) == (507, "storage_full"), path

@@ -9,7 +9,7 @@ from hypothesis import HealthCheck, given, settings
 
 from rholoc.maps.library import is_name
 from rholoc.service import Settings, create_app
-from rholoc.service.keys import KeyStore, Scope
+from rholoc.service.access.keys import KeyStore, Scope
 
 METHODS = ("get", "put", "post", "patch", "delete", "head", "options")
 

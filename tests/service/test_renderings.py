@@ -13,8 +13,8 @@ import pytest
 from rholoc.errors import InvalidMap, UnknownMap
 from rholoc.maps import MapLibrary
 from rholoc.pictures.rendering import Rendering
-from rholoc.service.renderings import Renderings
-from rholoc.service.storage_threads import StorageLanes
+from rholoc.service.maps.renderings import Renderings
+from rholoc.service.threads.storage import StorageLanes
 
 
 @pytest.fixture

@@ -19,7 +19,7 @@ import sqlalchemy as sa
 from postgres_server import PostgresServer
 from rholoc.errors import StorageUnavailable
 from rholoc.service.housekeeping import clean_up_regularly
-from rholoc.service.storage_threads import StorageThreads
+from rholoc.service.threads.storage import StorageThreads
 
 PNG = {"Content-Type": "image/png"}
 _BOUND_S = 12.0  # of any answer while the database is silent

@@ -16,7 +16,7 @@ from rholoc.geometry import Camera
 from rholoc.jobs import RecordingStore, Stores, move_in
 from rholoc.jobs.recording_notes import WAYPOINTS_FILE
 from rholoc.maps import CameraLibrary, CameraProfile, FramePose, MapLibrary, Site, SiteLibrary, SiteMap
-from rholoc.service.keys import KeyStore, Scope
+from rholoc.service.access.keys import KeyStore, Scope
 from rholoc.storage import CAMERAS, KEYS, SITES
 
 

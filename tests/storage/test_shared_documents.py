@@ -13,7 +13,7 @@ from rholoc.errors import Conflict, NotFound, UnknownCamera
 from rholoc.geometry import Camera
 from rholoc.localization import MapFinder
 from rholoc.maps import CameraLibrary, CameraProfile, Site, SiteLibrary, SiteMap
-from rholoc.service.keys import KeyStore, Scope
+from rholoc.service.access.keys import KeyStore, Scope
 from rholoc.storage import CAMERAS, KEYS, SITES, replica
 from waiting import until
 

@@ -9,9 +9,9 @@ from typing import Any
 import httpx
 import pytest
 
-from rholoc.service.app import open_keys, stores_of
-from rholoc.service.guard import KeyPolicy
-from rholoc.service.keys import KeyLimits, Scope
+from rholoc.service.access.keys import KeyLimits, Scope
+from rholoc.service.operate.stores import open_keys, stores_of
+from rholoc.service.settings import KeyPolicy
 from waiting import until
 
 BUCKET = "rholoc"

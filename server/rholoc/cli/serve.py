@@ -16,7 +16,7 @@ from rholoc.errors import Conflict, InvalidInput, RholocError, StorageFull, Stor
 
 if TYPE_CHECKING:
     from rholoc.service import Settings
-    from rholoc.service.keys import KeyStore
+    from rholoc.service.access.keys import KeyStore
 
 _BACKLOG = 2048
 _SHUTDOWN_S = 5  # for requests in progress; clients that watch a job would otherwise stay as long as it takes
@@ -57,10 +57,10 @@ def serve(
 
     from rholoc.logs import configure_process_logs
     from rholoc.service import create_app
-    from rholoc.service.compute import compute_threads
-    from rholoc.service.connections import protocol_of, websocket_options
-    from rholoc.service.guard import keys_needed
-    from rholoc.service.storage_threads import storage_threads
+    from rholoc.service.http.connections import protocol_of, websocket_options
+    from rholoc.service.settings import keys_needed
+    from rholoc.service.threads.compute import compute_threads
+    from rholoc.service.threads.storage import storage_threads
 
     if settings.shared_storage is None:
         settings.maps_dir.mkdir(parents=True, exist_ok=True)  # reported here, in one line, if they cannot be used
@@ -108,7 +108,7 @@ def serve(
 
 def _https(settings: Settings, port: int) -> tuple[Path, str]:
     """The server's certificate and its address; prints the recorder's address, as a QR code too."""
-    from rholoc.service.certificates import addresses, server_certificate
+    from rholoc.service.operate.certificates import addresses, server_certificate
 
     everywhere = settings.host in (_EVERYWHERE, "::")
     hosts = (*addresses(), "127.0.0.1") if everywhere else (settings.host,)
@@ -168,7 +168,7 @@ def opened_keys(settings: Settings) -> KeyStore:
     Raises:
         InvalidInput, Conflict, StorageFull, StorageUnavailable: it cannot be opened.
     """
-    from rholoc.service.app import open_keys, stores_of
+    from rholoc.service.operate.stores import open_keys, stores_of
 
     stores = stores_of(settings)
     stores.open()

@@ -38,7 +38,6 @@ from rholoc.localization.pose.seeds import Place, minimal_samples, place_of_prio
 from rholoc.localization.types import (
     MAX_ALTERNATIVES,
     MIN_WEIGHT,
-    NO_BELIEF,
     Alternative,
     Belief,
     Dof,
@@ -552,7 +551,7 @@ class Localizer:
     def _answer(self, search: _Search) -> Localization:
         found = search.outcome(self.options.conclusive)
         if found is None:
-            return _refusal(search.reason, search.matches, search.watch)
+            return Localization.refused(search.reason, search.matches, search.watch.timings_ms)
         query, verified = search.query, found.verified
         agreeing = verified.optimum.density > 0
         estimated = query.intrinsics is Intrinsics.UNKNOWN
@@ -684,18 +683,3 @@ def _true_to_gravity(T_map_camera: FloatArray, gravity: FloatArray | None) -> bo
         return True
     down = T_map_camera[:3, :3] @ (gravity / np.linalg.norm(gravity))
     return bool(angles_between(-down, UP) <= _MAX_GRAVITY_ERROR_RAD)
-
-
-def _refusal(reason: Reason, matches: int, watch: _Stopwatch) -> Localization:
-    return Localization(
-        False,
-        reason,
-        None,
-        None,
-        NO_BELIEF,
-        matches,
-        0,
-        np.zeros((0, 2)),
-        np.zeros(0, dtype=np.int64),
-        watch.timings_ms,
-    )

@@ -30,7 +30,7 @@ from rholoc.localization.pose.pose_evidence import Support, support_of
 from rholoc.localization.pose.rematching import FINAL_TOLERANCE_PX, SEARCH_RADII_PX, Verified, evidence_of
 from rholoc.localization.pose.rivals import RIVAL_PLACES, are_rivals, fewest_agreeing, shares, unexplained_by_place
 from rholoc.localization.pose.seeds import vote_for_places
-from rholoc.localization.types import NO_BELIEF, Belief, Dof, Intrinsics, Localization, Query, Reason
+from rholoc.localization.types import Belief, Dof, Intrinsics, Localization, Query, Reason
 
 FEWEST_FRAMES, MOST_FRAMES = 2, 10
 _PLACES = 6
@@ -297,11 +297,8 @@ class _Joint:
 
     def _answer(self, best: _Candidate | None, reason: Reason, matched: int) -> JointLocalization:
         timings_ms = {"match": 1e3 * (time.perf_counter() - self.started)}
-        nothing = np.zeros(0, dtype=np.int64)
         if best is None:
-            refusal = Localization(
-                False, reason, None, None, NO_BELIEF, matched, 0, np.zeros((0, 2)), nothing, timings_ms
-            )
+            refusal = Localization.refused(reason, matched, timings_ms)
             return JointLocalization(refusal, (), ())
         poses = tuple(Pose(one.optimum.T_map_camera) for one in best.verified)
         inliers = tuple(one.inliers for one in best.verified)

@@ -8,6 +8,8 @@ from dataclasses import dataclass, field
 from enum import Enum, StrEnum
 from typing import Any
 
+import numpy as np
+
 from rholoc.features import Extractor, FeatureSet
 from rholoc.geometry import ByteArray, Camera, FloatArray, IntArray, Pose
 from rholoc.lazy import lazy
@@ -187,6 +189,37 @@ class Localization:
     map_trusted: bool | None = None
     expected_error_m: float | None = None
     alternatives: tuple[Alternative, ...] = ()
+
+    @classmethod
+    def refused(
+        cls,
+        reason: Reason,
+        matches: int = 0,
+        timings_ms: dict[str, float] | None = None,
+        diagnosis: Diagnosis | None = None,
+    ) -> Localization:
+        """Answer without a pose.
+
+        Args:
+            reason: why there is none.
+            matches: number of matches that spoke.
+            timings_ms: milliseconds by stage.
+            diagnosis: the likeliest cause.
+        """
+        nothing = np.zeros(0, np.int64)
+        return cls(
+            False,
+            reason,
+            None,
+            None,
+            NO_BELIEF,
+            matches,
+            0,
+            np.zeros((0, 2)),
+            nothing,
+            {} if timings_ms is None else timings_ms,
+            diagnosis=diagnosis,
+        )
 
     @property
     def recognized(self) -> float:

@@ -27,11 +27,13 @@ from rholoc.jobs import (
 from rholoc.localization import VECTORS_FILE, MapFinder
 from rholoc.logs import configure_logs
 from rholoc.maps import CameraLibrary, SiteLibrary
-from rholoc.service import web
-from rholoc.service.audit import Audited, AuditLog
-from rholoc.service.bodies import HeldBodies
-from rholoc.service.compute import ComputePool
-from rholoc.service.connections import ConcurrencyLimited, ProbesOnly, SlowBodies
+from rholoc.service.access.audit import Audited, AuditLog
+from rholoc.service.access.guard import Guard, SecurityHeaders
+from rholoc.service.access.keys import KeyStore
+from rholoc.service.access.open_streams import OpenStreams, stream_limits
+from rholoc.service.access.quotas import Quotas
+from rholoc.service.access.rates import RateLimited
+from rholoc.service.access.stream_kind import StreamKind
 from rholoc.service.errors import (
     InvalidRequest,
     MethodNotAllowed,
@@ -42,33 +44,33 @@ from rholoc.service.errors import (
     invalid_request,
     status_of,
 )
-from rholoc.service.exports import Exports
-from rholoc.service.guard import Guard, SecurityHeaders
+from rholoc.service.frames.learning import Learner
+from rholoc.service.frames.live import Live
+from rholoc.service.frames.localizers import Localizers
 from rholoc.service.housekeeping import clean_up_regularly, follow_keys
-from rholoc.service.job_events import JobEvents
-from rholoc.service.json_bodies import JsonBodies
-from rholoc.service.keys import KeyStore
-from rholoc.service.learning import Learner
-from rholoc.service.live import Live
-from rholoc.service.localizers import Localizers
-from rholoc.service.map_watch import MapWatch
-from rholoc.service.metrics import Metered, Metrics
-from rholoc.service.middleware import RequestBoundary
-from rholoc.service.open_streams import OpenStreams, stream_limits
-from rholoc.service.openapi import install
-from rholoc.service.pacing import FramesFirst
-from rholoc.service.quotas import Quotas
-from rholoc.service.rates import RateLimited
-from rholoc.service.readings import Readings
-from rholoc.service.renderings import Renderings
+from rholoc.service.http import web
+from rholoc.service.http.bodies import HeldBodies
+from rholoc.service.http.boundary import RequestBoundary
+from rholoc.service.http.connections import ConcurrencyLimited, ProbesOnly, SlowBodies
+from rholoc.service.http.json_bodies import JsonBodies
+from rholoc.service.http.metrics import Metered, Metrics
+from rholoc.service.http.openapi import install
+from rholoc.service.http.pacing import FramesFirst
+from rholoc.service.http.tracing import Traced
+from rholoc.service.http.tus import Tus
+from rholoc.service.maps.exports import Exports
+from rholoc.service.maps.job_events import JobEvents
+from rholoc.service.maps.map_watch import MapWatch
+from rholoc.service.maps.renderings import Renderings
+from rholoc.service.operate.readings import Readings
+from rholoc.service.operate.stores import open_keys, stores_of
 from rholoc.service.routes import ROUTERS
+from rholoc.service.routes.frames.reading import READ_BY_HAND
 from rholoc.service.settings import Settings
 from rholoc.service.state import State
-from rholoc.service.storage_threads import StorageLanes
-from rholoc.service.stream_kind import StreamKind
-from rholoc.service.tracing import Traced
-from rholoc.service.tus import Tus
-from rholoc.storage import ASKERS, CAMERAS, KEYS, SITES
+from rholoc.service.threads.compute import ComputePool
+from rholoc.service.threads.storage import StorageLanes
+from rholoc.storage import ASKERS, CAMERAS, SITES
 from rholoc.storage.holdings import Holdings
 
 _log = structlog.get_logger("rholoc.service")
@@ -147,29 +149,8 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     app.add_middleware(Traced)
     app.add_middleware(SecurityHeaders)
     app.add_middleware(Metered, metrics=metrics)
-    install(app)
+    install(app, READ_BY_HAND)
     return app
-
-
-def stores_of(settings: Settings) -> Stores:
-    """Where the service keeps what it holds, not yet opened.
-
-    Raises:
-        InvalidInput: an URL is not valid.
-    """
-    return Stores(
-        settings.maps_dir,
-        settings.data_dir,
-        settings.jobs_database,
-        settings.shared_storage,
-        settings.storage_cache_bytes,
-        settings.map_cache_bytes,
-    )
-
-
-def open_keys(stores: Stores) -> KeyStore:
-    """The API keys of the service."""
-    return KeyStore(stores.data_dir, stores.documents(KEYS))
 
 
 def _start(settings: Settings, metrics: Metrics, keys: KeyStore, audit: AuditLog, stores: Stores) -> State:

@@ -15,7 +15,7 @@ from rholoc.errors import InvalidMap, RholocError, StorageUnavailable, UnknownMa
 from rholoc.jobs import JobKind, JobOptions, JobPriority
 from rholoc.mapping import FEWEST_QUERIES
 from rholoc.service.state import State
-from rholoc.service.storage_threads import StorageThreads
+from rholoc.service.threads.storage import StorageThreads
 
 _EVERY_S = 600.0
 _KEYS_EVERY_S, _KEYS_WITHIN_S = 0.1, 5.0

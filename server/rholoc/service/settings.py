@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import ipaddress
 import math
 import os
+from enum import StrEnum
 from pathlib import Path
 
 from pydantic import Field, SecretStr
@@ -13,7 +15,29 @@ from rholoc.jobs import BuildLimits, Capacity
 from rholoc.localization import MIN_RECOGNIZED
 from rholoc.processes import machine_memory_bytes
 from rholoc.recordings import MAX_FRAME_PIXELS
-from rholoc.service.guard import KeyPolicy
+
+
+class KeyPolicy(StrEnum):
+    """When a request needs an API key."""
+
+    AUTO = "auto"  # unless the server listens on this machine alone
+    ALWAYS = "always"
+    NEVER = "never"  # something in front of the server authenticates clients
+
+
+def keys_needed(policy: KeyPolicy, host: str) -> bool:
+    """Whether a server that listens on ``host`` requires keys."""
+    return policy is KeyPolicy.ALWAYS or (policy is KeyPolicy.AUTO and not is_loopback(host))
+
+
+def is_loopback(host: str) -> bool:
+    if host == "localhost":  # names below it may be anybody's, where a resolver does not keep them here
+        return True
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False
+
 
 _JOB_MEMORY_SHARE = 0.75
 _MAP_MEMORY_SHARE = 1 / 16

@@ -11,23 +11,23 @@ from fastapi import Depends, Request
 from rholoc.jobs import EmbeddedWorker, JobQueue, QueryStore, RecordingStore, UploadStore
 from rholoc.localization import AnyLocalizer, MapFinder
 from rholoc.maps import CameraLibrary, Map, MapLibrary, SiteLibrary
-from rholoc.service.audit import AuditLog
-from rholoc.service.bodies import HeldBodies
-from rholoc.service.compute import ComputePool
-from rholoc.service.exports import Exports
-from rholoc.service.job_events import JobEvents
-from rholoc.service.keys import KeyStore
-from rholoc.service.learning import Learner
-from rholoc.service.live import Live
-from rholoc.service.localizers import Localizers
-from rholoc.service.map_watch import MapWatch
-from rholoc.service.metrics import Metrics
-from rholoc.service.open_streams import OpenStreams
-from rholoc.service.quotas import Quotas
-from rholoc.service.readings import Readings
-from rholoc.service.renderings import Renderings
+from rholoc.service.access.audit import AuditLog
+from rholoc.service.access.keys import KeyStore
+from rholoc.service.access.open_streams import OpenStreams
+from rholoc.service.access.quotas import Quotas
+from rholoc.service.frames.learning import Learner
+from rholoc.service.frames.live import Live
+from rholoc.service.frames.localizers import Localizers
+from rholoc.service.http.bodies import HeldBodies
+from rholoc.service.http.metrics import Metrics
+from rholoc.service.maps.exports import Exports
+from rholoc.service.maps.job_events import JobEvents
+from rholoc.service.maps.map_watch import MapWatch
+from rholoc.service.maps.renderings import Renderings
+from rholoc.service.operate.readings import Readings
 from rholoc.service.settings import Settings
-from rholoc.service.storage_threads import StorageLanes
+from rholoc.service.threads.compute import ComputePool
+from rholoc.service.threads.storage import StorageLanes
 from rholoc.storage import SharedStorage
 
 

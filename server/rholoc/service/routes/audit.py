@@ -5,13 +5,49 @@ from __future__ import annotations
 from typing import Annotated
 
 from fastapi import APIRouter, Query
+from pydantic import Field
 
 from rholoc.errors import InvalidName
 from rholoc.maps import check_map_name
-from rholoc.service.access import NEEDS_ADMIN
-from rholoc.service.openapi import failures
-from rholoc.service.schemas import ChangeOut, ChangesOut
+from rholoc.service.access.scopes import NEEDS_ADMIN
+from rholoc.service.http.models import AnswerModel, example
+from rholoc.service.http.openapi import failures
 from rholoc.service.state import Service
+
+
+class ChangeOut(AnswerModel):
+    """A request that changed something."""
+
+    time: float = Field(description="s since the epoch")
+    who: str = Field(description="the name of the API key, or the address where no key is needed")
+    method: str
+    path: str
+    status: int = Field(description="of the answer")
+    job: str = Field(description="the job that it began, empty where it began none")
+    request_id: str
+
+
+class ChangesOut(AnswerModel):
+    """The last changes, the newest first."""
+
+    model_config = example(
+        {
+            "changes": [
+                {
+                    "time": 1767607200.0,
+                    "who": "alice",
+                    "method": "PUT",
+                    "path": "/v1/maps/hall",
+                    "status": 200,
+                    "job": "",
+                    "request_id": "7d7f0a1c2b3d4e5f8091a2b3c4d5e6f7",
+                }
+            ]
+        }
+    )
+
+    changes: list[ChangeOut]
+
 
 router = APIRouter(prefix="/v1/audit", tags=["service"])
 

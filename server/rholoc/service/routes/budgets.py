@@ -3,13 +3,78 @@
 from __future__ import annotations
 
 from fastapi import APIRouter
+from pydantic import Field
 
 from rholoc.errors import NotFound
-from rholoc.service.access import NEEDS_ADMIN
+from rholoc.service.access.scopes import NEEDS_ADMIN
+from rholoc.service.access.stream_kind import StreamKind
 from rholoc.service.errors import InvalidRequest
-from rholoc.service.openapi import failures
-from rholoc.service.schemas import OpenStreamList, OpenStreamOut, UploadList, UploadOut
+from rholoc.service.http.models import AnswerModel, example
+from rholoc.service.http.openapi import failures
 from rholoc.service.state import Service
+
+
+class OpenStreamOut(AnswerModel):
+    """An open stream."""
+
+    id: str
+    kind: StreamKind = Field(description="`frames`: a WebSocket; `events`: server-sent events")
+    key: str | None = Field(description="the name of the key that it was opened with; null where none is needed")
+    counted_to: str = Field(description="the first of the keys that handed that key on, or an address")
+    path: str
+    since: float = Field(description="s since the epoch")
+
+
+class OpenStreamList(AnswerModel):
+    """The open streams of a server, the oldest first."""
+
+    model_config = example(
+        {
+            "streams": [
+                {
+                    "id": "5f0c3a52d1c24e0f8d1c8f1a8f0e6c11",
+                    "kind": "events",
+                    "key": "handed-1f2e3d4c",
+                    "counted_to": "alice",
+                    "path": "/v1/maps/hall/live",
+                    "since": 1767607200.0,
+                }
+            ]
+        }
+    )
+
+    streams: list[OpenStreamOut]
+
+
+class UploadOut(AnswerModel):
+    """An unfinished upload."""
+
+    id: str = Field(description="of the upload, and of the recording that it becomes")
+    map: str = Field(description="the map that it is for")
+    size_bytes: int = Field(description="once it is complete; 0 where no key is needed")
+    key: str | None = Field(description="the name of the key that began it; null where none is needed")
+    counted_to: str | None = Field(description="the first of the keys that handed that key on, or the key itself")
+
+
+class UploadList(AnswerModel):
+    """The unfinished uploads."""
+
+    model_config = example(
+        {
+            "uploads": [
+                {
+                    "id": "9b2ad7a3f3c84a1fb0f5c5b4f1a0d6ee",
+                    "map": "hall",
+                    "size_bytes": 48_211_004,
+                    "key": "handed-1f2e3d4c",
+                    "counted_to": "alice",
+                }
+            ]
+        }
+    )
+
+    uploads: list[UploadOut]
+
 
 router = APIRouter(prefix="/v1", tags=["service"])
 

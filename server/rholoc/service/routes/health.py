@@ -3,15 +3,35 @@
 from __future__ import annotations
 
 from fastapi import APIRouter, Response
+from pydantic import Field
 from starlette.concurrency import run_in_threadpool
 
 from rholoc import __version__
-from rholoc.service.access import NEEDS_READ, OPEN
-from rholoc.service.metrics import METRICS_TYPE
-from rholoc.service.openapi import BINARY
-from rholoc.service.readings import OK, text_of, unanswered
-from rholoc.service.schemas import Health, Readiness
+from rholoc.service.access.scopes import NEEDS_READ, OPEN
+from rholoc.service.http.metrics import METRICS_TYPE
+from rholoc.service.http.models import AnswerModel, example
+from rholoc.service.http.openapi import BINARY
+from rholoc.service.operate.readings import OK, text_of, unanswered
 from rholoc.service.state import Service, State
+
+
+class Health(AnswerModel):
+    """The process answers."""
+
+    model_config = example({"status": "ok", "version": "0.1.0"})
+
+    status: str
+    version: str
+
+
+class Readiness(AnswerModel):
+    """Whether the service can do its work, and what prevents it."""
+
+    model_config = example({"ready": False, "checks": {"maps": "ok", "jobs": "not running"}})
+
+    ready: bool
+    checks: dict[str, str] = Field(description="'ok', or what is not ready")
+
 
 router = APIRouter(tags=["service"])
 

@@ -8,17 +8,37 @@ from functools import partial
 from typing import Annotated
 
 from fastapi import APIRouter, Header, Query, Request, Response
+from pydantic import Field
 
 from rholoc.errors import Conflict, UnknownJob
-from rholoc.service.access import NEEDS_MAP, NEEDS_READ
+from rholoc.jobs import JobPriority
+from rholoc.service.access.open_streams import EventStream
+from rholoc.service.access.scopes import NEEDS_MAP, NEEDS_READ
+from rholoc.service.access.stream_kind import StreamKind
 from rholoc.service.errors import InvalidRequest
-from rholoc.service.intake import counted_job
-from rholoc.service.job_events import LOOK_EVERY_S, job_out
-from rholoc.service.open_streams import EventStream
-from rholoc.service.openapi import failures
-from rholoc.service.schemas import JobChange, JobList, JobOut
+from rholoc.service.http.models import AnswerModel, RequestModel, example
+from rholoc.service.http.openapi import failures
+from rholoc.service.maps.job_events import JOB_EXAMPLE, LOOK_EVERY_S, JobOut, job_out
+from rholoc.service.routes.intake import counted_job
 from rholoc.service.state import Service, State
-from rholoc.service.stream_kind import StreamKind
+
+
+class JobChange(RequestModel):
+    """What of a job can be changed."""
+
+    model_config = example({"priority": "high"})
+
+    priority: JobPriority
+
+
+class JobList(AnswerModel):
+    """Jobs, the newest first."""
+
+    model_config = example({"jobs": [JOB_EXAMPLE], "more": False})
+
+    jobs: list[JobOut]
+    more: bool = Field(default=False, description="Whether there are older ones: ask with `before`, the last one's id.")
+
 
 router = APIRouter(prefix="/v1/jobs", tags=["jobs"])
 

@@ -11,25 +11,126 @@ from typing import Any
 
 import segno
 from fastapi import APIRouter, Request, Response
+from pydantic import Field
 from starlette.concurrency import run_in_threadpool
 
 from rholoc.errors import Busy, InvalidInput, NotFound, StorageFull
-from rholoc.service.access import NEEDS_ADMIN, NEEDS_MAP, NEEDS_READ, forbidden, granted_key, request_key
+from rholoc.service.access.keys import HANDED_PREFIX, ApiKey, KeyLimits, KeyStore, Scope
+from rholoc.service.access.scopes import NEEDS_ADMIN, NEEDS_MAP, NEEDS_READ, forbidden, granted_key, request_key
 from rholoc.service.errors import InvalidRequest, QuotaExceeded
-from rholoc.service.keys import HANDED_PREFIX, ApiKey, KeyLimits, KeyStore
-from rholoc.service.openapi import failures
-from rholoc.service.schemas import (
-    HandedKeyOut,
-    KeyDetail,
-    KeyIn,
-    KeyLimitsIn,
-    KeyLimitsOut,
-    KeyList,
-    KeyOut,
-    KeyUsageOut,
-    QrIn,
-)
+from rholoc.service.http.models import AnswerModel, Number, RequestModel, example
+from rholoc.service.http.openapi import failures
 from rholoc.service.state import Service, State
+
+
+class KeyLimitsIn(RequestModel):
+    """How much a key allows, with all keys that it handed on; what is null or missing is not limited."""
+
+    model_config = example({"requests_per_s": 5, "burst": 20, "maps": 10, "stored_bytes": 1e10, "jobs": 2})
+
+    requests_per_s: Number | None = Field(
+        default=None, ge=0.001, le=1e6, description="requests a second, to each server"
+    )
+    burst: int | None = Field(
+        default=None, ge=1, le=10**6, description="how many requests may come at once; default: those of a second"
+    )
+    maps: int | None = Field(default=None, ge=0, le=10**9, description="maps, with those that its jobs will publish")
+    stored_bytes: int | None = Field(default=None, ge=0, le=2**53, description="bytes of maps and recordings")
+    jobs: int | None = Field(default=None, ge=0, le=10**9, description="jobs that are queued or running")
+
+
+class KeyLimitsOut(KeyLimitsIn):
+    """How much a key allows; null: not limited."""
+
+
+class KeyUsageOut(AnswerModel):
+    """What a key holds, with all keys that it handed on."""
+
+    maps: int = Field(description="with those that its jobs will publish")
+    stored_bytes: int = Field(description="of maps and recordings; an unfinished upload counts whole")
+    jobs: int = Field(description="queued or running, or to come with an unfinished upload")
+
+
+class KeyIn(RequestModel):
+    """A key to hand on."""
+
+    model_config = example({"scope": "read", "lifetime_s": 86400})
+
+    scope: Scope = Field(default=Scope.READ, description="what it allows; no more than the request's own key")
+    lifetime_s: Number = Field(
+        default=86400, ge=60, le=31 * 86400, description="how long it is valid, s: a minute to 31 days"
+    )
+    limits: KeyLimitsIn = Field(
+        default_factory=KeyLimitsIn, description="how much it allows; never more than the request's own key"
+    )
+
+
+class KeyOut(AnswerModel):
+    """A key's name, and what it allows."""
+
+    name: str
+    scope: Scope
+    created: float = Field(description="s since the epoch")
+    expires: float | None = Field(description="s since the epoch; null: never")
+    limits: KeyLimitsOut = Field(description="how much it allows")
+    handed_on_by: str | None = Field(default=None, description="the name of the key that handed it on; null: none did")
+
+
+class KeyDetail(KeyOut):
+    """A key, and what it holds."""
+
+    model_config = example(
+        {
+            "name": "robot-7",
+            "scope": "map",
+            "created": 1767607200.0,
+            "expires": None,
+            "limits": {"requests_per_s": 5.0, "maps": 10},
+            "used": {"maps": 2, "stored_bytes": 48_211_004, "jobs": 0},
+        }
+    )
+
+    used: KeyUsageOut
+
+
+class KeyList(AnswerModel):
+    """All keys, the oldest first."""
+
+    model_config = example(
+        {
+            "keys": [
+                {
+                    "name": "robot-7",
+                    "scope": "localize",
+                    "created": 1767607200.0,
+                    "expires": None,
+                    "limits": {"requests_per_s": 5.0},
+                }
+            ],
+        }
+    )
+
+    keys: list[KeyOut]
+
+
+class HandedKeyOut(AnswerModel):
+    """A key that was handed on."""
+
+    model_config = example({"key": "rho_…", "name": "handed-1f2e3d4c", "scope": "read", "expires": 1767693600.0})
+
+    key: str | None = Field(description="the key; null where the server requires none")
+    name: str | None = Field(description="the name to revoke it by")
+    scope: Scope
+    expires: float | None = Field(description="s since the epoch")
+
+
+class QrIn(RequestModel):
+    """A text for a QR code."""
+
+    model_config = example({"text": "https://maps.example/record"})
+
+    text: str = Field(min_length=1, max_length=1000)
+
 
 router = APIRouter(prefix="/v1", tags=["keys"])
 

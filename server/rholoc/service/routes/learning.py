@@ -6,6 +6,7 @@ from functools import partial
 from typing import Annotated
 
 from fastapi import APIRouter, Query, Request, Response
+from pydantic import Field
 
 from rholoc.errors import (
     Conflict,
@@ -19,13 +20,58 @@ from rholoc.errors import (
 from rholoc.jobs import Job, JobKind, JobOptions
 from rholoc.mapping import FEWEST_QUERIES, too_few_queries
 from rholoc.maps import check_memory
-from rholoc.service.access import NEEDS_MAP, NEEDS_READ
+from rholoc.reports import LearningReport
+from rholoc.service.access.scopes import NEEDS_MAP, NEEDS_READ
 from rholoc.service.errors import InvalidRequest
-from rholoc.service.intake import counted_job
-from rholoc.service.job_events import job_out
-from rholoc.service.openapi import failures
-from rholoc.service.schemas import DeletedQueries, JobOut, LearningOut
+from rholoc.service.http.models import AnswerModel, example
+from rholoc.service.http.openapi import failures
+from rholoc.service.maps.job_events import JobOut, job_out
+from rholoc.service.routes.intake import counted_job
 from rholoc.service.state import Service, State
+
+
+class LearningOut(AnswerModel):
+    """What is kept for a map to learn from, and what it last learned."""
+
+    model_config = example(
+        {
+            "map": "hall",
+            "learns": True,
+            "queries": 214,
+            "size_bytes": 9_630_000,
+            "askers": 3,
+            "oldest": 1767607200.0,
+            "newest": 1767693600.0,
+            "fewest": 30,
+            "last": None,
+            "job": None,
+            "latest": None,
+        }
+    )
+
+    map: str
+    learns: bool = Field(description="whether this server keeps queries for its maps to learn from")
+    queries: int = Field(description="how many are kept for this map")
+    size_bytes: int
+    askers: int = Field(description="how many asked them")
+    oldest: float | None = Field(description="s since the epoch")
+    newest: float | None = Field(description="s since the epoch")
+    fewest: int = Field(description="how many a map learns from at least")
+    last: LearningReport | None = Field(description="what the map last learned from its users")
+    job: str | None = Field(description="the id of the job by which it is learning now, or will be")
+    latest: JobOut | None = Field(
+        description="the job by which it last learned from its users, or could not: its `error` says why; null where "
+        "there was none, or it was deleted"
+    )
+
+
+class DeletedQueries(AnswerModel):
+    """How many queries were deleted."""
+
+    model_config = example({"deleted": 214})
+
+    deleted: int
+
 
 router = APIRouter(prefix="/v1/maps", tags=["maps"])
 _FAILURES = (UnknownMap, InvalidName, InvalidMap)

@@ -9,15 +9,47 @@ from dataclasses import asdict
 from functools import lru_cache
 
 from fastapi import APIRouter, Request, Response
+from pydantic import Field
 
 from rholoc.errors import Conflict, InvalidName, UnknownMap
-from rholoc.service.access import NEEDS_READ
-from rholoc.service.live import Sighting
-from rholoc.service.open_streams import EventStream
-from rholoc.service.openapi import failures
-from rholoc.service.schemas import FailureOut, FailuresOut
+from rholoc.service.access.open_streams import EventStream
+from rholoc.service.access.scopes import NEEDS_READ
+from rholoc.service.access.stream_kind import StreamKind
+from rholoc.service.frames.live import Sighting
+from rholoc.service.http.models import AnswerModel, example
+from rholoc.service.http.openapi import failures
 from rholoc.service.state import Service, State
-from rholoc.service.stream_kind import StreamKind
+
+
+class FailureOut(AnswerModel):
+    """Where a request found no pose, or an unsure one."""
+
+    time: float = Field(description="s since the epoch")
+    position: list[float] = Field(description="m")
+    heading: list[float] | None = Field(description="where the camera looked; null where that is not known")
+    confidence: float
+    reason: str | None = Field(description="why there is no pose; null where there is an unsure one")
+
+
+class FailuresOut(AnswerModel):
+    """The failures of the last day, the oldest first."""
+
+    model_config = example(
+        {
+            "failures": [
+                {
+                    "time": 1767607200.0,
+                    "position": [2.1, 0.4, 1.5],
+                    "heading": None,
+                    "confidence": 0.31,
+                    "reason": "not_recognized",
+                }
+            ]
+        }
+    )
+
+    failures: list[FailureOut]
+
 
 router = APIRouter(prefix="/v1/maps", tags=["maps"])
 

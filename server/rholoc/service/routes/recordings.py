@@ -10,6 +10,8 @@ from typing import Any
 
 from fastapi import APIRouter, Request, Response
 from fastapi.responses import JSONResponse
+from pydantic import Field
+from pydantic.config import JsonDict
 from starlette.concurrency import run_in_threadpool
 
 from rholoc.errors import (
@@ -42,27 +44,99 @@ from rholoc.recordings import (
     check_file_name,
     check_file_start,
 )
-from rholoc.service.access import NEEDS_MAP, NEEDS_READ, granted_key, request_key
-from rholoc.service.bodies import declared_length, media_type, read_multipart
+from rholoc.service.access.keys import Scope
+from rholoc.service.access.scopes import NEEDS_MAP, NEEDS_READ, granted_key, request_key
 from rholoc.service.errors import InvalidRequest, UnsupportedMediaType, UnsupportedVersion
-from rholoc.service.intake import UPLOAD_FAILURES, RecordingFields, checked_options, counted_job
-from rholoc.service.job_events import job_out
-from rholoc.service.keys import Scope
-from rholoc.service.openapi import BINARY, failures, request_body
+from rholoc.service.http.bodies import declared_length, media_type, read_multipart
+from rholoc.service.http.models import AnswerModel, Number, RequestModel, Vector3, example
+from rholoc.service.http.openapi import BINARY, failures, request_body
+from rholoc.service.http.tus import RESUMABLE
+from rholoc.service.maps.job_events import JOB_EXAMPLE, RECORDING_ID_EXAMPLE, JobOut, job_out
+from rholoc.service.routes.intake import UPLOAD_FAILURES, RecordingFields, checked_options, counted_job
 from rholoc.service.routes.uploads import begin_upload
-from rholoc.service.schemas import (
-    JobOut,
-    RecordingAccepted,
-    RecordingDetail,
-    RecordingList,
-    RecordingOut,
-    WaypointIn,
-    WaypointsIn,
-)
 from rholoc.service.state import Service, State
-from rholoc.service.tus import RESUMABLE
 from rholoc.storage.holdings import Kind
 from rholoc.trajectory import PoseMethod
+
+_RECORDING: JsonDict = {
+    "id": RECORDING_ID_EXAMPLE,
+    "files": ["walk.mp4"],
+    "size_bytes": 60_000_000,
+    "created": 1767607200.0,
+    "content": {"length_s": 31.2, "frames": 936, "width": 1280, "height": 720, "format": "video", "imu": False},
+    "thumbnail": True,
+}
+_RECORDED_WAYPOINT: JsonDict = {"name": "W1", "position": [2.0, 0.0, 1.5], "time_s": 8.4, "sigma_m": 0.02}
+
+
+class RecordingContent(AnswerModel):
+    """What a job read from a recording."""
+
+    length_s: float | None
+    frames: int
+    width: int = Field(description="of a frame, px")
+    height: int
+    format: str = Field(description="how it is laid out")
+    imu: bool = Field(description="whether it has an IMU's table")
+
+
+class RecordingOut(AnswerModel):
+    """A stored recording."""
+
+    model_config = example(_RECORDING)
+
+    id: str
+    files: list[str]
+    size_bytes: int
+    created: float = Field(description="s since the epoch")
+    content: RecordingContent | None = Field(description="null until a job has read it")
+    thumbnail: bool = Field(description="whether there is a small picture of it that this client may see")
+
+
+class WaypointIn(RequestModel):
+    """A measured point of a recording."""
+
+    name: str
+    position: Vector3 = Field(description="m")
+    time_s: Number | None = Field(
+        default=None, description="when the camera was there, s on the recording's clock; default: found by the order"
+    )
+    sigma_m: Number = Field(default=0.02, description="how well the camera was held to it, m: 0.001 to 1")
+
+
+class WaypointsIn(RequestModel):
+    """Waypoints that replace a recording's own, in the order of the walk."""
+
+    model_config = example({"waypoints": [_RECORDED_WAYPOINT]})
+
+    waypoints: list[WaypointIn] = Field(max_length=1000, description="three or more")
+
+
+class RecordingDetail(RecordingOut):
+    """A stored recording with its waypoints."""
+
+    model_config = example({**_RECORDING, "waypoints": [_RECORDED_WAYPOINT], "corrected": False})
+
+    waypoints: tuple[RecordedWaypoint, ...] = Field(description="as corrected, else as a job read them from it")
+    corrected: bool = Field(description="whether they replace the recording's own")
+
+
+class RecordingList(AnswerModel):
+    """All stored recordings, the newest first."""
+
+    model_config = example({"recordings": [_RECORDING]})
+
+    recordings: list[RecordingOut]
+
+
+class RecordingAccepted(AnswerModel):
+    """A completed upload, and the mapping job that it started."""
+
+    model_config = example({"recording": RECORDING_ID_EXAMPLE, "job": {**JOB_EXAMPLE, "state": "queued"}})
+
+    recording: str = Field(description="the recording's id")
+    job: JobOut
+
 
 router = APIRouter(prefix="/v1/recordings", tags=["recordings"])
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from functools import partial
 
 from fastapi import APIRouter, Request, Response
+from pydantic import Field
 
 from rholoc.errors import (
     Busy,
@@ -20,15 +21,34 @@ from rholoc.errors import (
 )
 from rholoc.jobs import Job
 from rholoc.mapping import find_link, solve_site, with_link
-from rholoc.service.access import NEEDS_ADMIN, NEEDS_MAP, NEEDS_READ
-from rholoc.service.compute import Effort
+from rholoc.service.access.scopes import NEEDS_ADMIN, NEEDS_MAP, NEEDS_READ
 from rholoc.service.errors import InvalidRequest
-from rholoc.service.intake import counted_job
-from rholoc.service.job_events import job_out
-from rholoc.service.openapi import failures
-from rholoc.service.schemas import JobOut, SiteIn, SiteLinkWanted, SiteList, SiteOut
-from rholoc.service.site_documents import site_of, site_out
+from rholoc.service.http.models import AnswerModel, RequestModel, example
+from rholoc.service.http.openapi import failures
+from rholoc.service.maps.job_events import JobOut, job_out
+from rholoc.service.maps.site_documents import SITE_EXAMPLE, SiteIn, SiteOut, site_of, site_out
+from rholoc.service.routes.intake import counted_job
 from rholoc.service.state import Service, State
+from rholoc.service.threads.compute import Effort
+
+
+class SiteLinkWanted(RequestModel):
+    """Two maps of a site, the pose between which is looked for."""
+
+    model_config = example({"first": "hall", "second": "kitchen"})
+
+    first: str
+    second: str
+
+
+class SiteList(AnswerModel):
+    """All sites."""
+
+    model_config = example({"sites": [SITE_EXAMPLE], "unreadable": {}})
+
+    sites: list[SiteOut]
+    unreadable: dict[str, str] = Field(description="names of site files that cannot be read, and why")
+
 
 router = APIRouter(prefix="/v1/sites", tags=["sites"])
 

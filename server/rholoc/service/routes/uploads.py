@@ -10,12 +10,12 @@ from fastapi import APIRouter, Header, Request, Response
 from starlette.requests import ClientDisconnect
 
 from rholoc.errors import Conflict, InvalidRecording, StorageFull, TooLarge, UnknownRecording
-from rholoc.service import tus
-from rholoc.service.access import NEEDS_MAP, NEEDS_READ, request_key
-from rholoc.service.bodies import limited_stream, media_type, read_body
+from rholoc.service.access.scopes import NEEDS_MAP, NEEDS_READ, request_key
 from rholoc.service.errors import ChecksumMismatch, InvalidRequest, UnsupportedMediaType, UnsupportedVersion
-from rholoc.service.intake import RecordingFields, checked_options
-from rholoc.service.openapi import BINARY, failures, request_body
+from rholoc.service.http import tus
+from rholoc.service.http.bodies import limited_stream, media_type, read_body
+from rholoc.service.http.openapi import BINARY, failures, request_body
+from rholoc.service.routes.intake import RecordingFields, checked_options
 from rholoc.service.state import Service, State
 from rholoc.storage.holdings import Kind
 
@@ -35,7 +35,7 @@ async def upload_abilities(service: Service) -> Response:
 async def begin_upload(request: Request, service: State) -> Response:
     """The creation of a resumable upload.
 
-    Raises: as :func:`rholoc.service.intake.checked_options` and :meth:`rholoc.jobs.UploadStore.create` do.
+    Raises: as :func:`rholoc.service.routes.intake.checked_options` and :meth:`rholoc.jobs.UploadStore.create` do.
     """
     length = tus.number("Upload-Length", request.headers.get("upload-length"))
     limit = service.settings.max_upload_bytes

@@ -1,0 +1,202 @@
+"""Maps as they are described to clients."""
+
+from __future__ import annotations
+
+from pydantic import Field
+from pydantic.config import JsonDict
+
+from rholoc.geometry import Camera
+from rholoc.mapping import levelled
+from rholoc.maps import (
+    Correction,
+    DensityKind,
+    FloorPlan,
+    Map,
+    MapInfo,
+    MapLabels,
+    MapLibrary,
+    MapNames,
+    MapOutline,
+    MapWaypoint,
+    Source,
+    consistency_m,
+    expected_error_m,
+    trust_of,
+)
+from rholoc.reports import MapReport
+from rholoc.service.http.models import CAMERA_EXAMPLE, MAP_ID_EXAMPLE, AnswerModel, CameraIn, example
+from rholoc.service.maps.examples import CORRECTION, NAMES, REPORT, SOURCE, WAYPOINT, sent
+from rholoc.trajectory import Scale
+
+SUMMARY_EXAMPLE: JsonDict = {
+    "name": "testsite",
+    "id": MAP_ID_EXAMPLE,
+    "version": 1,
+    "density": "ray",
+    "features": "lab3",
+    "scale": "metric",
+    "upright": True,
+    "created": "2026-01-05T10:00:00Z",
+    "landmarks": 5120,
+    "views": 60,
+    "size_bytes": 480_000,
+    "trusted": True,
+    "trust_reason": "Two reconstructions agree.",
+    "expected_error_m": 0.014,
+    "consistency_m": 0.006,
+    "camera": CAMERA_EXAMPLE,
+    "labels": {"site": "plant 2", "floor": "1", "tags": []},
+}
+
+
+class MapSummary(AnswerModel):
+    """A map in a list."""
+
+    model_config = example(SUMMARY_EXAMPLE)
+
+    name: str
+    id: str = Field(description="unique for each built map")
+    version: int
+    density: DensityKind
+    features: str = Field(description="the extractor's name")
+    scale: Scale
+    upright: bool = Field(description="whether z points up")
+    created: str = Field(description="ISO 8601, UTC")
+    landmarks: int = Field(description="how many features it holds")
+    views: int = Field(description="how many keyframes it was seen from")
+    size_bytes: int
+    trusted: bool | None = Field(
+        description="whether the frame poses that it was built on passed every check; null where it does not say"
+    )
+    trust_reason: str = Field(description="why it is trusted, or which checks failed")
+    expected_error_m: float | None = Field(
+        description="how far its poses are expected to be from the truth, root mean square, m; null where unknown"
+    )
+    consistency_m: float | None = Field(
+        description="median distance, m, between where frames of the walk that were held out of the map are localized "
+        "and where the walk has them: how well the map agrees with itself, not how right it is; null if none were held "
+        "out"
+    )
+    camera: CameraIn
+    labels: MapLabels = Field(description="its site, floor and tags, as people set them")
+
+
+class PreviousMap(AnswerModel):
+    """The map that a map replaced."""
+
+    number: int = Field(default=1, description="the number that restores it: 1 was replaced last")
+    id: str
+    version: int
+    created: str = Field(description="ISO 8601, UTC")
+
+
+class MapDetail(MapSummary):
+    """A map with its sources and its extent."""
+
+    model_config = example(
+        {
+            **SUMMARY_EXAMPLE,
+            "sources": [sent(SOURCE)],
+            "waypoints": [sent(WAYPOINT)],
+            "bounds_m": [[-1.0, -2.0, 0.0], [5.0, 3.0, 2.8]],
+            "previous": None,
+            "names": sent(NAMES),
+            "corrections": [sent(CORRECTION)],
+            "plan": None,
+            "points": 24180,
+            "pictures": False,
+            "levelling": None,
+        }
+    )
+
+    sources: tuple[Source, ...]
+    waypoints: tuple[MapWaypoint, ...]
+    bounds_m: list[list[float]] | None = Field(description="the lowest and the highest x, y, z of its landmarks")
+    previous: PreviousMap | None = Field(description="the map that it replaced, which can be restored")
+    names: MapNames = Field(description="of points and areas")
+    corrections: tuple[Correction, ...] = Field(description="what people corrected in it, the latest last")
+    plan: FloorPlan | None = Field(
+        description="the floor plan that it keeps, and where it lies; null where there is none"
+    )
+    points: int = Field(description="how many further points of the room it keeps, for people to see")
+    pictures: bool = Field(description="whether it keeps pictures of its views, and this server shows them")
+    levelling: list[list[float]] | None = Field(
+        description="3×3, a rotation of the map for display that makes up z and walls parallel to x and y, both as "
+        "estimated; null where the map is upright, or where up cannot be estimated"
+    )
+    live: bool = Field(default=False, description="whether this server shows who asks for poses in it")
+    keeps_failures: bool = Field(default=False, description="whether this server keeps where requests fail in it")
+
+
+class MapReportOut(AnswerModel):
+    """What the map found out about itself while it was built."""
+
+    model_config = example(
+        {
+            "map": "testsite",
+            "map_id": MAP_ID_EXAMPLE,
+            "map_version": 1,
+            "report": sent(REPORT),
+        }
+    )
+
+    map: str
+    map_id: str
+    map_version: int
+    report: MapReport
+
+
+def _summary(library: MapLibrary, name: str) -> dict[str, object]:
+    return summary_fields(name, library.outline(name), library.stat(name).size_bytes)
+
+
+def summary_fields(name: str, outline: MapOutline, size_bytes: int) -> dict[str, object]:
+    info = outline.info
+    trust = trust_of(info)
+    return {
+        "name": name,
+        "id": info.id,
+        "version": info.version,
+        "density": info.density,
+        "features": info.features,
+        "scale": Scale.METRIC if info.metric else Scale.ARBITRARY,
+        "upright": info.upright,
+        "created": info.created,
+        "landmarks": outline.landmarks,
+        "views": outline.views,
+        "size_bytes": size_bytes,
+        "trusted": trust.trusted,
+        "trust_reason": trust.reason,
+        "expected_error_m": expected_error_m(info),
+        "consistency_m": consistency_m(info),
+        "camera": _camera(info.camera),
+        "labels": info.labels,
+    }
+
+
+def detail_of(name: str, map_: Map, size_bytes: int, before: MapInfo | None) -> MapDetail:
+    bounds, rotation = None, levelled(map_)
+    outline = MapOutline(map_.info, len(map_), len(map_.views))
+    if len(map_):
+        bounds = [map_.landmarks.positions.min(axis=0).tolist(), map_.landmarks.positions.max(axis=0).tolist()]
+    fields = {
+        "sources": map_.info.sources,
+        "waypoints": map_.info.waypoints,
+        "bounds_m": bounds,
+        "previous": None if before is None else previous_map(1, before),
+        "names": map_.info.names,
+        "corrections": map_.info.corrections,
+        "plan": map_.info.plan,
+        "points": len(map_.cloud),
+        "pictures": map_.views.pictures is not None,
+        "levelling": None if rotation is None else rotation.tolist(),
+    }
+    return MapDetail.model_validate({**summary_fields(name, outline, size_bytes), **fields})
+
+
+def previous_map(number: int, info: MapInfo) -> PreviousMap:
+    return PreviousMap(number=number, id=info.id, version=info.version, created=info.created)
+
+
+def _camera(camera: Camera) -> CameraIn:
+    return CameraIn(**camera.to_dict())

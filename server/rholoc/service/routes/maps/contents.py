@@ -1,0 +1,280 @@
+"""What a map holds, for people to see: reports, pictures, scenes, points, its floor plan."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+import numpy as np
+from fastapi import APIRouter, Query, Request, Response
+from fastapi import Path as PathParameter
+from pydantic import Field
+from starlette.concurrency import run_in_threadpool
+
+from rholoc.errors import Busy, InvalidInput, UnknownPicture
+from rholoc.mapping import levelled
+from rholoc.maps import MapLibrary, cloud_to_bytes, map_to_scene
+from rholoc.maps.floor_plan import GEOJSON, MEDIA_TYPES
+from rholoc.paper.landscape import presence_of
+from rholoc.pictures.rendering import Rendering
+from rholoc.reports import CoverageReport
+from rholoc.service.access.scopes import NEEDS_READ
+from rholoc.service.errors import InvalidRequest
+from rholoc.service.http.caching import caching_headers, is_kept, unchanged
+from rholoc.service.http.models import AnswerModel, example
+from rholoc.service.http.openapi import BINARY, failures
+from rholoc.service.maps.descriptions import MapReportOut
+from rholoc.service.maps.examples import REPORT, sent
+from rholoc.service.maps.renderings import etag_of
+from rholoc.service.routes.maps.library import _FAILURES
+from rholoc.service.state import Service, State
+
+router = APIRouter(prefix="/v1/maps", tags=["maps"])
+
+
+class FeatureOut(AnswerModel):
+    """A feature of a map, and where it may be seen from: a truncated cone."""
+
+    model_config = example(
+        {
+            "feature": 100,
+            "position": [3.1, 0.4, 1.7],
+            "sigma": 0.008,
+            "direction": [-0.98, 0.2, 0.0],
+            "half_angle_deg": 52.0,
+            "nearest": 0.9,
+            "farthest": 5.8,
+            "views": [3, 4, 5, 9],
+        }
+    )
+
+    feature: int
+    position: list[float] = Field(description="of its landmark")
+    sigma: float = Field(description="its standard deviation, root mean square of the axes")
+    direction: list[float] = Field(
+        description="the cone's axis: unit vector from the landmark to where it was seen from"
+    )
+    half_angle_deg: float = Field(description="between the cone's axis and its edge")
+    nearest: float = Field(description="the shortest distance from which it is expected to be seen")
+    farthest: float = Field(description="the longest distance from which it is expected to be seen")
+    views: list[int] = Field(description="the views that saw it, by number")
+
+
+_PLAN_CONTENT: dict[str, Any] = {
+    kind: {"schema": {"type": "object"}, "example": {"type": "FeatureCollection", "features": []}}
+    if kind == GEOJSON
+    else {"schema": BINARY}
+    for kind in MEDIA_TYPES
+}
+
+
+@router.get(
+    "/{map_name}/report",
+    dependencies=[NEEDS_READ],
+    summary="A map's own quality report",
+    responses=failures(*_FAILURES),
+)
+async def get_report(map_name: str, service: Service) -> MapReportOut:
+    """What the map found out about itself while it was built: coverage, residuals, and how consistent it is:
+    frames of the same walk, held out, localized in it."""
+    info = (await service.map(map_name)).info
+    return MapReportOut(map=map_name, map_id=info.id, map_version=info.version, report=info.report)
+
+
+@router.get(
+    "/{map_name}/report.png",
+    dependencies=[NEEDS_READ],
+    summary="A map's own quality report as a picture",
+    response_class=Response,
+    responses={
+        200: {"description": "A picture.", "content": {"image/png": {"schema": BINARY}}},
+        **failures(*_FAILURES, Busy),
+    },
+)
+async def get_report_picture(map_name: str, request: Request, service: Service) -> Response:
+    """Coverage by position and heading, how consistent frames held out are with it, how exact the landmarks are."""
+    return await _rendered(request, service, map_name, Rendering.REPORT, "image/png")
+
+
+@router.get(
+    "/{map_name}/coverage",
+    dependencies=[NEEDS_READ],
+    summary="Where a map works",
+    response_class=Response,
+    responses={
+        200: {
+            "model": CoverageReport,
+            "description": "Landmarks in view, by position and heading.",
+            "content": {"application/json": {"example": sent(REPORT.coverage)}},
+        },
+        **failures(*_FAILURES, Busy),
+    },
+)
+async def get_coverage(map_name: str, request: Request, service: Service) -> Response:
+    """How many landmarks a camera like the map's sees from places on a grid around the walk, in each of twelve
+    directions. `sufficient` of them are enough to expect a pose."""
+    return await _rendered(request, service, map_name, Rendering.COVERAGE, "application/json")
+
+
+@router.get(
+    "/{map_name}/plan",
+    dependencies=[NEEDS_READ],
+    summary="A map's floor plan",
+    response_class=Response,
+    responses={
+        200: {"description": "The file.", "content": _PLAN_CONTENT},
+        **failures(*_FAILURES, UnknownPicture),
+    },
+)
+async def get_plan(map_name: str, request: Request, service: Service) -> Response:
+    """As it was sent; `plan` of the map says where it lies."""
+    etag = etag_of(await service.threads.files(service.library.stat, map_name), "plan")
+    if is_kept(request, etag):
+        return unchanged(etag)
+    map_ = await service.map(map_name)
+    if map_.info.plan is None:
+        raise UnknownPicture(f"The map {map_name} has no floor plan.", "Send one with PUT.")
+    return Response(map_.plan, media_type=map_.info.plan.media_type, headers=caching_headers(etag))
+
+
+@router.get(
+    "/{map_name}/scene",
+    dependencies=[NEEDS_READ],
+    summary="A map for a 3-D view",
+    response_class=Response,
+    responses={
+        200: {"description": "Landmarks and views.", "content": {"application/octet-stream": {"schema": BINARY}}},
+        **failures(*_FAILURES),
+    },
+)
+async def get_scene(
+    map_name: str,
+    request: Request,
+    service: Service,
+    landmarks: Annotated[
+        int | None, Query(ge=1, description="at most so many, evenly chosen; default: all", examples=[1500])
+    ] = None,
+    level: Annotated[
+        bool, Query(description="whether a map that is not upright is turned as its `levelling` says")
+    ] = False,
+) -> Response:
+    """Little-endian: two uint32, the numbers F of landmarks and K of views; F × 4 float32: x, y, z, standard deviation;
+    K × 7 float32: x, y, z, heading, the number of the recording; where the map knows its colours, F × 3 uint8: red,
+    green, blue. Lengths in metres."""
+    etag = etag_of(await service.threads.files(service.library.stat, map_name), "scene", landmarks, level)
+    if is_kept(request, etag):
+        return unchanged(etag)
+    map_ = await service.map(map_name)
+    rotation = await run_in_threadpool(levelled, map_) if level else None
+    scene = await run_in_threadpool(map_to_scene, map_, landmarks, rotation)
+    return Response(scene, media_type="application/octet-stream", headers=caching_headers(etag))
+
+
+@router.get(
+    "/{map_name}/features/{feature}",
+    dependencies=[NEEDS_READ],
+    summary="A feature of a map, and where it may be seen from",
+    responses=failures(*_FAILURES, InvalidInput, InvalidRequest),
+)
+async def get_feature(
+    map_name: str,
+    feature: Annotated[int, PathParameter(ge=0, description="its number, from 0", examples=[100])],
+    service: Service,
+) -> FeatureOut:
+    """Features are numbered as in `…/scene`, where all of them are asked for. Lengths in the map's unit."""
+    return await service.threads.files(_feature, service.library, map_name, feature)
+
+
+def _feature(library: MapLibrary, name: str, feature: int) -> FeatureOut:
+    map_ = library.get(name)
+    if feature >= len(map_):
+        raise InvalidInput(f"The map has no feature {feature}.", f"Its features are 0 to {len(map_) - 1}.")
+    views = np.unique(map_.observations.views[map_.observations.features == feature])
+    if len(views) == 0:
+        raise InvalidInput(f"The map does not remember who saw feature {feature}.", "Build it from a recording.")
+    presence = presence_of(map_, feature)
+    least, most = presence.reach
+    return FeatureOut(
+        feature=feature,
+        position=map_.landmarks.positions[feature].round(4).tolist(),
+        sigma=float(np.sqrt(np.trace(map_.landmarks.covariances[feature]) / 3)),
+        direction=presence.direction[0].round(4).tolist(),
+        half_angle_deg=float(np.degrees(presence.half_angle[0])),
+        nearest=float(least[0]),
+        farthest=float(most[0]),
+        views=views.tolist(),
+    )
+
+
+@router.get(
+    "/{map_name}/points",
+    dependencies=[NEEDS_READ],
+    summary="Further points of the room",
+    response_class=Response,
+    responses={
+        200: {"description": "Points in colour.", "content": {"application/octet-stream": {"schema": BINARY}}},
+        **failures(*_FAILURES),
+    },
+)
+async def get_points(map_name: str, request: Request, service: Service) -> Response:
+    """Points of the reconstruction that are not landmarks, for people to see the room. Little-endian: one uint32, the
+    number P; P × 3 float32: x, y, z; P × 3 uint8: red, green, blue. Lengths in metres."""
+    etag = etag_of(await service.threads.files(service.library.stat, map_name), "points")
+    if is_kept(request, etag):
+        return unchanged(etag)
+    map_ = await service.map(map_name)
+    points = await run_in_threadpool(cloud_to_bytes, map_)
+    return Response(points, media_type="application/octet-stream", headers=caching_headers(etag))
+
+
+@router.get(
+    "/{map_name}/views/{view}/picture.jpg",
+    dependencies=[NEEDS_READ],
+    summary="A small picture of one of a map's views",
+    response_class=Response,
+    responses={
+        200: {"description": "A picture.", "content": {"image/jpeg": {"schema": BINARY}}},
+        **failures(*_FAILURES, UnknownPicture),
+    },
+)
+async def get_view_picture(
+    map_name: str,
+    view: Annotated[int, PathParameter(ge=0, description="the view by number in the map, from 0")],
+    request: Request,
+    service: Service,
+) -> Response:
+    """What the camera saw there, if the map keeps pictures and this server's setting `keep_pictures` is on."""
+    etag = etag_of(await service.threads.files(service.library.stat, map_name), "picture", view)
+    if is_kept(request, etag):
+        return unchanged(etag)
+    map_ = await service.map(map_name)
+    pictures = map_.views.known_pictures if service.settings.keep_pictures else ()
+    if view >= len(pictures) or not pictures[view]:
+        raise UnknownPicture(
+            f"The map {map_name} has no picture of its view {view}.",
+            "Maps keep pictures where RHOLOC_KEEP_PICTURES=1 was set when they were made, and show them where it is.",
+        )
+    return Response(pictures[view], media_type="image/jpeg", headers=caching_headers(etag))
+
+
+@router.get(
+    "/{map_name}/preview.png",
+    dependencies=[NEEDS_READ],
+    summary="A map from above",
+    response_class=Response,
+    responses={
+        200: {"description": "A picture.", "content": {"image/png": {"schema": BINARY}}},
+        **failures(*_FAILURES, Busy),
+    },
+)
+async def get_preview(map_name: str, request: Request, service: Service) -> Response:
+    """Landmarks, the walk, waypoints."""
+    return await _rendered(request, service, map_name, Rendering.PREVIEW, "image/png")
+
+
+async def _rendered(request: Request, service: State, name: str, kind: Rendering, media_type: str) -> Response:
+    """A rendering, or 304 where the browser has it."""
+    etag = await service.threads.files(service.renderings.etag, name, kind)
+    if is_kept(request, etag):
+        return unchanged(etag)
+    rendered = await service.renderings.get(name, kind)
+    return Response(rendered.content, media_type=media_type, headers=caching_headers(rendered.etag))

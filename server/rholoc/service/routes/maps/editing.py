@@ -1,0 +1,213 @@
+"""Maps changed: corrected, taught, merged; recordings forgotten; floor plans."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import partial
+from typing import Annotated
+
+from fastapi import APIRouter, Body, Query, Request, Response
+from pydantic import Field
+
+from rholoc.errors import (
+    Busy,
+    Conflict,
+    InvalidCamera,
+    InvalidInput,
+    MappingFailed,
+    StorageFull,
+    TooLarge,
+    UnknownCamera,
+    UnknownRecording,
+)
+from rholoc.jobs import JobKind, JobOptions, JobPriority
+from rholoc.mapping import forget_recording, merge_maps, set_floor_plan
+from rholoc.maps import MAX_PLAN_BYTES, FloorPlan, Map, MapLibrary, check_map_name, check_memory
+from rholoc.maps.floor_plan import MEDIA_TYPES
+from rholoc.service.access.scopes import NEEDS_MAP, request_key
+from rholoc.service.errors import InvalidRequest, UnsupportedMediaType
+from rholoc.service.http.bodies import media_type, read_body
+from rholoc.service.http.models import RequestModel, example
+from rholoc.service.http.openapi import BINARY, failures, request_body
+from rholoc.service.maps.corrections import CORRECTION_EXAMPLES, CorrectionIn, corrected_map
+from rholoc.service.maps.descriptions import MapDetail
+from rholoc.service.maps.job_events import RECORDING_ID_EXAMPLE, JobOut, job_out
+from rholoc.service.routes.intake import counted_job
+from rholoc.service.routes.maps.library import _FAILURES, _detail
+from rholoc.service.state import Service, State
+from rholoc.service.threads.compute import Effort
+from rholoc.storage.holdings import Kind
+from rholoc.trajectory import PoseMethod
+
+router = APIRouter(prefix="/v1/maps", tags=["maps"])
+
+
+class UpdateIn(RequestModel):
+    """A stored recording for a map to learn."""
+
+    model_config = example({"recording": RECORDING_ID_EXAMPLE})
+
+    recording: str = Field(description="the recording's id")
+    poses: PoseMethod | None = Field(
+        default=None, description="where frame poses come from; default: its own, else each frame is localized"
+    )
+    camera: str | None = Field(
+        default=None,
+        description="fx,fy,cx,cy[,k1,k2,p1,p2[,k3]] in pixels, or a stored camera's name; default: the recording's own",
+    )
+    priority: JobPriority = Field(
+        default=JobPriority.NORMAL, description="how soon its turn comes, among jobs submitted within a day"
+    )
+
+
+class MergeIn(RequestModel):
+    """Another map to merge with, and the name of the merged one."""
+
+    model_config = example({"other": "kitchen", "into": "ground-floor"})
+
+    other: str = Field(description="the map whose frame is given up")
+    into: str = Field(description="the name of the merged map; a map of that name is replaced")
+
+
+class ForgetIn(RequestModel):
+    """A recording for a map to forget."""
+
+    model_config = example({"source": "walk-1"})
+
+    source: str = Field(description="its id or name in the map's sources")
+
+
+@router.post(
+    "/{map_name}/corrections",
+    dependencies=[NEEDS_MAP],
+    summary="Correct a map",
+    responses=failures(*_FAILURES, InvalidInput, InvalidRequest, Conflict, Busy, StorageFull),
+)
+async def correct_map(
+    map_name: str, wanted: Annotated[CorrectionIn, Body(openapi_examples=CORRECTION_EXAMPLES)], service: Service
+) -> MapDetail:
+    """The map's next version: with another origin, north, upright, axis or scale, aligned with a floor plan, without a
+    region or a piece of its walk, or with names. If the frame moves, poses are in the new frame from then on, moved by
+    exactly what `corrections` says. The previous version can be restored."""
+    map_ = await service.map(map_name)
+    corrected = await service.compute.run(lambda: corrected_map(map_, wanted), Effort.LARGE)
+    await service.threads.transfers(service.library.replace, map_name, corrected)
+    return await service.threads.database(_detail, service, map_name)
+
+
+@router.put(
+    "/{map_name}/plan",
+    dependencies=[NEEDS_MAP],
+    summary="Keep a floor plan with a map",
+    responses=failures(*_FAILURES, InvalidInput, InvalidRequest, UnsupportedMediaType, TooLarge, Conflict, StorageFull),
+    openapi_extra=request_body({kind: {"schema": BINARY} for kind in MEDIA_TYPES}),
+)
+async def put_plan(
+    map_name: str,
+    request: Request,
+    service: Service,
+    x: Annotated[float, Query(description="where its lower left corner lies, m, map frame")] = 0.0,
+    y: Annotated[float, Query(description="where its lower left corner lies, m, map frame")] = 0.0,
+    turn_deg: Annotated[float, Query(description="how far its lower edge is turned from the map's x towards y")] = 0.0,
+    m_per_unit: Annotated[float, Query(gt=0, description="how long a pixel is, or a metre of GeoJSON")] = 1.0,
+) -> MapDetail:
+    """The body is a picture (PNG, JPEG, WebP) or GeoJSON. This makes the map's next version; the previous one can be
+    restored. The plan moves with the map when its frame is corrected."""
+    kind = media_type(request)
+    if kind not in MEDIA_TYPES:
+        raise UnsupportedMediaType(f"A floor plan cannot be {kind or 'nothing'}.", f"Send {', '.join(MEDIA_TYPES)}.")
+    await service.threads.files(service.library.stat, map_name)
+    content = await read_body(request, MAX_PLAN_BYTES)
+    plan = FloorPlan(kind, (x, y), turn_deg, m_per_unit)
+    return await service.threads.transfers(_planned, service, map_name, content, plan)
+
+
+@router.delete(
+    "/{map_name}/plan",
+    dependencies=[NEEDS_MAP],
+    summary="Remove a map's floor plan",
+    responses=failures(*_FAILURES, Conflict, StorageFull),
+)
+async def delete_plan(map_name: str, service: Service) -> MapDetail:
+    """The map itself does not move."""
+    return await service.threads.transfers(_planned, service, map_name, b"", None)
+
+
+@router.post(
+    "/{map_name}/update",
+    dependencies=[NEEDS_MAP],
+    status_code=202,
+    summary="Learn a recording into a map",
+    responses=failures(
+        *_FAILURES, UnknownRecording, UnknownCamera, InvalidCamera, InvalidInput, InvalidRequest, StorageFull
+    ),
+)
+async def update_map(map_name: str, wanted: UpdateIn, request: Request, service: Service, response: Response) -> JobOut:
+    """A job localizes the recording in the map and learns it; `Location` is the job's address. When it is done, the
+    map's next version replaces the present one; a recording of another place changes nothing."""
+    await service.threads.files(_check_learns, service.library, map_name)
+    await service.threads.database(service.cameras.named_in, wanted.camera)
+    options = JobOptions(
+        kind=JobKind.UPDATE,
+        poses=wanted.poses,
+        camera=wanted.camera,
+        pictures=service.settings.keep_pictures,
+        priority=wanted.priority,
+    )
+    submit = partial(service.jobs.submit, wanted.recording, map_name, options)
+    job = await counted_job(service, request, map_name, submit)
+    response.headers["Location"] = f"/v1/jobs/{job.id}"
+    return job_out(job)
+
+
+@router.post(
+    "/{map_name}/merge",
+    dependencies=[NEEDS_MAP],
+    summary="Merge another map into a map's frame",
+    responses=failures(*_FAILURES, InvalidInput, InvalidRequest, MappingFailed, Conflict, Busy, StorageFull),
+)
+async def merge_map(map_name: str, wanted: MergeIn, request: Request, service: Service) -> MapDetail:
+    """The merged map is published as `into`; both maps stay, unless `into` is one of them."""
+    into = check_map_name(wanted.into)
+    a = await service.map(map_name)
+    b = await service.map(wanted.other)
+    key, quotas = request_key(request.scope), service.quotas
+    new = into not in await service.threads.files(service.library.names)
+    await service.threads.database(quotas.check, key, into if new else None)
+    merged = await service.compute.run(lambda: merge_maps(a, b), Effort.LARGE)
+    async with quotas.counting(key):
+        await service.threads.database(quotas.check, key, into if new else None)
+        await service.threads.transfers(_publish_merged, service.library, {map_name: a, wanted.other: b}, into, merged)
+        if new:
+            await service.threads.database(quotas.hold, key, Kind.MAP, into)
+    return await service.threads.database(_detail, service, into)
+
+
+@router.post(
+    "/{map_name}/forget",
+    dependencies=[NEEDS_MAP],
+    summary="Forget a recording",
+    responses=failures(*_FAILURES, InvalidInput, InvalidRequest, Conflict, Busy, StorageFull),
+)
+async def forget_source(map_name: str, wanted: ForgetIn, service: Service) -> MapDetail:
+    """Makes the map's next version, without what it learned from the recording: an id or a name in `sources`."""
+    map_ = await service.map(map_name)
+    left = await service.compute.run(lambda: forget_recording(map_, wanted.source), Effort.LARGE)
+    await service.threads.transfers(service.library.replace, map_name, left)
+    return await service.threads.database(_detail, service, map_name)
+
+
+def _planned(service: State, name: str, content: bytes, plan: FloorPlan | None) -> MapDetail:
+    service.library.replace(name, set_floor_plan(service.library.get(name), content, plan))
+    return _detail(service, name)
+
+
+def _check_learns(library: MapLibrary, name: str) -> None:
+    check_memory(library.get(name), f"The map {name}")
+
+
+def _publish_merged(library: MapLibrary, parts: Mapping[str, Map], into: str, merged: Map) -> None:
+    """Publish a merged map, unless it would replace one of its parts that has changed meanwhile."""
+    if into in parts and library.get(into) is not parts[into]:
+        raise Conflict(f"The map {into} was changed in the meantime.", "Merge again.")
+    library.put(into, merged)

@@ -1,0 +1,309 @@
+"""Maps: listed, uploaded, downloaded, renamed, corrected, merged, deleted."""
+
+from __future__ import annotations
+
+import uuid
+from contextlib import suppress
+from typing import Annotated
+
+from fastapi import APIRouter, Query, Request, Response
+from fastapi.responses import StreamingResponse
+from pydantic import Field
+
+from rholoc.errors import (
+    Busy,
+    Conflict,
+    DeadlineExceeded,
+    InvalidInput,
+    InvalidMap,
+    InvalidName,
+    RholocError,
+    StorageFull,
+    TooLarge,
+    UnknownMap,
+)
+from rholoc.exports import ExportFormat, export_map, parse_features
+from rholoc.maps import (
+    MapLibrary,
+    check_map_name,
+)
+from rholoc.pictures.rendering import Rendering
+from rholoc.service.access.scopes import NEEDS_ADMIN, NEEDS_MAP, NEEDS_READ, request_key
+from rholoc.service.errors import InvalidRequest, PreconditionFailed
+from rholoc.service.http.bodies import declared_length, save_body
+from rholoc.service.http.files import OpenedFile
+from rholoc.service.http.models import MAP_ID_EXAMPLE, AnswerModel, RequestModel, example
+from rholoc.service.http.openapi import BINARY, failures, request_body
+from rholoc.service.maps.descriptions import (
+    SUMMARY_EXAMPLE,
+    MapDetail,
+    MapSummary,
+    PreviousMap,
+    _summary,
+    detail_of,
+    previous_map,
+)
+from rholoc.service.maps.exports import ExportRequest, is_long
+from rholoc.service.maps.renderings import etag_of
+from rholoc.service.routes.maps.publishing import publish
+from rholoc.service.state import Service, State
+from rholoc.service.threads.compute import Effort
+from rholoc.storage.holdings import Kind
+
+
+class MapVersions(AnswerModel):
+    """The maps that a map replaced and that are kept, the latest first."""
+
+    model_config = example(
+        {"versions": [{"number": 1, "id": MAP_ID_EXAMPLE, "version": 1, "created": "2026-01-05T10:00:00Z"}]}
+    )
+
+    versions: list[PreviousMap]
+
+
+class MapList(AnswerModel):
+    """All maps that are served, by name; files that cannot be read are listed separately."""
+
+    model_config = example({"maps": [SUMMARY_EXAMPLE], "unreadable": {}})
+
+    maps: list[MapSummary]
+    unreadable: dict[str, str] = Field(description="names of map files that cannot be read, and why")
+
+
+class MapPatch(RequestModel):
+    """What may be changed of a map: its name."""
+
+    model_config = example({"name": "ground-floor"})
+
+    name: str
+
+
+router = APIRouter(prefix="/v1/maps", tags=["maps"])
+_FAILURES = (UnknownMap, InvalidName, InvalidMap)
+
+
+@router.get("", dependencies=[NEEDS_READ], summary="All maps")
+async def list_maps(service: Service) -> MapList:
+    """The maps by name; files that cannot be read are listed separately."""
+    return await service.threads.files(_list, service.library)
+
+
+@router.get("/{map_name}", dependencies=[NEEDS_READ], summary="One map", responses=failures(*_FAILURES))
+async def get_map(map_name: str, service: Service, response: Response) -> MapDetail:
+    """What the map says about itself. `ETag` is for `If-Match` of `PUT`."""
+    return await _answered(service, map_name, response)
+
+
+async def _answered(service: State, name: str, response: Response) -> MapDetail:
+    """The description of a map, with its tag in a header."""
+    etag = etag_of(await service.threads.files(service.library.stat, name))
+    response.headers["ETag"] = etag
+    return await service.threads.database(_detail, service, name)
+
+
+async def _check_unchanged(request: Request, service: State, name: str) -> None:
+    """Check `If-Match` and `If-None-Match: *` of a request that replaces a map.
+
+    Raises:
+        PreconditionFailed: the map is not the one that the request means, or is there although it must not be.
+    """
+    wanted, unwanted = request.headers.get("if-match"), request.headers.get("if-none-match")
+    if wanted is None and unwanted is None:
+        return
+    try:
+        present = etag_of(await service.threads.files(service.library.stat, name))
+    except UnknownMap:
+        present = ""
+    hint = "GET the map, and send its ETag as If-Match."
+    if wanted is not None and not (present and (wanted.strip() == "*" or present in wanted)):
+        raise PreconditionFailed(f"The map {name} was changed, or is not there.", hint)
+    if unwanted is not None and present and (unwanted.strip() == "*" or present in unwanted):
+        raise PreconditionFailed(f"There is already a map {name}.", hint)
+
+
+@router.put(
+    "/{map_name}",
+    dependencies=[NEEDS_MAP],
+    summary="Upload a map",
+    responses={
+        **failures(InvalidName, InvalidMap, TooLarge, StorageFull, PreconditionFailed),
+        201: {"model": MapDetail, "description": "The map is new."},
+    },
+    openapi_extra=request_body({"application/octet-stream": {"schema": BINARY}, "text/csv": {"schema": BINARY}}),
+)
+async def put_map(map_name: str, request: Request, service: Service, response: Response) -> MapDetail:
+    """The body is a `.rho` file or a map as CSV (Table 5). It is checked before it replaces the map of that name;
+    requests in progress finish on the old map, later ones get the new one. The same file again makes no version. With
+    `If-Match` only the map of that `ETag` is replaced, with `If-None-Match: *` none."""
+    check_map_name(map_name)
+    await _check_unchanged(request, service, map_name)
+    arrived = service.settings.data_dir / "uploads" / uuid.uuid4().hex
+    files = service.threads.files
+    await files(lambda: arrived.parent.mkdir(parents=True, exist_ok=True))
+    new = map_name not in await files(service.library.names)
+    key, quotas = request_key(request.scope), service.quotas
+    await service.threads.database(quotas.check, key, map_name, declared_length(request))
+    try:
+        await save_body(request, arrived, service.settings.max_upload_bytes)
+        async with quotas.counting(key), service.publishing:
+            size_bytes = (await files(arrived.stat)).st_size
+            await service.threads.database(quotas.check, key, map_name, size_bytes)
+            await _check_unchanged(request, service, map_name)
+            await service.threads.transfers(publish, service, map_name, arrived)
+            await service.threads.database(quotas.hold, key, Kind.MAP, map_name)
+    finally:
+        await files(lambda: arrived.unlink(missing_ok=True))
+    response.status_code = 201 if new else 200
+    return await _answered(service, map_name, response)
+
+
+@router.patch(
+    "/{map_name}",
+    dependencies=[NEEDS_MAP],
+    summary="Rename a map",
+    responses=failures(*_FAILURES, Conflict, InvalidRequest),
+)
+async def patch_map(map_name: str, change: MapPatch, service: Service) -> MapDetail:
+    """The new name must be free. The map stays in its sites."""
+    check_map_name(change.name)
+    if change.name != map_name:
+        await service.threads.database(service.library.rename, map_name, change.name)
+        await service.threads.database(service.sites.rename_map, map_name, change.name)
+        await service.threads.database(service.quotas.rename_map, map_name, change.name)
+    await service.threads.files(service.localizers.forget_missing)
+    return await service.threads.database(_detail, service, change.name)
+
+
+@router.delete(
+    "/{map_name}",
+    dependencies=[NEEDS_ADMIN],
+    status_code=204,
+    summary="Delete a map",
+    responses=failures(UnknownMap, InvalidName),
+)
+async def delete_map(map_name: str, service: Service) -> None:
+    """For good, with what is kept for it to learn from. Requests in progress still finish on it."""
+    await service.threads.database(_delete, service, map_name)
+    await service.threads.files(service.localizers.forget_missing)
+
+
+@router.get(
+    "/{map_name}/download",
+    dependencies=[NEEDS_READ],
+    summary="Download a map",
+    response_class=Response,
+    responses={
+        200: {
+            "description": "The file.",
+            "content": {form.media_type.partition(";")[0]: {"schema": BINARY} for form in ExportFormat},
+        },
+        **failures(*_FAILURES, InvalidInput, InvalidRequest, Busy, DeadlineExceeded),
+    },
+)
+async def download_map(
+    map_name: str,
+    request: Request,
+    service: Service,
+    format: Annotated[
+        ExportFormat, Query(description="the native map, or a form for other programs", examples=["rho"])
+    ] = ExportFormat.RHO,
+    degree: Annotated[
+        int | None, Query(description="of csv: tensor densities are fitted with it; default: the map's own densities")
+    ] = None,
+    features: Annotated[
+        str | None,
+        Query(description="of surfaces: whose, as `3,17,40:60`; default: the 500 seen most often", examples=["0:100"]),
+    ] = None,
+) -> Response:
+    """`rho`: the map itself; `csv`: Table 5, which can be uploaded again; `observations`: Table 4; `trajectory`: its
+    views as Table 6; `ply`, `vtp`, `gltf`: landmarks and views; `surfaces`: where densities peak, as VTP;
+    `colmap`: a text model of cameras, images and points, as ZIP; `nerfstudio`: `transforms.json`; `png`: a picture."""
+    await service.threads.files(service.library.stat, map_name)
+    headers = {"Content-Disposition": f'attachment; filename="{map_name}{format.ending}"'}
+    if format is ExportFormat.RHO and degree is None and features is None:
+        headers |= {"Cache-Control": "no-store"}
+        return await service.threads.fetches(_opened, service.library, map_name, headers)
+    if format is ExportFormat.PNG:
+        rendered = await service.renderings.get(map_name, Rendering.PREVIEW)
+        return Response(rendered.content, headers=headers, media_type=format.media_type)
+    chosen = None if features is None else parse_features(features)
+    map_ = await service.map(map_name)
+    if is_long(len(map_), format, degree, chosen):
+        path = await service.threads.fetches(service.library.path, map_name)
+        wanted = ExportRequest(path, map_name, format, degree, chosen)
+        return await service.exports.answer(wanted, headers, request.is_disconnected)
+    pieces = await service.compute.run(
+        lambda: export_map(map_, format, title=map_name, degree=degree, features=chosen), Effort.LARGE
+    )
+    return StreamingResponse(pieces, headers=headers, media_type=format.media_type)
+
+
+@router.post(
+    "/{map_name}/restore",
+    dependencies=[NEEDS_MAP],
+    summary="Restore a map that was replaced",
+    responses=failures(*_FAILURES, Conflict),
+)
+async def restore_map(
+    map_name: str,
+    service: Service,
+    number: Annotated[int, Query(ge=1, le=1000, description="which of its `versions`; 1 was replaced last")] = 1,
+) -> MapDetail:
+    """The map that was last replaced under this name takes its place again, and the present one is kept in turn:
+    restoring twice changes nothing. `number` chooses an earlier one."""
+    await service.threads.transfers(service.library.restore, map_name, number)
+    return await service.threads.database(_detail, service, map_name)
+
+
+@router.get(
+    "/{map_name}/versions",
+    dependencies=[NEEDS_READ],
+    summary="The maps that a map replaced",
+    responses=failures(*_FAILURES),
+)
+async def list_versions(map_name: str, service: Service) -> MapVersions:
+    """The maps that can be restored: the last five that were replaced under this name, the latest first."""
+    return await service.threads.database(_versions, service.library, map_name)
+
+
+def _delete(service: State, name: str) -> None:
+    with suppress(InvalidMap):  # one that cannot be read has no id; the sweep forgets its queries
+        service.queries.delete(service.library.get(name).info.id)
+    service.library.delete(name)
+
+
+def _list(library: MapLibrary) -> MapList:
+    maps: list[MapSummary] = []
+    unreadable: dict[str, str] = {}
+    for name in library.names():
+        try:
+            maps.append(MapSummary.model_validate(_summary(library, name)))
+        except UnknownMap:
+            continue  # deleted meanwhile
+        except RholocError as error:
+            unreadable[name] = error.message
+    return MapList(maps=maps, unreadable=unreadable)
+
+
+def _detail(service: State, name: str) -> MapDetail:
+    library, settings = service.library, service.settings
+    detail = detail_of(name, library.get(name), library.stat(name).size_bytes, library.previous(name))
+    here = {
+        "live": settings.live,
+        "keeps_failures": settings.keep_failures,
+        "pictures": detail.pictures and settings.keep_pictures,
+    }
+    return detail.model_copy(update=here)
+
+
+def _versions(library: MapLibrary, name: str) -> MapVersions:
+    library.stat(name)
+    return MapVersions(versions=[previous_map(number, info) for number, info in library.versions(name).items()])
+
+
+def _opened(library: MapLibrary, name: str, headers: dict[str, str]) -> OpenedFile:
+    try:
+        return OpenedFile(library.path(name), headers, ExportFormat.RHO.media_type)
+    except FileNotFoundError:
+        library.stat(name)  # which says that there is no such map; else it came back meanwhile
+        raise Conflict(f"The map {name} was replaced in the meantime.", "Try again.") from None
