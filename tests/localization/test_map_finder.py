@@ -16,8 +16,6 @@ from rholoc.localization import VECTORS_FILE, MapFinder
 from rholoc.localization.index import map_finder as module
 from rholoc.maps import Map, MapLibrary, map_to_bytes
 
-OLD_NS = 10**18  # the folder's time: files that were published long ago
-
 
 def publish(library: MapLibrary, name: str, map_: Map) -> None:
     library.put_file(name, map_to_bytes(map_))

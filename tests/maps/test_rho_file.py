@@ -34,13 +34,11 @@ from rholoc.maps import (
     storable_patches,
     unpacked_pixels,
 )
-from rholoc.maps.cloud import Cloud
 from rholoc.maps.formats.rho_file import _DESCRIPTORS, _LANDMARKS, _VIEWS, _checksum, load_info
 from rholoc.maps.info import info_from_json, info_to_json
 from rholoc.reports import MapReport
 from same_maps import assert_same_tables
 
-_CLOUD = Cloud(np.zeros((3, 3), np.float32), np.zeros((3, 3), np.uint8), np.array([0, 1, 1], np.int32))
 _SHARED_FOLDER = settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None, max_examples=150)
 
 
