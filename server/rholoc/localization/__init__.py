@@ -1,4 +1,4 @@
-"""Frame → pose: seeds, ascent, confidence."""
+"""Frame → pose: search the map for a place, find the pose there, and decide how much to believe it."""
 
 from rholoc.localization.belief.confidence import MIN_RECOGNIZED
 from rholoc.localization.diagnosis import TOO_LITTLE_TIME, Cause, Diagnosis

@@ -42,14 +42,15 @@ MIN_RECOGNIZED = 0.5
 
 @dataclass(frozen=True)
 class ConfidenceFeatures:
-    """The evidence about a pose that its belief is computed from.
+    """Inputs of the confidence model: the evidence for a pose.
 
     Attributes:
-        place: (3,) log₂ of the nats per match by which more matches are there than by chance, at most zero; log₂ of one
-            plus the nats that matches say for the pose; and log₂ of the share of the expected landmarks that is found.
-        colours: how well colours agree, 0 by chance, 1 at best; NaN where unknown.
-        patches: nats per match by orientation and size, from -½ to 1.2; NaN where unknown.
-        sigma: log₂ of the position's greatest standard deviation over 10 cm, from -2 to 1.
+        place: (3,) log₂ of the nats per match by which the matches exceed chance, at most zero; log₂ of one plus the
+            nats
+            in favour of the pose; log₂ of the share of the expected landmarks that was found.
+        colours: agreement of colours, from 0 (chance) to 1; NaN if unknown.
+        patches: agreement of orientation and size [nats per match], from -½ to 1.2; NaN if unknown.
+        sigma: log₂ of the largest standard deviation of the position over 10 cm, from -2 to 1.
     """
 
     place: tuple[float, float, float]
@@ -70,10 +71,10 @@ class ConfidenceFeatures:
 
 @dataclass(frozen=True)
 class Weights:
-    """The weights of the confidence features, each time the intercept first.
+    """Weights of the confidence model; each tuple begins with the intercept.
 
     Attributes:
-        place: (4,) of ``place`` alone, where neither colours nor patches are known.
+        place: (4,) of ``place`` alone, if neither colours nor patches are known.
         colours: (5,) of ``place`` and the colours.
         patches: (5,) of ``place`` and the patches.
         both: (6,) of ``place``, the patches and the colours.
@@ -99,7 +100,7 @@ WEIGHTS = Weights(
 
 
 def confidence_features(verified: Sequence[Verified], covariance: FloatArray) -> ConfidenceFeatures:
-    """The confidence features of frames verified together; ``covariance`` (6, 6) is of the frame asked for."""
+    """Confidence features of jointly verified frames. ``covariance`` (6, 6) is of the frame to answer."""
     supports = [one.support for one in verified]
     found, expected = sum(one.found for one in supports), sum(one.expected for one in supports)
     inliers = sum(one.inliers for one in verified)
@@ -116,14 +117,14 @@ def confidence_features(verified: Sequence[Verified], covariance: FloatArray) ->
 
 
 def belief_of(verified: Verified) -> Belief:
-    """How surely a verified pose is right, its rivals and its focal length aside."""
+    """Belief in one verified pose, before rivals and doubts about the focal length lower it."""
     return joint_belief((verified,), verified.covariance)
 
 
 def joint_belief(verified: Sequence[Verified], covariance: FloatArray) -> Belief:
-    """As :func:`belief_of`, of frames verified together; ``covariance`` (6, 6) is of the frame asked for.
+    """Belief in a pose from jointly verified frames. ``covariance`` (6, 6) is of the frame to answer.
 
-    A pose that is not known to half a metre is not known to be of the right place.
+    A position with a standard deviation of half a metre or more lowers ``recognized``.
     """
     belief = belief_by(confidence_features(verified, covariance))
     known = probability_right(covariance / SYSTEMATIC**2, PLACE_M, PLACE_RAD)
@@ -131,13 +132,13 @@ def joint_belief(verified: Sequence[Verified], covariance: FloatArray) -> Belief
 
 
 def belief_by(features: ConfidenceFeatures, weights: Weights = WEIGHTS) -> Belief:
-    """The belief that confidence features justify."""
+    """Evaluate the confidence model."""
     exact = float(expit(_weighed((features.sigma,), weights.exact)))
     return Belief(float(expit(_place_logit(features, weights))), exact)
 
 
 def _place_logit(features: ConfidenceFeatures, weights: Weights) -> float:
-    """The log odds that the place is right."""
+    """Log odds that the place is right."""
     known: tuple[float, ...] = features.place
     alone, by_colours = weights.place, weights.colours
     if features.has_patches:
@@ -154,7 +155,7 @@ def _weighed(inputs: tuple[float, ...], weights: tuple[float, ...]) -> float:
 
 
 def _mean_known(supports: Sequence[Support], values: Sequence[float]) -> float:
-    """The mean of the known values, weighted by the landmarks found in each frame."""
+    """Mean of the known values, weighted by the number of landmarks found in each frame; NaN if none is known."""
     known = [(one.found, value) for one, value in zip(supports, values, strict=True) if not math.isnan(value)]
     found = sum(weight for weight, _ in known)
     return sum(weight * value for weight, value in known) / found if found else math.nan

@@ -1,4 +1,4 @@
-"""An answer as the map makes it: with the map's own uncertainty in its covariance and in how surely it is right."""
+"""Add the map's own uncertainty to an answer, and withhold the pose if it is too doubtful or too inexact."""
 
 from __future__ import annotations
 
@@ -20,9 +20,14 @@ _IN_UNTRUSTED_MAP = 0.8
 
 
 def with_map_error(index: MapIndex, answer: Localization) -> Localization:
-    """The answer with the map's own error in its covariances and probabilities.
+    """Add the map's own error to the covariances and probabilities of an answer.
 
-    ``answer`` supposes that the map is exact; of what is returned, probabilities are those of being right in the world.
+    Args:
+        index: index of the map.
+        answer: an answer that treats the map as exact.
+
+    Returns:
+        The same answer relative to the real world.
     """
     trusted = index.trust.trusted
     belief = Belief(answer.belief.recognized, answer.belief.exact * (_IN_UNTRUSTED_MAP if trusted is False else 1.0))
@@ -47,11 +52,11 @@ def with_map_error(index: MapIndex, answer: Localization) -> Localization:
 
 
 def gated(answer: Localization, min_recognized: float, query: Query) -> Localization:
-    """The answer without its pose if the place is too unsure, or the pose less exact than the query asks.
+    """Withhold the pose if the place is too doubtful, or the pose less exact than the query demands.
 
     Args:
-        answer: with a pose or without.
-        min_recognized: the least probability of the right place.
+        answer: an answer with or without a pose.
+        min_recognized: minimum probability of the right place.
         query: its ``max_sigma_m`` and ``max_sigma_rad`` bound the standard deviations along the worst axes.
     """
     if answer.pose is None or answer.covariance is None:

@@ -1,8 +1,8 @@
-"""What the map's own uncertainty does to an answer.
+"""Effect of the map's own uncertainty on an answer.
 
-A map is bent a little: each of its views is known to a covariance, and the landmarks around it err as it does. Where
-the map is displaced, every landmark near a pose is displaced alike, so no number of matches averages it out: it adds to
-the pose's covariance undiminished, and lowers the probability that the pose is right.
+Each view's pose in the map has a covariance, and the landmarks around the view share its error. All landmarks near a
+pose are displaced alike, so more matches do not average this error out: it is added to the pose's covariance in full,
+and lowers the probability that the pose is right.
 """
 
 from __future__ import annotations
@@ -24,10 +24,18 @@ _DIRECTIONS = 512  # over which the probability is averaged; it is then good to 
 
 
 def carried_covariances(covariances: FloatArray, positions: FloatArray, to: FloatArray) -> FloatArray:
-    """What the uncertainty of poses (N, 6, 6) at ``positions`` (N, 3) makes of a pose at ``to`` (3,), each alone.
+    """Carry the covariances of view poses over to another place, each on its own.
 
-    The surroundings of a pose move with it as a rigid body: δx = δx_n + δθ_n × (to − x_n), δθ = δθ_n. Position in
-    metres, rotation in radians, a small rotation in the map frame from the left.
+    The surroundings of a view move with it as a rigid body: δx = δx_n + δθ_n × (to − x_n), δθ = δθ_n.
+
+    Args:
+        covariances: (N, 6, 6) of the view poses: position [m], then a small rotation [rad] in the map frame from the
+            left.
+        positions: (N, 3) of the views [m].
+        to: (3,) the other place [m].
+
+    Returns:
+        (N, 6, 6) covariances of the map at ``to``.
     """
     x, y, z = (to - positions).T
     J = np.tile(np.eye(6), (len(positions), 1, 1))
@@ -40,17 +48,18 @@ def carried_covariances(covariances: FloatArray, positions: FloatArray, to: Floa
 def map_covariance_at(
     covariances: FloatArray, positions: FloatArray, weights: FloatArray, to: FloatArray
 ) -> FloatArray | None:
-    """The covariance (6, 6) of the map itself at a place ``to`` (3,), by the views that an answer rests on.
+    """Covariance (6, 6) of the map at a place, from the views that an answer relies on.
 
-    Neighbouring views err together, so theirs are averaged, not multiplied.
+    Errors of neighbouring views are correlated, so their covariances are averaged, not fused.
 
     Args:
-        covariances: (K, 6, 6) of the views' poses; NaN where unknown.
-        positions: (K, 3) of the views.
-        weights: (K,) how much of the answer rests on each view.
+        covariances: (K, 6, 6) of the view poses; NaN if unknown.
+        positions: (K, 3) of the views [m].
+        weights: (K,) how much the answer relies on each view.
+        to: (3,) the place [m].
 
     Returns:
-        None where no view that the answer rests on has a known covariance.
+        None if no view with a positive weight has a known covariance.
     """
     used = np.flatnonzero((weights > 0) & np.isfinite(covariances).all(axis=(1, 2)))
     if len(used) == 0:
@@ -61,7 +70,7 @@ def map_covariance_at(
 
 
 def rms_position_error(covariance: FloatArray) -> float:
-    """The expected position error (root mean square, metres) of a covariance (6, 6) of a pose."""
+    """Expected position error (root mean square) [m] under a pose covariance (6, 6)."""
     return float(np.sqrt(np.trace(covariance[:3, :3])))
 
 
@@ -71,10 +80,15 @@ def worst_sigma(covariance: FloatArray) -> float:
 
 
 def probability_right(covariance: FloatArray, within_m: float = RIGHT_M, within_rad: float = RIGHT_RAD) -> float:
-    """The probability that a pose of this covariance (6, 6) is within both bounds of the truth.
+    """Probability that a pose with this covariance (6, 6) is within both bounds of the truth.
 
-    The error is ρ L u: u a uniform direction in six dimensions, ρ² of the χ² distribution with six degrees of freedom,
-    L Lᵀ the covariance. Along a direction both bounds are one on ρ.
+    The error is ρ L u with u a uniform direction in six dimensions, ρ² χ²-distributed with six degrees of freedom, and
+    L Lᵀ the covariance. Along each direction both bounds limit ρ; the probability is averaged over directions.
+
+    Args:
+        covariance: position [m], then rotation [rad].
+        within_m: bound on the position error.
+        within_rad: bound on the rotation error.
     """
     values, vectors = np.linalg.eigh(covariance)
     errors = _directions() @ (vectors * np.sqrt(np.maximum(values, 0))).T
@@ -86,9 +100,13 @@ def probability_right(covariance: FloatArray, within_m: float = RIGHT_M, within_
 def trust_in_map(
     local: FloatArray, map_covariance: FloatArray | None, within_m: float = RIGHT_M, within_rad: float = RIGHT_RAD
 ) -> float:
-    """0..1, by how much the map's own uncertainty lowers the probability that a pose is within both bounds.
+    """Factor 0 to 1 by which the map's own error lowers the probability that a pose is within both bounds.
 
-    ``local`` (6, 6) is the pose's covariance in a map that is exact.
+    Args:
+        local: (6, 6) covariance of the pose relative to an exact map.
+        map_covariance: (6, 6) of the map there; None if unknown, which gives 1.
+        within_m: bound on the position error.
+        within_rad: bound on the rotation error.
     """
     if map_covariance is None:
         return 1.0
@@ -98,9 +116,9 @@ def trust_in_map(
 
 @cache
 def _directions() -> FloatArray:
-    """(N, 6) unit vectors, evenly spread, the same each time: by the additive recurrence of Roberts (2018).
+    """(N, 6) evenly spread unit vectors, deterministic: the additive recurrence of Roberts (2018).
 
-    SciPy has sequences like it, in ``scipy.stats``, whose import is a tenth of the time that a server takes to start.
+    ``scipy.stats`` has such sequences, but importing it takes a tenth of a server's start-up time.
     """
     uniform = (0.5 + np.outer(np.arange(1, _DIRECTIONS + 1), _GOLDEN ** -np.arange(1.0, 7.0))) % 1
     normal = ndtri(uniform)

@@ -1,7 +1,7 @@
-"""Which of a library's maps may a picture be of? An index of all their views that follows the library.
+"""Which of a library's maps may show a picture? An index of all their views that follows changes of the library.
 
-For each kind of features there is an index of its own. What is learned of how pictures become vectors is learned from
-the first maps, and again while the library is small and grows; views are then turned into vectors once more.
+Each kind of features has an index of its own. The model that turns pictures into vectors is trained on the first maps,
+and trained again while the library is small and grows; all views are then converted again.
 """
 
 from __future__ import annotations
@@ -39,11 +39,12 @@ _SEED = 1
 
 
 class MapFinder:
-    """Finds the maps of a library that a picture may be of. :meth:`refresh` is for one thread, all else for any.
+    """Find the maps of a library that may show a picture. Thread-safe, except that one thread alone calls
+    :meth:`refresh`.
 
     Args:
         library: the maps.
-        file: where vectors are kept; None: nowhere.
+        file: where to keep view vectors; None keeps them in memory.
     """
 
     def __init__(self, library: MapLibrary, file: Path | None = None) -> None:
@@ -61,28 +62,29 @@ class MapFinder:
 
     @property
     def present(self) -> Collection[str]:
-        """The names of the maps that there were when the library was last looked at."""
+        """Names of the maps in the library at the last :meth:`refresh`."""
         return self._present.keys()
 
     @property
     def unknown(self) -> list[str]:
-        """The names of those whose views are not known yet, in order."""
+        """Sorted names of the maps that are not indexed yet."""
         files = self._files
         return sorted(name for name, file in self._present.items() if files.get(name) != file)
 
     def counts(self) -> dict[str, int]:
-        """How many maps there are, and of how many the views are known."""
+        """Number of maps, and how many of them are indexed."""
         return {"present": len(self._present), "indexed": len(self._present) - len(self.unknown)}
 
     def likeliest(
         self, features_by: Callable[[Extractor], FeatureSet], most: int, among: Collection[str] | None = None
     ) -> list[LikelyMap]:
-        """The maps that a picture speaks for, at most ``most``; of each kind of features in turn the likeliest first.
+        """Rank maps by similarity to a picture. Returns at most ``most``, alternating between kinds of features.
 
         Args:
-            features_by: the picture's features by an extractor; InvalidDescriptors where there are none of its kind.
-            most: how many.
-            among: the names of those to choose from; default: all.
+            features_by: returns the picture's features for an extractor; raises InvalidDescriptors if it has none of
+                that kind.
+            most: maximum number of maps.
+            among: names of the maps to consider; default: all.
         """
         found = []
         for features, index in sorted(self._indexes.items()):
@@ -95,7 +97,7 @@ class MapFinder:
         return list(islice(in_turn, most))
 
     def refresh(self, is_stopped: Callable[[], bool] = lambda: False) -> None:
-        """Learn what has changed in the library since; ends early once ``is_stopped``."""
+        """Index what has changed in the library. Returns early once ``is_stopped`` is true."""
         stamp, now_s = self._library.stamp(), time.monotonic()
         if stamp == self._scanned_stamp and now_s < self._scanned_s + _LOOK_AT_ALL_S:
             return
@@ -122,13 +124,13 @@ class MapFinder:
         self._scanned_stamp, self._scanned_s = stamp if settled else None, now_s
 
     def close(self) -> None:
-        """Let go of the file."""
+        """Close the file."""
         self._store.close()
 
     # -- what is stored ------------------------------------------------------------------------------------------------
 
     def _read(self) -> None:
-        """All that is stored, once, and again where another process has learned anew."""
+        """Load everything from the file: once, and again after another process has trained a new model."""
         known = {name: model.id for name, model in self._models.items()}
         if self._is_read and self._store.model_ids() in (known, {}):
             return
@@ -157,7 +159,7 @@ class MapFinder:
 
     @contextmanager
     def _noting_trouble(self) -> Iterator[None]:
-        """What is stored saves time at the next start; where it cannot be, all else goes on."""
+        """Log and ignore errors of the file: it only saves time at the next start."""
         try:
             yield
         except (sqlite3.Error, OSError) as error:
@@ -166,7 +168,7 @@ class MapFinder:
     # -- what has changed ----------------------------------------------------------------------------------------------
 
     def _scan(self) -> dict[str, str]:
-        """The maps' names, and what tells their files from others of the same name."""
+        """Names of the library's maps, each with an identifier of its file's version."""
         found = {}
         for name in self._library.names():
             try:
@@ -177,7 +179,7 @@ class MapFinder:
         return found
 
     def _take(self, name: str, file: str, others: Sequence[str]) -> None:
-        """Take a map's views in, as another process has stored them, or from the map itself."""
+        """Index a map, from the views that another process has stored or from the map itself."""
         with self._noting_trouble():
             for stored in self._store.views(name):
                 model = self._models.get(stored.features)
@@ -212,7 +214,7 @@ class MapFinder:
         self._files[views.map] = views.file
 
     def _loaded(self, name: str) -> Map | None:
-        """A map as its file is now; None where it cannot be read, or its features are not known."""
+        """Load a map. Returns None if it cannot be read, or if its extractor is unknown."""
         try:
             map_ = load_map(self._library.path(name))
             get_extractor(map_.info.features)
@@ -223,7 +225,7 @@ class MapFinder:
     # -- what is learned -----------------------------------------------------------------------------------------------
 
     def _learned(self, features: str, names: Sequence[str]) -> Model | None:
-        """A model learned from the first of some maps that have such features; None where they have none at all."""
+        """Train a model on the first maps with these features. Returns None if there are none."""
         share = max(_FEWEST_PICTURES, _TRAINING_PICTURES // min(_LEARNED_FROM, len(names)))
         pictures: list[ByteArray] = []
         maps = 0
@@ -240,9 +242,11 @@ class MapFinder:
         return Model.new(features, maps, PictureVectors.learned(pictures, get_extractor(features).metric))
 
     def _relearn(self, changed: Sequence[str], is_stopped: Callable[[], bool]) -> None:
-        """Learn anew what was learned from too few maps, and make the vectors of those that are known again.
+        """Train models again that were trained on too few maps, and convert their views.
 
-        ``changed`` are the names of maps that are not known, as they are now: any of them may be of these features.
+        Args:
+            changed: names of maps that are not indexed yet.
+            is_stopped: whether to stop early.
         """
         for features, before in list(self._models.items()):
             names = [*sorted(self._indexes[features].names - set(changed)), *changed]

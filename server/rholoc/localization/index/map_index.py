@@ -1,4 +1,4 @@
-"""The map as localization needs it: descriptors to search, landmarks to project, places to vote for."""
+"""Index of a map for localization: search descriptors, project landmarks, vote for places."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ _UPRIGHT_LEAN_RAD = np.deg2rad(4.0)  # a hand that holds a phone upright keeps w
 
 
 class MapIndex:
-    """What is derived once from a map; immutable afterwards.
+    """Everything that localization derives once from a map. Immutable.
 
     Args:
         map_: the map.
-        chance: its :func:`chance_of_likeness`, where that is known already.
+        chance: its :func:`chance_of_likeness`, if it is already known.
     """
 
     def __init__(self, map_: Map, chance: float | None = None) -> None:
@@ -48,9 +48,10 @@ class MapIndex:
         self.visibility = csr_array((ones, seen, map_.view_offsets), shape=(len(map_.views), len(map_)))
 
     def map_covariance(self, landmarks: IntArray, position: FloatArray, views: int) -> FloatArray | None:
-        """The map's own covariance (6, 6) at a ``position`` (3,), by the views that saw most of some landmarks (M,).
+        """Covariance (6, 6) of the map at a ``position`` (3,), from the ``views`` views that saw most of ``landmarks``
+        (M,).
 
-        None where the map does not know it.
+        Returns None if the map has no covariances there.
         """
         if self.map.views.covariances is None:
             return None
@@ -61,17 +62,17 @@ class MapIndex:
 
     @lazy
     def trust(self) -> Trust:
-        """Whether the map is to be trusted, by its own report."""
+        """Verdict on the map from its own report."""
         return trust_of(self.map.info)
 
     def shared_with(self, view: int) -> FloatArray:
-        """(K,) how many features each view shares with one of them."""
+        """(K,) number of features that each view shares with view ``view``."""
         first, last = self.map.view_offsets[view : view + 2]
         return self.seen_by_views(self.visibility.indices[first:last])
 
     @lazy
     def seen_upright(self) -> bool:
-        """Whether the map's own views were taken by a camera held upright."""
+        """Whether the map's own views come from a camera held upright."""
         if not self.map.info.upright or len(self.map.views.T_map_camera) == 0:
             return False
         lean_rad = np.arcsin(np.clip(np.abs(self.map.views.T_map_camera[:, 2, 0]), 0, 1))  # of the camera's x axis
@@ -79,15 +80,15 @@ class MapIndex:
 
     @lazy
     def chance_of_likeness(self) -> float:
-        """How often two descriptors of different landmarks are as alike as a match must be."""
+        """Probability that descriptors of two different landmarks are similar enough for a match."""
         return chance_of_likeness(self.map) if self._chance is None else self._chance
 
     def present(self, position: FloatArray, landmarks: IntArray | slice = _ALL) -> BoolArray:
-        """π_f: which features, or which of some ``landmarks`` (M,), may be seen from ``position`` (3,)."""
+        """Presence π_f: whether each feature, or each of ``landmarks`` (M,), may be visible from ``position`` (3,)."""
         return self.presence.take(landmarks).allows(self.landmarks[landmarks], position)
 
     def seen_from(self, views: IntArray) -> IntArray:
-        """The features (P,) that some views (V,) saw, in their order."""
+        """Sorted rows (P,) of the features that at least one of the given views (V,) saw."""
         first = self.map.view_offsets
         seen = np.zeros(len(self.map), dtype=bool)
         for view in views.tolist():
@@ -95,38 +96,42 @@ class MapIndex:
         return np.flatnonzero(seen)
 
     def seen_alike(self, landmarks: IntArray, views: int) -> BoolArray:
-        """Which features (F,) were seen by those ``views`` that saw most of some landmarks (M,): as from there."""
+        """Mask (F,) of features seen by the ``views`` views that saw most of ``landmarks`` (M,), and hence from
+        nearby.
+        """
         votes = self.seen_by_views(landmarks)
         seen = np.zeros(len(self.map), dtype=bool)
         seen[self.seen_from(np.argsort(-votes, kind="stable")[:views])] = True
         return seen
 
     def seen_by_views(self, landmarks: IntArray) -> FloatArray:
-        """(K,) how many of some landmarks (M,) each view saw."""
+        """(K,) number of the given landmarks (M,) that each view saw."""
         return np.asarray(self.visibility @ np.bincount(landmarks, minlength=len(self.map)).astype(np.float32))
 
     def nearest_everywhere(self, features: FeatureSet, some: IntArray | None = None) -> NearestLandmarks:
-        """What in the whole map a query's features, or ``some`` of them (N,), are most like.
+        """Nearest landmarks in the whole map for a query's features, or for the rows ``some`` (N,) of them.
 
-        Each landmark stands by its first descriptor.
+        Compares with the first descriptor of each landmark only.
         """
         return self._nearest(self._everywhere, self._medoids, features, some)
 
     def match_everywhere(self, features: FeatureSet) -> Matches:
-        """Matches of a query's features with the whole map."""
+        """Match a query's features against the whole map."""
         return self.nearest_everywhere(features).matches()
 
     def match_within(self, features: FeatureSet, landmarks: IntArray, some: IntArray | None = None) -> Matches:
-        """Matches with some of the map's features only, each the other's nearest.
+        """Mutual nearest-neighbour matches with a subset of the map's landmarks.
 
-        By all descriptors of each; or, which is quicker, of ``some`` features (N,) alone by the first of each.
+        With ``some`` (N,), only these rows of the features are matched, and only against each landmark's first
+        descriptor,
+        which is faster.
         """
         return self.nearest_within(features, landmarks, some).matches(mutual=True)
 
     def nearest_within(
         self, features: FeatureSet, landmarks: IntArray, some: IntArray | None = None
     ) -> NearestLandmarks:
-        """What among some of the map's features a query's features are most like, as for :meth:`match_within`."""
+        """Nearest landmarks within a subset of the map, for the features that :meth:`match_within` would use."""
         rows = self.descriptor_rows(landmarks) if some is None else self._medoids[landmarks]
         channels = self.map.landmarks.channels[self.map.descriptors.features[rows]]
         index = DescriptorIndex(self.map.descriptors.values[rows], channels, self.metric)
@@ -140,11 +145,18 @@ class MapIndex:
         radius_px: float,
         some: IntArray | None = None,
     ) -> tuple[Matches, FloatArray]:
-        """Matches with the landmarks that a camera at ``T_map_camera`` (4, 4) would see close by.
+        """Match features with the landmarks that project close to them.
 
-        Each is the other's best match within ``radius_px``; of all features, or of ``some`` (S,). Also returns how
-        probably each detection (N,) would find something alike there by chance alone: what the matches are to be held
-        against.
+        Args:
+            features: the query's N features.
+            camera: the query's camera.
+            T_map_camera: (4, 4) pose from which landmarks are projected.
+            radius_px: maximum distance between a feature and a projected landmark.
+            some: (S,) rows of the features to match; default: all.
+
+        Returns:
+            Mutual best matches, and the probability (N,) that each feature matches something within the radius by
+            chance.
         """
         present = np.flatnonzero(self.present(T_map_camera[:3, 3]))
         pixels = camera.project((self.landmarks[present] - T_map_camera[:3, 3]) @ T_map_camera[:3, :3])
@@ -166,11 +178,11 @@ class MapIndex:
         return Matches(detections[mutual], landmarks[mutual], chances), by_chance
 
     def descriptor_rows(self, landmarks: IntArray) -> IntArray:
-        """The rows of all descriptors of the given landmarks."""
+        """Rows of all descriptors of the given landmarks."""
         return ranges(self._first_descriptor[landmarks], self._first_descriptor[landmarks + 1])
 
     def distances_to(self, features: FeatureSet, detections: IntArray, landmarks: IntArray) -> FloatArray:
-        """The distance (M,) of each detection to its landmark's nearest descriptor; inf across channels."""
+        """Descriptor distance (M,) of each detection to its landmark's nearest descriptor; inf across channels."""
         best = np.full(len(detections), np.inf, dtype=np.float32)
         comparable = np.flatnonzero(features.channels[detections] == self.map.landmarks.channels[landmarks])
         if len(comparable) == 0:
@@ -192,12 +204,12 @@ class MapIndex:
 
 
 def _tree(pixels: FloatArray) -> cKDTree:
-    """A tree that is made faster than it is searched: it is searched once."""
+    """k-d tree that favours fast construction, because it is searched once."""
     return cKDTree(pixels, compact_nodes=False, balanced_tree=False)
 
 
 def chance_of_likeness(map_: Map) -> float:
-    """How often two descriptors of different landmarks of a map are as alike as a match must be, by a sample."""
+    """Probability that descriptors of two different landmarks are similar enough for a match, from a sample."""
     metric = get_extractor(map_.info.features).metric
     rng = np.random.default_rng(0)
     a, b = rng.integers(0, len(map_.descriptors), (2, _CHANCE_SAMPLES))

@@ -1,4 +1,4 @@
-"""Matches: which detection of the query may be which landmark, and how believable that is."""
+"""Matches between the query's detections and the map's landmarks, each with its probability of being true."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class Matches:
     Attributes:
         detections: (M,) rows of the query's features.
         landmarks: (M,) rows of the map's features.
-        chances: (M,) 0..1, how likely the match is true by its descriptors alone.
+        chances: (M,) probability that each match is true, from descriptors alone.
     """
 
     detections: IntArray
@@ -32,29 +32,29 @@ class Matches:
         return len(self.detections)
 
     def take(self, index: IntArray) -> Matches:
-        """The matches at ``index``, in that order."""
+        """Matches in the rows ``index``, in that order."""
         return Matches(self.detections[index], self.landmarks[index], self.chances[index])
 
     def likeliest_first(self) -> Matches:
-        """The matches by their chances, descending."""
+        """Matches sorted by descending probability."""
         return self.take(np.argsort(-self.chances, kind="stable"))
 
     @classmethod
     def none(cls) -> Matches:
-        """No matches."""
+        """An empty set of matches."""
         nothing = np.zeros(0, dtype=np.int64)
         return cls(nothing, nothing, np.zeros(0))
 
 
 @dataclass(frozen=True, eq=False)
 class NearestLandmarks:
-    """The landmarks that each of N features is most like, the most alike first.
+    """The K nearest landmarks of each of N features, nearest first.
 
     Attributes:
         detections: (N,) rows of the query's features.
-        landmarks: (N, K) rows of the map's features, -1 where there are fewer.
-        distances: (N, K) between descriptors.
-        metric: theirs.
+        landmarks: (N, K) rows of the map's features; -1 if there are fewer than K.
+        distances: (N, K) descriptor distances.
+        metric: metric of the distances.
     """
 
     detections: IntArray
@@ -66,7 +66,7 @@ class NearestLandmarks:
         return len(self.detections)
 
     def joined(self, others: NearestLandmarks) -> NearestLandmarks:
-        """With those of other features."""
+        """Concatenation with the nearest landmarks of other features."""
         return NearestLandmarks(
             np.concatenate([self.detections, others.detections]),
             np.concatenate([self.landmarks, others.landmarks]),
@@ -75,7 +75,9 @@ class NearestLandmarks:
         )
 
     def matches(self, mutual: bool = False) -> Matches:
-        """Each feature with its nearest landmark; if ``mutual``, only where no other feature is nearer to that."""
+        """Match each feature with its nearest landmark; if ``mutual``, only if no other feature is nearer to that
+        landmark.
+        """
         nearest, distances = self.landmarks[:, 0], self.distances[:, 0]
         other = (self.landmarks != nearest[:, None]) & (self.landmarks >= 0)
         rival = np.where(other, self.distances, np.inf).min(axis=1)
@@ -87,16 +89,19 @@ class NearestLandmarks:
         return Matches(self.detections[good], nearest[good], chances)
 
     def pairs(self) -> Matches:
-        """Each feature with every landmark that it is like, each pair's chance by its own likeness alone."""
+        """Pair each feature with all its nearest landmarks, each with its probability from the distance alone."""
         rows, ranks = np.nonzero((self.landmarks >= 0) & (self.distances <= LIMITS[self.metric].loose))
         chances = guided_chances(self.distances[rows, ranks], self.metric)
         return Matches(self.detections[rows], self.landmarks[rows, ranks], chances)
 
 
 def match_chances(distances: FloatArray, rivals: FloatArray, metric: Metric) -> FloatArray:
-    """How likely matches are true, from their distance (M,) and that of the nearest rival landmark (M,).
+    """Probability that matches are true: a logistic function of the distance and of the margin over the rival.
 
-    A logistic in the distance itself and in the lead over the rival.
+    Args:
+        distances: (M,) to the matched landmark.
+        rivals: (M,) to the nearest other landmark.
+        metric: metric of the distances.
     """
     limits = LIMITS[metric]
     lead = np.where(np.isfinite(rivals), rivals - distances, limits.strict)
@@ -105,13 +110,13 @@ def match_chances(distances: FloatArray, rivals: FloatArray, metric: Metric) -> 
 
 
 def guided_chances(distances: FloatArray, metric: Metric) -> FloatArray:
-    """How likely matches (M,) are true that were looked for only where the landmark should appear."""
+    """Probability (M,) that matches are true that were searched only near the projected landmark."""
     limits = LIMITS[metric]
     return np.asarray(np.clip(1 / (1 + np.exp((distances - limits.strict) / limits.spread)), 0.1, _MAX_CHANCE))
 
 
 def is_least(distances: FloatArray, groups: IntArray, count: int) -> BoolArray:
-    """Which entries (N,) have the least distance of their group; groups are 0..count-1, or -1."""
+    """Mask (N,) of the smallest distance in each group. ``groups`` (N,) are 0 to count-1, or -1 for none."""
     least = np.full(count + 1, np.inf, dtype=distances.dtype)
     np.minimum.at(least, groups, distances)
     return np.asarray(distances <= least[groups])

@@ -1,8 +1,8 @@
-"""Which of many maps? The views of all of them as short vectors, in an inverted file.
+"""Which of many maps? Retrieval over the views of all maps: short vectors in an inverted file.
 
-What is kept takes 272 bytes a view, whatever the maps hold; a search looks at a quarter of the lists. With fewer it
-loses the right map: a picture also shows what is no landmark, and so its vector often lies in another list than those
-of the views that it is most like.
+A view takes 272 bytes, regardless of its map's size. A search probes a quarter of the lists. Probing fewer lists loses
+the right map: a picture also shows things that are not landmarks, so its vector often falls into another list than the
+vectors of similar views.
 """
 
 from __future__ import annotations
@@ -37,11 +37,11 @@ _SEED = 1
 
 @dataclass(frozen=True)
 class LikelyMap:
-    """A map that a picture may have been taken in.
+    """A map in which a picture may have been taken.
 
     Attributes:
-        name: the map's.
-        score: how strongly its views speak for it, 0 to 1; comparable between maps of one index.
+        name: name of the map.
+        score: similarity of its views to the picture, 0 to 1; comparable between maps of one index.
     """
 
     name: str
@@ -49,7 +49,9 @@ class LikelyMap:
 
 
 def view_descriptors(map_: Map) -> list[ByteArray]:
-    """The descriptors (N, B) that each of a map's views saw: of each landmark the first; at most ``MOST_VECTORS``."""
+    """For each view of a map the descriptors (N, B) of the landmarks it saw, one each; at most ``MOST_VECTORS``
+    views.
+    """
     first = np.searchsorted(map_.descriptors.features, np.arange(len(map_)))
     views = np.arange(len(map_.views))
     if len(views) > MOST_VECTORS:
@@ -59,10 +61,10 @@ def view_descriptors(map_: Map) -> list[ByteArray]:
 
 
 class ViewIndex:
-    """The views of maps of one kind of features. Safe to share between threads.
+    """Index of the views of all maps with one kind of features. Thread-safe.
 
     Args:
-        pictures: how pictures become vectors.
+        pictures: model that turns a picture's descriptors into a vector.
     """
 
     def __init__(self, pictures: PictureVectors) -> None:
@@ -76,12 +78,12 @@ class ViewIndex:
 
     @property
     def names(self) -> set[str]:
-        """Of the maps that are here."""
+        """Names of the maps in the index."""
         held = self._held
         return {held.maps[number] for number in np.unique(held.owners[held.owners >= 0]).tolist()}
 
     def put(self, given: Mapping[str, FloatArray]) -> None:
-        """Take in the vectors (V, ``DIMENSIONS``) of maps by name, in place of those that they had."""
+        """Add the view vectors (V, ``DIMENSIONS``) of maps by name, replacing those that a map already has."""
         with self._changing:
             held = self._held.without(set(given))
             new = np.concatenate([np.zeros((0, DIMENSIONS), np.float32), *given.values()])
@@ -99,14 +101,14 @@ class ViewIndex:
                 self._held = held
 
     def drop(self, names: Iterable[str]) -> None:
-        """Let maps go, those that are here."""
+        """Remove maps. Unknown names are ignored."""
         with self._changing:
             self._held = self._held.without(set(names))
 
     def likeliest(self, descriptors: ByteArray, most: int, among: Collection[str] | None = None) -> list[LikelyMap]:
-        """The maps that a picture with these descriptors (N, B) speaks for, at most ``most``, the likeliest first.
+        """Rank maps by similarity to a picture with descriptors (N, B). Returns at most ``most``, best first.
 
-        Of all maps, or ``among`` some of them.
+        Considers all maps, or only those named in ``among``.
         """
         query = self.pictures.vectors([descriptors])
         if not query.any():
@@ -125,13 +127,13 @@ class ViewIndex:
 
 @dataclass(frozen=True, eq=False)
 class _Held:
-    """Vectors, and whose they are.
+    """An immutable set of vectors and their maps.
 
     Attributes:
-        index: of V vectors, a byte a number, in lists.
-        maps: names by number.
-        owners: (V,) the number of each vector's map; -1 where it is nobody's any more.
-        made_for: how many vectors the lists were made for.
+        index: inverted file of V vectors, one byte per number.
+        maps: map names by number.
+        owners: (V,) number of each vector's map; -1 once that map was removed.
+        made_for: number of vectors that the lists were sized for.
     """
 
     index: faiss.Index
@@ -141,7 +143,7 @@ class _Held:
 
     @classmethod
     def of(cls, vectors: FloatArray, maps: tuple[str, ...], owners: IntArray) -> _Held:
-        """Vectors (V, ``DIMENSIONS``), in as many lists as suit their number."""
+        """Index vectors (V, ``DIMENSIONS``), with a number of lists that suits their count."""
         used, numbers = np.unique(owners, return_inverse=True)
         named = tuple(maps[number] for number in used.tolist())
         index = _empty_index(vectors)
@@ -149,18 +151,18 @@ class _Held:
         return cls(index, named, numbers.astype(np.int32), len(vectors))
 
     def is_outgrown_by(self, owners: IntArray) -> bool:
-        """Whether vectors of so many owners (V,) deserve lists of their own."""
+        """Whether vectors with these owners (V,) need more lists."""
         dead = np.count_nonzero(owners < 0)
         return bool(len(owners) > max(_FEW, _GROWTH * self.made_for) or dead > max(_FEW, _DEAD_SHARE * len(owners)))
 
     def without(self, names: set[str]) -> _Held:
-        """The same, with nothing of some maps found any more."""
+        """A copy that no longer finds the given maps."""
         gone = [number for number, name in enumerate(self.maps) if name in names]
         owners = np.where(np.isin(self.owners, gone), -1, self.owners) if gone else self.owners
         return replace(self, owners=owners)
 
     def search(self, query: FloatArray, among: Collection[str] | None) -> tuple[FloatArray, IntArray]:
-        """The products with the vectors most like a query (1, D), and their rows; -1 where there are no more."""
+        """Inner products with the vectors nearest to a query (1, D), and their rows; -1 if there are fewer."""
         if among is None:
             return self.index.search(query, _LIKELY_VIEWS)
         named = set(among)
@@ -175,14 +177,14 @@ class _Held:
         return self.index.search(query, _LIKELY_VIEWS, params=chosen)
 
     def vectors(self, rows: IntArray) -> FloatArray:
-        """(R, ``DIMENSIONS``) of some rows (R,), as exactly as they are kept."""
+        """(R, ``DIMENSIONS``) vectors in the given rows (R,), as quantized."""
         if len(rows) == 0:
             return np.zeros((0, DIMENSIONS), np.float32)
         return unpacked_vectors(self.index.reconstruct_batch(rows))
 
 
 def _empty_index(vectors: FloatArray) -> faiss.Index:
-    """An index without vectors, made for such as these (V, ``DIMENSIONS``)."""
+    """Empty index trained for vectors like these (V, ``DIMENSIONS``)."""
     kind, metric = faiss.ScalarQuantizer.QT_8bit_direct_signed, faiss.METRIC_INNER_PRODUCT
     if len(vectors) <= _FEW:
         return faiss.IndexScalarQuantizer(DIMENSIONS, kind, metric)
@@ -197,15 +199,15 @@ def _empty_index(vectors: FloatArray) -> faiss.Index:
 
 
 def _as_bytes(vectors: FloatArray) -> FloatArray:
-    """Vectors (V, D) of unit length as whole numbers from -128 to 127; in floats, as the index takes them."""
+    """Unit vectors (V, D) scaled to whole numbers from -128 to 127, as floats, which the index expects."""
     return np.ascontiguousarray(packed_vectors(vectors), dtype=np.float32)
 
 
 def packed_vectors(vectors: FloatArray) -> NDArray[np.int8]:
-    """Vectors (V, D) of unit length, a byte a number: as exactly as an index keeps them."""
+    """Unit vectors (V, D) quantized to one byte per number, without further loss when they enter an index."""
     return np.asarray(np.clip(np.round(vectors * _STEPS), -128, 127), dtype=np.int8)
 
 
 def unpacked_vectors(packed: NDArray[np.int8] | FloatArray) -> FloatArray:
-    """What :func:`packed_vectors` packed, float32."""
+    """Float32 vectors from :func:`packed_vectors`."""
     return np.asarray(packed / np.float32(_STEPS), dtype=np.float32)

@@ -1,7 +1,7 @@
-"""The vectors of maps' views in a file, so that a start need not read the maps.
+"""View vectors of all maps in a file, so that a start does not have to read the maps.
 
-One SQLite file, which several processes may share. It holds nothing that cannot be made again from the maps: where it
-is torn, it is begun anew.
+One SQLite file that several processes may share. Everything in it can be computed again from the maps, so a corrupt
+file is discarded.
 """
 
 from __future__ import annotations
@@ -36,13 +36,13 @@ CREATE TABLE IF NOT EXISTS views (
 
 @dataclass(frozen=True, eq=False)
 class Model:
-    """How pictures of one kind of features become vectors.
+    """A model that turns pictures with one kind of features into vectors.
 
     Attributes:
-        id: tells it from others.
-        features: the extractor's name.
-        maps: how many maps it was learned from.
-        pictures: what makes the vectors.
+        id: unique identifier.
+        features: name of the extractor.
+        maps: number of maps it was trained on.
+        pictures: the model itself.
     """
 
     id: str
@@ -52,19 +52,19 @@ class Model:
 
     @classmethod
     def new(cls, features: str, maps: int, pictures: PictureVectors) -> Model:
-        """One that was just learned."""
+        """A newly trained model with an identifier of its own."""
         return cls(uuid4().hex, features, maps, pictures)
 
 
 @dataclass(frozen=True, eq=False)
 class StoredViews:
-    """A map's views.
+    """View vectors of one map.
 
     Attributes:
-        map: its name.
-        file: what tells its file from one that replaces it; empty vectors stand for a file that is no map.
-        model: the id of what made the vectors.
-        features: the extractor's name.
+        map: name of the map.
+        file: identifies the version of its file; no vectors if that file is not a valid map.
+        model: id of the model that made the vectors.
+        features: name of the extractor.
         vectors: (V, ``DIMENSIONS``).
     """
 
@@ -76,7 +76,7 @@ class StoredViews:
 
 
 class ViewStore:
-    """The file; to be used by one thread at a time.
+    """The file with the view vectors. Not thread-safe.
 
     Args:
         path: of the file; None keeps everything in memory.
@@ -87,13 +87,13 @@ class ViewStore:
         self._connection: sqlite3.Connection | None = None
 
     def close(self) -> None:
-        """Let go of the file."""
+        """Close the file."""
         if self._connection is not None:
             self._connection.close()
             self._connection = None
 
     def models(self) -> dict[str, Model]:
-        """All models by the names of their features; those of extractors that are not known are left out."""
+        """All models by the names of their features, without those of unknown extractors."""
         found = {}
         with self._open() as database:
             rows = database.execute("SELECT features, id, maps, data FROM models").fetchall()
@@ -105,12 +105,12 @@ class ViewStore:
         return found
 
     def model_ids(self) -> dict[str, str]:
-        """The ids of all models by the names of their features."""
+        """Ids of all models by the names of their features."""
         with self._open() as database:
             return dict(database.execute("SELECT features, id FROM models").fetchall())
 
     def put_model(self, model: Model, views: Iterable[StoredViews] = ()) -> None:
-        """Store a model in place of the one that there was for its features, with the views that it made."""
+        """Store a model and the views it made, replacing the model of the same features and its views."""
         data = io.BytesIO()
         np.savez(data, allow_pickle=False, **model.pictures.arrays())
         row = (model.features, model.id, model.maps, data.getvalue())
@@ -120,17 +120,17 @@ class ViewStore:
             database.executemany(_PUT_VIEWS, map(_row, views))
 
     def put(self, views: StoredViews) -> None:
-        """Store a map's views in place of those that it had."""
+        """Store a map's views, replacing its earlier ones."""
         with self._open() as database:
             database.execute(_PUT_VIEWS, _row(views))
 
     def drop(self, maps: Iterable[str]) -> None:
-        """Forget maps."""
+        """Delete the views of maps."""
         with self._open() as database:
             database.executemany("DELETE FROM views WHERE map = ?", [(name,) for name in maps])
 
     def views(self, map_name: str | None = None) -> Iterator[StoredViews]:
-        """All maps' views, or those of one map."""
+        """Views of all maps, or of one."""
         query = "SELECT map, file, features, model, vectors FROM views"
         with self._open() as database:
             rows = (
@@ -142,7 +142,7 @@ class ViewStore:
 
     @contextmanager
     def _open(self) -> Iterator[sqlite3.Connection]:
-        """The database, in a transaction. A file that is torn is thrown away, which the next call finds empty.
+        """The database in a transaction. A corrupt file is deleted, so that the next call starts with an empty one.
 
         Raises:
             sqlite3.Error: the file cannot be used.
