@@ -34,12 +34,12 @@ _FOCAL_RANGE = (0.25, 4.0)  # of the focal length that an ascent starts with
 
 @dataclass(frozen=True, eq=False)
 class Optimum:
-    """Where an ascent ended.
+    """End of an ascent.
 
     Attributes:
         T_map_camera: (4, 4).
-        value: Σ log((ε + ρ) / ε), nats: how much likelier the matches are than by chance.
-        density: (M,) ρ of each match there.
+        value: Σ log((ε + ρ) / ε) [nats]: log-likelihood ratio of the matches against chance.
+        density: (M,) ρ of each match at the optimum.
     """
 
     T_map_camera: FloatArray
@@ -49,14 +49,14 @@ class Optimum:
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """A pose (4, 4) on the way up, and the tolerance in pixels that held when it was reached."""
+    """A pose (4, 4) along the ascent, and the pixel tolerance under which it was reached."""
 
     T_map_camera: FloatArray
     tolerance_px: float
 
 
 def gains(evidence: Evidence, T_map_camera: FloatArray, tolerance_px: float) -> FloatArray:
-    """Σ log((ε + ρ) / ε) (H,) at poses (H, 4, 4), in nats."""
+    """Log-likelihood ratio Σ log((ε + ρ) / ε) (H,) [nats] at each of the poses (H, 4, 4)."""
     density = ray_densities(evidence, T_map_camera, tolerance_px)
     return np.asarray(np.log1p(density / evidence.epsilon).sum(axis=1))
 
@@ -70,13 +70,14 @@ def ascend(
     iterations: int = 3,
     power: int = 1,
 ) -> Optimum:
-    """Gauss–Newton from a pose (4, 4), the tolerance narrowing step by step; of Σ log(ε + ρ^power).
+    """Maximize Σ log(ε + ρ^power) by Gauss–Newton from a pose (4, 4), with a decreasing sequence of tolerances.
 
-    Densities that are valid in a place only are chosen anew for each tolerance.
+    Densities that are valid only locally are chosen anew for each tolerance.
 
-    A camera held upright still rolls by a degree or so, and a map's z axis is not plumb to a tenth. With
-    ``Dof.UPRIGHT`` roll is therefore not forbidden but improbable: a nuisance with a prior about zero, so that the
-    position does not pay for it. The optimum keeps it; the answer's pose leaves it out. See :func:`roll_prior`.
+    A camera held upright still rolls by a degree or so, and a map's z axis is plumb only to a tenth of a degree. With
+    ``Dof.UPRIGHT`` roll is therefore a nuisance parameter with a zero-mean prior, so that position does not absorb it.
+    The
+    optimum keeps the roll; the answer's pose drops it. See :func:`roll_prior`.
     """
     T = end_of_climb(densities, evidence, T_map_camera, tolerances_px, dof, iterations, power)
     return optimum_at(densities, evidence, T, tolerances_px[-1])
@@ -91,7 +92,7 @@ def end_of_climb(
     iterations: int = 3,
     power: int = 1,
 ) -> FloatArray:
-    """The pose (4, 4) where :func:`ascend` ends, for where nobody asks how dense it is there."""
+    """Final pose (4, 4) of :func:`ascend`, without the densities there."""
     T = T_map_camera
     for step in climb(densities, evidence, T_map_camera, tolerances_px, dof, iterations, power):
         T = step.T_map_camera
@@ -107,7 +108,7 @@ def climb(
     iterations: int = 3,
     power: int = 1,
 ) -> Iterator[Step]:
-    """The way of :func:`ascend`: every pose on it, the start first."""
+    """Iterate over the poses of :func:`ascend`, beginning with the start."""
     T = upright(T_map_camera) if dof is Dof.UPRIGHT else T_map_camera
     yield Step(T, tolerances_px[0])
     for tolerance_px in tolerances_px:
@@ -125,10 +126,11 @@ def climb(
 def ascend_with_focal(
     evidence: Evidence, T_map_camera: FloatArray, tolerances_px: tuple[float, ...], dof: Dof, iterations: int = 6
 ) -> tuple[Optimum, float, float]:
-    """Gauss–Newton from a pose (4, 4) over the pose and the focal length together.
+    """Gauss–Newton over pose and focal length together, from a pose (4, 4).
 
     Returns:
-        The optimum; the focal length there, as a multiple of the evidence's; and one sigma of its logarithm.
+        The optimum; its focal length as a multiple of the evidence's; the standard deviation of that factor's
+        logarithm.
     """
     T, scale = T_map_camera, 1.0
     for tolerance_px in tolerances_px:
@@ -148,10 +150,11 @@ def ascend_with_focal(
 
 
 def freed_focal(evidence: Evidence, T_map_camera: FloatArray, tolerance_px: float, dof: Dof) -> tuple[float, float]:
-    """What a free focal length would change at an optimum: how far the pose moves, metres, and what is gained, nats.
+    """Effect of freeing the focal length at an optimum: pose displacement [m] and gain in log-likelihood [nats].
 
-    By one Gauss–Newton step each, with the focal length free and without (Rao's score test): cheap, and to be believed
-    where it says that hardly anything would change.
+    Compares one Gauss–Newton step with the focal length free to one without (Rao's score test). Cheap, and reliable if
+    it
+    reports little change.
     """
     slope, curvature = _focal_equations(evidence, T_map_camera, tolerance_px, dof)
     curvature = curvature + 1e-9 * np.eye(7)
@@ -160,7 +163,7 @@ def freed_focal(evidence: Evidence, T_map_camera: FloatArray, tolerance_px: floa
 
 
 def _focal_equations(evidence: Evidence, T: FloatArray, tolerance_px: float, dof: Dof) -> tuple[FloatArray, FloatArray]:
-    """As :func:`normal_equations`, with the focal length's logarithm for a seventh parameter: (7,) and (7, 7)."""
+    """Normal equations (7,) and (7, 7) of :func:`normal_equations` with ln(focal length) as seventh parameter."""
     offsets, allowed = RayOffsets.of(evidence, T), squared_tolerances(evidence, T, tolerance_px)
     along = (evidence.landmarks - T[:3, 3]) @ T[:3, :3]  # of the camera frame
     density = np.maximum(1 - (offsets.offset**2).sum(axis=1) / allowed, 0) * (_dot(along, evidence.rays) > 0)
@@ -182,14 +185,14 @@ def _by_focal(evidence: Evidence, T: FloatArray) -> FloatArray:
 
 
 def _dot(a: FloatArray, b: FloatArray) -> FloatArray:
-    """a · b (M,) of vectors (M, 3)."""
+    """Inner products (M,) of vectors (M, 3)."""
     return np.asarray(np.einsum("mi,mi->m", a, b))
 
 
 def sharpen(
     densities: Densities, evidence: Evidence, optimum: Optimum, among: IntArray, tolerance_px: float, dof: Dof
 ) -> Optimum:
-    """The last steps from an optimum, by the matches (K,) ``among`` alone, of which the nearest decide."""
+    """Last steps from an optimum with the matches ``among`` (K,) alone; small residuals dominate."""
     some = evidence.take(among)
     T = end_of_climb(densities, some, optimum.T_map_camera, (tolerance_px,), dof, iterations=5, power=_SHARP)
     return optimum_at(densities, evidence, T, tolerance_px)
@@ -203,18 +206,19 @@ def optimum_at(densities: Densities, evidence: Evidence, T_map_camera: FloatArra
 
 
 def covariance_at(evidence: Evidence, optimum: Optimum, focal_free: bool = False) -> FloatArray:
-    """The covariance (6, 6) of an optimum: the inverse of :func:`information_at`."""
+    """Covariance (6, 6) of the pose at an optimum: inverse of :func:`information_at`."""
     information = information_at(evidence, optimum, focal_free)
     return np.asarray(np.linalg.inv(information + 1e-6 * np.eye(len(information)))[:6, :6])
 
 
 def information_at(evidence: Evidence, optimum: Optimum, focal_free: bool = False) -> FloatArray:
-    """What an optimum is known to, (6, 6), or (7, 7) with the focal length's logarithm: its curvature over the matches.
+    """Information (6, 6) at an optimum, or (7, 7) with ln(focal length) last if ``focal_free``.
 
-    Position in metres and rotation in radians (a small rotation in the map frame from the left). The noise of a
-    detection is read off the matches' own residuals; the landmark's covariance adds to it. ``SYSTEMATIC`` is what no
-    single frame shows: neighbouring landmarks rest on the same views and err together. ``focal_free``: the focal length
-    was estimated along with the pose, which makes both less certain.
+    Position in metres, rotation in radians (a small rotation in the map frame from the left). Detection noise is
+    estimated
+    from the matches' residuals, and the landmark covariance is added. ``SYSTEMATIC`` accounts for the errors that
+    neighbouring landmarks share, because they were triangulated from the same views. An estimated focal length
+    (``focal_free``) lowers the information on the pose.
     """
     agreeing = evidence.take(np.flatnonzero(optimum.density > 0))
     if len(agreeing) == 0:
@@ -232,30 +236,30 @@ def information_at(evidence: Evidence, optimum: Optimum, focal_free: bool = Fals
 
 
 def focal_sigma(information: FloatArray) -> float:
-    """One sigma of the focal length's logarithm, of an information (7, 7) that has it last."""
+    """Standard deviation of ln(focal length) from an information matrix (7, 7) with ln(focal length) last."""
     return float(np.sqrt(np.linalg.inv(information + 1e-9 * np.eye(7))[6, 6]))
 
 
 def upright(T_map_camera: FloatArray) -> FloatArray:
-    """The pose (4, 4) with its roll taken away."""
+    """The pose (4, 4) with its roll removed."""
     return pose_matrix(rotation_from_heading(T_map_camera[:3, 2]), T_map_camera[:3, 3])
 
 
 def gradient(
     densities: Densities, evidence: Evidence, T_map_camera: FloatArray, tolerance_px: float, power: int = 1
 ) -> FloatArray:
-    """∂ Σ log(ε + ρ^power) / ∂(position, rotation) (6,), the tolerances held: equation (4) through (2)."""
+    """∂ Σ log(ε + ρ^power) / ∂(position, rotation) (6,) at fixed tolerances: equation (4) through (2)."""
     local = densities.near(evidence, T_map_camera, tolerance_px)
     return normal_equations(local, evidence.epsilon, T_map_camera, tolerance_px, Dof.FREE, power)[0]
 
 
 def _weights(epsilon: FloatArray, density: FloatArray, power: int) -> FloatArray:
-    """How strongly each match (M,) draws: ∂ log(ε + ρ^power) / ∂ρ, for densities above 0."""
+    """Weight (M,) of each match: ∂ log(ε + ρ^power) / ∂ρ, for positive densities."""
     return np.asarray(power * density ** (power - 1) / (epsilon + density**power))
 
 
 def _bounded(gradient_: FloatArray, hessian: FloatArray) -> FloatArray | None:
-    """The Gauss–Newton step, no longer than half a metre or 0.3 rad; None where there is none."""
+    """Gauss–Newton step of at most half a metre and 0.3 rad. Returns None if the curvature is singular."""
     damping = 1e-6 * np.trace(hessian) / len(hessian) + 1e-12
     try:
         step = np.linalg.solve(hessian + damping * np.eye(len(hessian)), gradient_)
@@ -269,7 +273,7 @@ def _bounded(gradient_: FloatArray, hessian: FloatArray) -> FloatArray | None:
 def normal_equations(
     local: LocalDensities, epsilon: FloatArray, T: FloatArray, tolerance_px: float, dof: Dof, power: int
 ) -> tuple[FloatArray, FloatArray]:
-    """The gradient (6,) of Σ log(ε + ρ^power) and the roll's prior, and the curvature (6, 6) to divide it by."""
+    """Gradient (6,) and Gauss–Newton curvature (6, 6) of Σ log(ε + ρ^power) plus the log prior on roll."""
     slopes = local.at(T, tolerance_px)
     inside = slopes.inside
     weight = _weights(epsilon[local.matches[inside]], slopes.density[inside], power)
@@ -280,10 +284,11 @@ def normal_equations(
 
 
 def roll_prior(T_map_camera: FloatArray, dof: Dof) -> tuple[FloatArray, FloatArray]:
-    """The gradient (6,) and the curvature (6, 6) of the prior on a camera's roll, by a motion (position, rotation).
+    """Gradient (6,) and curvature (6, 6) of the log prior on the camera's roll.
 
-    ``UPRIGHT``: a Gaussian, which holds a camera upright whatever its matches say. ``AUTO``: Cauchy's distribution of
-    the same width, which steadies a camera that is nearly upright and lets one go that clearly is not. ``FREE``: none.
+    ``UPRIGHT``: a Gaussian, which keeps the camera upright against any evidence. ``AUTO``: a Cauchy distribution of the
+    same
+    width, which steadies a nearly upright camera and lets go of a clearly tilted one. ``FREE``: no prior.
     """
     pull, stiffness = np.zeros(6), np.zeros((6, 6))
     if dof is not Dof.FREE:
@@ -295,13 +300,13 @@ def roll_prior(T_map_camera: FloatArray, dof: Dof) -> tuple[FloatArray, FloatArr
 
 
 def moved(T: FloatArray, step: FloatArray) -> FloatArray:
-    """The pose (4, 4) after a ``step`` (6,): position in metres, rotation in radians from the left, map frame."""
+    """Pose (4, 4) after a ``step`` (6,): position [m], then rotation [rad] from the left, map frame."""
     R = _rotation(step[3:]) @ T[:3, :3]
     return pose_matrix(R, T[:3, 3] + step[:3])
 
 
 def _rotation(vector: FloatArray) -> FloatArray:
-    """The rotation matrix (3, 3) of a rotation vector (3,), by Rodrigues' formula."""
+    """Rotation matrix (3, 3) of a rotation vector (3,), by Rodrigues' formula."""
     x, y, z = vector.tolist()
     angle = math.hypot(x, y, z)
     sine, versine = (math.sin(angle) / angle, (1 - math.cos(angle)) / angle**2) if angle > 1e-9 else (1.0, 0.5)

@@ -1,8 +1,9 @@
-"""Whether what a pose matches is as light as the map saw it: evidence that no descriptor of a grey picture has.
+"""Evidence from colours: whether the lightness of matched features follows from the landmarks' colours in the map.
 
-Chance puts any brightness on any landmark; so does a room with the same furniture in other covers. But light changes
-colours, lamps are red, and many cameras are grey. So it is not asked whether colours are the same: only whether the
-lightness that a picture shows follows, by some linear rule that is its own, from the colours that the map knows.
+Grey descriptors do not contain it: false matches have random brightness, and so has a room with the same furniture in
+other covers. But illumination changes colours, lamps are red, and many cameras are grey. Colours are therefore not
+compared directly. The test is whether some linear function, fitted to this picture alone, predicts the picture's
+lightness from the map's colours.
 """
 
 from __future__ import annotations
@@ -20,17 +21,18 @@ _SHRINK = 6.0  # matches: of so few that agree, half is taken for chance
 
 
 def colour_agreement(shown: ByteArray | None, known: ByteArray | None) -> float:
-    """How well the lightness of features can be told from the colours of their landmarks.
+    """How well the lightness of features is predicted by the colours of their landmarks.
 
-    The coefficient of determination of a ridge regression of ranks, each match left out in turn (PRESS): 0 by chance, 1
-    at best; less where matches are few. It is the same by a light of another colour and by a grey camera.
+    Coefficient of determination of a ridge regression between ranks, with each match left out in turn (PRESS). It does
+    not
+    depend on the colour of the light, nor on whether the camera is grey.
 
     Args:
-        shown: (M, 3) uint8, red, green and blue of the features of M matches; None where they are not known.
-        known: (M, 3) uint8, the same of their landmarks.
+        shown: (M, 3) uint8, red, green and blue at the M matched features; None if unknown.
+        known: (M, 3) uint8, red, green and blue of their landmarks.
 
     Returns:
-        NaN where too few colours are known, or the picture is equally light all over.
+        0 by chance, 1 at best, less for few matches. NaN if too few colours are known or the picture has no contrast.
     """
     if shown is None or known is None:
         return np.nan
@@ -44,7 +46,9 @@ def colour_agreement(shown: ByteArray | None, known: ByteArray | None) -> float:
 
 
 def _foretold(inputs: FloatArray, output: FloatArray) -> float:
-    """The share 0..1 of the variance of ``output`` (M,) that ``inputs`` (M, D) foretell, both centred; or NaN."""
+    """Share 0 to 1 of the variance of ``output`` (M,) predicted by ``inputs`` (M, D), both centred; NaN if
+    undefined.
+    """
     count = len(output)
     total = float(output @ output) * (count / (count - 1)) ** 2  # each from the mean of the others
     if total == 0.0:
@@ -56,12 +60,12 @@ def _foretold(inputs: FloatArray, output: FloatArray) -> float:
 
 
 def _opponent(colours: ByteArray) -> FloatArray:
-    """Colours (M, 3): lightness, red or green, yellow or blue."""
+    """Opponent colours (M, 3): lightness, red–green, yellow–blue."""
     red, green, blue = colours.T.astype(np.float64)
     return np.stack([red + green + blue, red - green, (red + green) / 2 - blue], axis=1)
 
 
 def _ranks(values: FloatArray) -> FloatArray:
-    """The ranks of values (M, ...) among each other, centred, as a share."""
+    """Ranks of values (M, ...) along the first axis, centred, divided by M."""
     ranks = rankdata(values, axis=0)
     return np.asarray((ranks - ranks.mean(axis=0)) / len(ranks))

@@ -1,9 +1,9 @@
-"""The focal length: whether the one that is given fits what is seen, and which one does where none is given.
+"""Check a given focal length against the matches, or estimate an unknown one.
 
-A wrong focal length moves the pose along the optical axis until most matches agree again: the pose is wrong, by the
-depth times the error, and hardly anything shows it. What does show it is the rest: near and far landmarks disagree
-about how far the camera is from them. Freed, the focal length goes where they agree. It also goes astray, where few
-matches bear on it: only a camera that explains the picture better than the one that is given speaks against that.
+A wrong focal length moves the pose along the optical axis, by the depth times the relative error, until most matches
+agree again, so the residuals hardly show it. But near and far landmarks then disagree on the distance. If the focal
+length is freed, it moves to where they agree. With few informative matches it can also drift; therefore only a camera
+that explains the picture better counts as evidence against the given one.
 """
 
 from __future__ import annotations
@@ -45,15 +45,16 @@ _MIN_MATCHES = 8
 
 @dataclass(frozen=True)
 class FocalEstimate:
-    """What the matches say of the focal length.
+    """What the matches say about the focal length.
 
     Attributes:
-        focal_px: what fits best.
-        sigma_px: one sigma of it.
-        moved_m: how far the pose moves when the focal length is freed, metres.
-        belief: 0..1, how surely the focal length in use does not make the pose wrong; of one that was estimated, the
-            probability that the pose is within 50 cm.
-        exact: 0..1, of one that was estimated, the probability that the pose is within 10 cm if it is within 50 cm.
+        focal_px: best-fitting focal length.
+        sigma_px: its standard deviation.
+        moved_m: displacement of the pose when the focal length is freed.
+        belief: probability 0 to 1 that the focal length in use does not spoil the pose; if it was estimated,
+            probability
+            that the pose is within 50 cm.
+        exact: if it was estimated, probability 0 to 1 that the pose is within 10 cm, given that it is within 50 cm.
     """
 
     focal_px: float
@@ -64,15 +65,18 @@ class FocalEstimate:
 
     @classmethod
     def unchecked(cls, camera: Camera) -> FocalEstimate:
-        """Of a pose that is not worth a check: the camera's own focal length, which nothing contradicts."""
+        """The camera's own focal length without any doubt, for a pose that is not worth a check."""
         return cls(camera.focal, camera.focal, 0.0, 1.0)
 
 
 def check_focal(index: MapIndex, query: Query, verified: Verified, matches: Matches) -> FocalEstimate:
-    """Hold the camera's focal length against what matches say, from a verified pose.
+    """Check the camera's focal length against the matches of a verified pose.
 
     Args:
-        matches: of a place, made without any idea of the pose; or those around the pose.
+        index: index of the map.
+        query: the frame.
+        verified: its verified pose.
+        matches: matches with one place, made without a pose; or the matches around the pose.
     """
     camera, T = query.camera, verified.optimum.T_map_camera
     if _fits(index, query, verified, matches):
@@ -101,7 +105,9 @@ def check_focal(index: MapIndex, query: Query, verified: Verified, matches: Matc
 def _refocused(
     index: MapIndex, query: Query, scale: float, T_map_camera: FloatArray
 ) -> Iterator[tuple[float, Verified]]:
-    """What cameras of about ``scale`` times the focal length see from about a pose (4, 4), each nearer to what fits."""
+    """Iterate over (factor, verified pose) for cameras with about ``scale`` × the focal length, converging to the
+    best fit.
+    """
     for _ in range(_ROUNDS):
         if not _sensible(query.camera, scale):
             return
@@ -120,11 +126,13 @@ def _refocused(
 
 
 def _compared(verified: Verified, others: Iterable[tuple[float, Verified]]) -> float:
-    """0..1, how surely the focal length of a verified pose does no harm, beside others' that may explain more.
+    """Probability 0 to 1 that a verified pose's focal length is harmless, given poses with other focal lengths.
 
-    A few matches at the density's edge can make a peak sharp that is wrong; and facing a wall, any focal length fits
-    about as well, from another distance. So the focal length is known no better than by either pose's matches, unless
-    the other explains much more: errors that the map's landmarks share gain a part of what there is to explain.
+    A few matches at the edge of their density can produce a sharp but wrong peak, and in front of a wall any focal
+    length
+    fits from some distance. The focal length is therefore considered known no better than by either pose's matches,
+    unless
+    the other one explains much more. Part of any gain comes from errors that the map's landmarks share.
     """
     scale, best = max(others, key=lambda other: other[1].optimum.value, default=(1.0, verified))
     gain = best.optimum.value - verified.optimum.value
@@ -138,17 +146,17 @@ def _compared(verified: Verified, others: Iterable[tuple[float, Verified]]) -> f
 
 
 def _known_to(verified: Verified) -> float:
-    """One sigma of the focal length's logarithm, by all matches of a verified pose and the map's own errors."""
+    """Standard deviation of ln(focal length), from all matches of a verified pose and the map's own errors."""
     return focal_sigma(information_at(verified.evidence, verified.optimum, focal_free=True))
 
 
 def _belief(moved_m: float, scale: float, sigma: float) -> float:
-    """0..1, how surely a focal length does no harm that, freed, is ``scale`` as long.
+    """Probability 0 to 1 that a focal length is harmless.
 
     Args:
-        moved_m: how far the pose moves meanwhile, metres.
-        scale: the focal length that fits best, as a multiple of the one in use.
-        sigma: one sigma of its logarithm.
+        moved_m: displacement of the pose when the focal length is freed.
+        scale: best-fitting focal length as a multiple of the one in use.
+        sigma: standard deviation of the logarithm of ``scale``.
     """
     off = abs(float(np.log(scale))) / float(np.hypot(sigma, _OWN_SIGMA))
     harm = min(max(moved_m / _HARMLESS_M - 1, 0.0), 1.0)
@@ -156,14 +164,16 @@ def _belief(moved_m: float, scale: float, sigma: float) -> float:
 
 
 def _spread(sigma: float) -> float:
-    """One sigma of a focal length as a share of it, from that of its logarithm by the curvature alone."""
+    """Relative standard deviation of a focal length, from that of its logarithm by the curvature alone."""
     return min(_SIGMAS * sigma, 1.0)
 
 
 def _fits(index: MapIndex, query: Query, verified: Verified, matches: Matches) -> bool:
-    """Whether neither the matches around a pose nor those of its place leave a doubt of the focal length.
+    """Whether matches around the pose and matches with its place both agree with the given focal length.
 
-    Most frames' do not. Those around the pose alone would not do: a wrong focal length leaves out what contradicts it.
+    True for most frames. Matches around the pose alone would not suffice: a wrong focal length excludes the matches
+    that
+    contradict it.
     """
     camera, T = query.camera, verified.optimum.T_map_camera
     for some in (verified.wide, matches):
@@ -177,12 +187,16 @@ def _fits(index: MapIndex, query: Query, verified: Verified, matches: Matches) -
 
 
 def focal_seed(index: MapIndex, matches: Matches, query: Query, samples: int) -> tuple[FloatArray, Camera] | None:
-    """A pose (4, 4) and a camera from matches, the focal length unknown: LO-RANSAC at each of several guesses.
+    """Seed pose (4, 4) and camera with unknown focal length: LO-RANSAC for each of several focal lengths.
 
     Args:
-        matches: of the query's features.
-        query: whose camera has the right principal point, and any focal length.
-        samples: the most samples for each guess.
+        index: index of the map.
+        matches: matches of the query's features.
+        query: the frame; its camera has the right principal point and any focal length.
+        samples: maximum number of samples per focal length.
+
+    Returns:
+        None if too few matches agree with any focal length.
     """
     if len(matches) < _MIN_MATCHES:
         return None
@@ -203,11 +217,11 @@ def focal_seed(index: MapIndex, matches: Matches, query: Query, samples: int) ->
 def verify_with_focal(
     index: MapIndex, query: Query, T_map_camera: FloatArray, matches: Matches
 ) -> tuple[Verified, FocalEstimate, Query] | None:
-    """Ascend over pose and focal length together, match again and verify, as :func:`verify` does for a known one.
+    """Ascend over pose and focal length, match again and verify, as :func:`verify` does for a known one.
 
     Returns:
-        The verified pose, its covariance knowing that the focal length is estimated; the estimate; and the query with
-        the camera that was found.
+        The verified pose, with a covariance that includes the uncertain focal length; the estimate; the query with the
+        estimated camera. None if too little is found.
     """
     evidence = evidence_of(index, matches, query.camera.rays(query.features.pixels), query.camera)
     optimum, scale, _ = ascend_with_focal(evidence, T_map_camera, (24.0, 12.0, 6.0), query.dof)
@@ -234,5 +248,5 @@ def verify_with_focal(
 
 
 def _sensible(camera: Camera, scale: float) -> bool:
-    """Whether a camera exists with ``scale`` times the focal length."""
+    """Whether a camera with ``scale`` × the focal length has a plausible field of view."""
     return 0.3 < camera.focal * scale / max(camera.width, camera.height) < 3.5

@@ -1,8 +1,7 @@
-"""The ascent of several frames at once: one sum of log densities over all of them, their poses held to each other.
+"""Joint ascent over several frames: the sum of their log densities, with known relative poses as soft constraints.
 
-Each frame climbs its own Σ log(ε + ρ); a link says where two frames are relative to each other, and how surely. What is
-maximized is the sum over frames less the links' squared errors over 2σ²: for a rig, whose links are stiff, one density
-of one pose; for odometry, one that gives where the odometry does.
+Each frame contributes Σ log(ε + ρ); each link subtracts its squared error over 2σ². Stiff links make it the density of
+one rig; links from odometry give way as far as the odometry may be wrong.
 """
 
 from __future__ import annotations
@@ -24,14 +23,14 @@ _LONGEST_STEP = np.repeat([0.5, 0.3], 3)  # metres, radians
 
 @dataclass(frozen=True, eq=False)
 class Link:
-    """Where one frame is as another sees it.
+    """Measured relative pose between two frames.
 
     Attributes:
-        a: the frame that it is seen from.
-        b: the frame that is seen.
-        T_a_b: (4, 4), takes points of b's camera frame to a's.
-        sigma_m: one sigma of its position, metres along each axis.
-        sigma_rad: one sigma of its rotation, radians about each axis.
+        a: row of the first frame.
+        b: row of the second frame.
+        T_a_b: (4, 4), takes points from b's camera frame to a's.
+        sigma_m: standard deviation of the position along each axis.
+        sigma_rad: standard deviation of the rotation about each axis.
     """
 
     a: int
@@ -51,7 +50,9 @@ def ascend_together(
     iterations: int = 5,
     power: int = 1,
 ) -> list[Optimum]:
-    """Gauss–Newton over the poses (N, 4, 4) of N frames, the tolerance narrowing step by step; each frame's optimum."""
+    """Gauss–Newton over the poses (N, 4, 4) of N frames with a decreasing sequence of tolerances. Returns each
+    frame's optimum.
+    """
     T = np.array(T_map_cameras, dtype=np.float64)
     for tolerance_px in tolerances_px:
         locals_ = [densities.near(one, pose, tolerance_px) for one, pose in zip(evidences, T, strict=True)]
@@ -71,7 +72,7 @@ def ascend_together(
 
 
 def joint_covariances(evidences: Sequence[Evidence], optima: Sequence[Optimum], links: Sequence[Link]) -> FloatArray:
-    """The covariance (N, 6, 6) of each frame's pose, all frames and links considered; see :func:`covariance_at`."""
+    """Covariance (N, 6, 6) of each frame's pose, given all frames and links; see :func:`covariance_at`."""
     information = _link_equations(np.array([one.T_map_camera for one in optima]), links)[1]
     for i, (evidence, optimum) in enumerate(zip(evidences, optima, strict=True)):
         own = slice(6 * i, 6 * i + 6)
@@ -81,14 +82,14 @@ def joint_covariances(evidences: Sequence[Evidence], optima: Sequence[Optimum], 
 
 
 def _bounded(slope: FloatArray, curvature: FloatArray) -> FloatArray:
-    """The Gauss–Newton step (N, 6), no frame's longer than half a metre or 0.3 rad along an axis."""
+    """Gauss–Newton step (N, 6), bounded to half a metre and 0.3 rad per axis and frame."""
     damping = 1e-9 * np.trace(curvature) / len(curvature) + 1e-6
     step = np.linalg.solve(curvature + damping * np.eye(len(curvature)), slope).reshape(-1, 6)
     return np.asarray(step / max(float((np.abs(step) / _LONGEST_STEP).max()), 1.0))
 
 
 def _link_equations(T: FloatArray, links: Sequence[Link]) -> tuple[FloatArray, FloatArray]:
-    """The gradient (6N,) of the links' log likelihood by the frames' motions, and its curvature (6N, 6N)."""
+    """Gradient (6N,) and curvature (6N, 6N) of the links' log-likelihood with respect to the frames' poses."""
     size = 6 * len(T)
     slope, curvature = np.zeros(size), np.zeros((size, size))
     for link in links:

@@ -1,9 +1,8 @@
-"""Whether what is matched is turned and as large as a pose foretells: evidence that descriptors leave out.
+"""Evidence from patches: whether matched features have the orientation and size that the pose predicts.
 
-A descriptor is the same for every orientation and size, so that things are recognized from anywhere. Once it is known
-from where, both are foretold, by the patch that a map keeps of each landmark. Of ten true matches eight are turned as
-foretold and of that size; of false ones one is turned so, and a third are as large (the weak geometric consistency of
-Jégou, Douze and Schmid, ECCV 2008, made exact by the pose).
+Descriptors are invariant to orientation and size. Once a pose is given, the landmark's patch in the map predicts both.
+Eight of ten true matches have the predicted orientation and size; of false matches one in ten has the orientation, one
+in three the size (the weak geometric consistency of Jégou, Douze and Schmid, ECCV 2008, made exact by the pose).
 """
 
 from __future__ import annotations
@@ -24,10 +23,18 @@ _FEWEST = 3.0  # matches: of so few half is taken for chance
 def patch_log_odds(
     map_: Map, features: FeatureSet, camera: Camera, T_map_camera: FloatArray, detections: IntArray, landmarks: IntArray
 ) -> FloatArray:
-    """How much likelier pairs of detections (M,) and landmarks (M,) are true than not, by orientation and size.
+    """Log-likelihood ratio [nats] of matches by orientation and size under a pose.
+
+    Args:
+        map_: the map.
+        features: the query's features.
+        camera: its camera.
+        T_map_camera: (4, 4) the pose.
+        detections: (M,) rows of the features.
+        landmarks: (M,) rows of the map's landmarks.
 
     Returns:
-        (M,) nats, as seen from a pose (4, 4); NaN where a patch or a detection's orientation is not known.
+        (M,); NaN if the landmark's patch or the detection's orientation is unknown.
     """
     if map_.landmarks.patches is None:
         return np.full(len(detections), np.nan)
@@ -40,18 +47,18 @@ def patch_log_odds(
 
 
 def turn_log_odds(turned_rad: FloatArray) -> FloatArray:
-    """Nats (M,) for matches that are turned by so much from what is foretold; NaN where that is.
+    """Log-likelihood ratio (M,) [nats] of deviations from the predicted orientation; NaN for NaN.
 
-    True ones are spread as Cauchy has it, false ones evenly.
+    True matches follow a Cauchy distribution, false ones a uniform one.
     """
     sharp = 2 / (_TURN_RAD * (1 + (_wrapped(turned_rad) / _TURN_RAD) ** 2))
     return np.asarray(np.log(_TRUE_SHARE * sharp + 1 - _TRUE_SHARE))
 
 
 def size_log_odds(grown_octaves: FloatArray) -> FloatArray:
-    """Nats (M,) for matches that are larger by so many octaves than what is foretold; 0 where that is not finite.
+    """Log-likelihood ratio (M,) [nats] of deviations from the predicted size; 0 if not finite.
 
-    True ones are spread as Cauchy has it, false ones as Laplace.
+    True matches follow a Cauchy distribution, false ones a Laplace distribution.
     """
     known = np.isfinite(grown_octaves)
     grown = np.clip(np.where(known, grown_octaves, 0.0), -_MOST_OCTAVES, _MOST_OCTAVES)
@@ -61,14 +68,14 @@ def size_log_odds(grown_octaves: FloatArray) -> FloatArray:
 
 
 def patch_agreement(log_odds: FloatArray) -> float:
-    """What matches that agree with a pose say for it by orientation and size, of the log odds (M,) of each.
+    """Mean log-likelihood ratio [nats per match] of the matches that agree with a pose, shrunk if they are few.
 
-    Their mean, less where they are few: about 2 where it is right, -1 where it is not. NaN where none is known.
+    About 2 for a right pose, -1 for a wrong one. NaN if no match has a known ratio (M,).
     """
     known = log_odds[np.isfinite(log_odds)]
     return float(known.sum() / (len(known) + _FEWEST)) if len(known) else np.nan
 
 
 def _wrapped(angles_rad: FloatArray) -> FloatArray:
-    """Angles from -π to π."""
+    """Angles wrapped to -π to π."""
     return np.asarray((angles_rad + np.pi) % (2 * np.pi) - np.pi)

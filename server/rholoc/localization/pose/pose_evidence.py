@@ -1,9 +1,9 @@
-"""What speaks for a pose and what against it, counted by parts of the picture.
+"""Evidence for and against a pose, accumulated over cells of the picture.
 
-Matches that lie side by side stand or fall together: a hundred on one poster say that the poster is there, not which of
-two like it. So the picture is divided into cells, and what a cell can say is bounded. What a place should show and does
-not, where the picture shows something else, speaks against the pose: a door of the same make, a desk with the same
-screen agree as far as they reach, and no farther.
+Adjacent matches are correlated: a hundred matches on one poster show that the poster is there, but not which of two
+identical posters. The picture is therefore divided into cells with a bounded contribution each. Expected landmarks
+whose cells show something else count against the pose: two rooms may have the same door or the same desk, but not the
+same surroundings.
 """
 
 from __future__ import annotations
@@ -35,19 +35,19 @@ _LEAST_BY_CHANCE = 0.15  # matches: where none is around, that much is allowed f
 
 @dataclass(frozen=True)
 class Support:
-    """How far a picture bears a pose out.
+    """Evidence for and against a pose.
 
     Attributes:
-        seen: nats, what its matches say for it, cell by cell.
-        missing: nats, what the cells say against it where landmarks should be and other things are.
-        found: how many landmarks are where views from hereabouts saw them.
-        expected: how many of them should be: as many as those views saw, or as the picture has features for.
-        beyond_chance: nats, how surely more matches of a wider search are close to their landmarks than chance puts
-            there, by how many it put around.
-        colours: how well the matches' lightness follows from the colours of their landmarks, 0 by chance, 1 at best;
-            NaN where they are not known. See :func:`rholoc.localization.pose.colour_evidence.colour_agreement`.
-        patches: nats, how much a match speaks for the pose by its orientation and size, about -1 by chance, 2 at best;
-            NaN where they are not known. See :func:`rholoc.localization.pose.patch_evidence.patch_agreement`.
+        seen: nats in favour of the pose from matches, summed over cells.
+        missing: nats against the pose from cells that show something other than the expected landmarks.
+        found: number of landmarks found where nearby views saw them.
+        expected: number of landmarks that should be found, limited by what those views saw and by the query's features.
+        beyond_chance: nats by which matches of a wider search cluster at their landmarks more than chance would have
+            it.
+        colours: agreement of colours, 0 by chance, 1 at best; NaN if unknown. See
+            :func:`rholoc.localization.pose.colour_evidence.colour_agreement`.
+        patches: agreement of orientation and size [nats per match], about -1 by chance, 2 at best; NaN if unknown. See
+            :func:`rholoc.localization.pose.patch_evidence.patch_agreement`.
     """
 
     seen: float
@@ -60,12 +60,12 @@ class Support:
 
     @property
     def net(self) -> float:
-        """Nats for the pose, by which hypotheses compare."""
+        """Nats for the pose minus nats against it, by which hypotheses are compared."""
         return self.seen - self.missing
 
     @classmethod
     def mean(cls, supports: Sequence[Support]) -> Support:
-        """Of several frames: they show much the same, so that together they say little more than each."""
+        """Mean over several frames. They show much the same scene, so evidence is not added up."""
         return cls(*np.mean([astuple(one) for one in supports], axis=0).tolist())
 
 
@@ -78,16 +78,16 @@ def support_of(
     by_chance: FloatArray,
     wide: Matches,
 ) -> Support:
-    """The support of an optimum.
+    """Evidence for and against an optimum.
 
     Args:
-        index: of the map.
-        query: the picture, of N features.
-        found: the matches that the optimum rests on.
-        evidence: what they say.
+        index: index of the map.
+        query: the frame, with N features.
+        found: matches that the optimum is based on.
+        evidence: their evidence.
         optimum: the pose.
-        by_chance: (N,) how probably each feature matches something there by chance.
-        wide: the matches of a wider search.
+        by_chance: (N,) probability that each feature matches something near it by chance.
+        wide: matches of a wider search.
     """
     pixels, camera = query.features.pixels, query.camera
     agreeing = np.flatnonzero(optimum.density > 0)
@@ -118,10 +118,11 @@ def support_of(
 def _beyond_chance(
     index: MapIndex, pixels: FloatArray, camera: Camera, wide: Matches, T_map_camera: FloatArray
 ) -> float:
-    """How surely more matches are close to their landmarks than those a little farther off make it likely by chance.
+    """Nats by which matches concentrate close to their landmarks, beyond what chance predicts from a ring around.
 
-    Nats, by Chernoff's bound of the Poisson distribution's tail, among matches as alike as makes it surest: those of
-    chance are less alike than true ones, but how alike true ones are depends on light and distance.
+    Chernoff bound on the tail of the Poisson distribution, maximized over thresholds on descriptor distance: chance
+    matches
+    are less similar than true ones, but the similarity of true matches depends on light and viewing distance.
     """
     T = T_map_camera
     shown = camera.project((index.landmarks[wide.landmarks] - T[:3, 3]) @ T[:3, :3])
@@ -134,7 +135,7 @@ def _beyond_chance(
 
 
 def _colour_agreement(index: MapIndex, query: Query, detections: IntArray, landmarks: IntArray) -> float:
-    """How well the colours of detections (M,) are those of their landmarks (M,)."""
+    """Agreement between the colours of detections (M,) and of their landmarks (M,)."""
     shown, known = query.colours, index.map.landmarks.colours
     if shown is None or known is None:
         return np.nan
@@ -144,7 +145,7 @@ def _colour_agreement(index: MapIndex, query: Query, detections: IntArray, landm
 def _expected(
     index: MapIndex, agreeing: IntArray, camera: Camera, T_map_camera: FloatArray
 ) -> tuple[IntArray, FloatArray]:
-    """The landmarks (E,) that views from hereabouts saw and this one should, and where (E, 2)."""
+    """Landmarks (E,) that nearby views saw and this frame should show, and their pixels (E, 2)."""
     seen = np.flatnonzero(index.seen_alike(agreeing, _VIEWS_ALIKE))
     rows = seen[index.present(T_map_camera[:3, 3], seen)]
     pixels = camera.project((index.landmarks[rows] - T_map_camera[:3, 3]) @ T_map_camera[:3, :3])
@@ -165,7 +166,7 @@ class _Grid:
         return cls(size_px, int(np.ceil(camera.height / size_px)))
 
     def sums(self, pixels: FloatArray, weights: FloatArray | None = None) -> FloatArray:
-        """The sum of ``weights`` (N,), or the number, of ``pixels`` (N, 2) in each cell."""
+        """Sum of ``weights`` (N,), or number of ``pixels`` (N, 2), per cell."""
         column, row = np.clip((pixels // self.size_px).astype(np.int64), 0, (_CELLS_ACROSS - 1, self.rows - 1)).T
         cells = row * _CELLS_ACROSS + column
         return np.bincount(cells, weights, minlength=self.rows * _CELLS_ACROSS).astype(np.float64)

@@ -1,4 +1,4 @@
-"""LO-RANSAC: a pose from matches of which many are false, by poselib (Larsson and contributors)."""
+"""LO-RANSAC: absolute pose from matches with many outliers, by poselib (Larsson and contributors)."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ def lo_ransac(
     fewest_samples: int = 1000,
     success: float = 0.9999,
 ) -> tuple[FloatArray, int] | None:
-    """The pose (4, 4) that most matches agree with, and how many do.
+    """Absolute pose (4, 4) with the most inliers, and their number. None if there are too few matches or no inliers.
 
-    Samples are drawn from the first matches first (PROSAC, Chum and Matas 2005), each better one is optimized locally,
-    and drawing ends once a better one has become improbable. None where there are too few matches or none agree.
+    Likelier matches are sampled first (PROSAC, Chum and Matas 2005), improved samples are refined locally, and sampling
+    ends once a better sample is improbable.
 
     Args:
-        plane: (M, 2) the detections on the plane z = 1 of the camera frame, the likeliest match first.
-        points: (M, 3) their landmarks, metres, map frame.
-        focal_px: turns the tolerance into the plane's unit.
-        tolerance_px: how far off an agreeing match may be.
-        most_samples: the most that are drawn.
-        fewest_samples: the least, however well the first ones fit.
-        success: how probable it must be that no better sample was missed.
+        plane: (M, 2) detections on the plane z = 1 of the camera frame, the likeliest match first.
+        points: (M, 3) their landmarks [m], map frame.
+        focal_px: converts the tolerance to the plane's unit.
+        tolerance_px: maximum reprojection error of an inlier.
+        most_samples: maximum number of samples.
+        fewest_samples: minimum number of samples.
+        success: required probability that no better sample was missed.
     """
     if len(plane) < _MIN_MATCHES:
         return None

@@ -1,4 +1,4 @@
-"""Verification: look where the landmarks should be, match again, ascend again."""
+"""Re-matching: project the landmarks at a pose, match again nearby, ascend again, and collect the evidence."""
 
 from __future__ import annotations
 
@@ -25,16 +25,16 @@ _WIDE_ITERATIONS = 2  # at each tolerance of the ascent within the wider radius
 
 @dataclass(frozen=True, eq=False)
 class Verified:
-    """A pose after looking for every landmark that it should see.
+    """A pose after re-matching.
 
     Attributes:
-        optimum: where the ascent ended.
-        matches: the matches found there.
-        evidence: what they say.
-        pixels: (M, 2) the pixels of the matched detections.
-        wide: the matches of the first, widest search.
-        support: what the picture says for the pose and against it.
-        focal_free: whether the focal length is an estimate, too: the covariance then knows it.
+        optimum: end of the last ascent.
+        matches: matches around the pose.
+        evidence: their evidence.
+        pixels: (M, 2) pixels of the matched detections.
+        wide: matches of the first, widest search.
+        support: evidence for and against the pose.
+        focal_free: whether the focal length was estimated too; the covariance then includes its uncertainty.
     """
 
     optimum: Optimum
@@ -47,17 +47,17 @@ class Verified:
 
     @lazy
     def covariance(self) -> FloatArray:
-        """(6, 6) of position (m) and rotation (rad, map frame, from the left)."""
+        """(6, 6) of position [m] and rotation [rad, map frame, from the left]."""
         return covariance_at(self.evidence, self.optimum, self.focal_free)
 
     @property
     def inliers(self) -> int:
-        """How many matches agree with the pose."""
+        """Number of matches that agree with the pose."""
         return int((self.optimum.density > 0).sum())
 
 
 def evidence_of(index: MapIndex, matches: Matches, rays: FloatArray, camera: Camera) -> Evidence:
-    """What matches say, given the rays (N, 3) of all detections in the camera frame."""
+    """Evidence of matches, given the rays (N, 3) of all detections in the camera frame."""
     return Evidence.of(
         matches.landmarks,
         rays[matches.detections],
@@ -69,10 +69,11 @@ def evidence_of(index: MapIndex, matches: Matches, rays: FloatArray, camera: Cam
 
 
 def settle(index: MapIndex, matches: Matches, evidence: Evidence, optimum: Optimum, dof: Dof) -> Optimum:
-    """The last steps of an ascent that ended at ``FINAL_TOLERANCE_PX``, sharpened where the densities have exact peaks.
+    """Last steps of an ascent that ended at ``FINAL_TOLERANCE_PX``, sharpened if the densities have exact peaks.
 
-    What was seen from elsewhere looks otherwise from here, and is found less exactly. It helps to find a pose, and to
-    believe it; the last steps go by the landmarks that were seen from hereabouts too.
+    Landmarks that were only seen from elsewhere look different from here and are detected less exactly. They help to
+    find
+    and to believe a pose, but the last steps only use landmarks that nearby views saw too.
     """
     densities = index.map.densities
     if not densities.has_exact_peaks:
@@ -85,7 +86,9 @@ def settle(index: MapIndex, matches: Matches, evidence: Evidence, optimum: Optim
 
 
 def matches_about(index: MapIndex, query: Query, T_map_camera: FloatArray, radius_px: float) -> Matches:
-    """Matches with what a camera at (4, 4) should see, of some features where those are enough, else of all."""
+    """Matches within ``radius_px`` of the landmarks projected at (4, 4); from some features if these suffice, else
+    from all.
+    """
     some = query.features.sample
     if len(some) < len(query.features):
         matches, _ = index.match_near(query.features, query.camera, T_map_camera, radius_px, some)
@@ -103,9 +106,19 @@ def verify(
     focal_free: bool = False,
     wide: Matches | None = None,
 ) -> Verified | None:
-    """Match again around a pose (4, 4) and ascend, within either radius in turn; None where too little is found.
+    """Match again around a pose (4, 4) and ascend, within a wide and then a narrow radius.
 
-    ``wide``: enough matches within the first radius, where they are known already.
+    Args:
+        index: index of the map.
+        query: the frame.
+        rays: (N, 3) rays of all features in the camera frame.
+        T_map_camera: (4, 4) start.
+        radii_px: the two search radii.
+        focal_free: whether the focal length is an estimate.
+        wide: matches within the first radius, if they are already known.
+
+    Returns:
+        None if too few matches are found.
     """
     densities, dof = index.map.densities, query.dof
     wide_px, narrow_px = radii_px

@@ -1,8 +1,8 @@
-"""Rivals: other poses that a picture may show as well as the one found.
+"""Rivals: other poses that the picture may show equally well.
 
-Two desks of a make, two doors in a corridor: whichever is found first looks right. A pose is only as sure as it is
-better than the next best, so that one is looked for: among the matches that the pose leaves unexplained, and among
-what its own matches might have been instead.
+Two identical desks, two doors in a corridor: whichever is found first looks right. A pose is believed only as far as it
+is better than the best alternative, which is searched for among the matches that the pose leaves unexplained, and
+among the other landmarks that its own features resemble.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ _TELLING_NATS = 12.0  # by which much more support one of two poses is twice as 
 def rival_seeds(
     index: MapIndex, nearest: NearestLandmarks, query: Query, rays: FloatArray, found: Verified
 ) -> Iterator[FloatArray]:
-    """Poses (4, 4) that matches other than those of a pose agree with, the best place first."""
+    """Iterate over poses (4, 4) that unexplained matches agree with, most voted place first."""
     looked_at = len(nearest) / max(len(query.features), 1)  # a share of the features
     fewest = fewest_agreeing(looked_at * found.inliers)
     for some in unexplained_by_place(index, nearest, query, found):
@@ -49,14 +49,14 @@ def rival_seeds(
 
 
 def fewest_agreeing(found: float) -> float:
-    """How many matches must agree with a rival of a pose that so many were found to agree with."""
+    """Minimum number of inliers of a rival, given the verified pose that it competes with."""
     return max(_FEWEST_AGREEING, _FEWEST_OF_FOUND * found)
 
 
 def unexplained_by_place(
     index: MapIndex, nearest: NearestLandmarks, query: Query, found: Verified
 ) -> Iterator[Matches]:
-    """What a picture is like and a pose does not bring together, place by place, the likeliest matches first."""
+    """Iterate over places; yield the matches there that the pose does not explain, likeliest first."""
     pairs = _unexplained(index, nearest.pairs(), query, found)
     for place in islice(places_by_votes(index, pairs, _VIEWS_EACH), RIVAL_PLACES):
         there = np.zeros(len(index.map), dtype=bool)
@@ -65,7 +65,7 @@ def unexplained_by_place(
 
 
 def _unexplained(index: MapIndex, pairs: Matches, query: Query, found: Verified) -> Matches:
-    """The pairs that a pose does not bring together."""
+    """Matches that the pose does not explain."""
     T = found.optimum.T_map_camera
     pixels = query.camera.project((index.landmarks[pairs.landmarks] - T[:3, 3]) @ T[:3, :3])
     off_px = np.linalg.norm(pixels - query.features.pixels[pairs.detections], axis=1)
@@ -73,20 +73,20 @@ def _unexplained(index: MapIndex, pairs: Matches, query: Query, found: Verified)
 
 
 def are_rivals(a: Verified, b: Verified) -> bool:
-    """Whether two poses cannot both be right."""
+    """Whether two poses exclude each other."""
     apart_m, turned_rad = pose_distances(a.optimum.T_map_camera, b.optimum.T_map_camera)
     return bool(apart_m > _APART_M or turned_rad > _APART_RAD)
 
 
 def shares(places: FloatArray, nets: FloatArray) -> FloatArray:
-    """How a frame's one true place is divided among M poses that exclude each other.
+    """Split the probability of one true place among M mutually exclusive poses.
 
     Args:
-        places: (M,) the probability that each is of the right place, were it the only one.
-        nets: (M,) nats, what supports each.
+        places: (M,) probability that each is of the right place, if it were the only one.
+        nets: (M,) net evidence for each [nats].
 
     Returns:
-        (M,) shares that add up to 1: of the probability of a pose they leave what its rivals do not take.
+        (M,) factors that add up to 1: the part of each pose's probability that its rivals leave.
     """
     log_odds = np.log(np.maximum(places, 1e-12)) + nets / _TELLING_NATS
     weights = np.exp(log_odds - log_odds.max())

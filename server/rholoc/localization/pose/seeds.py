@@ -1,4 +1,4 @@
-"""Seeds: places that the matches vote for, and minimal samples within them, scored by the density."""
+"""Seeds: places that matches vote for, and poses from minimal samples within a place, ranked by density."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ _BESIDE_M, _ASIDE_RAD = 1.0, np.deg2rad(30.0)  # how far from a pose a view stil
 
 @dataclass(frozen=True, eq=False)
 class Place:
-    """A part of the map that is seen together.
+    """A part of the map that is visible together.
 
     Attributes:
-        view: the view it is seen from.
-        landmarks: (P,) rows of the map's features seen from there and thereabouts.
-        votes: how strongly the matches speak for it.
+        view: row of its central view.
+        landmarks: (P,) rows of the features visible from that view and its neighbours.
+        votes: sum of the matches' votes.
     """
 
     view: int
@@ -38,16 +38,17 @@ class Place:
 
 
 def vote_for_places(index: MapIndex, matches: Matches, most: int, views_each: int, prior: Prior | None) -> list[Place]:
-    """The places that most matches speak for, no two of them the same.
+    """The places with the most votes, at most ``most``, all different.
 
-    Each match votes with its chance for the views that its landmark was seen in (presence); a place is a view with
-    those that share most features with it.
+    Each match votes with its probability for the views that saw its landmark (presence). A place is a view together
+    with
+    the views that share most features with it.
     """
     return list(islice(places_by_votes(index, matches, views_each, prior), most))
 
 
 def places_by_votes(index: MapIndex, matches: Matches, views_each: int, prior: Prior | None = None) -> Iterator[Place]:
-    """As :func:`vote_for_places`, one after the other: mostly the first one is enough."""
+    """Iterate over the places of :func:`vote_for_places`; mostly the first one suffices."""
     votes = view_votes(index, matches)
     if prior is not None:
         near = np.linalg.norm(index.view_positions - prior.pose.position, axis=1) < prior.radius_m + 1.0
@@ -59,7 +60,9 @@ def places_by_votes(index: MapIndex, matches: Matches, views_each: int, prior: P
 def groups_by_votes(
     votes: FloatArray, shared_with: Callable[[int], FloatArray], views_each: int
 ) -> Iterator[tuple[int, IntArray]]:
-    """Views by their votes (K,), each with those, itself among them, that share most features with it."""
+    """Iterate over views by descending votes (K,), each with the group of views (itself included) that share most
+    features with it.
+    """
     open_ = votes > 0
     while open_.any():
         view = int(np.argmax(np.where(open_, votes, -1)))
@@ -72,14 +75,16 @@ def groups_by_votes(
 
 
 def view_votes(index: MapIndex, matches: Matches) -> FloatArray:
-    """How strongly matches speak for each view (K,): the sum of their chances, held against how much the view saw."""
+    """Votes for each view (K,): sum of the matches' probabilities, normalized by the number of features the view
+    saw.
+    """
     belief = np.bincount(matches.landmarks, weights=matches.chances, minlength=len(index.map))
     votes = np.asarray(index.visibility @ np.minimum(belief, 1.0), dtype=np.float64)
     return np.asarray(votes / np.sqrt(np.maximum(np.diff(index.map.view_offsets), VIEWS_OF_LITTLE)))
 
 
 def place_of_prior(index: MapIndex, prior: Prior, views_each: int) -> Place | None:
-    """The part of the map that is seen from about a prior: by the views that stand and look most like it."""
+    """The place around a prior, from the views nearest to it in position and heading. None if there are none."""
     chosen = views_by_prior(index.view_positions, index.view_headings, prior)[:views_each]
     if len(chosen) == 0:
         return None
@@ -87,8 +92,7 @@ def place_of_prior(index: MapIndex, prior: Prior, views_each: int) -> Place | No
 
 
 def views_by_prior(positions: FloatArray, headings: FloatArray, prior: Prior) -> IntArray:
-    """Those of the views at ``positions`` (K, 3), with ``headings`` (K, 3), that stand and look about as a prior says;
-    the most like it first."""
+    """Rows of the views at ``positions`` (K, 3) with ``headings`` (K, 3) that agree with a prior, nearest first."""
     apart_m = np.linalg.norm(positions - prior.pose.position, axis=1)
     turned = angles_between(headings, prior.pose.heading)
     within = (apart_m < prior.radius_m + _BESIDE_M) & (turned < prior.radius_rad + _ASIDE_RAD)
@@ -99,9 +103,9 @@ def views_by_prior(positions: FloatArray, headings: FloatArray, prior: Prior) ->
 def minimal_samples(
     evidence: Evidence, chances: FloatArray, detections: IntArray, samples: int, keep: int
 ) -> FloatArray:
-    """Poses (S, 4, 4), S ≤ ``keep``, from samples of three matches, the best by density first.
+    """Poses (S, 4, 4), S ≤ ``keep``, from samples of three matches, highest density first.
 
-    Matches are drawn by their chances; the three-point solver is poselib's.
+    Matches are drawn with their probabilities; poselib solves the three-point problem.
     """
     if len(chances) < 4:
         return np.zeros((0, 4, 4))
@@ -121,7 +125,7 @@ def minimal_samples(
 
 
 def _draw_triples(rng: np.random.Generator, chances: FloatArray, detections: IntArray, samples: int) -> IntArray:
-    """Triples (S, 3) of different detections, drawn by chance."""
+    """Random triples (S, 3) of different detections, drawn with the matches' probabilities."""
     cumulative = np.cumsum(chances)
     draws = np.searchsorted(cumulative, rng.random((samples, 3)) * cumulative[-1])
     a, b, c = (detections[draws[:, i]] for i in range(3))
