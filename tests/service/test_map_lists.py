@@ -16,6 +16,7 @@ from rholoc.jobs import RecordingStore
 from rholoc.maps import FloorPlan, MapLibrary
 from rholoc.maps.floor_plan import check_plan
 from rholoc.service.settings import KeyPolicy
+from rholoc.storage.replica import Replica
 
 _RHO = {"Content-Type": "application/octet-stream"}
 
@@ -175,3 +176,13 @@ def test_metrics_need_no_key_where_the_setting_says_so(serve):
     assert httpx.get(f"{closed.url}/metrics").status_code == 401
     assert httpx.get(f"{opened.url}/metrics").status_code == 200
     assert httpx.get(f"{opened.url}/v1/maps").status_code == 401
+
+
+def test_a_correction_is_answered_with_the_version_that_it_made(serve, tmp_path, picture_world, monkeypatch):
+    """Not with what this server sees, which may be behind, or with what another request has made of it."""
+    running = serve(storage_url=f"file://{tmp_path}/storage")
+    put(running, "a", picture_world.rho()).raise_for_status()
+    before = httpx.get(f"{running.url}/v1/maps/a").json()["version"]
+    monkeypatch.setattr(Replica, "_see", lambda replica, changes: None)
+    answer = httpx.post(f"{running.url}/v1/maps/a/corrections", json={"kind": "labels", "tags": ["bright"]})
+    assert answer.json()["version"] == before + 1

@@ -92,7 +92,7 @@ async def correct_map(
     map_ = await service.map(map_name)
     corrected = await service.compute.run(lambda: corrected_map(map_, wanted), Effort.LARGE)
     await service.threads.transfers(service.library.replace, map_name, corrected)
-    return await service.threads.database(_detail, service, map_name)
+    return await service.threads.database(_detail, service, map_name, corrected)
 
 
 @router.put(
@@ -180,7 +180,7 @@ async def merge_map(map_name: str, wanted: MergeIn, request: Request, service: S
         await service.threads.transfers(_publish_merged, service.library, {map_name: a, wanted.other: b}, into, merged)
         if new:
             await service.threads.database(quotas.hold, key, Kind.MAP, into)
-    return await service.threads.database(_detail, service, into)
+    return await service.threads.database(_detail, service, into, merged)
 
 
 @router.post(
@@ -194,12 +194,13 @@ async def forget_source(map_name: str, wanted: ForgetIn, service: Service) -> Ma
     map_ = await service.map(map_name)
     left = await service.compute.run(lambda: forget_recording(map_, wanted.source), Effort.LARGE)
     await service.threads.transfers(service.library.replace, map_name, left)
-    return await service.threads.database(_detail, service, map_name)
+    return await service.threads.database(_detail, service, map_name, left)
 
 
 def _planned(service: State, name: str, content: bytes, plan: FloorPlan | None) -> MapDetail:
-    service.library.replace(name, set_floor_plan(service.library.get(name), content, plan))
-    return _detail(service, name)
+    planned = set_floor_plan(service.library.get(name), content, plan)
+    service.library.replace(name, planned)
+    return _detail(service, name, planned)
 
 
 def _check_learns(library: MapLibrary, name: str) -> None:

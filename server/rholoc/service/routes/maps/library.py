@@ -24,6 +24,7 @@ from rholoc.errors import (
 )
 from rholoc.exports import ExportFormat, export_map, parse_features
 from rholoc.maps import (
+    Map,
     MapLibrary,
     check_map_name,
 )
@@ -285,9 +286,14 @@ def _list(library: MapLibrary) -> MapList:
     return MapList(maps=maps, unreadable=unreadable)
 
 
-def _detail(service: State, name: str) -> MapDetail:
+def _detail(service: State, name: str, published: Map | None = None) -> MapDetail:
+    """The description of the map of a name; of ``published`` if the request just published it.
+
+    Meanwhile another request may have replaced it, or this server may not see it yet.
+    """
     library, settings = service.library, service.settings
-    detail = detail_of(name, library.get(name), library.stat(name).size_bytes, library.previous(name))
+    map_ = published or library.get(name)
+    detail = detail_of(name, map_, library.stat(name).size_bytes, library.previous(name))
     here = {
         "live": settings.live,
         "keeps_failures": settings.keep_failures,
