@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import gc
+import logging
 import os
 import socket
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from types import FrameType
+from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import typer
 
@@ -89,6 +91,11 @@ def serve(
                 if self.started:
                     print_notice(f"Serving the maps of {source} at {where} (the API: /docs).")
 
+            def handle_exit(self, sig: int, frame: FrameType | None) -> None:
+                super().handle_exit(sig, frame)
+                if self.force_exit:  # what a second interrupt breaks off is no error to report
+                    logging.getLogger("uvicorn.error").setLevel(logging.CRITICAL)
+
         server = Announced(config)
         configure_process_logs()
         sys.setswitchinterval(_SWITCH_INTERVAL_S)
@@ -97,13 +104,21 @@ def serve(
         gc.freeze()
         if keys is not None and keys_needed(settings.keys, settings.host) and not keys.keys():
             print_notice("It asks for API keys, and there is none yet: rholoc key create NAME --scope admin")
-        server.run(sockets=[listener])
+        try:
+            server.run(sockets=[listener])
+        except KeyboardInterrupt:
+            _end_at_once(130)
     if not server.started:
         raise InvalidInput("The server did not start.", "The lines above say why.")
     if compute_threads() or storage_threads():  # Python would wait for them, though nobody needs their results
-        sys.stdout.flush()
-        sys.stderr.flush()
-        os._exit(0)
+        _end_at_once(0)
+
+
+def _end_at_once(status: int) -> NoReturn:
+    """End this process without Python's tidying up, which waits for threads, or crashes beside those in native code."""
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(status)
 
 
 def _https(settings: Settings, port: int) -> tuple[Path, str]:
