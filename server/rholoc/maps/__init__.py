@@ -2,6 +2,7 @@
 
 from rholoc.density import DensityKind
 from rholoc.maps.cameras import CameraLibrary, CameraProfile, check_camera_name
+from rholoc.maps.catalogue import check_map_name
 from rholoc.maps.cloud import Cloud
 from rholoc.maps.coefficient_reading import is_coefficient_table, read_coefficient_table
 from rholoc.maps.coefficient_table import coefficient_table, write_coefficient_table
@@ -12,7 +13,7 @@ from rholoc.maps.export import landmark_sigmas, map_to_ply, map_to_vtp
 from rholoc.maps.floor_plan import MAX_PLAN_BYTES, FloorPlan, check_plan
 from rholoc.maps.gltf import map_to_gltf
 from rholoc.maps.info import MapInfo, MapWaypoint, Source
-from rholoc.maps.library import MapLibrary, MapStat, check_map_name
+from rholoc.maps.library import MapLibrary
 from rholoc.maps.map import Map
 from rholoc.maps.map_tables import MapDescriptors, MapLandmarks, MapObservations, MapViews
 from rholoc.maps.names import (
@@ -90,7 +91,6 @@ __all__ = [
     "MapObservations",
     "MapOutline",
     "MapPart",
-    "MapStat",
     "MapViews",
     "MapWaypoint",
     "Memory",
