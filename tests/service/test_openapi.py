@@ -7,7 +7,7 @@ import re
 import pytest
 from hypothesis import HealthCheck, given, settings
 
-from rholoc.maps.library import is_name
+from rholoc.maps.catalogue import is_name
 from rholoc.service import Settings, create_app
 from rholoc.service.access.keys import KeyStore, Scope
 

@@ -25,8 +25,7 @@ def test_workers_killed_in_every_stage_lose_no_job_and_publish_each_once(campus:
     plans = [KILL_POINTS[:3], KILL_POINTS[3:6], KILL_POINTS[6:]]
     jobs = campus.survive_kills(plans)
     assert [job.state for job in jobs] == [JobState.PUBLISHED] * len(jobs)
-    assert campus.shared is not None
-    campus.shared.refresh()
+    campus.stores.refresh()
     assert campus.library.names() == sorted(job.map_name for job in jobs)
     assert all(campus.library.versions(name) == {} for name in campus.library.names()), "each was published once"
     assert all(campus.library.get(name).info.version == 1 for name in campus.library.names())

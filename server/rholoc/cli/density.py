@@ -48,8 +48,8 @@ def density(
     camera: options.Camera = None,
 ) -> None:
     """Show a feature's density over the picture, positions and headings; or how a picture is localized by it."""
+    from rholoc.disk import replace_file
     from rholoc.maps import load_map
-    from rholoc.maps.files import replace_file
     from rholoc.pictures.film import FILM_ENDINGS
 
     if (feature is None) == (picture is None):

@@ -81,7 +81,7 @@ def _write_dense(found: Flow, read: Recording, out: Path, pictures: int, fields:
     import cv2
     import numpy as np
 
-    from rholoc.maps.files import replace_file
+    from rholoc.disk import replace_file
     from rholoc.pictures.flow import dense_png, tracks_png
     from rholoc.trajectory.visual.dense_flow import DenseMethod, dense_flow, off_tracks
 

@@ -44,8 +44,8 @@ def observations(
     as_json: options.Json = False,
 ) -> None:
     """Write what a walk saw from where (Table 4), before there is a map."""
+    from rholoc.disk import replace_file
     from rholoc.maps import observations_csv
-    from rholoc.maps.files import replace_file
     from rholoc.paper.observing import observe_recording
     from rholoc.recordings import CameraFile, read_recording, write_camera_json
     from rholoc.trajectory import PoseMethod

@@ -27,7 +27,7 @@ def import_folders(maps: Maps = None, data: Data = None, as_json: Json = False) 
 
     settings = service_settings(maps_dir=maps, data_dir=data)
     stores = stores_of(settings)
-    if stores.shared is None:
+    if not stores.are_shared:
         raise InvalidInput("RHOLOC_STORAGE_URL is not set.", "Set it to the storage that the servers share.")
     stores.open()
     try:

@@ -9,11 +9,10 @@ from pathlib import Path
 
 from rholoc.errors import InvalidMap
 from rholoc.jobs.recording_store import ENTRY_FILE, RecordingStore
-from rholoc.jobs.stores import Stores
+from rholoc.jobs.stores import CAMERAS, KEYS, SITES, Stores
 from rholoc.maps import Documents, FolderDocuments, MapLibrary
 from rholoc.maps.cameras import FOLDER as CAMERAS_FOLDER
 from rholoc.maps.sites import SITES_FOLDER
-from rholoc.storage import CAMERAS, KEYS, SITES
 
 
 @dataclass(frozen=True)
@@ -94,7 +93,7 @@ def _maps(folder: MapLibrary, library: MapLibrary) -> Sequence[_Thing]:
     def bring(name: str) -> None:
         for number in sorted(folder.versions(name), reverse=True):
             with suppress(InvalidMap):
-                library.put_file(name, folder.previous_path(name, number))
+                library.put_file(name, folder.version_path(name, number))
         library.put_file(name, folder.path(name))
 
     return [_Thing("maps", name, name in present, bring) for name in folder.names()]

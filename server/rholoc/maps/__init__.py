@@ -2,6 +2,7 @@
 
 from rholoc.density import DensityKind
 from rholoc.maps.cameras import CameraLibrary, CameraProfile, check_camera_name
+from rholoc.maps.catalogue import check_map_name
 from rholoc.maps.cloud import Cloud
 from rholoc.maps.corrections import Correction, CorrectionKind
 from rholoc.maps.coverage import Coverage, coverage_of
@@ -23,7 +24,7 @@ from rholoc.maps.formats.trajectory_table import (
     write_trajectory_csv,
 )
 from rholoc.maps.info import MapInfo, MapWaypoint, Source
-from rholoc.maps.library import MapLibrary, MapStat, check_map_name
+from rholoc.maps.library import MapLibrary
 from rholoc.maps.map import Map
 from rholoc.maps.map_tables import MapDescriptors, MapLandmarks, MapObservations, MapViews
 from rholoc.maps.memory import (
@@ -90,7 +91,6 @@ __all__ = [
     "MapObservations",
     "MapOutline",
     "MapPart",
-    "MapStat",
     "MapViews",
     "MapWaypoint",
     "Memory",

@@ -24,6 +24,7 @@ from rholoc.jobs import (
     Stores,
     UploadStore,
 )
+from rholoc.jobs.stores import ASKERS, CAMERAS, SITES
 from rholoc.localization import VECTORS_FILE, MapFinder
 from rholoc.logs import configure_logs
 from rholoc.maps import CameraLibrary, SiteLibrary
@@ -70,7 +71,6 @@ from rholoc.service.settings import Settings
 from rholoc.service.state import State
 from rholoc.service.threads.compute import ComputePool
 from rholoc.service.threads.storage import StorageLanes
-from rholoc.storage import ASKERS, CAMERAS, SITES
 from rholoc.storage.holdings import Holdings
 
 _log = structlog.get_logger("rholoc.service")
@@ -155,23 +155,21 @@ def create_app(settings: Settings | None = None) -> FastAPI:
 
 def _start(settings: Settings, metrics: Metrics, keys: KeyStore, audit: AuditLog, stores: Stores) -> State:
     settings.data_dir.mkdir(parents=True, exist_ok=True)
-    shared, library, recordings = stores.shared, stores.library, stores.recordings
-    if shared is None:
+    library, recordings = stores.library, stores.recordings
+    if not stores.are_shared:
         settings.maps_dir.mkdir(parents=True, exist_ok=True)
-    else:
-        shared.recall()
-    try:  # engines open their databases when they are first used, and shared.follow() sees them come back
+    stores.recall()
+    try:  # engines open their databases when they are first used, and stores.follow() sees them come back
         stores.open()
     except (RholocError, SQLAlchemyError) as error:
         _log.warning("database_not_opened", error=str(error)[:200])
-    if shared is not None:
-        shared.follow()
+    stores.follow()
     jobs = JobQueue(settings.data_dir, settings.jobs_database, recordings, engine=stores.engine)
     threads = StorageLanes()
     queries = QueryStore(stores.objects, KeptLimits(size_bytes=settings.learn_max_bytes))
     finder = MapFinder(library, settings.data_dir / VECTORS_FILE)
     compute = ComputePool(settings.concurrency, settings.queue_length)
-    readiness = Readings(settings, jobs, shared)
+    readiness = Readings(settings, jobs, stores)
     metrics.gauge("rholoc_jobs", "Mapping jobs, as last known", "state", lambda: readiness.jobs.value)
     waiting = "Queued mapping jobs, by why no worker can take them, as last known"
     metrics.gauge("rholoc_jobs_waiting", waiting, "obstacle", lambda: readiness.waiting.value)
@@ -191,7 +189,7 @@ def _start(settings: Settings, metrics: Metrics, keys: KeyStore, audit: AuditLog
         cameras=CameraLibrary(settings.maps_dir, stores.documents(CAMERAS)),
         keys=keys,
         audit=audit,
-        shared=shared,
+        stores=stores,
         localizers=Localizers(library, settings.min_recognized),
         finder=finder,
         sites=SiteLibrary(settings.maps_dir, stores.documents(SITES)),

@@ -8,7 +8,7 @@ from typing import Annotated
 
 from fastapi import Depends, Request
 
-from rholoc.jobs import EmbeddedWorker, JobQueue, QueryStore, RecordingStore, UploadStore
+from rholoc.jobs import EmbeddedWorker, JobQueue, QueryStore, RecordingStore, Stores, UploadStore
 from rholoc.localization import AnyLocalizer, MapFinder
 from rholoc.maps import CameraLibrary, Map, MapLibrary, SiteLibrary
 from rholoc.service.access.audit import AuditLog
@@ -28,7 +28,6 @@ from rholoc.service.operate.readings import Readings
 from rholoc.service.settings import Settings
 from rholoc.service.threads.compute import ComputePool
 from rholoc.service.threads.storage import StorageLanes
-from rholoc.storage import SharedStorage
 
 
 @dataclass(frozen=True)
@@ -40,7 +39,7 @@ class State:
     cameras: CameraLibrary
     keys: KeyStore
     audit: AuditLog
-    shared: SharedStorage | None
+    stores: Stores
     localizers: Localizers
     finder: MapFinder
     sites: SiteLibrary

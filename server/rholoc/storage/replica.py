@@ -20,8 +20,8 @@ import sqlalchemy as sa
 import structlog
 from sqlalchemy.exc import SQLAlchemyError
 
+from rholoc.disk import replace_file
 from rholoc.errors import RholocError
-from rholoc.maps.files import replace_file
 from rholoc.storage.change_listener import ChangeListener, notify
 from rholoc.storage.tables import catalogue_table, documents_table, maps_table
 

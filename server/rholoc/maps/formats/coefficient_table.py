@@ -17,9 +17,9 @@ import numpy as np
 
 from rholoc.density import Densities, Sightings
 from rholoc.density.polynomial import tensor_powers
+from rholoc.disk import replace_file
 from rholoc.errors import InvalidMap
 from rholoc.geometry import FloatArray, IntArray, rows_from_poses
-from rholoc.maps.files import replace_file
 from rholoc.maps.formats.observation_table import descriptor_hex
 from rholoc.maps.map import Map
 from rholoc.maps.validation import validate_map

@@ -21,10 +21,10 @@ from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
 from rholoc.density import FORMS, Densities, DensityKind
+from rholoc.disk import replace_file
 from rholoc.errors import InvalidMap, UnknownMap
 from rholoc.geometry import FloatArray, IntArray, poses_from_rows, rows_from_poses
 from rholoc.maps.cloud import Cloud
-from rholoc.maps.files import replace_file
 from rholoc.maps.info import MapInfo, info_from_json, info_to_json
 from rholoc.maps.map import Map
 from rholoc.maps.map_tables import MapDescriptors, MapLandmarks, MapObservations, MapTable, MapViews

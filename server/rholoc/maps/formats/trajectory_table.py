@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from rholoc.disk import replace_file
 from rholoc.errors import InvalidTrajectory
 from rholoc.geometry import FloatArray, IntArray, pose_matrix, rotation_from_heading
-from rholoc.maps.files import replace_file
 from rholoc.maps.map import Map
 from rholoc.maps.trust import trust_of
 

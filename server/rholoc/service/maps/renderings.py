@@ -15,7 +15,8 @@ from pathlib import Path
 
 from rholoc import __version__
 from rholoc.errors import Busy, InvalidMap, RholocError, StorageFull
-from rholoc.maps import MapLibrary, MapStat
+from rholoc.maps import MapLibrary
+from rholoc.maps.catalogue import MapFile
 from rholoc.pictures.rendering import Rendering
 from rholoc.processes import AsyncProgram
 from rholoc.service.threads.storage import StorageLanes
@@ -35,9 +36,9 @@ class Rendered:
     etag: str
 
 
-def etag_of(stat: MapStat, *parts: object) -> str:
+def etag_of(file: MapFile, *parts: object) -> str:
     """An HTTP entity tag of a map's file, of this version of rholoc, and of further parts."""
-    text = repr((__version__, stat.name, stat.signature, *parts))
+    text = repr((__version__, file.key, file.signature, *parts))
     return f'"{hashlib.blake2b(text.encode(), digest_size=12).hexdigest()}"'
 
 

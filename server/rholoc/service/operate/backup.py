@@ -11,36 +11,32 @@ import hashlib
 import io
 import json
 import os
-import shutil
 import tarfile
 import time
 from collections.abc import Generator, Iterable, Iterator
-from contextlib import closing, contextmanager, suppress
+from contextlib import closing, suppress
 from dataclasses import asdict, dataclass, field
 from pathlib import Path, PurePosixPath
 from typing import IO, cast
 from uuid import uuid4
 
 from rholoc import __version__
-from rholoc.disk import reporting_full_disk, sync_folder
-from rholoc.errors import Conflict, InvalidInput, InvalidMap, StorageUnavailable, UnknownRecording
+from rholoc.disk import reporting_full_disk, sync_folder, temporary_folder
+from rholoc.errors import Conflict, InvalidInput, MissingObject, UnknownRecording
 from rholoc.jobs import MovedIn, RecordingStore, Stores, move_in
 from rholoc.jobs.recording_store import ENTRY_FILE
+from rholoc.jobs.stores import CAMERAS, KEYS, SITES
 from rholoc.maps import FolderDocuments, MapLibrary
 from rholoc.maps.cameras import FOLDER as CAMERAS_FOLDER
-from rholoc.maps.formats.rho_file import load_outline
+from rholoc.maps.map_folder import place_of
 from rholoc.maps.sites import SITES_FOLDER
-from rholoc.storage import CAMERAS, KEYS, SITES, MissingObject, SharedStorage
 
 _FORMAT, _FORMAT_VERSION = "rholoc-backup", 1
 _MANIFEST = "manifest.json"
 _MAX_MANIFEST_BYTES = 2**28
 _MAPS, _DATA = "maps", "data"
-_OF_MAPS = ("*.rho", ".previous/*.rho*", "cameras/*.json", "sites/*.json")
 _FOLDERS = {CAMERAS: f"{_MAPS}/{CAMERAS_FOLDER}", SITES: f"{_MAPS}/{SITES_FOLDER}", KEYS: f"{_DATA}/{KEYS}"}
 _ATTEMPTS = 5
-_LINK_ATTEMPTS = 20  # to see the folder of maps unchanged while it is looked through
-_PAUSE_S = 0.2
 _PIECE_BYTES = 2**20
 _PRIVATE = 0o600  # the mode of a backup
 _NAMES_SHOWN = 3
@@ -76,19 +72,19 @@ class Manifest:
 def back_up(file: Path, stores: Stores, recordings: bool = False) -> Manifest:
     """Write maps with the versions that they replaced, cameras, sites and keys, which are hashes, to a file.
 
-    Servers may run meanwhile: all maps, cameras and sites are those of one moment, each file whole. Jobs, uploads that
+    Servers may run meanwhile: all maps are those of one moment, and each file is whole. Jobs, uploads that
     are not finished and what can be made again are left out; recordings too, unless they are asked for.
 
     Raises:
         Conflict: the file exists.
         InvalidInput: it cannot be written.
-        StorageUnavailable: maps were published all the time, or the storage does not give a file; try again.
+        StorageUnavailable: the storage does not give a file; try again.
         StorageFull: the disk is full; nothing is left of the file.
     """
     for attempt in range(_ATTEMPTS):
         try:
             with (
-                _empty_folder(stores.data_dir) as folder,
+                temporary_folder(stores.data_dir) as folder,
                 closing(_contents(stores, folder, recordings)) as contents,
             ):
                 return _write(file, contents)
@@ -108,7 +104,7 @@ def restore(file: Path, stores: Stores) -> tuple[Manifest, MovedIn]:
         Conflict: something of it is there and is different; says what. Nothing was restored.
         StorageUnavailable, StorageFull: what came before is there; try again.
     """
-    with _empty_folder(stores.data_dir) as folder:
+    with temporary_folder(stores.data_dir) as folder:
         maps_dir, data_dir = folder / _MAPS, folder / _DATA
         manifest = unpack_backup(file, maps_dir, data_dir)
         other = [*_other_maps(MapLibrary(maps_dir), stores.library), *_other_documents(folder, stores)]
@@ -135,15 +131,8 @@ def unpack_backup(file: Path, maps_dir: Path, data_dir: Path) -> Manifest:
 def _other_maps(folder: MapLibrary, library: MapLibrary) -> Iterator[str]:
     """The maps of a folder of which the library has others."""
     for name in sorted({*folder.names()} & {*library.names()}):
-        if not _is_same(folder.path(name), library.path(name)):
+        if not library.holds(name, folder.path(name)):
             yield f"{_MAPS}/{folder.path(name).name}"
-
-
-def _is_same(path: Path, other: Path) -> bool:
-    try:
-        return load_outline(path).checksum == load_outline(other).checksum
-    except InvalidMap:
-        return path.read_bytes() == other.read_bytes()
 
 
 def _other_documents(folder: Path, stores: Stores) -> Iterator[str]:
@@ -153,18 +142,6 @@ def _other_documents(folder: Path, stores: Stores) -> Iterator[str]:
         for name in sorted({*files.names()} & {*stored.names()}):
             if files.read(name) != stored.read(name):
                 yield f"{path}/{name}"
-
-
-@contextmanager
-def _empty_folder(data_dir: Path) -> Iterator[Path]:
-    """A folder beside the data, removed in the end."""
-    folder = data_dir / f".{uuid4().hex}.backup"
-    with reporting_full_disk():
-        folder.mkdir(parents=True)
-    try:
-        yield folder
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)
 
 
 # -- writing ---------------------------------------------------------------------------------------------------------
@@ -199,13 +176,13 @@ def _write(file: Path, sources: Iterable[tuple[str, Path]]) -> Manifest:
 
 def _contents(stores: Stores, folder: Path, recordings: bool) -> Generator[tuple[str, Path]]:
     """Paths in the backup and files, each of which may be gone when the next one is asked for."""
-    if stores.shared is None:
-        yield from _linked(stores.maps_dir, stores.maps_dir / folder.name)
-    else:
-        yield from _fetched(stores.shared, folder)
-    keys = stores.documents(KEYS)
-    for name in sorted(keys.names()):
-        yield _file(folder, f"{_FOLDERS[KEYS]}/{name}", keys.read(name))
+    for name, number, file in stores.library.snapshot():
+        yield f"{_MAPS}/{place_of(name, number)}", file
+    for kind, path in _FOLDERS.items():
+        documents = stores.documents(kind)
+        for name in sorted(documents.names()):
+            with suppress(FileNotFoundError):  # it was deleted meanwhile
+                yield _file(folder, f"{path}/{name}", documents.read(name))
     if recordings:
         yield from _recordings(stores.recordings, folder)
 
@@ -214,20 +191,6 @@ def _file(folder: Path, path: str, content: bytes) -> tuple[str, Path]:
     file = folder / "file"
     file.write_bytes(content)
     return path, file
-
-
-def _fetched(shared: SharedStorage, folder: Path) -> Iterator[tuple[str, Path]]:
-    """The maps, cameras and sites of servers that share a storage."""
-    maps, documents = shared.snapshot()
-    library = MapLibrary(folder)
-    for one in maps:
-        shared.library.fetch(one, folder / "file")
-        path = library.previous_path(one.name, one.number) if one.number else library.path(one.name)
-        yield f"{_MAPS}/{path.relative_to(folder).as_posix()}", folder / "file"
-    for name, content in documents.items():
-        kind, _, rest = name.partition("/")
-        if kind in (CAMERAS, SITES):
-            yield _file(folder, f"{_FOLDERS[kind]}/{rest}", content)
 
 
 def _recordings(store: RecordingStore, folder: Path) -> Iterator[tuple[str, Path]]:
@@ -241,54 +204,6 @@ def _recordings(store: RecordingStore, folder: Path) -> Iterator[tuple[str, Path
         for name in entry.files:
             yield f"{_DATA}/recordings/{entry.id}/{name}", store.root / entry.id / name
         store.release(entry.id)
-
-
-def _linked(maps_dir: Path, folder: Path) -> Iterator[tuple[str, Path]]:
-    """The maps, cameras and sites of a folder as they were at one moment, by links in a folder within it.
-
-    Raises:
-        StorageUnavailable: something was published each time.
-    """
-    try:
-        for attempt in range(_LINK_ATTEMPTS):
-            before, into = _stamps(maps_dir), folder / str(attempt)
-            with suppress(FileNotFoundError):  # replaced or deleted meanwhile
-                links = [_link(maps_dir / path, into / str(number)) for number, path in enumerate(before)]
-                if _stamps(maps_dir) == before:
-                    yield from zip((f"{_MAPS}/{path}" for path in before), links, strict=True)
-                    return
-            shutil.rmtree(into, ignore_errors=True)
-            time.sleep(_PAUSE_S)
-        raise StorageUnavailable("Maps were published all the time.", "Try again.")
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)
-
-
-def _stamps(maps_dir: Path) -> dict[str, tuple[int, int, int]]:
-    """What tells each file from one that replaces it, by path."""
-    found = {}
-    for pattern in _OF_MAPS:
-        for path in sorted(maps_dir.glob(pattern)):
-            if path.is_file() and not _is_hidden(path):
-                status = path.stat()
-                found[path.relative_to(maps_dir).as_posix()] = (status.st_ino, status.st_mtime_ns, status.st_size)
-    return found
-
-
-def _is_hidden(path: Path) -> bool:
-    return path.name.startswith(".")
-
-
-def _link(path: Path, link: Path) -> Path:
-    """A second name of a file; where the file system has none, a copy."""
-    link.parent.mkdir(parents=True, exist_ok=True)
-    try:
-        os.link(path, link)
-    except FileNotFoundError:
-        raise
-    except OSError:
-        shutil.copyfile(path, link)
-    return link
 
 
 class _Hashed(io.RawIOBase):

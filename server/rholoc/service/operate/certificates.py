@@ -16,8 +16,8 @@ from pathlib import Path
 import trustme
 from cryptography import x509
 
+from rholoc.disk import replace_file
 from rholoc.errors import InvalidInput
-from rholoc.maps.files import replace_file
 
 _FOLDER = "tls"
 _LIFETIME = timedelta(days=397)  # browsers refuse certificates that live much longer

@@ -14,9 +14,10 @@ from uuid import uuid4
 
 from packaging.requirements import InvalidRequirement, Requirement
 
-from rholoc.errors import InvalidRecording, RholocError
-from rholoc.jobs import JobQueue
-from rholoc.maps import MapLibrary, SiteLibrary, load_info
+from rholoc.errors import InvalidMap, InvalidRecording, RholocError
+from rholoc.jobs import JobQueue, Stores
+from rholoc.jobs.stores import SITES
+from rholoc.maps import SiteLibrary
 from rholoc.pictures.style import missing_fonts
 from rholoc.processes import machine_memory_bytes
 from rholoc.recordings.frames.video import read_video
@@ -107,25 +108,30 @@ def _can_be_created(folder: Path) -> bool:
 
 
 def _maps(settings: Settings) -> _Found:
-    """All map files are maps, and sites name maps that there are."""
-    if settings.shared_storage is not None:
-        yield from _shared_maps(settings)
-        return
-    library, broken = MapLibrary(settings.maps_dir), []
-    names = library.names()
-    for name in names:
+    """All map files are maps, or the storage that servers share answers; sites name maps that there are."""
+    stores = stores_of(settings)
+    try:
+        if stores.are_shared:
+            stores.open()
+        yield from _maps_in(stores)
+    except RholocError as error:
+        yield Level.ERROR, error.message, error.hint
+    finally:
+        stores.close()
+
+
+def _maps_in(stores: Stores) -> _Found:
+    names, broken = stores.library.names(), 0
+    for name in names[:1] if stores.are_shared else names:
         try:
-            load_info(library.path(name))
-        except RholocError as error:
-            broken.append(name)
-            yield (
-                Level.ERROR,
-                f"The map {name} cannot be read: {error.message}",
-                "Restore it from a backup, or delete it.",
-            )
+            stores.library.outline(name)
+        except InvalidMap as error:
+            broken += 1
+            hint = "Restore it from a backup, or delete it."
+            yield Level.ERROR, f"The map {name} cannot be read: {error.message}", hint
     if not broken:
-        yield Level.OK, f"{len(names)} maps."
-    sites = SiteLibrary(settings.maps_dir)
+        yield Level.OK, f"{len(names)} maps" + (" in shared storage, which answers." if stores.are_shared else ".")
+    sites = SiteLibrary(stores.maps_dir, stores.documents(SITES))
     for name in sites.names():
         try:
             gone = [one.map for one in sites.get(name).maps if one.map not in set(names)]
@@ -133,27 +139,8 @@ def _maps(settings: Settings) -> _Found:
             yield Level.ERROR, error.message, error.hint
             continue
         if gone:
-            yield (
-                Level.WARNING,
-                f"The site {name} names maps that there are not: {', '.join(gone[:5])}.",
-                "Put it without.",
-            )
-
-
-def _shared_maps(settings: Settings) -> _Found:
-    """The catalogue and the storage that servers share answer."""
-    shared = stores_of(settings).shared
-    assert shared is not None
-    try:
-        shared.open()
-        names = shared.library.names()
-        for name in names[:1]:
-            load_info(shared.library.path(name))
-        yield Level.OK, f"{len(names)} maps in shared storage, which answers."
-    except RholocError as error:
-        yield Level.ERROR, error.message, error.hint
-    finally:
-        shared.close()
+            shown = ", ".join(gone[:5])
+            yield Level.WARNING, f"The site {name} names maps that there are not: {shown}.", "Put it without."
 
 
 def _jobs(settings: Settings) -> _Found:

@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import Any
 
 from rholoc.errors import StorageUnavailable
-from rholoc.jobs import JobQueue
+from rholoc.jobs import JobQueue, Stores
 from rholoc.service.settings import Settings
 from rholoc.service.threads.last_known import LastKnown
-from rholoc.storage import SharedStorage
+from rholoc.storage import ObjectStorage
 
 OK = "ok"
 _MIN_FREE_BYTES = 2**26
@@ -26,12 +26,12 @@ class Readings:
     Args:
         settings: name the folders.
         jobs: the queue.
-        shared: the storage shared with other servers; None where there is none.
+        stores: where the maps are.
     """
 
-    def __init__(self, settings: Settings, jobs: JobQueue, shared: SharedStorage | None) -> None:
+    def __init__(self, settings: Settings, jobs: JobQueue, stores: Stores) -> None:
         def storage() -> str:
-            return _folder(settings.maps_dir) if shared is None else _storage(shared)
+            return _storage(stores.objects) if stores.are_shared else _folder(settings.maps_dir)
 
         def worker() -> str:
             if jobs.has_worker():
@@ -86,9 +86,9 @@ def _folder(folder: Path) -> str:
     return OK if shutil.disk_usage(folder).free >= _MIN_FREE_BYTES else "the disk is full"
 
 
-def _storage(shared: SharedStorage) -> str:
+def _storage(objects: ObjectStorage) -> str:
     try:
-        next(iter(shared.objects.list(_PROBED)), None)
+        next(iter(objects.list(_PROBED)), None)
     except StorageUnavailable:
         return "the storage does not answer"
     return OK

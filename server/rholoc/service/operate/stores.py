@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from rholoc.jobs import Stores
+from rholoc.jobs.stores import KEYS
 from rholoc.service.access.keys import KeyStore
 from rholoc.service.settings import Settings
-from rholoc.storage import KEYS
 
 
 def stores_of(settings: Settings) -> Stores:

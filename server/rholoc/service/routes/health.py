@@ -56,7 +56,7 @@ async def readyz(service: Service, response: Response) -> Readiness:
     needed = set(checks)
     if not service.settings.worker:
         needed -= {"worker"}
-    if service.shared is not None:
+    if service.stores.are_shared:
         needed -= {"maps", "jobs"}
     ready = all(checks[name] == OK for name in needed)
     response.status_code = 200 if ready else 503
@@ -83,7 +83,7 @@ def _checks(service: State) -> dict[str, str]:
     else:
         worker = text_of(known.worker, "the job queue")
     return {
-        "maps": text_of(known.maps, "the folder" if service.shared is None else "the storage"),
+        "maps": text_of(known.maps, "the storage" if service.stores.are_shared else "the folder"),
         "data": text_of(known.data, "the folder"),
         "jobs": unanswered(known.jobs, "the job queue") or OK,
         "worker": worker,

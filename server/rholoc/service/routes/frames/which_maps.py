@@ -61,7 +61,8 @@ def _existing(names: list[str], service: State) -> list[str]:
     found = []
     for name in names:
         with suppress(UnknownMap):
-            found.append(service.library.stat(name).name)
+            service.library.stat(name)
+            found.append(name)
     return found
 
 
