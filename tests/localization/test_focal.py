@@ -12,7 +12,7 @@ from scipy.stats import norm
 
 from rholoc.density import Evidence
 from rholoc.features import FeatureSet
-from rholoc.geometry import Camera, FloatArray, Pose
+from rholoc.geometry import Camera, FloatArray, Pose, on_plane
 from rholoc.localization import Cause, Intrinsics, Localizer, Query, focal
 from rholoc.localization.ascent import ascend_with_focal, freed_focal
 from rholoc.localization.focal import (
@@ -302,12 +302,12 @@ def test_a_seed_of_an_unknown_focal_length_has_eight_matches_that_agree(
     matches = localizer.index.match_everywhere(query.features)
     guesses: list[float] = []
 
-    def ransac(plane: FloatArray, points: FloatArray, focal_px: float, *how: Any) -> tuple[FloatArray, int] | None:
+    def ransac(rays: FloatArray, points: FloatArray, focal_px: float, *how: Any) -> tuple[FloatArray, int] | None:
         guesses.append(focal_px)
         assert how == (0.02 * 640, 500, 50)
         likeliest = matches.likeliest_first()
-        seen = point_room.camera.undistort(query.features.pixels[likeliest.detections])
-        np.testing.assert_allclose(plane * focal_px, seen * point_room.camera.focal)
+        seen = on_plane(point_room.camera.rays(query.features.pixels[likeliest.detections]))
+        np.testing.assert_allclose(on_plane(rays) * focal_px, seen * point_room.camera.focal)
         return None if agreeing is None else (np.eye(4), agreeing + (len(guesses) == 3))
 
     monkeypatch.setattr(focal, "lo_ransac", ransac)

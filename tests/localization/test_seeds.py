@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from rholoc.density import Evidence
-from rholoc.geometry import Pose, pose_distances
+from rholoc.geometry import Lens, Pose, pose_distances
+from rholoc.geometry.lenses import rays_of
 from rholoc.localization import Localizer
 from rholoc.localization.ascent import gains
 from rholoc.localization.map_index import MapIndex
@@ -76,16 +77,17 @@ def test_samples_are_drawn_by_chance_and_the_same_each_time() -> None:
 
 def test_ransac_finds_the_pose_and_counts_what_agrees() -> None:
     rays, points = seen(40, 15)
-    found = lo_ransac(rays[:, :2] / rays[:, 2:], points, 500.0, 4.0, 1000)
+    found = lo_ransac(rays, points, 500.0, 4.0, 1000)
     assert found is not None
     assert pose_distances(found[0], TRUE)[0] < 1e-3
     assert 25 <= found[1] <= 27
-    four = lo_ransac(rays[:4, :2] / rays[:4, 2:], points[:4], 500.0, 4.0, 1000)
+    four = lo_ransac(rays[:4], points[:4], 500.0, 4.0, 1000)
     assert four is not None
     assert four[1] == 4
-    assert lo_ransac(rays[:3, :2] / rays[:3, 2:], points[:3], 500.0, 4.0, 1000) is None
+    assert lo_ransac(rays[:3], points[:3], 500.0, 4.0, 1000) is None
     rng = np.random.default_rng(1)
-    assert lo_ransac(rng.uniform(-1, 1, (5, 2)), rng.uniform(-1, 1, (5, 3)), 500.0, 0.01, 100) is None
+    astray = rays_of(Lens.PINHOLE, rng.uniform(-1, 1, (5, 2)), ())
+    assert lo_ransac(astray, rng.uniform(-1, 1, (5, 3)), 500.0, 0.01, 100) is None
 
 
 def test_what_ransac_is_asked_and_what_it_may_answer(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -98,17 +100,16 @@ def test_what_ransac_is_asked_and_what_it_may_answer(monkeypatch: pytest.MonkeyP
         np.testing.assert_allclose(plane, 500 * rays[:, :2] / rays[:, 2:])
         return pose, {"num_inliers": agreeing}
 
-    monkeypatch.setattr("rholoc.localization.ransac.poselib.estimate_absolute_pose", estimate)
+    monkeypatch.setattr("rholoc.geometry.resection.poselib.estimate_absolute_pose", estimate)
     rays, points = seen(10)
-    plane = rays[:, :2] / rays[:, 2:]
-    found = lo_ransac(plane, points, 500.0, 4.0, 300, 30)
+    found = lo_ransac(rays, points, 500.0, 4.0, 300, 30)
     assert found is not None
     np.testing.assert_allclose(found[0], TRUE, atol=1e-12)
     assert found[1] == 4
     agreeing = 3
-    assert lo_ransac(plane, points, 500.0, 4.0, 300, success=0.5) is None
+    assert lo_ransac(rays, points, 500.0, 4.0, 300, success=0.5) is None
     agreeing, pose = 10, SimpleNamespace(R=np.full((3, 3), np.nan), t=np.zeros(3))
-    assert lo_ransac(plane, points, 500.0, 4.0, 3000) is None
+    assert lo_ransac(rays, points, 500.0, 4.0, 3000) is None
     first, second, third = asked
     expected = {"max_iterations": 300, "min_iterations": 30, "max_reproj_error": 4.0, "success_prob": 0.9999}
     assert first == expected | {"progressive_sampling": True, "focal": 500.0}

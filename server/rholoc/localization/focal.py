@@ -14,7 +14,7 @@ from math import erf, sqrt
 
 import numpy as np
 
-from rholoc.geometry import Camera, FloatArray
+from rholoc.geometry import Camera, FloatArray, Lens
 from rholoc.localization.ascent import ascend_with_focal, focal_sigma, freed_focal, information_at
 from rholoc.localization.map_error import PLACE_M, RIGHT_M
 from rholoc.localization.map_index import MapIndex
@@ -69,13 +69,13 @@ class FocalEstimate:
 
 
 def check_focal(index: MapIndex, query: Query, verified: Verified, matches: Matches) -> FocalEstimate:
-    """Hold the camera's focal length against what matches say, from a verified pose.
+    """Hold the camera's focal length against what matches say, from a verified pose; of a pinhole only.
 
     Args:
         matches: of a place, made without any idea of the pose; or those around the pose.
     """
     camera, T = query.camera, verified.optimum.T_map_camera
-    if _fits(index, query, verified, matches):
+    if query.camera.lens is not Lens.PINHOLE or _fits(index, query, verified, matches):
         return FocalEstimate.unchecked(camera)
     total, sigma = 1.0, np.inf
     tolerances_px: tuple[float, ...] = _FIRST_TOLERANCES_PX
@@ -187,14 +187,15 @@ def focal_seed(index: MapIndex, matches: Matches, query: Query, samples: int) ->
     if len(matches) < _MIN_MATCHES:
         return None
     matches, camera = matches.likeliest_first(), query.camera
-    plane = camera.undistort(query.features.pixels[matches.detections])
+    pixels = query.features.pixels[matches.detections]
     longer = max(camera.width, camera.height)
     tolerance_px = _GUESS_TOLERANCE_SHARE * longer
     best: tuple[int, FloatArray, Camera] | None = None
     for share in _GUESSES:
         guess = camera.zoomed(share * longer / camera.focal)
-        scaled = plane * (camera.focal / guess.focal)
-        found = lo_ransac(scaled, index.landmarks[matches.landmarks], guess.focal, tolerance_px, samples, 50)
+        found = lo_ransac(
+            guess.rays(pixels), index.landmarks[matches.landmarks], guess.focal, tolerance_px, samples, 50
+        )
         if found is not None and (best is None or found[1] > best[0]):
             best = found[1], found[0], guess
     return None if best is None or best[0] < _MIN_MATCHES else best[1:]

@@ -83,9 +83,9 @@ def _placed(off_m: float, known: int) -> PlacedFeatures:
     one = np.random.default_rng(0).uniform(-1, 1, (_POINTS, 3))
     points = np.concatenate([one, np.add(one, [0.0, 0.0, off_m])])
     numbers = np.arange(_POINTS)
-    plane = [np.zeros((_POINTS, 2))] * 3
+    rays = [np.tile([0.0, 0.0, 1.0], (_POINTS, 1))] * 3
     is_known = np.tile(numbers < known, 2)
-    return PlacedFeatures(points, is_known, [numbers, numbers, numbers + _POINTS], plane, state)
+    return PlacedFeatures(points, is_known, [numbers, numbers, numbers + _POINTS], rays, state)
 
 
 @pytest.mark.parametrize(
@@ -122,7 +122,7 @@ def test_features_are_known_where_they_are_seen_from_apart_and_fit() -> None:
         assert placed.known[placed.labels[0][4]] == known
         assert placed.labels[0][4] == placed.labels[5][4]
         np.testing.assert_allclose(
-            _CAMERA.project(np.column_stack([placed.plane[5], np.ones(_POINTS)])), moved[5], atol=1e-3
+            _CAMERA.project(placed.rays[5]), moved[5], atol=1e-3
         )
     near, far = state.T_map_camera.copy(), state.T_map_camera.copy()
     for T, step_m, known in ((near, 0.02, False), (far, 0.4, True)):
@@ -161,7 +161,7 @@ def test_a_point_three_pixels_off_agrees() -> None:
     state, pixels = _rooms(np.zeros(3))
     placed = place_features(_neighbours(), pixels, state)
     for off_px, agreeing in ((2.5, _POINTS), (4.5, _POINTS - 1)):
-        plane = [one.copy() for one in placed.plane]
-        plane[9][3, 1] += off_px / _CAMERA.focal
-        _, count = loop_closure._seen_by(replace(placed, plane=plane), 2, 9, _pair(2, 9).matches)
+        seen = [one / one[:, 2:] for one in placed.rays]
+        seen[9][3, 1] += off_px / _CAMERA.focal
+        _, count = loop_closure._seen_by(replace(placed, rays=seen), 2, 9, _pair(2, 9).matches)
         assert count == agreeing
