@@ -22,7 +22,9 @@ _MAX_FIELDS_OF_VIEW_DEG = {  # across and down
     Lens.EQUIRECTANGULAR: (360.5, 180.5),
 }
 _MIN_FISHEYE_RAD = math.radians(10.0)  # off the axis, up to which its distortion must describe a lens
-_WRITTEN = "fx,fy,cx,cy[,k1,k2,p1,p2[,k3]], fisheye:fx,fy,cx,cy[,k1,k2,k3,k4] or equirectangular"
+CAMERA_WRITTEN = "fx,fy,cx,cy[,k1,k2,p1,p2[,k3]], fisheye:fx,fy,cx,cy[,k1,k2,k3,k4] or equirectangular"
+"""How users write a camera, see :meth:`Camera.parse`."""
+
 _SHAPE_TOLERANCE = 0.01  # images whose aspect ratios differ by less than this share are of one shape
 
 
@@ -49,7 +51,7 @@ class Camera:
     lens: Lens = Lens.PINHOLE
 
     def __post_init__(self) -> None:
-        hint = f"Give {_WRITTEN} in pixels of the image that you send."
+        hint = f"Give {CAMERA_WRITTEN} in pixels of the image that you send."
         values = (self.fx, self.fy, self.cx, self.cy, *self.distortion)
         if not all(math.isfinite(value) for value in values):
             raise InvalidCamera("The camera's intrinsics are not all finite numbers.", hint)
@@ -100,7 +102,7 @@ class Camera:
         except ValueError:
             values = []
         if len(values) < 4:
-            raise InvalidCamera(f"'{text}' is not a camera.", f"Give {_WRITTEN} in pixels.")
+            raise InvalidCamera(f"'{text}' is not a camera.", f"Give {CAMERA_WRITTEN} in pixels.")
         fx, fy, cx, cy, *distortion = values
         return cls(width, height, fx, fy, cx, cy, tuple(distortion), lens)
 
@@ -108,17 +110,21 @@ class Camera:
     def from_dict(cls, values: Mapping[str, Any]) -> Camera:
         """From ``width``, ``height``, ``fx``, ``fy``, ``cx``, ``cy`` and, optionally, ``distortion`` and ``lens``.
 
+        Of a whole panorama ``width``, ``height`` and ``lens`` suffice.
+
         Raises:
             KeyError: a value is missing.
             TypeError, ValueError: one is not a number, or the lens is not known.
             InvalidCamera: the values are impossible.
         """
-        intrinsics = {name: values[name] for name in ("fx", "fy", "cx", "cy")}
         width, height = int(values["width"]), int(values["height"])
         if (width, height) != (float(values["width"]), float(values["height"])):
             raise ValueError("width and height are whole numbers")
-        distortion = tuple(map(float, values.get("distortion") or ()))
         lens = Lens(values.get("lens") or Lens.PINHOLE)
+        if lens is Lens.EQUIRECTANGULAR and values.get("fx") is None:
+            return cls.panorama(width, height)
+        intrinsics = {name: values[name] for name in ("fx", "fy", "cx", "cy")}
+        distortion = tuple(map(float, values.get("distortion") or ()))
         numbers = {name: float(value) for name, value in intrinsics.items()}
         return cls(width, height, **numbers, distortion=distortion, lens=lens)
 

@@ -10,7 +10,7 @@ import numpy as np
 from rholoc.errors import Conflict, InvalidCamera, MappingFailed
 from rholoc.features import get_extractor
 from rholoc.features.matching import LIMITS
-from rholoc.geometry import Camera, FloatArray, IntArray
+from rholoc.geometry import CAMERA_WRITTEN, Camera, FloatArray, IntArray
 from rholoc.localization import Localizer
 from rholoc.mapping.assembly import assemble
 from rholoc.mapping.cloud import cloud_of
@@ -241,7 +241,7 @@ def _camera_of(recording: Recording, info: MapInfo) -> Camera:
         return info.camera
     raise InvalidCamera(
         "The recording's intrinsics are unknown, and its frames are not of the size of the map's.",
-        "Give the camera as fx,fy,cx,cy[,k1,k2,p1,p2[,k3]].",
+        f"Give the camera as {CAMERA_WRITTEN}.",
     )
 
 

@@ -9,6 +9,7 @@ from pydantic import BaseModel, ConfigDict, FailFast, Field, Strict
 from pydantic.config import JsonDict
 
 from rholoc.features import Channel
+from rholoc.geometry import CAMERA_WRITTEN, Lens
 from rholoc.jobs import JobKind, JobPriority, JobState, Obstacle, RecordedWaypoint
 from rholoc.localization import Cause, Dof, Intrinsics, Reason
 from rholoc.maps import (
@@ -99,11 +100,16 @@ class ErrorAnswer(_Out):
     request_id: str = Field(description="The same as in the header X-Request-ID and in the service's log.")
 
 
+CAMERA_TEXT = f"{CAMERA_WRITTEN}, in pixels, or a stored camera's name; default: the recording's own"
+"""How users write a recording's camera."""
+
+
 class CameraIn(_In):
     """Intrinsics in pixels; pixel (0, 0) is the centre of the top-left pixel.
 
     ``width`` and ``height`` are the size of the images that the intrinsics belong to; for an image of the same aspect
-    ratio but another size they are scaled. Without ``fx`` the map's own camera is used if it has the same aspect ratio.
+    ratio but another size they are scaled. Without ``fx`` the map's own camera is used if it has the same aspect ratio;
+    an equirectangular picture is then a whole panorama.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, json_schema_extra={"example": _CAMERA})
@@ -115,14 +121,17 @@ class CameraIn(_In):
     cx: Number | None = Field(default=None, description="px; default: the middle of the image")
     cy: Number | None = Field(default=None, description="px; default: the middle of the image")
     distortion: list[Number] = Field(
-        default_factory=list, max_length=8, description="OpenCV's k1, k2, p1, p2[, k3[, k4, k5, k6]]"
+        default_factory=list,
+        max_length=8,
+        description="OpenCV's k1, k2, p1, p2[, k3[, k4, k5, k6]]; of a fisheye its k1, k2, k3, k4",
     )
+    lens: Lens = Field(default=Lens.PINHOLE, description="how the camera projects")
 
 
 class CameraChoice(CameraIn):
     """Intrinsics, or the name of a stored camera instead: then ``width`` and ``height`` are the image's."""
 
-    name: str | None = Field(default=None, description="a stored camera, instead of fx, fy, cx, cy and distortion")
+    name: str | None = Field(default=None, description="a stored camera, instead of intrinsics")
 
 
 class CameraProfileIn(_In):
@@ -137,6 +146,7 @@ class CameraProfileIn(_In):
     cx: Number
     cy: Number
     distortion: list[Number] = Field(default_factory=list, max_length=8)
+    lens: Lens = Field(default=Lens.PINHOLE, description="how the camera projects")
     calibration: dict[str, Any] = Field(
         default_factory=dict, description="how it was calibrated: rms_px, sigmas, views, …"
     )
@@ -916,7 +926,7 @@ class UpdateIn(_In):
     )
     camera: str | None = Field(
         default=None,
-        description="fx,fy,cx,cy[,k1,k2,p1,p2[,k3]] in pixels, or a stored camera's name; default: the recording's own",
+        description=CAMERA_TEXT,
     )
     priority: JobPriority = Field(
         default=JobPriority.NORMAL, description="how soon its turn comes, among jobs submitted within a day"

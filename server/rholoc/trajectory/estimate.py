@@ -9,7 +9,7 @@ import numpy as np
 
 from rholoc.errors import InvalidCamera, InvalidRecording, InvalidWaypoints, MappingFailed, RholocError
 from rholoc.features import FeatureSet
-from rholoc.geometry import UP, Camera, FloatArray, IntArray, angles_between
+from rholoc.geometry import CAMERA_WRITTEN, UP, Camera, FloatArray, IntArray, angles_between
 from rholoc.progress import ProgressListener, Stage, silent
 from rholoc.recordings import Imu, PoseKind, Recording, Waypoint, check_waypoints_fix_frame
 from rholoc.reports import ImuReport, InertialComparison, TrajectoryReport
@@ -374,7 +374,7 @@ def _known_camera(recording: Recording) -> Camera:
     if recording.camera is None:
         raise InvalidCamera(
             "The recording's intrinsics are unknown.",
-            "Give the camera as fx,fy,cx,cy[,k1,k2,p1,p2[,k3]], or choose poses 'visual'.",
+            f"Give the camera as {CAMERA_WRITTEN}, or choose poses 'visual'.",
         )
     return recording.camera
 

@@ -121,9 +121,7 @@ def test_features_are_known_where_they_are_seen_from_apart_and_fit() -> None:
         assert placed.known[placed.labels[0]].sum() >= _POINTS - 1
         assert placed.known[placed.labels[0][4]] == known
         assert placed.labels[0][4] == placed.labels[5][4]
-        np.testing.assert_allclose(
-            _CAMERA.project(placed.rays[5]), moved[5], atol=1e-3
-        )
+        np.testing.assert_allclose(_CAMERA.project(placed.rays[5]), moved[5], atol=1e-3)
     near, far = state.T_map_camera.copy(), state.T_map_camera.copy()
     for T, step_m, known in ((near, 0.02, False), (far, 0.4, True)):
         T[1, :3, 3] = T[0, :3, 3] + [step_m, 0.0, 0.0]
