@@ -22,7 +22,7 @@ import numpy as np
 
 from measuring import SHARED_DATA, measured, position_errors, print_table, rounded
 from rholoc.evaluation import trajectory_errors
-from rholoc.geometry import ByteArray, Camera, FloatArray, IntArray, Lens, align_poses
+from rholoc.geometry import ByteArray, Camera, FloatArray, IntArray, Lens, posed_alignment
 from rholoc.localization import Localizer, Query
 from rholoc.mapping import BuildOptions, build_map
 from rholoc.recordings import FrameSource, Recording, read_recording
@@ -98,11 +98,11 @@ def run(lens: Lens, seed: int) -> dict[str, Any]:
         map_ = build_map([replace(mapped, poses=None)], BuildOptions(report=False))
     rows = np.searchsorted(mapped.frames.times, map_.views.times)
     truth = mapped.poses.T_map_camera[rows]
-    T_truth = align_poses(map_.views.T_map_camera, truth)
+    T_truth = posed_alignment(map_.views.T_map_camera, truth, np.ones(len(rows)), fixed_scale=False)
     localizer = Localizer(map_)
     estimated = np.full((len(asked), 4, 4), np.nan)
     for i, image in enumerate(queries.frames.images(range(len(asked)))):
-        answer = localizer.localize(Query.of_picture(image, localizer.extractor, recording.camera))
+        answer = localizer.localize(Query.of_picture(image, localizer.extractor, map_.info.camera))
         if answer.pose is not None:
             estimated[i] = T_truth.poses(answer.pose.T_map_camera[None])[0]
     errors = trajectory_errors(estimated, queries.poses.T_map_camera)

@@ -64,9 +64,9 @@ def places_of(lens: Lens, points: FloatArray, distortion: tuple[float, ...]) -> 
         case Lens.FISHEYE:
             radius, angle = _off_axis(points)
             on_axis = radius <= _CLOSEST * np.abs(z)
-            shown = np.where((angle <= widest_angle(distortion)) & ~(on_axis & (z <= 0)), angle, np.nan)
-            stretch = np.where(on_axis, 1.0, _bent(shown, distortion)) / np.where(on_axis, np.abs(z), radius)
-            return np.asarray(points[:, :2] * np.where(np.isnan(shown), np.nan, stretch)[:, None])
+            is_shown = (angle <= widest_angle(distortion)) & ~(on_axis & (z <= 0))
+            away = np.where(is_shown, np.where(on_axis, z, radius), np.nan)
+            return np.asarray(points[:, :2] * (np.where(on_axis, 1.0, _bent(angle, distortion)) / away)[:, None])
         case Lens.EQUIRECTANGULAR:
             level = np.hypot(x, z)
             somewhere = np.where(level + np.abs(y) > 0, 1.0, np.nan)

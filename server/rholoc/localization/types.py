@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from enum import Enum, StrEnum
 from typing import Any
 
-from rholoc.features import Extractor, FeatureSet
+from rholoc.features import Extractor, FeatureSet, widened
 from rholoc.geometry import ByteArray, Camera, FloatArray, IntArray, Pose
 from rholoc.lazy import lazy
 from rholoc.localization.diagnosis import Diagnosis
@@ -89,6 +89,7 @@ class Query:
     @classmethod
     def of_picture(cls, image: ByteArray, extractor: Extractor, camera: Camera, **others: Any) -> Query:
         """A picture (H, W, 3), BGR, its features found quickly at first; ``others`` are further attributes."""
+        extractor = widened(extractor, camera)
         quick = extractor.quick
         more = None if quick is extractor else lambda: extractor.extract(image)
         return cls(quick.extract(image), camera, image=image, more_features=more, **others)

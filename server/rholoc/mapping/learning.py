@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rholoc.errors import Conflict, InvalidCamera, MappingFailed
-from rholoc.features import get_extractor
+from rholoc.features import get_extractor, widened
 from rholoc.features.matching import LIMITS
 from rholoc.geometry import CAMERA_WRITTEN, Camera, FloatArray, IntArray
 from rholoc.localization import Localizer
@@ -222,7 +222,8 @@ def alignment_report(alignment: Alignment, found: Found) -> LearningReport:
 
 
 def _frame_features(localizer: Localizer, recording: Recording, pictures: bool) -> FrameFeatures:
-    return FrameFeatures(recording.frames, get_extractor(localizer.map.info.features), pictures)
+    extractor = widened(get_extractor(localizer.map.info.features), recording.camera)
+    return FrameFeatures(recording.frames, extractor, pictures)
 
 
 def _collected(frames: Iterable[Shown], count: int, progress: ProgressListener) -> list[Shown]:

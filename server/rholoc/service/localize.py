@@ -15,7 +15,7 @@ import structlog
 
 from rholoc import telemetry
 from rholoc.errors import DeadlineExceeded, InvalidCamera, InvalidDescriptors, RholocError
-from rholoc.features import Extractor, FeatureSet
+from rholoc.features import Extractor, FeatureSet, widened
 from rholoc.geometry import ByteArray, FloatArray, Pose
 from rholoc.lazy import lazy
 from rholoc.localization import (
@@ -137,7 +137,7 @@ def localize_frame(
     if listener is not None and found.localized and frame.options.intrinsics is Intrinsics.GIVEN:
         info = localizer.map.info
         camera = camera_for(frame, features.size, info.camera)
-        listener(Lesson(info.id, localizer.extractor, camera, found, features.by))
+        listener(Lesson(info.id, widened(localizer.extractor, camera), camera, found, features.by))
     return answer_of(name, localizer, found, clock, frame.options.with_matches)
 
 
@@ -366,12 +366,13 @@ def _localize(
     prior, gravity = prior_of(frame.options.prior), gravity_of(frame.options.gravity)
     if clock.elapsed_s >= deadline_s:
         return too_late()
-    found = features.by(localizer.extractor.quick)
+    extractor = widened(localizer.extractor, camera)
+    found = features.by(extractor.quick)
     left_s = deadline_s - clock.elapsed_s
     if left_s <= 0:
         return too_late()
     options = frame.options
-    more = features.more_by(localizer.extractor)
+    more = features.more_by(extractor)
     answer = localizer.localize(
         Query(
             found,

@@ -102,7 +102,8 @@ def _maps(camera: Camera, common: Camera) -> tuple[ByteArray, ByteArray]:
     """Where each pixel of the common camera lies in the camera's image, in OpenCV's fixed-point form."""
     u, v = np.meshgrid(np.arange(common.width), np.arange(common.height))
     found = camera.project(common.rays(np.column_stack([u.ravel(), v.ravel()])))
-    places = np.nan_to_num(found, nan=-2.0 * max(camera.width, camera.height)).astype(np.float32)
+    far = 2.0 * max(camera.width, camera.height)
+    places = np.clip(np.nan_to_num(found, nan=-far), -far, far).astype(np.float32)
     shape = common.height, common.width
     horizontal, vertical = (np.ascontiguousarray(axis.reshape(shape)) for axis in places.T)
     maps = cv2.convertMaps(horizontal, vertical, cv2.CV_16SC2)

@@ -120,7 +120,7 @@ def _pairs(rows: IntArray, T: FloatArray) -> list[tuple[int, int]]:
 
 def _matched(recording: Recording, camera: Camera, pairs: list[tuple[int, int]]) -> list[_Matched]:
     needed = np.unique(list(itertools.chain.from_iterable(pairs))).astype(np.int64)
-    with KeyframeFeatures(recording.frames) as extractor:
+    with KeyframeFeatures(recording.frames, camera=camera) as extractor:
         features = dict(zip(needed.tolist(), extractor.of(needed), strict=True))
     descriptors = {row: unit_descriptors(found) for row, found in features.items()}
     rays = {row: camera.rays(found.pixels) for row, found in features.items()}
