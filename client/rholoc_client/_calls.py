@@ -337,7 +337,7 @@ def get_camera(name: str) -> Call[CameraProfile]:
 
 def put_camera(name: str, camera: Camera, calibration: Mapping[str, Any] | None) -> Call[CameraProfile]:
     """Store a camera under a name."""
-    body = {**_without_none(asdict(camera)), "calibration": dict(calibration or {})}
+    body = {**_intrinsics(camera), "calibration": dict(calibration or {})}
     headers = {"Content-Type": "application/json"}
     return Call("PUT", _camera_path(name), _profile, headers=headers, content=json.dumps(body).encode())
 
@@ -533,7 +533,13 @@ def _chosen(camera: Camera | str | None) -> dict[str, Any] | None:
 
 
 def _camera(camera: Camera | None) -> dict[str, Any] | None:
-    return None if camera is None else _without_none(asdict(camera))
+    return None if camera is None else _intrinsics(camera)
+
+
+def _intrinsics(camera: Camera) -> dict[str, Any]:
+    """A camera as JSON; of a pinhole without its lens, which earlier servers do not know."""
+    fields = _without_none(asdict(camera))
+    return {name: value for name, value in fields.items() if (name, value) != ("lens", "pinhole")}
 
 
 def _without_none(values: Mapping[str, Any]) -> dict[str, Any]:

@@ -763,7 +763,8 @@ def _camera_text(camera: Camera | str | None) -> str | None:
     if camera is None or isinstance(camera, str):
         return camera
     values = (camera.fx, camera.fy, camera.cx, camera.cy, *camera.distortion)
-    return ",".join(repr(float(value)) for value in values)
+    text = ",".join(repr(float(value)) for value in values)
+    return text if camera.lens == "pinhole" else f"{camera.lens}:{text}"
 
 
 def _deadline(timeout_s: float | None) -> float:

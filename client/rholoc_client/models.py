@@ -16,7 +16,8 @@ class Camera:
     """Intrinsics in pixels; pixel (0, 0) is the centre of the top-left pixel.
 
     ``width`` and ``height`` are the size of the images that they belong to; default: the image's own.
-    ``distortion`` holds OpenCV's k1, k2, p1, p2[, k3[, k4, k5, k6]].
+    ``lens`` is pinhole, fisheye or equirectangular. ``distortion`` holds OpenCV's k1, k2, p1, p2[, k3[, k4, k5, k6]],
+    of a fisheye its k1, k2, k3, k4.
     """
 
     fx: float
@@ -26,6 +27,7 @@ class Camera:
     distortion: tuple[float, ...] = ()
     width: int | None = None
     height: int | None = None
+    lens: str = "pinhole"
 
 
 @dataclass(frozen=True)
@@ -540,7 +542,7 @@ def parse_map(answer: Mapping[str, Any]) -> MapSummary:
 
 def parse_profile(answer: Mapping[str, Any]) -> CameraProfile:
     """The JSON of a stored camera → :class:`CameraProfile`."""
-    intrinsics = {name: answer[name] for name in Camera.__dataclass_fields__}
+    intrinsics = {name: answer[name] for name in Camera.__dataclass_fields__ if name in answer}
     return CameraProfile(answer["name"], _camera(intrinsics), dict(answer["calibration"]))
 
 

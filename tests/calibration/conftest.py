@@ -28,7 +28,7 @@ class Studio:
     def photograph(self, T_camera_board: FloatArray, rng: np.random.Generator, blur_px: float = 0.6) -> ByteArray:
         """(H, W, 3), blurred by a Gaussian and noisy."""
         H_board_plane = np.linalg.inv(T_camera_board[:3, [0, 1, 3]])
-        points = self._plane @ H_board_plane.T
+        points = self._rays @ H_board_plane.T
         texels = (points[:, :2] / points[:, 2:] / self.board.square_m + 2) * _TEXELS - 0.5
         fine = texels.reshape(_SAMPLES * self.camera.height, -1, 2).astype(np.float32)
         seen = cv2.remap(self._texture, fine, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=90)
@@ -53,11 +53,10 @@ class Studio:
         return poses
 
     @cached_property
-    def _plane(self) -> FloatArray:
-        """Each sample's point on the plane z = 1, (N, 3)."""
+    def _rays(self) -> FloatArray:
+        """Each sample's ray, (N, 3)."""
         u, v = ((np.arange(_SAMPLES * side) + 0.5) / _SAMPLES - 0.5 for side in (self.camera.width, self.camera.height))
-        plane = self.camera.undistort(np.stack(np.meshgrid(u, v), axis=2).reshape(-1, 2))
-        return np.column_stack([plane, np.ones(len(plane))])
+        return self.camera.rays(np.stack(np.meshgrid(u, v), axis=2).reshape(-1, 2))
 
     @cached_property
     def _texture(self) -> ByteArray:

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from rholoc.density import Evidence
-from rholoc.geometry import Pose, pose_distances
+from rholoc.geometry import Lens, Pose, pose_distances
+from rholoc.geometry.lenses import rays_of
 from rholoc.localization import Localizer
 from rholoc.localization.index.map_index import MapIndex
 from rholoc.localization.index.matches import Matches
@@ -73,16 +74,17 @@ def test_samples_are_drawn_by_chance_and_the_same_each_time() -> None:
 
 def test_ransac_finds_the_pose_and_counts_what_agrees() -> None:
     rays, points = seen(40, 15)
-    found = lo_ransac(rays[:, :2] / rays[:, 2:], points, 500.0, 4.0, 1000)
+    found = lo_ransac(rays, points, 500.0, 4.0, 1000)
     assert found is not None
     assert pose_distances(found[0], TRUE)[0] < 1e-3
     assert 25 <= found[1] <= 27
-    four = lo_ransac(rays[:4, :2] / rays[:4, 2:], points[:4], 500.0, 4.0, 1000)
+    four = lo_ransac(rays[:4], points[:4], 500.0, 4.0, 1000)
     assert four is not None
     assert four[1] == 4
-    assert lo_ransac(rays[:3, :2] / rays[:3, 2:], points[:3], 500.0, 4.0, 1000) is None
+    assert lo_ransac(rays[:3], points[:3], 500.0, 4.0, 1000) is None
     rng = np.random.default_rng(1)
-    assert lo_ransac(rng.uniform(-1, 1, (5, 2)), rng.uniform(-1, 1, (5, 3)), 500.0, 0.01, 100) is None
+    astray = rays_of(Lens.PINHOLE, rng.uniform(-1, 1, (5, 2)), ())
+    assert lo_ransac(astray, rng.uniform(-1, 1, (5, 3)), 500.0, 0.01, 100) is None
 
 
 def test_votes_are_chances_of_what_a_view_saw_and_a_landmark_votes_once(localizer: Localizer) -> None:

@@ -6,7 +6,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from rholoc.features import Channel, FeatureSet
-from rholoc.geometry import Camera, FloatArray, pose_matrix
+from rholoc.geometry import Camera, FloatArray, Lens, pose_matrix
+from rholoc.geometry.lenses import rays_of
 
 CAMERA = Camera(640, 480, 500.0, 500.0, 319.5, 239.5, (-0.1, 0.02, 0.0, 0.0))
 
@@ -27,6 +28,11 @@ def on_plane(points: FloatArray, T_world_camera: FloatArray) -> FloatArray:
     """Points (N, 3) on the plane z = 1 of a camera (4, 4), (N, 2)."""
     inside = (points - T_world_camera[:3, 3]) @ T_world_camera[:3, :3]
     return np.asarray(inside[:, :2] / inside[:, 2:])
+
+
+def rays(plane: FloatArray) -> FloatArray:
+    """Points (N, 2) on the plane z = 1 → unit rays (N, 3)."""
+    return rays_of(Lens.PINHOLE, plane, ())
 
 
 def in_pixels(points: FloatArray, T_world_camera: FloatArray) -> FloatArray:

@@ -15,6 +15,8 @@ const FIGURES = [
   ["cy", "cy, px"],
 ];
 
+const LENSES = { pinhole: t`pinhole`, fisheye: t`fisheye`, equirectangular: t`panorama` };
+
 export async function showCameras(main, _, signal) {
   const list = h("ul", { class: "cards", "aria-label": t`Cameras` }, skeletons(3, "camera-card"));
   const reload = () => loading(list, async () => fillList(list, await get("v1/cameras", { signal }), reload), signal);
@@ -70,6 +72,7 @@ function card(camera, reload) {
       camera.distortion.length
         ? t`distortion ${camera.distortion.map((v) => v.toPrecision(3)).join(", ")}`
         : t`no distortion`,
+      camera.lens !== "pinhole" && ` · ${LENSES[camera.lens]}`,
       typeof rms === "number" && t` · off by ${rms.toFixed(2)} px`,
     ),
     h(
@@ -95,12 +98,18 @@ async function edit(camera, reload) {
       h("input", { name: key, type: "number", step: "any", min: 0, required: true, value: camera?.[key] ?? "" }),
     ),
   );
+  const lens = h(
+    "select",
+    { name: "lens" },
+    Object.entries(LENSES).map(([value, text]) => h("option", { value, selected: value === camera?.lens }, text)),
+  );
   const done = await ask(
     camera ? t`Change the camera` : t`Add a camera`,
     [
       field(t`Name`, name),
+      field(t`Lens`, lens),
       h("div", { class: "form" }, figures),
-      field(t`Distortion k1, k2, p1, p2, k3`, distortion, t`empty: none`),
+      field(t`Distortion k1, k2, p1, p2, k3`, distortion, t`empty: none; of a fisheye k1, k2, k3, k4`),
     ],
     h("button", { class: "primary" }, t`Store`),
     (form) => store(form, camera),
@@ -115,6 +124,7 @@ function store(form, camera) {
     .split(/[\s,]+/)
     .filter(Boolean)
     .map(Number);
+  body.lens = form.get("lens");
   if (camera && FIGURES.every(([key]) => body[key] === camera[key])) body.calibration = camera.calibration;
   return call("PUT", path`v1/cameras/${form.get("name")}`, { body });
 }

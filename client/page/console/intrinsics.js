@@ -10,7 +10,10 @@ export const Known = Object.freeze({
   ESTIMATED: "estimated", // by the server, of the picture
 });
 
-/** @typedef {{known: string, fx: number, fy: number, cx: number, cy: number, distortion: number[]}} Intrinsics */
+/**
+ * @typedef {{known: string, fx: number, fy: number, cx: number, cy: number, distortion: number[], lens?: string}}
+ *   Intrinsics
+ */
 
 /**
  * The intrinsics of a picture of `width` × `height` px, taken to be the given camera's: `{known, fx, fy, cx, cy,
@@ -34,6 +37,7 @@ export function intrinsicsFor(camera, width, height) {
     cx: middle(width) + scale * (own.cx - middle(own.width)),
     cy: middle(height) + scale * (own.cy - middle(own.height)),
     distortion: own.distortion ?? [],
+    lens: own.lens,
   };
 }
 
@@ -50,8 +54,9 @@ export function intrinsicsOfFieldOfView(degrees, width, height) {
  * The camera turned by a quarter. Which way is not known: the principal point is put into the middle, and tangential
  * distortion, which would change with the way, is left out.
  */
-function quarterTurn({ width, height, fx, fy, distortion = [] }) {
+function quarterTurn({ width, height, fx, fy, distortion = [], lens }) {
   const [k1 = 0, k2 = 0, , , ...more] = distortion;
+  const isRound = lens === "fisheye"; // its distortion is the same in all directions
   return {
     width: height,
     height: width,
@@ -59,17 +64,25 @@ function quarterTurn({ width, height, fx, fy, distortion = [] }) {
     fy: fx,
     cx: (height - 1) / 2,
     cy: (width - 1) / 2,
-    distortion: distortion.length ? [k1, k2, 0, 0, ...more] : [],
+    distortion: distortion.length && !isRound ? [k1, k2, 0, 0, ...more] : distortion,
+    lens,
   };
 }
 
 /** As the query of a request. */
-export function asQuery({ fx, fy, cx, cy, distortion }) {
+export function asQuery({ fx, fy, cx, cy, distortion, lens = "pinhole" }) {
   const figures = Object.fromEntries(
     Object.entries({ fx, fy, cx, cy }).map(([name, value]) => [name, value.toFixed(3)]),
   );
-  return distortion.length ? { ...figures, distortion: distortion.join(",") } : figures;
+  const bent = distortion.length ? { distortion: distortion.join(",") } : {};
+  return { ...figures, ...bent, ...(lens === "pinhole" ? {} : { lens }) };
 }
 
-/** How far the picture's edges reach on the plane one metre in front of the camera: `[x, y]`. */
-export const halfExtents = ({ fx, fy }, width, height) => [width / 2 / fx, height / 2 / fy];
+/**
+ * How far the picture's edges reach on the plane one metre in front of the camera: `[x, y]`; of wide lenses the part up
+ * to 57° off the axis.
+ */
+export function halfExtents({ fx, fy, lens = "pinhole" }, width, height) {
+  const reach = (share) => (lens === "pinhole" ? share : Math.tan(Math.min(share, 1)));
+  return [reach(width / 2 / fx), reach(height / 2 / fy)];
+}

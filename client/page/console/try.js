@@ -588,8 +588,8 @@ function tracked(trial, signal) {
         trial.showTrack(shown, track, known, extents, rateShown);
       };
       begunWith = chosen;
-      const { fx, fy, cx, cy, distortion } = { distortion: [], ...(found.camera ?? camera) };
-      const begin = { camera: { fx, fy, cx, cy, distortion }, dof: trial.rolls.checked ? "auto" : 5 };
+      const { fx, fy, cx, cy, distortion, lens } = { distortion: [], ...(found.camera ?? camera) };
+      const begin = { camera: { fx, fy, cx, cy, distortion, lens }, dof: trial.rolls.checked ? "auto" : 5 };
       stream = await TrackStream.open(trial.map.name, begin, show, signal);
     }
     const due = performance.now() + TRACK_MS;

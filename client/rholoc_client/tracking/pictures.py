@@ -15,6 +15,7 @@ import numpy as np
 
 from rholoc_client.models import Camera
 from rholoc_client.tracking.belief import OdometryNoise
+from rholoc_client.tracking.lenses import image_planes
 from rholoc_client.tracking.rigid import FloatArray, inverse, pose, rotation
 
 PICTURE_NOISE = OdometryNoise(drift=0.03, turn_drift=0.02, heading_drift_deg_m=0.5, step_m=0.003, step_deg=0.05)
@@ -61,8 +62,7 @@ class PictureMotion:
     """
 
     def __init__(self, camera: Camera) -> None:
-        self._K = np.array([[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1.0]])
-        self._distortion = np.array(camera.distortion, dtype=np.float64)
+        self._camera = camera
         self._last: _FollowedFrame | None = None
         self._kept: deque[_FollowedFrame] = deque(maxlen=_KEPT_PICTURES)
 
@@ -139,22 +139,23 @@ class PictureMotion:
         """
         if len(points.points) < _FEWEST_POINTS:
             return None
-        plane = cv2.undistortPoints(points.pixels[:, None], self._K, self._distortion)[:, 0]
-        T, focal_px = inverse(T_guess), float(np.sqrt(self._K[0, 0] * self._K[1, 1]))
+        R_plane_camera, plane = image_planes(self._camera, points.pixels)
+        T, focal_px = inverse(T_guess), float(np.sqrt(self._camera.fx * self._camera.fy))
         agreeing = np.zeros(len(plane), dtype=bool)
         for tolerance_px in _TOLERANCES_PX:
             for _ in range(_ITERATIONS):
                 seen = points.points @ T[:3, :3].T + T[:3, 3]
-                x, y, depth = seen[:, 0], seen[:, 1], np.maximum(seen[:, 2], _LEAST_DEPTH)
-                residual = plane - seen[:, :2] / depth[:, None]
+                there = np.einsum("nij,nj->ni", R_plane_camera, seen)
+                x, y, depth = there[:, 0], there[:, 1], np.maximum(there[:, 2], _LEAST_DEPTH)
+                residual = plane - there[:, :2] / depth[:, None]
                 off_px = focal_px * np.linalg.norm(residual, axis=1)
-                agreeing = (off_px < tolerance_px) & (seen[:, 2] > _LEAST_DEPTH)
+                agreeing = (off_px < tolerance_px) & (there[:, 2] > _LEAST_DEPTH)
                 if agreeing.sum() < _FEWEST_POINTS:
                     return None
                 weight = np.where(agreeing, 1 - (off_px / tolerance_px) ** 2, 0.0)
                 one, none = np.ones_like(x), np.zeros_like(x)
                 by_point = np.stack([np.stack([one, none, -x / depth], 1), np.stack([none, one, -y / depth], 1)], 1)
-                by_point /= depth[:, None, None]
+                by_point = by_point / depth[:, None, None] @ R_plane_camera
                 J = np.concatenate([by_point, -by_point @ _crosses(seen)], axis=2)  # of a motion of the camera frame
                 weighted = (J * weight[:, None, None]).reshape(-1, 6)
                 curvature = weighted.T @ J.reshape(-1, 6) + 1e-9 * np.eye(6)

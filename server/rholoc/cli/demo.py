@@ -157,12 +157,12 @@ def _localize(client: Client, recording: Path, every: int) -> tuple[TrajectoryTa
     """Localize every ``every``-th frame over HTTP; returns the trajectory and each request's milliseconds."""
     import cv2
 
+    from rholoc.evaluation.tracking import client_camera
     from rholoc.recordings import read_recording
-    from rholoc_client import Camera
 
     walk = read_recording(recording)
     assert walk.camera is not None
-    camera = Camera(walk.camera.fx, walk.camera.fy, walk.camera.cx, walk.camera.cy, walk.camera.distortion)
+    camera = client_camera(walk.camera)
     rows = range(0, len(walk.frames.times), every)
     answers, frame_ms = [], []
     with frame_progress("localizing walk 2", len(rows)) as advance:

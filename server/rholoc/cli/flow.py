@@ -38,7 +38,7 @@ def flow(
 
     read = read_recording(recording, options.named_camera(camera), frames)
     with stage_progress() as progress:
-        found = track_corners(read.frames, progress)
+        found = track_corners(read.frames, progress, camera=read.camera)
         out.mkdir(parents=True, exist_ok=True)
         _write_tracks(found, read, out)
         off_px = _write_dense(found, read, out, pictures, fields)

@@ -14,7 +14,8 @@ from enum import StrEnum
 import cv2
 import numpy as np
 
-from rholoc.geometry import Camera, FloatArray, pose_matrix
+from rholoc.geometry import Camera, FloatArray, on_plane, pose_matrix
+from rholoc.geometry.resection import is_narrow
 from rholoc.localization import Query
 from rholoc.localization.index.map_index import MapIndex
 from rholoc.localization.index.matches import Matches
@@ -60,12 +61,14 @@ class RansacOptions:
 def solve(
     solver: Solver, pixels: FloatArray, points: FloatArray, camera: Camera, options: RansacOptions | None = None
 ) -> FloatArray | None:
-    """T_map_camera (4, 4) from pixels (M, 2) and points (M, 3) of the map, the most likely match first, or None."""
+    """T_map_camera (4, 4) from pixels (M, 2) and points (M, 3) of the map, the most likely match first, or None.
+
+    OpenCV's solver wants pinholes and finds no pose for other lenses.
+    """
     if len(pixels) < _MIN_MATCHES:
         return None
-    straight = camera.undistort(pixels) * (camera.fx, camera.fy) + (camera.cx, camera.cy)
     run = _solve_cv2 if solver is Solver.CV2 else _solve_poselib
-    T = run(straight, np.asarray(points, dtype=np.float64), camera, options or RansacOptions())
+    T = run(camera.rays(pixels), np.asarray(points, dtype=np.float64), camera, options or RansacOptions())
     return T if T is not None and np.isfinite(T).all() else None
 
 
@@ -87,7 +90,10 @@ def refine_by_density(
     return settle(index, matches, evidence, optimum, query.dof).T_map_camera
 
 
-def _solve_cv2(pixels: FloatArray, points: FloatArray, camera: Camera, options: RansacOptions) -> FloatArray | None:
+def _solve_cv2(rays: FloatArray, points: FloatArray, camera: Camera, options: RansacOptions) -> FloatArray | None:
+    if not is_narrow(rays):
+        return None
+    pixels = on_plane(rays) * (camera.fx, camera.fy) + (camera.cx, camera.cy)
     try:
         found, rotation, translation, inliers = cv2.solvePnPRansac(
             points,
@@ -112,9 +118,8 @@ def _solve_cv2(pixels: FloatArray, points: FloatArray, camera: Camera, options: 
     )
 
 
-def _solve_poselib(pixels: FloatArray, points: FloatArray, camera: Camera, options: RansacOptions) -> FloatArray | None:
-    plane = (pixels - (camera.cx, camera.cy)) / (camera.fx, camera.fy)
-    found = lo_ransac(plane, points, camera.focal, options.threshold_px, options.iterations, success=options.confidence)
+def _solve_poselib(rays: FloatArray, points: FloatArray, camera: Camera, options: RansacOptions) -> FloatArray | None:
+    found = lo_ransac(rays, points, camera.focal, options.threshold_px, options.iterations, success=options.confidence)
     return None if found is None else found[0]
 
 

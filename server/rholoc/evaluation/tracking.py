@@ -263,7 +263,14 @@ class _Run:
 def client_camera(camera: Camera) -> ClientCamera:
     """A camera as the client has it."""
     return ClientCamera(
-        camera.fx, camera.fy, camera.cx, camera.cy, tuple(camera.distortion), camera.width, camera.height
+        camera.fx,
+        camera.fy,
+        camera.cx,
+        camera.cy,
+        tuple(camera.distortion),
+        camera.width,
+        camera.height,
+        camera.lens.value,
     )
 
 

@@ -15,10 +15,15 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from rholoc.errors import InvalidInput
-from rholoc.geometry import Camera, FloatArray
+from rholoc.geometry import Camera, FloatArray, Lens
 from rholoc.maps import Map, check_memory, source_cameras
 
 _MIN_VIEWS = 2  # of a point of a COLMAP model
+_NERFSTUDIO_MODELS = {
+    Lens.PINHOLE: "OPENCV",
+    Lens.FISHEYE: "OPENCV_FISHEYE",
+    Lens.EQUIRECTANGULAR: "EQUIRECTANGULAR",
+}
 _TO_OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])  # x right, y up, looking along −z
 
 
@@ -26,7 +31,7 @@ def colmap_model(map_: Map) -> bytes:
     """A ZIP file of ``sparse/0/cameras.txt``, ``images.txt`` and ``points3D.txt``, of the views and landmarks.
 
     Raises:
-        InvalidInput: the map does not keep its observations.
+        InvalidInput: the map does not keep its observations, or COLMAP has no such camera.
         InvalidMap: they contradict the rest of it.
     """
     check_memory(map_, "The map")
@@ -43,13 +48,17 @@ def nerfstudio_transforms(map_: Map) -> str:
     Raises:
         InvalidInput: a camera's distortion has no counterpart in nerfstudio.
     """
-    cameras = [_nerfstudio_camera(camera) for camera in source_cameras(map_.info)]
+    used = source_cameras(map_.info)
+    model, *others = sorted({_NERFSTUDIO_MODELS[camera.lens] for camera in used})
+    if others:
+        raise InvalidInput("nerfstudio has no files with lenses of several kinds.", "Export the map as colmap.")
+    cameras = [_nerfstudio_camera(camera) for camera in used]
     poses = map_.views.T_map_camera @ _TO_OPENGL
     frames = [
         {"file_path": f"images/{_name(view)}", **cameras[source], "transform_matrix": T.tolist()}
         for view, (source, T) in enumerate(zip(_sources(map_), poses, strict=True))
     ]
-    return json.dumps({"camera_model": "OPENCV", "frames": frames}, indent=1) + "\n"
+    return json.dumps({"camera_model": model, "frames": frames}, indent=1) + "\n"
 
 
 def _name(view: int) -> str:
@@ -66,7 +75,8 @@ def _nerfstudio_camera(camera: Camera) -> dict[str, Any]:
     if any(camera.distortion[5:]):
         raise InvalidInput("nerfstudio has no lens with a rational distortion.", "Export the map as colmap.")
     centre = {"cx": camera.cx + 0.5, "cy": camera.cy + 0.5}  # (0.5, 0.5) is the centre of the top-left pixel
-    bent = dict(zip(("k1", "k2", "p1", "p2", "k3"), camera.distortion, strict=False))
+    names = ("k1", "k2", "k3", "k4") if camera.lens is Lens.FISHEYE else ("k1", "k2", "p1", "p2", "k3")
+    bent = dict(zip(names, camera.distortion, strict=False))
     return {"w": camera.width, "h": camera.height, "fl_x": camera.fx, "fl_y": camera.fy, **centre, **bent}
 
 
@@ -74,11 +84,23 @@ def _cameras(map_: Map) -> Iterator[str]:
     """One camera for each source, numbered from 1."""
     yield "# CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]"
     for number, camera in enumerate(source_cameras(map_.info), 1):
-        bent = camera.distortion
-        model, count = ("PINHOLE", 0) if not bent else ("OPENCV", 4) if len(bent) <= 4 else ("FULL_OPENCV", 8)
-        coefficients = (*bent, *[0.0] * (count - len(bent)))
-        values = (camera.fx, camera.fy, camera.cx + 0.5, camera.cy + 0.5, *coefficients)
+        model, values = _colmap_camera(camera)
         yield f"{number} {model} {camera.width} {camera.height} {_numbers(values)}"
+
+
+def _colmap_camera(camera: Camera) -> tuple[str, tuple[float, ...]]:
+    """A camera's model as COLMAP calls it, and its parameters."""
+    if camera.lens is Lens.EQUIRECTANGULAR:
+        if camera != Camera.panorama(camera.width, camera.height):
+            raise InvalidInput("COLMAP has no panorama that is not whole.", "Export the map as ply.")
+        return "EQUIRECTANGULAR", (camera.width, camera.height)
+    bent = camera.distortion
+    if camera.lens is Lens.FISHEYE:
+        model, count = "OPENCV_FISHEYE", 4
+    else:
+        model, count = ("PINHOLE", 0) if not bent else ("OPENCV", 4) if len(bent) <= 4 else ("FULL_OPENCV", 8)
+    coefficients = (*bent, *[0.0] * (count - len(bent)))
+    return model, (camera.fx, camera.fy, camera.cx + 0.5, camera.cy + 0.5, *coefficients)
 
 
 def _images(map_: Map) -> Iterator[str]:

@@ -11,18 +11,21 @@ from rholoc.geometry.alignment import (
 )
 from rholoc.geometry.angles import angles_between, direction_angles, pose_distances, rotation_angles
 from rholoc.geometry.arrays import BoolArray, ByteArray, FloatArray, IntArray, ranges
-from rholoc.geometry.camera import Camera
+from rholoc.geometry.camera import CAMERA_WRITTEN, Camera, on_plane
+from rholoc.geometry.lenses import Lens
 from rholoc.geometry.patches import mean_patches, patch_appearance, patch_vectors
 from rholoc.geometry.pose import Pose, is_rotation, pose_matrix, poses_from_rows, rotation_from_heading, rows_from_poses
 from rholoc.geometry.vectors import UP, basis_across, cross
 
 __all__ = [
+    "CAMERA_WRITTEN",
     "UP",
     "BoolArray",
     "ByteArray",
     "Camera",
     "FloatArray",
     "IntArray",
+    "Lens",
     "Pose",
     "Similarity",
     "align_poses",
@@ -34,6 +37,7 @@ __all__ = [
     "is_rotation",
     "kabsch",
     "mean_patches",
+    "on_plane",
     "patch_appearance",
     "patch_vectors",
     "pose_distances",

@@ -1,4 +1,4 @@
-"""The pinhole camera with OpenCV's radial-tangential distortion."""
+"""Cameras: their intrinsics, and what the rest of the code asks of them: rays from pixels, pixels from points."""
 
 from __future__ import annotations
 
@@ -7,14 +7,25 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
-import cv2
 import numpy as np
 
 from rholoc.errors import InvalidCamera
 from rholoc.geometry.arrays import BoolArray, FloatArray
+from rholoc.geometry.lenses import Lens, field_of_view_rad, places_of, rays_of, slopes_of, widest_angle
+from rholoc.geometry.vectors import basis_across
+from rholoc.lazy import lazy
 
 _MIN_FIELD_OF_VIEW_DEG = 5.0
-_MAX_FIELD_OF_VIEW_DEG = 175.0
+_MAX_FIELDS_OF_VIEW_DEG = {  # across and down
+    Lens.PINHOLE: (175.0, 175.0),
+    Lens.FISHEYE: (360.0, 360.0),
+    Lens.EQUIRECTANGULAR: (360.5, 180.5),
+}
+_MIN_FISHEYE_RAD = math.radians(10.0)  # off the axis, up to which its distortion must describe a lens
+CAMERA_WRITTEN = "fx,fy,cx,cy[,k1,k2,p1,p2[,k3]], fisheye:fx,fy,cx,cy[,k1,k2,k3,k4] or equirectangular"
+"""How users write a camera, see :meth:`Camera.parse`."""
+
+_ORDINARY_RAD, _MOST_BREADTH = math.radians(60.0), 4.0
 _SHAPE_TOLERANCE = 0.01  # images whose aspect ratios differ by less than this share are of one shape
 
 
@@ -22,11 +33,13 @@ _SHAPE_TOLERANCE = 0.01  # images whose aspect ratios differ by less than this s
 class Camera:
     """Intrinsics of a camera, in pixels; pixel (0, 0) is the centre of the top-left pixel.
 
-    ``distortion`` holds OpenCV's coefficients k1, k2, p1, p2[, k3[, k4, k5, k6]], or nothing.
+    ``fx`` and ``fy`` are pixels a unit of the lens's own coordinates (:mod:`rholoc.geometry.lenses`): at the optical
+    axis pixels a radian. ``distortion`` holds the lens's coefficients, as OpenCV orders them, or nothing.
 
     Raises:
         InvalidCamera: a value is not finite, a focal length is not positive, the size is impossible, the field of
-            view is outside 5–175° or the principal point is outside the image.
+            view is too small or too large for the lens, the principal point is outside the image, or the lens has
+            another number of coefficients.
     """
 
     width: int
@@ -36,78 +49,114 @@ class Camera:
     cx: float
     cy: float
     distortion: tuple[float, ...] = ()
+    lens: Lens = Lens.PINHOLE
 
     def __post_init__(self) -> None:
-        hint = "Give fx,fy,cx,cy[,k1,k2,p1,p2[,k3]] in pixels of the image that you send."
+        hint = f"Give {CAMERA_WRITTEN} in pixels of the image that you send."
         values = (self.fx, self.fy, self.cx, self.cy, *self.distortion)
         if not all(math.isfinite(value) for value in values):
             raise InvalidCamera("The camera's intrinsics are not all finite numbers.", hint)
         if not (1 <= self.width <= 65535 and 1 <= self.height <= 65535) or self.width % 1 or self.height % 1:
             raise InvalidCamera(f"The camera's image size {self.width}×{self.height} is not possible.", hint)
-        for name, focal, size in (("fx", self.fx, self.width), ("fy", self.fy, self.height)):
+        widest_deg = _MAX_FIELDS_OF_VIEW_DEG[self.lens]
+        for name, focal, size, most_deg in zip(
+            ("fx", "fy"), (self.fx, self.fy), (self.width, self.height), widest_deg, strict=True
+        ):
             if focal <= 0:
                 raise InvalidCamera(f"The camera's {name} is {focal:g}; a focal length is positive.", hint)
-            field_deg = math.degrees(2 * math.atan2(size / 2, focal))
-            if not _MIN_FIELD_OF_VIEW_DEG <= field_deg <= _MAX_FIELD_OF_VIEW_DEG:
+            field_deg = math.degrees(field_of_view_rad(self.lens, size / focal))
+            if not _MIN_FIELD_OF_VIEW_DEG <= field_deg <= most_deg:
                 raise InvalidCamera(
                     f"The camera's {name} {focal:g} px means a field of view of {field_deg:.1f}° over {size} px.", hint
                 )
         if not (0 <= self.cx <= self.width and 0 <= self.cy <= self.height):
             raise InvalidCamera(f"The principal point ({self.cx:g}, {self.cy:g}) lies outside the image.", hint)
-        if len(self.distortion) not in (0, 4, 5, 8):
-            raise InvalidCamera(f"Expected 0, 4, 5 or 8 distortion coefficients, not {len(self.distortion)}.", hint)
+        allowed = self.lens.coefficients
+        if len(self.distortion) not in allowed:
+            numbers = ", ".join(map(str, allowed[:-1])) + f" or {allowed[-1]}" if len(allowed) > 1 else "0"
+            raise InvalidCamera(
+                f"A {self.lens} camera has {numbers} distortion coefficients, not {len(self.distortion)}.", hint
+            )
+        if self.lens is Lens.FISHEYE and widest_angle(self.distortion) < _MIN_FISHEYE_RAD:
+            raise InvalidCamera("The fisheye's distortion describes no lens: its radius soon shrinks again.", hint)
+
+    @classmethod
+    def panorama(cls, width: int, height: int) -> Camera:
+        """Equirectangular camera of a whole panorama, the optical axis in its middle."""
+        focal = width / math.tau, height / math.pi
+        return cls(width, height, *focal, (width - 1) / 2, (height - 1) / 2, lens=Lens.EQUIRECTANGULAR)
 
     @classmethod
     def parse(cls, text: str, width: int, height: int) -> Camera:
-        """Read ``fx,fy,cx,cy[,k1,k2,p1,p2[,k3]]``.
+        """Read ``fx,fy,cx,cy[,k1,k2,p1,p2[,k3[,k4,k5,k6]]]``, ``fisheye:fx,fy,cx,cy[,k1,k2,k3,k4]`` or
+        ``equirectangular``.
 
         Raises:
-            InvalidCamera: the text is not such a list, or its values are impossible.
+            InvalidCamera: the text is none of them, or its values are impossible.
         """
+        named, _, values_text = text.rpartition(":")
+        if text == Lens.EQUIRECTANGULAR:
+            return cls.panorama(width, height)
         try:
-            values = [float(part) for part in text.split(",")]
+            lens = Lens(named) if named else Lens.PINHOLE
+            values = [float(part) for part in values_text.split(",")]
         except ValueError:
             values = []
         if len(values) < 4:
-            raise InvalidCamera(f"'{text}' is not a camera.", "Give fx,fy,cx,cy[,k1,k2,p1,p2[,k3]] in pixels.")
+            raise InvalidCamera(f"'{text}' is not a camera.", f"Give {CAMERA_WRITTEN} in pixels.")
         fx, fy, cx, cy, *distortion = values
-        return cls(width, height, fx, fy, cx, cy, tuple(distortion))
+        return cls(width, height, fx, fy, cx, cy, tuple(distortion), lens)
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> Camera:
-        """From ``width``, ``height``, ``fx``, ``fy``, ``cx``, ``cy`` and, optionally, ``distortion``.
+        """From ``width``, ``height``, ``fx``, ``fy``, ``cx``, ``cy`` and, optionally, ``distortion`` and ``lens``.
+
+        Of a whole panorama ``width``, ``height`` and ``lens`` suffice.
 
         Raises:
             KeyError: a value is missing.
-            TypeError, ValueError: one is not a number.
+            TypeError, ValueError: one is not a number, or the lens is not known.
             InvalidCamera: the values are impossible.
         """
-        intrinsics = {name: values[name] for name in ("fx", "fy", "cx", "cy")}
         width, height = int(values["width"]), int(values["height"])
         if (width, height) != (float(values["width"]), float(values["height"])):
             raise ValueError("width and height are whole numbers")
+        lens = Lens(values.get("lens") or Lens.PINHOLE)
+        if lens is Lens.EQUIRECTANGULAR and values.get("fx") is None:
+            return cls.panorama(width, height)
+        intrinsics = {name: values[name] for name in ("fx", "fy", "cx", "cy")}
         distortion = tuple(map(float, values.get("distortion") or ()))
-        return cls(width, height, **{name: float(value) for name, value in intrinsics.items()}, distortion=distortion)
+        numbers = {name: float(value) for name, value in intrinsics.items()}
+        return cls(width, height, **numbers, distortion=distortion, lens=lens)
 
     @classmethod
     def from_line(cls, text: str) -> Camera:
-        """Read ``width height fx fy cx cy`` and the distortion, separated by spaces.
+        """Read ``width height fx fy cx cy`` and the distortion, separated by spaces; the lens first unless a pinhole.
 
         Raises:
             ValueError: the text is not such a list.
             InvalidCamera: the values are impossible.
         """
-        width, height, *values = text.split()
+        first, *rest = text.split()
+        lens, numbers = (Lens(first), rest) if first in set(Lens) else (Lens.PINHOLE, [first, *rest])
+        width, height, *values = numbers
         fx, fy, cx, cy, *distortion = map(float, values)
-        return cls(int(width), int(height), fx, fy, cx, cy, tuple(distortion))
+        return cls(int(width), int(height), fx, fy, cx, cy, tuple(distortion), lens)
 
     def to_line(self) -> str:
         """What :meth:`from_line` reads."""
-        return " ".join(repr(value) for value in (self.width, self.height, *self.parameters))
+        numbers = " ".join(repr(value) for value in (self.width, self.height, *self.parameters))
+        return numbers if self.lens is Lens.PINHOLE else f"{self.lens} {numbers}"
+
+    def to_text(self) -> str:
+        """What :meth:`parse` reads, for images of the camera's size."""
+        numbers = ",".join(repr(value) for value in self.parameters)
+        return numbers if self.lens is Lens.PINHOLE else f"{self.lens}:{numbers}"
 
     def to_dict(self) -> dict[str, Any]:
-        """What :meth:`from_dict` takes, ready for JSON."""
-        return asdict(self) | {"distortion": list(self.distortion)}
+        """What :meth:`from_dict` takes, ready for JSON; of a pinhole without its lens."""
+        values = asdict(self) | {"distortion": list(self.distortion), "lens": self.lens.value}
+        return {name: value for name, value in values.items() if name != "lens" or self.lens is not Lens.PINHOLE}
 
     @property
     def parameters(self) -> tuple[float, ...]:
@@ -121,8 +170,19 @@ class Camera:
 
     @property
     def focal(self) -> float:
-        """The geometric mean of fx and fy, in pixels."""
+        """The geometric mean of fx and fy, in pixels: pixels a radian at the optical axis."""
         return math.sqrt(self.fx * self.fy)
+
+    @property
+    def breadth(self) -> float:
+        """How many times the 60° of an ordinary camera a wide lens shows across, 1 to 4; 1 of pinholes.
+
+        Limits of pixels and features are for ordinary pictures: of wide ones as many times as much is looked at.
+        """
+        if self.lens is Lens.PINHOLE:
+            return 1.0
+        across_rad = field_of_view_rad(self.lens, max(self.width, self.height) / self.focal)
+        return float(np.clip(across_rad / _ORDINARY_RAD, 1.0, _MOST_BREADTH))
 
     def resized(self, width: int, height: int) -> Camera:
         """The same camera for its image scaled to ``width`` × ``height``; pixel centres are respected."""
@@ -154,29 +214,48 @@ class Camera:
             )
         return self if (width, height) == (self.width, self.height) else self.resized(width, height)
 
-    def undistort(self, pixels: FloatArray) -> FloatArray:
-        """Pixels (N, 2) → points (N, 2) on the plane z = 1 of the camera frame."""
-        points = np.asarray(pixels, dtype=np.float64).reshape(-1, 2)
-        if not self.distortion:
-            return (points - (self.cx, self.cy)) / (self.fx, self.fy)
-        if len(points) == 0:
-            return np.zeros((0, 2))
-        criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 40, 1e-12)
-        undistorted = cv2.undistortPoints(points[:, None], self.matrix, np.array(self.distortion), criteria=criteria)
-        return np.asarray(undistorted, dtype=np.float64).reshape(-1, 2)
-
     def rays(self, pixels: FloatArray) -> FloatArray:
         """Pixels (N, 2) → unit rays (N, 3) in the camera frame."""
-        plane = self.undistort(pixels)
-        rays = np.column_stack([plane, np.ones(len(plane))])
-        return np.asarray(rays / np.linalg.norm(rays, axis=1, keepdims=True))
+        pixels = np.asarray(pixels, dtype=np.float64).reshape(-1, 2)
+        return rays_of(self.lens, (pixels - (self.cx, self.cy)) / (self.fx, self.fy), self.distortion)
 
     def project(self, points: FloatArray) -> FloatArray:
-        """Points (N, 3) in the camera frame, z > 0, → pixels (N, 2). Points with z ≤ 0 give NaN."""
+        """Points (N, 3) in the camera frame → pixels (N, 2).
+
+        NaN where the lens shows none: of a pinhole with z ≤ 0, of a fisheye beyond the angle that it is described for.
+        """
         points = np.asarray(points, dtype=np.float64).reshape(-1, 3)
-        depth = np.where(points[:, 2] > 0, points[:, 2], np.nan)
-        plane = points[:, :2] / depth[:, None]
-        return plane_to_pixels(self, plane)
+        places = places_of(self.lens, points, self.distortion)
+        return np.asarray(places * (self.fx, self.fy) + (self.cx, self.cy))
+
+    def slopes(self, points: FloatArray) -> FloatArray:
+        """∂ pixel / ∂ point (N, 2, 3) at points (N, 3) in the camera frame, NaN where the lens shows none.
+
+        Of a pinhole without its distortion.
+        """
+        points = np.asarray(points, dtype=np.float64).reshape(-1, 3)
+        return np.asarray(slopes_of(self.lens, points, self.distortion) * np.array([[self.fx], [self.fy]]))
+
+    def depths(self, points: FloatArray) -> FloatArray:
+        """How far (N,) points (N, 3) in the camera frame are where size in pixels = focal × size / depth.
+
+        Along the optical axis of a pinhole; of other lenses the distance.
+        """
+        return np.asarray(points[:, 2] if self.lens is Lens.PINHOLE else np.linalg.norm(points, axis=1))
+
+    def planes(self, pixels: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """The planes in which errors of pixels (N, 2) are measured, in units of the focal length.
+
+        Of a pinhole the plane z = 1 for all; of other lenses for each pixel the one across its ray.
+
+        Returns:
+            R_plane_camera (N, 3, 3), and where the pixels are on the plane z = 1 of these frames (N, 2).
+        """
+        rays = self.rays(pixels)
+        if self.lens is Lens.PINHOLE:
+            return np.broadcast_to(np.eye(3), (len(rays), 3, 3)), on_plane(rays)
+        R_plane_camera = np.concatenate([np.swapaxes(basis_across(rays), 1, 2), rays[:, None]], axis=1)
+        return R_plane_camera, np.zeros((len(rays), 2))
 
     def contains(self, pixels: FloatArray) -> BoolArray:
         """Which of the pixels (N, 2) lie in the image: (N,) bool. NaN does not."""
@@ -185,16 +264,24 @@ class Camera:
             inside = (u >= -0.5) & (v >= -0.5) & (u <= self.width - 0.5) & (v <= self.height - 0.5)
         return inside
 
+    def shows(self, points: FloatArray) -> BoolArray:
+        """Which points (..., 3) in the camera frame lie in its field of view."""
+        if self.lens is not Lens.PINHOLE:
+            return np.reshape(self.contains(self.project(points)), points.shape[:-1])
+        (left, top), (right, bottom) = self._field
+        x, y, depth = np.moveaxis(points, -1, 0)
+        inside = (x >= left * depth) & (x <= right * depth) & (y >= top * depth) & (y <= bottom * depth)
+        return np.asarray(inside & (depth > 0))
 
-def plane_to_pixels(camera: Camera, plane: FloatArray) -> FloatArray:
-    """Points (N, 2) on the plane z = 1 → pixels (N, 2), OpenCV's distortion model applied."""
-    x, y = plane[:, 0], plane[:, 1]
-    if camera.distortion:
-        k1, k2, p1, p2, k3, k4, k5, k6 = (*camera.distortion, 0.0, 0.0, 0.0, 0.0)[:8]
-        r2 = x * x + y * y
-        radial = (1 + r2 * (k1 + r2 * (k2 + r2 * k3))) / (1 + r2 * (k4 + r2 * (k5 + r2 * k6)))
-        x, y = (
-            x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x),
-            y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y,
-        )
-    return np.column_stack([camera.fx * x + camera.cx, camera.fy * y + camera.cy])
+    @lazy
+    def _field(self) -> FloatArray:
+        """(2, 2) the least and the greatest x and y that a pinhole's edges reach on the plane z = 1."""
+        right, bottom = self.width - 0.5, self.height - 0.5
+        edges = np.array([[-0.5, self.cy], [self.cx, -0.5], [right, self.cy], [self.cx, bottom]])
+        (left, _), (_, top), (right, _), (_, bottom) = on_plane(self.rays(edges))
+        return np.array([[left, top], [right, bottom]])
+
+
+def on_plane(rays: FloatArray) -> FloatArray:
+    """Rays (N, 3) with z > 0 → points (N, 2) on the plane z = 1."""
+    return np.asarray(rays[:, :2] / rays[:, 2:])

@@ -19,7 +19,7 @@ def patch_vectors(
     """What detections of landmarks say of their patches.
 
     Args:
-        camera: that saw them; without its distortion.
+        camera: that saw them; a pinhole's distortion is left out.
         T_map_camera: (4, 4) its pose.
         landmarks: (N, 3) metres, map frame, where the detections are.
         angles: (N,) radians, of the patches in the image, clockwise from +u; NaN where unknown.
@@ -27,14 +27,15 @@ def patch_vectors(
 
     Returns:
         (N, 3) metres, map frame: perpendicular to the landmark's ray, projected along the angle, and as long as the
-        patch's diameter. NaN where either is not known, and behind the camera.
+        patch's diameter. NaN where either is not known, and where the camera does not see it.
     """
     R, points = T_map_camera[:3, :3], _in_camera(T_map_camera, landmarks)
-    depth = points[:, 2]
-    rays = points / np.linalg.norm(points, axis=1, keepdims=True).clip(np.finfo(float).tiny)
-    along = np.column_stack([np.cos(angles) / camera.fx, np.sin(angles) / camera.fy, np.zeros(len(angles))])
-    along -= rays * np.sum(rays * along, axis=1, keepdims=True)
-    known = (depth > 0) & (sizes_px > 0) & np.isfinite(angles)
+    depth = camera.depths(points)
+    slopes = camera.slopes(points)
+    known = (depth > 0) & (sizes_px > 0) & np.isfinite(angles) & np.isfinite(slopes).all(axis=(1, 2))
+    along = np.full_like(points, np.nan)
+    across = np.column_stack([np.cos(angles), np.sin(angles)])[known]
+    along[known] = np.einsum("nij,nj->ni", np.linalg.pinv(slopes[known]), across)  # across the ray: it has no slope
     diameters_m = np.where(known, sizes_px * depth / camera.focal, np.nan)
     return np.asarray(along * (diameters_m / np.linalg.norm(along, axis=1))[:, None] @ R.T)
 
@@ -45,14 +46,13 @@ def patch_appearance(
     """How a camera sees the ``patches`` (N, 3) of ``landmarks`` (N, 3), both in the map frame, from a pose (4, 4).
 
     Returns:
-        Their angles (N,) in the image, radians, clockwise from +u, and their diameters (N,), pixels; the camera's
-        distortion is left out. NaN where a patch is not known, and behind the camera.
+        Their angles (N,) in the image, radians, clockwise from +u, and their diameters (N,), pixels; a pinhole's
+        distortion is left out. NaN where a patch is not known, and where the camera does not see it.
     """
     points, along = _in_camera(T_map_camera, landmarks), patches @ T_map_camera[:3, :3]
-    depth = np.where((points[:, 2] > 0) & np.isfinite(along[:, 2]), points[:, 2], np.nan)
-    du, dv = (along[:, :2] - points[:, :2] * (along[:, 2] / depth)[:, None]).T
-    angles = np.arctan2(camera.fy * dv, camera.fx * du)
-    return np.asarray(angles), np.asarray(np.linalg.norm(along, axis=1) * camera.focal / depth)
+    du, dv = np.einsum("nij,nj->in", camera.slopes(points), along)
+    depths = np.where(np.isnan(du), np.nan, camera.depths(points))
+    return np.arctan2(dv, du), np.asarray(np.linalg.norm(along, axis=1) * camera.focal / depths)
 
 
 def mean_patches(vectors: FloatArray, features: IntArray, count: int) -> FloatArray:

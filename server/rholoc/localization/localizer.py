@@ -14,7 +14,7 @@ from rholoc import telemetry
 from rholoc.density import Evidence
 from rholoc.errors import InvalidDescriptors
 from rholoc.features import Extractor, FeatureSet, get_extractor
-from rholoc.geometry import UP, Camera, FloatArray, IntArray, Pose, angles_between, pose_distances
+from rholoc.geometry import UP, Camera, FloatArray, IntArray, Lens, Pose, angles_between, pose_distances
 from rholoc.localization.belief.confidence import MIN_RECOGNIZED, belief_of
 from rholoc.localization.belief.map_uncertainty import gated, with_map_error
 from rholoc.localization.diagnosis import (
@@ -494,9 +494,8 @@ class Localizer:
 
     def _ransac_seed(self, matches: Matches, query: Query, rays: FloatArray) -> FloatArray | None:
         ordered = matches.likeliest_first()
-        seen = rays[ordered.detections]
         found = lo_ransac(
-            seen[:, :2] / seen[:, 2:],
+            rays[ordered.detections],
             self.index.landmarks[ordered.landmarks],
             query.camera.focal,
             self.options.ransac_tolerance_px,
@@ -592,7 +591,7 @@ class Localizer:
             found = self._search(freed, watch).outcome(self.options.conclusive)
             if found is not None and found.belief.confidence >= self.options.conclusive:
                 return _contradicted(found, query)
-        if query.intrinsics is Intrinsics.UNKNOWN:
+        if query.intrinsics is Intrinsics.UNKNOWN or query.camera.lens is not Lens.PINHOLE:
             return self._diagnose_picture(query, answer)
         if refused is not None and refused.focal.belief < self.min_recognized <= refused.if_focal_right.recognized:
             return wrong_camera(query.camera.focal, refused.focal.focal_px)

@@ -11,11 +11,11 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-import poselib
 
 from rholoc.density import Evidence
 from rholoc.errors import InvalidInput
-from rholoc.geometry import FloatArray, Pose, is_rotation, pose_matrix
+from rholoc.geometry import FloatArray, Pose, is_rotation
+from rholoc.geometry.resection import resected
 from rholoc.lazy import lazy
 from rholoc.localization.belief.confidence import MIN_RECOGNIZED, joint_belief
 from rholoc.localization.belief.map_uncertainty import gated, with_map_error
@@ -251,8 +251,7 @@ class _Joint:
         if sum(len(one) for one in ordered) < fewest:
             return None
         focal_px = float(np.mean([frame.camera.focal for frame in self.frames]))
-        pinhole = {"model": "SIMPLE_PINHOLE", "width": 1, "height": 1, "params": [focal_px, 0.0, 0.0]}
-        plane = [_plane(rays[one.detections]) * focal_px for rays, one in zip(self.rays, ordered, strict=True)]
+        seen = [rays[one.detections] for rays, one in zip(self.rays, ordered, strict=True)]
         points = [self.index.landmarks[one.landmarks] for one in ordered]
         settings = {
             "max_iterations": _SAMPLES[0],
@@ -260,12 +259,8 @@ class _Joint:
             "max_reproj_error": _TOLERANCE_PX,
             "success_prob": 0.9999,
         }
-        mounted = [_camera_pose(T) for T in self.asked.T_rig_cameras]
-        cameras = [pinhole] * len(self.frames)
-        pose, report = poselib.estimate_generalized_absolute_pose(plane, points, mounted, cameras, settings, {})
-        R_rig_map = np.asarray(pose.R)
-        T_map_rig = pose_matrix(R_rig_map.T, -R_rig_map.T @ np.asarray(pose.t))
-        return T_map_rig if report["num_inliers"] >= fewest and np.isfinite(T_map_rig).all() else None
+        T_map_rig, agreeing = resected(seen, points, self.asked.T_rig_cameras, focal_px, settings)
+        return T_map_rig if agreeing >= fewest and np.isfinite(T_map_rig).all() else None
 
     def _verified(self, T_map_cameras: FloatArray) -> _Candidate | None:
         """Match again around the poses and ascend, within a wide and then a narrow radius."""
@@ -333,15 +328,3 @@ def _verified(
 ) -> Verified:
     support = support_of(index, frame, matches, evidence, optimum, by_chance, wide)
     return Verified(optimum, matches, evidence, frame.features.pixels[matches.detections], wide, support)
-
-
-def _plane(rays: FloatArray) -> FloatArray:
-    return np.asarray(rays[:, :2] / rays[:, 2:])
-
-
-def _camera_pose(T_rig_camera: FloatArray) -> poselib.CameraPose:
-    """poselib's pose of a camera on the rig, which takes points from the rig's frame to the camera's."""
-    pose = poselib.CameraPose()
-    pose.R = T_rig_camera[:3, :3].T
-    pose.t = -T_rig_camera[:3, :3].T @ T_rig_camera[:3, 3]
-    return pose

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from rholoc.features import Extractor, FeatureSet
+from rholoc.features import Extractor, FeatureSet, widened
 from rholoc.geometry import ByteArray, Camera, FloatArray, IntArray, Pose
 from rholoc.lazy import lazy
 from rholoc.localization.diagnosis import Diagnosis
@@ -92,6 +92,7 @@ class Query:
     @classmethod
     def of_picture(cls, image: ByteArray, extractor: Extractor, camera: Camera, **others: Any) -> Query:
         """Query for a picture (H, W, 3) BGR; begins with few features. ``others`` are further attributes."""
+        extractor = widened(extractor, camera)
         quick = extractor.quick
         more = None if quick is extractor else lambda: extractor.extract(image)
         return cls(quick.extract(image), camera, image=image, more_features=more, **others)

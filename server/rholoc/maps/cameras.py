@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from rholoc.errors import InvalidCamera, InvalidInput, UnknownCamera
-from rholoc.geometry import Camera
+from rholoc.geometry import Camera, Lens
 from rholoc.maps.catalogue import check_name, some_of
 from rholoc.maps.documents import Documents, FolderDocuments, stored_names
 from rholoc.maps.json_values import check_json_value
@@ -89,12 +89,14 @@ class CameraLibrary:
             raise self._unknown(name) from error
 
     def named_in(self, text: str | None) -> Camera | str | None:
-        """The stored camera that ``text`` names; intrinsics as users write them (``fx,fy,cx,cy`` …) are returned as is.
+        """The stored camera that ``text`` names; what users write for :meth:`Camera.parse` is returned as is.
 
         Raises:
             InvalidName, UnknownCamera, InvalidCamera: as :meth:`get` does.
         """
-        return text if text is None or "," in text else self.get(text).camera
+        if text is None or "," in text or text == Lens.EQUIRECTANGULAR:
+            return text
+        return self.get(text).camera
 
     def _unknown(self, name: str) -> UnknownCamera:
         names = self.names()

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from rholoc.density.presence import Presence
-from rholoc.geometry import BoolArray, Camera, FloatArray, IntArray
+from rholoc.geometry import FloatArray, IntArray
 from rholoc.maps.map import Map
 from rholoc.reports import CoverageReport
 
@@ -166,10 +166,9 @@ def _count(map_: Map, coverage: Coverage) -> None:
     landmarks = map_.landmarks.positions.astype(np.float64)
     presence = Presence.of(landmarks, map_.views.positions[map_.observations.views], map_.observations.features)
     R_camera_map = _upright_cameras(coverage)
-    field = _field_of_view(map_.info.camera)
     for cell, position in enumerate(coverage.positions):
         present = landmarks[presence.allows(landmarks, position)] - position
-        in_view = _in_view(present @ R_camera_map.transpose(0, 2, 1), field)
+        in_view = map_.info.camera.shows(present @ R_camera_map.transpose(0, 2, 1))
         coverage.counts[cell] = np.minimum(in_view.sum(axis=1), _MAX_COUNT)
 
 
@@ -180,18 +179,3 @@ def _upright_cameras(coverage: Coverage) -> FloatArray:
     forward = np.cos(pitch) * level + np.sin(pitch) * coverage.up
     right = np.cross(level, coverage.up)
     return np.stack([right, np.cross(forward, right), forward], axis=1)
-
-
-def _field_of_view(camera: Camera) -> FloatArray:
-    """(2, 2) the least and the greatest x and y that the image's edges reach on the plane z = 1."""
-    right, bottom = camera.width - 0.5, camera.height - 0.5
-    edges = np.array([[-0.5, camera.cy], [camera.cx, -0.5], [right, camera.cy], [camera.cx, bottom]])
-    (left, _), (_, top), (right, _), (_, bottom) = camera.undistort(edges)
-    return np.array([[left, top], [right, bottom]])
-
-
-def _in_view(points: FloatArray, field: FloatArray) -> BoolArray:
-    """Which points (..., 3) in the camera frame the field of view holds."""
-    depth = points[..., 2:]
-    inside = (points[..., :2] >= field[0] * depth) & (points[..., :2] <= field[1] * depth)
-    return np.asarray((depth[..., 0] > 0) & inside.all(axis=-1))

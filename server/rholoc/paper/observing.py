@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from rholoc.features import FeatureSet, get_extractor
+from rholoc.features import FeatureSet, get_extractor, widened
 from rholoc.geometry import Camera, Pose
 from rholoc.mapping.build.frame_features import FrameFeatures
 from rholoc.mapping.build.view_choice import choose_views
@@ -32,7 +32,7 @@ def observe_recording(
         Cancelled: ``progress`` asked to stop.
     """
     extractor = get_extractor(features)
-    frames = FrameFeatures(recording.frames, extractor)
+    frames = FrameFeatures(recording.frames, widened(extractor, recording.camera))
     trajectory = estimate_trajectory(recording, poses, progress, frames.show)
     chosen, _ = choose_views(trajectory.T_map_camera, hold_out=False)
     found: list[FeatureSet] = []

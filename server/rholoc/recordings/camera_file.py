@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from rholoc.errors import InvalidCamera
-from rholoc.geometry import Camera, FloatArray, is_rotation
+from rholoc.geometry import Camera, FloatArray, Lens, is_rotation
 from rholoc.recordings.tables.csv_table import read_json, shortened
 
 _MAX_BYTES = 2**20
@@ -68,22 +68,26 @@ def write_camera_json(path: Path, description: CameraFile) -> None:
 
 
 def _hint() -> str:
-    return f"The intrinsics are {', '.join(_INTRINSICS)} and distortion (a list), all numbers."
+    return f"The intrinsics are {', '.join(_INTRINSICS)} and distortion (a list), all numbers, and lens (a name)."
 
 
 def _camera(values: dict[str, Any], path: Path) -> Camera | None:
     given = [name for name in _INTRINSICS if values.get(name) is not None]
-    if not {"fx", "fy", "cx", "cy"} & set(given):
+    is_panorama = values.get("lens") == Lens.EQUIRECTANGULAR
+    if not is_panorama and not {"fx", "fy", "cx", "cy"} & set(given):
         return None
-    if len(given) < len(_INTRINSICS):
-        missing = ", ".join(name for name in _INTRINSICS if name not in given)
+    needed = _INTRINSICS[:2] if is_panorama else _INTRINSICS
+    if not set(needed) <= set(given):
+        missing = ", ".join(name for name in needed if name not in given)
         raise InvalidCamera(f"{path.name} has no {missing}.", _hint())
     try:
         return Camera.from_dict(values)
     except InvalidCamera:
         raise
     except (TypeError, ValueError, OverflowError) as error:
-        raise InvalidCamera(f"{path.name}: a part of the intrinsics is not a number.", _hint()) from error
+        raise InvalidCamera(
+            f"{path.name}: a part of the intrinsics is not a number, or there is no such lens.", _hint()
+        ) from error
 
 
 def _fps(values: dict[str, Any], path: Path) -> float | None:

@@ -41,8 +41,8 @@ def read_recording(
 
     Args:
         path: the file or folder.
-        camera: the frames' camera instead of the recording's own: intrinsics ``fx,fy,cx,cy[,k1,k2,p1,p2[,k3]]`` in
-            pixels of the frames, or a camera, which may be for another size of the same shape.
+        camera: the frames' camera instead of the recording's own: as :meth:`Camera.parse` reads it, in pixels of the
+            frames, or a camera, which may be for another size of the same shape.
         frames: a choice of frames by number, ``start:stop[:step]``.
         waypoints: a CSV file of measured waypoints, instead of the recording's own; all within the chosen frames.
         workdir: an existing folder; a ZIP file is unpacked into a new folder in it, which the caller removes. Without

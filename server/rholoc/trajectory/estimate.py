@@ -9,7 +9,7 @@ import numpy as np
 
 from rholoc.errors import InvalidCamera, InvalidRecording, InvalidWaypoints, MappingFailed, RholocError
 from rholoc.features import FeatureSet
-from rholoc.geometry import UP, Camera, FloatArray, IntArray, angles_between
+from rholoc.geometry import CAMERA_WRITTEN, UP, Camera, FloatArray, IntArray, angles_between
 from rholoc.progress import ProgressListener, Stage, silent
 from rholoc.recordings import Imu, PoseKind, Recording, Waypoint, check_waypoints_fix_frame
 from rholoc.reports import ImuReport, InertialComparison, TrajectoryReport
@@ -82,7 +82,9 @@ def estimate_trajectory(
         case PoseMethod.INERTIAL:
             return _inertial(recording, progress)
         case PoseMethod.ODOMETRY:
-            return odometry_from_flow(recording, track_corners(recording.frames, progress), progress)
+            return odometry_from_flow(
+                recording, track_corners(recording.frames, progress, camera=recording.camera), progress
+            )
         case PoseMethod.VISUAL | PoseMethod.VISUAL_INERTIAL:
             return _visual(recording, method, progress, show)
 
@@ -142,8 +144,8 @@ def _because(found: Trajectory, why: str) -> Trajectory:
 def _adjusted_to_pictures(recording: Recording, progress: ProgressListener, show: ImageListener | None) -> Trajectory:
     """The recording's own poses, which drift, adjusted to its pictures."""
     assert recording.poses is not None
-    with KeyframeFeatures(recording.frames, (), show) as features:
-        flow = track_corners(recording.frames, progress, features.foresee)
+    with KeyframeFeatures(recording.frames, (), show, recording.camera) as features:
+        flow = track_corners(recording.frames, progress, features.foresee, recording.camera)
         rows = np.intersect1d(_chosen(flow), np.flatnonzero(recording.poses.known))
         _require_keyframes(rows, len(recording.frames.times))
         sights = _sights(recording, flow, rows, features.of(rows, progress))
@@ -194,7 +196,9 @@ def rolling_shutter_of(
     """
     if recording.readout_s is None or not recording.frames.timed:
         return None
-    return measure_rolling_shutter(track_corners(recording.frames, progress), rows, recording.readout_s)
+    return measure_rolling_shutter(
+        track_corners(recording.frames, progress, camera=recording.camera), rows, recording.readout_s
+    )
 
 
 def _given(recording: Recording) -> Trajectory:
@@ -232,7 +236,9 @@ def _inertial(recording: Recording, progress: ProgressListener) -> Trajectory:
         )
     if not recording.waypoints:
         raise InvalidWaypoints("The IMU needs waypoints to correct it.", "Measure three or more, at rest at each.")
-    rows, choices = _keyframes(recording, recording.imu, track_corners(recording.frames, progress))
+    rows, choices = _keyframes(
+        recording, recording.imu, track_corners(recording.frames, progress, camera=recording.camera)
+    )
     waypoints = choices[0]  # the longest pauses
     stops = [waypoint.time for waypoint in waypoints]
     times = recording.frames.times[rows]
@@ -257,8 +263,8 @@ def _visual(
 ) -> Trajectory:
     imu = recording.imu if method is PoseMethod.VISUAL_INERTIAL and recording.frames.timed else None
     stops = _rows_at(recording.frames.times, recording.waypoints).union(*_rows_of_lengths(recording))
-    with KeyframeFeatures(recording.frames, stops, show) as features:
-        flow = track_corners(recording.frames, progress, features.foresee)
+    with KeyframeFeatures(recording.frames, stops, show, recording.camera) as features:
+        flow = track_corners(recording.frames, progress, features.foresee, recording.camera)
         rows, choices = _keyframes(recording, imu, flow)
         sights = _sights(recording, flow, rows, features.of(rows, progress))
     return _placed(recording, method, sights, imu, choices, progress)
@@ -374,7 +380,7 @@ def _known_camera(recording: Recording) -> Camera:
     if recording.camera is None:
         raise InvalidCamera(
             "The recording's intrinsics are unknown.",
-            "Give the camera as fx,fy,cx,cy[,k1,k2,p1,p2[,k3]], or choose poses 'visual'.",
+            f"Give the camera as {CAMERA_WRITTEN}, or choose poses 'visual'.",
         )
     return recording.camera
 

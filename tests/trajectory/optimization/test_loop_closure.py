@@ -82,9 +82,9 @@ def _placed(off_m: float, known: int) -> PlacedFeatures:
     one = np.random.default_rng(0).uniform(-1, 1, (_POINTS, 3))
     points = np.concatenate([one, np.add(one, [0.0, 0.0, off_m])])
     numbers = np.arange(_POINTS)
-    plane = [np.zeros((_POINTS, 2))] * 3
+    rays = [np.tile([0.0, 0.0, 1.0], (_POINTS, 1))] * 3
     is_known = np.tile(numbers < known, 2)
-    return PlacedFeatures(points, is_known, [numbers, numbers, numbers + _POINTS], plane, state)
+    return PlacedFeatures(points, is_known, [numbers, numbers, numbers + _POINTS], rays, state)
 
 
 @pytest.mark.parametrize(
@@ -120,9 +120,7 @@ def test_features_are_known_where_they_are_seen_from_apart_and_fit() -> None:
         assert placed.known[placed.labels[0]].sum() >= _POINTS - 1
         assert placed.known[placed.labels[0][4]] == known
         assert placed.labels[0][4] == placed.labels[5][4]
-        np.testing.assert_allclose(
-            _CAMERA.project(np.column_stack([placed.plane[5], np.ones(_POINTS)])), moved[5], atol=1e-3
-        )
+        np.testing.assert_allclose(_CAMERA.project(placed.rays[5]), moved[5], atol=1e-3)
     near, far = state.T_map_camera.copy(), state.T_map_camera.copy()
     for T, step_m, known in ((near, 0.02, False), (far, 0.4, True)):
         T[1, :3, 3] = T[0, :3, 3] + [step_m, 0.0, 0.0]

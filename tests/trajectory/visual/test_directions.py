@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scene import rays
 from scipy.spatial.transform import Rotation
 
-from rholoc.geometry import FloatArray, angles_between
+from rholoc.geometry import FloatArray, angles_between, on_plane
 from rholoc.trajectory.visual.directions import PairDirection, direction_between
 
 _FOCAL_PX = 500.0
@@ -28,7 +29,7 @@ def _seen(
         plane.append(seen[:, :2] / seen[:, 2:] + rng.normal(0, noise_px / _FOCAL_PX, (60, 2)))
     mismatched = rng.random(60) < wrong
     plane[1][mismatched] = rng.permutation(plane[1][mismatched])
-    return R, (plane[0], plane[1])
+    return R, (rays(plane[0]), rays(plane[1]))
 
 
 def _angle_deg(a: FloatArray, b: FloatArray) -> float:
@@ -39,8 +40,8 @@ def _angle_deg(a: FloatArray, b: FloatArray) -> float:
 @given(st.tuples(*[st.floats(-1, 1)] * 3).filter(lambda way: np.linalg.norm(way) > 0.2))
 def test_the_direction_comes_back_with_its_sign(way: tuple[float, float, float]) -> None:
     to = 0.3 * np.array(way) / np.linalg.norm(way)
-    R, plane = _seen(to)
-    found = direction_between(0, 1, R, plane, _TOLERANCE_PX, _FOCAL_PX)
+    R, seen = _seen(to)
+    found = direction_between(0, 1, R, seen, _TOLERANCE_PX, _FOCAL_PX)
     assert found is not None
     assert _angle_deg(found.direction, to) < 0.1
 
@@ -48,8 +49,8 @@ def test_the_direction_comes_back_with_its_sign(way: tuple[float, float, float])
 def test_noise_and_mismatches_leave_it_within_its_sigma() -> None:
     way = np.array([0.25, 0.1, 0.05])
     for seed in range(10):
-        R, plane = _seen(way, noise_px=0.5, wrong=0.2, seed=seed)
-        found = direction_between(0, 1, R, plane, _TOLERANCE_PX, _FOCAL_PX)
+        R, seen = _seen(way, noise_px=0.5, wrong=0.2, seed=seed)
+        found = direction_between(0, 1, R, seen, _TOLERANCE_PX, _FOCAL_PX)
         assert found is not None
         assert _angle_deg(found.direction, way) < np.degrees(3 * found.sigma_rad)
 
@@ -57,8 +58,8 @@ def test_noise_and_mismatches_leave_it_within_its_sigma() -> None:
 def test_the_shorter_the_way_the_less_is_known() -> None:
     sigmas = []
     for length_m in (0.4, 0.1, 0.03):
-        R, plane = _seen(length_m * np.array([1.0, 0.0, 0.0]), noise_px=0.2)
-        found = direction_between(0, 1, R, plane, _TOLERANCE_PX, _FOCAL_PX)
+        R, seen = _seen(length_m * np.array([1.0, 0.0, 0.0]), noise_px=0.2)
+        found = direction_between(0, 1, R, seen, _TOLERANCE_PX, _FOCAL_PX)
         assert found is not None
         sigmas.append(found.sigma_rad)
     assert sigmas == sorted(sigmas)
@@ -67,22 +68,22 @@ def test_the_shorter_the_way_the_less_is_known() -> None:
 
 @pytest.mark.parametrize("wrong", [0.9, 1.0])
 def test_matches_that_agree_on_nothing_tell_no_direction(wrong: float) -> None:
-    R, plane = _seen(np.array([0.3, 0.0, 0.0]), wrong=wrong)
-    assert direction_between(0, 1, R, plane, 0.2, _FOCAL_PX) is None
+    R, seen = _seen(np.array([0.3, 0.0, 0.0]), wrong=wrong)
+    assert direction_between(0, 1, R, seen, 0.2, _FOCAL_PX) is None
 
 
-def _between(R: FloatArray, plane: tuple[FloatArray, FloatArray]) -> PairDirection | None:
-    return direction_between(0, 1, R, plane, _TOLERANCE_PX, _FOCAL_PX)
+def _between(R: FloatArray, seen: tuple[FloatArray, FloatArray]) -> PairDirection | None:
+    return direction_between(0, 1, R, seen, _TOLERANCE_PX, _FOCAL_PX)
 
 
 @pytest.mark.parametrize("way", [np.array([0.3, 0.0, 0.0]), np.array([0.02, 0.01, 0.05])])
 def test_its_sigma_is_made_of_rays_rotation_and_what_nobody_knows(way: FloatArray) -> None:
     """Of perfect matches: 0.7 px of the rays, 0.1° of the rotation between the cameras, and half a degree."""
-    R, plane = _seen(way)
-    found = _between(R, plane)
+    R, seen = _seen(way)
+    found = _between(R, seen)
     assert found is not None
-    a, b = (np.column_stack([one, np.ones(60)]) @ R[k].T for k, one in enumerate(plane))
-    across = np.cross(a / np.linalg.norm(a, axis=1)[:, None], b / np.linalg.norm(b, axis=1)[:, None])
+    a, b = (one @ R[k].T for k, one in enumerate(seen))
+    across = np.cross(a, b)
     second = np.linalg.eigvalsh(across.T @ across)[1]
     parallax = np.median(np.linalg.norm(across, axis=1))
     expected = (0.7 / _FOCAL_PX) ** 2 / second + (np.radians(0.1) / parallax) ** 2 + np.radians(0.5) ** 2
@@ -101,8 +102,9 @@ def test_two_in_five_matches_must_agree(right: int, enough: bool) -> None:
     rng = np.random.default_rng(0)
     R, (first, second) = _seen(np.array([0.3, 0.0, 0.0]))
     first, second = np.tile(first, (2, 1))[:100], np.tile(second, (2, 1))[:100]
-    second[right:, 1] += rng.uniform(0.2, 0.9, 100 - right) * rng.choice([-1, 1], 100 - right)
-    assert (_between(R, (first, second)) is not None) is enough
+    plane = on_plane(second)
+    plane[right:, 1] += rng.uniform(0.2, 0.9, 100 - right) * rng.choice([-1, 1], 100 - right)
+    assert (_between(R, (first, rays(plane))) is not None) is enough
 
 
 @pytest.mark.parametrize(("behind", "clear"), [(0, True), (15, True), (21, False), (39, False), (45, True), (60, True)])
@@ -114,7 +116,7 @@ def test_the_sign_is_that_by_which_most_points_lie_ahead(behind: int, clear: boo
     points = rng.uniform([-1.5, -1.0, 2.0], [1.5, 1.0, 6.0], (60, 3)) @ R[0].T
     points[:behind] *= -1
     seen = [(points - at) @ R[k] for k, at in enumerate((np.zeros(3), way))]
-    found = _between(R, (seen[0][:, :2] / seen[0][:, 2:], seen[1][:, :2] / seen[1][:, 2:]))
+    found = _between(R, (rays(on_plane(seen[0])), rays(on_plane(seen[1]))))
     assert (found is not None) is clear
     if found is not None:
         assert (found.first, found.second) == (0, 1)
@@ -125,8 +127,8 @@ def test_a_few_wrong_matches_within_the_tolerance_hardly_turn_it() -> None:
     """Moved by four pixels across their planes, each is five sigmas off and all but left out."""
     way = np.array([0.3, 0.0, 0.0])
     R, (first, second) = _seen(way)
-    second = second.copy()
-    second[:12, 1] += 4 / _FOCAL_PX
-    found = direction_between(0, 1, R, (first, second), 10.0, _FOCAL_PX)
+    plane = on_plane(second)
+    plane[:12, 1] += 4 / _FOCAL_PX
+    found = direction_between(0, 1, R, (first, rays(plane)), 10.0, _FOCAL_PX)
     assert found is not None
     assert _angle_deg(found.direction, way) < 0.6

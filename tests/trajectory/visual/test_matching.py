@@ -18,8 +18,8 @@ def _seen(T_world_camera: FloatArray, points: FloatArray, descriptors: FloatArra
     return [sift_like(in_pixels(points, T), descriptors) for T in T_world_camera]
 
 
-def _planes(features: list[FeatureSet]) -> list[FloatArray]:
-    return [CAMERA.undistort(one.pixels.astype(np.float64)) for one in features]
+def _rays(features: list[FeatureSet]) -> list[FloatArray]:
+    return [CAMERA.rays(one.pixels) for one in features]
 
 
 def test_sequential_pairs_skip_nothing() -> None:
@@ -34,7 +34,7 @@ def test_neighbours_agree_and_say_how_the_camera_turned(gyroscope: bool) -> None
     T = arc(6)
     features = _seen(T, cloud(120), descriptors_of(120))
     felt = Rotation.from_matrix(T[:, :3, :3]) if gyroscope else None
-    sequential, loops = match_keyframes(features, _planes(features), CAMERA.focal, np.arange(6.0), felt, True)
+    sequential, loops = match_keyframes(features, _rays(features), CAMERA.focal, np.arange(6.0), felt, True)
     assert {(pair.first, pair.second) for pair in sequential} >= {(k, k + 1) for k in range(5)}
     assert not loops
     for pair in sequential:
@@ -61,16 +61,16 @@ def _two_walls(turned_deg: float) -> tuple[list[FeatureSet], Rotation]:
 
 def test_a_place_seen_again_is_found() -> None:
     features, felt = _two_walls(0.0)
-    _, loops = match_keyframes(features, _planes(features), CAMERA.focal, np.arange(22.0), felt, True)
+    _, loops = match_keyframes(features, _rays(features), CAMERA.focal, np.arange(22.0), felt, True)
     assert len(loops) >= 6
     assert all(pair.first < 6 and pair.second >= 16 for pair in loops)
 
 
 def test_a_wall_that_only_looks_alike_is_refused_because_the_gyroscope_contradicts_it() -> None:
     features, felt = _two_walls(90.0)
-    _, loops = match_keyframes(features, _planes(features), CAMERA.focal, np.arange(22.0), felt, True)
+    _, loops = match_keyframes(features, _rays(features), CAMERA.focal, np.arange(22.0), felt, True)
     assert not loops
-    _, believed = match_keyframes(features, _planes(features), CAMERA.focal, np.arange(22.0), None, True)
+    _, believed = match_keyframes(features, _rays(features), CAMERA.focal, np.arange(22.0), None, True)
     assert believed, "pictures alone cannot tell: the test would pass for nothing"
 
 
@@ -98,7 +98,7 @@ def test_progress_counts_pairs_up_to_two_fifths() -> None:
     features = _seen(T, cloud(40), descriptors_of(40))
     heard: list[tuple[Stage, float, str]] = []
     match_keyframes(
-        features, _planes(features), CAMERA.focal, np.arange(6.0), None, True, lambda *what: heard.append(what)
+        features, _rays(features), CAMERA.focal, np.arange(6.0), None, True, lambda *what: heard.append(what)
     )
     total = len(sequential_pairs(6, (1, 2, 4)))
     assert [stage for stage, *_ in heard] == [Stage.POSES] * len(heard)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scene import CAMERA, arc, cloud, descriptors_of, on_plane, sift_like
+from scene import CAMERA, arc, cloud, descriptors_of, on_plane, rays, sift_like
 from scipy.spatial.transform import Rotation
 
 from rholoc.geometry import FloatArray, pose_matrix, rotation_angles
@@ -12,7 +12,6 @@ from rholoc.trajectory.visual.two_view import (
     absolute_pose,
     inliers_of_rotation,
     ratio_matches,
-    rays_of,
     relative_pose,
     unit_descriptors,
 )
@@ -27,7 +26,7 @@ def _matches(points: FloatArray, seed: int = 0) -> tuple[FloatArray, FloatArray,
     a, b = arc(2, 0.3)
     first, second = (on_plane(points, T) + rng.normal(0, 0.3 / CAMERA.focal, (len(points), 2)) for T in (a, b))
     second[-_WRONG:] = rng.permutation(second[-_WRONG:]) + rng.uniform(-0.2, 0.2, (_WRONG, 2))
-    return first, second, b[:3, :3].T @ a[:3, :3]
+    return rays(first), rays(second), b[:3, :3].T @ a[:3, :3]
 
 
 def test_a_relative_pose_outvotes_wrong_matches() -> None:
@@ -61,12 +60,14 @@ def test_a_camera_that_only_turned_agrees_with_its_rotation() -> None:
     b = a.copy()
     b[:3, :3] = a[:3, :3] @ Rotation.from_euler("xyz", [3, 8, 2], degrees=True).as_matrix()
     points = cloud(60)
-    agree = inliers_of_rotation(on_plane(points, a), on_plane(points, b), b[:3, :3].T @ a[:3, :3], _TOLERANCE)
+    agree = inliers_of_rotation(
+        rays(on_plane(points, a)), rays(on_plane(points, b)), b[:3, :3].T @ a[:3, :3], _TOLERANCE
+    )
     assert agree.all()
 
 
 def test_a_single_match_fixes_no_translation() -> None:
-    apart = inliers_of_rotation(np.zeros((1, 2)), np.array([[0.3, 0.0]]), np.eye(3), _TOLERANCE)
+    apart = inliers_of_rotation(rays(np.zeros((1, 2))), rays(np.array([[0.3, 0.0]])), np.eye(3), _TOLERANCE)
     assert apart.tolist() == [False]
 
 
@@ -82,13 +83,6 @@ def test_matches_are_mutual_and_distinct() -> None:
     assert ratio_matches(a, a[:1]).shape == (0, 2)
 
 
-def test_rays_have_length_one_and_meet_the_plane() -> None:
-    plane = np.array([[0.0, 0.0], [3.0, -4.0], [0.1, 0.2]])
-    rays = rays_of(plane)
-    np.testing.assert_allclose(np.linalg.norm(rays, axis=1), 1)
-    np.testing.assert_allclose(rays[:, :2] / rays[:, 2:], plane)
-
-
 @pytest.mark.parametrize(("off", "agrees"), [(0.9, True), (1.1, False)])
 @pytest.mark.parametrize("depth_m", [3.0, 12.0])
 def test_a_match_agrees_within_the_tolerance_of_its_epipolar_plane(off: float, agrees: bool, depth_m: float) -> None:
@@ -99,7 +93,7 @@ def test_a_match_agrees_within_the_tolerance_of_its_epipolar_plane(off: float, a
     second[-1] = [-0.3 / depth_m, 0.0]
     ray = np.array([-0.3 / depth_m, np.tan(off * _TOLERANCE) * np.hypot(1, 0.3 / depth_m)])
     second[-1] = ray
-    found = inliers_of_rotation(first, second, np.eye(3), _TOLERANCE)
+    found = inliers_of_rotation(rays(first), rays(second), np.eye(3), _TOLERANCE)
     assert found[:-1].all()
     assert found[-1] == agrees
 
@@ -111,7 +105,7 @@ def test_near_the_way_itself_a_ray_says_little(from_way: float, off: float, agre
     moved = ahead - [0.0, 0.0, 0.3]
     first = np.append(ahead[:, :2] / ahead[:, 2:], [[from_way, 0.0]], axis=0)
     second = np.append(moved[:, :2] / moved[:, 2:], [[from_way, off * _TOLERANCE]], axis=0)
-    assert inliers_of_rotation(first, second, np.eye(3), _TOLERANCE)[-1] == agrees
+    assert inliers_of_rotation(rays(first), rays(second), np.eye(3), _TOLERANCE)[-1] == agrees
 
 
 @pytest.mark.parametrize(("nearer", "kept"), [(0.78, True), (0.82, False)])
@@ -150,13 +144,13 @@ def test_a_camera_is_placed_by_points_that_are_known() -> None:
     T = pose_matrix(Rotation.from_euler("xyz", [4, -7, 3], degrees=True).as_matrix(), np.array([0.4, -0.2, -4.0]))
     plane = on_plane(points, T)
     plane[:20] += 0.1
-    found, agreeing = absolute_pose(plane, points, _TOLERANCE)
+    found, agreeing = absolute_pose(rays(plane), points, _TOLERANCE)
     np.testing.assert_allclose(found, T, atol=1e-6)
     assert agreeing == 60
 
 
 def test_of_few_matches_nothing_is_claimed() -> None:
-    view = relative_pose(np.zeros((3, 2)), np.zeros((3, 2)), _TOLERANCE)
+    view = relative_pose(rays(np.zeros((3, 2))), rays(np.zeros((3, 2))), _TOLERANCE)
     assert view.inliers.tolist() == [False] * 3
 
 
@@ -164,4 +158,4 @@ def test_two_matches_fix_a_translation_that_both_agree_with() -> None:
     points, way = np.array([[0.5, 0.2, 3.0], [-0.6, 0.4, 4.0]]), np.array([0.3, 0.1, 0.05])
     seen = [points, points - way]
     first, second = (one[:, :2] / one[:, 2:] for one in seen)
-    assert inliers_of_rotation(first, second, np.eye(3), _TOLERANCE).all()
+    assert inliers_of_rotation(rays(first), rays(second), np.eye(3), _TOLERANCE).all()

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import importlib
 import pkgutil
+from dataclasses import is_dataclass, replace
 from functools import cache
 from typing import Protocol, runtime_checkable
 
 from rholoc.errors import InvalidInput, NotInstalled
 from rholoc.features.feature_set import Channel, FeatureSet, Metric
-from rholoc.geometry import ByteArray
+from rholoc.geometry import ByteArray, Camera
 
 
 class Extractor(Protocol):
@@ -43,6 +44,20 @@ class Extractor(Protocol):
     def extract(self, image: ByteArray) -> FeatureSet:
         """The features of an image (H, W, 3) in BGR order or (H, W) grey, uint8."""
         ...
+
+
+def widened(extractor: Extractor, camera: Camera | None) -> Extractor:
+    """An extractor that finds as much in every part of a wide camera's pictures as in ordinary ones.
+
+    Args:
+        extractor: for ordinary pictures.
+        camera: of the pictures, None where the lens is unknown.
+    """
+    breadth = 1.0 if camera is None else camera.breadth
+    if breadth == 1 or not is_dataclass(extractor) or isinstance(extractor, type):
+        return extractor
+    limits = {name: getattr(extractor, name, None) for name in ("features", "longest_px", "quick_px")}
+    return replace(extractor, **{name: round(breadth * limit) for name, limit in limits.items() if limit is not None})
 
 
 @runtime_checkable

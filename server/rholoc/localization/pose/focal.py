@@ -14,7 +14,7 @@ from math import erf, sqrt
 
 import numpy as np
 
-from rholoc.geometry import Camera, FloatArray
+from rholoc.geometry import Camera, FloatArray, Lens
 from rholoc.localization.index.map_error import PLACE_M, RIGHT_M, worst_sigma
 from rholoc.localization.index.map_index import MapIndex
 from rholoc.localization.index.matches import Matches
@@ -70,7 +70,7 @@ class FocalEstimate:
 
 
 def check_focal(index: MapIndex, query: Query, verified: Verified, matches: Matches) -> FocalEstimate:
-    """Check the camera's focal length against the matches of a verified pose.
+    """Check the camera's focal length against the matches of a verified pose, if the lens is a pinhole.
 
     Args:
         index: index of the map.
@@ -79,7 +79,7 @@ def check_focal(index: MapIndex, query: Query, verified: Verified, matches: Matc
         matches: matches with one place, made without a pose; or the matches around the pose.
     """
     camera, T = query.camera, verified.optimum.T_map_camera
-    if _fits(index, query, verified, matches):
+    if query.camera.lens is not Lens.PINHOLE or _fits(index, query, verified, matches):
         return FocalEstimate.unchecked(camera)
     total, sigma = 1.0, np.inf
     tolerances_px: tuple[float, ...] = _FIRST_TOLERANCES_PX
@@ -201,14 +201,15 @@ def focal_seed(index: MapIndex, matches: Matches, query: Query, samples: int) ->
     if len(matches) < _MIN_MATCHES:
         return None
     matches, camera = matches.likeliest_first(), query.camera
-    plane = camera.undistort(query.features.pixels[matches.detections])
+    pixels = query.features.pixels[matches.detections]
     longer = max(camera.width, camera.height)
     tolerance_px = _GUESS_TOLERANCE_SHARE * longer
     best: tuple[int, FloatArray, Camera] | None = None
     for share in _GUESSES:
         guess = camera.zoomed(share * longer / camera.focal)
-        scaled = plane * (camera.focal / guess.focal)
-        found = lo_ransac(scaled, index.landmarks[matches.landmarks], guess.focal, tolerance_px, samples, 50)
+        found = lo_ransac(
+            guess.rays(pixels), index.landmarks[matches.landmarks], guess.focal, tolerance_px, samples, 50
+        )
         if found is not None and (best is None or found[1] > best[0]):
             best = found[1], found[0], guess
     return None if best is None or best[0] < _MIN_MATCHES else best[1:]

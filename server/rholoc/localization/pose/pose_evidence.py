@@ -158,15 +158,17 @@ class _Grid:
     """Square cells over a picture."""
 
     size_px: float
+    columns: int
     rows: int
 
     @classmethod
     def of(cls, camera: Camera) -> _Grid:
-        size_px = max(camera.width, camera.height) / _CELLS_ACROSS
-        return cls(size_px, int(np.ceil(camera.height / size_px)))
+        across = round(_CELLS_ACROSS * camera.breadth)
+        size_px = max(camera.width, camera.height) / across
+        return cls(size_px, across, int(np.ceil(camera.height / size_px)))
 
     def sums(self, pixels: FloatArray, weights: FloatArray | None = None) -> FloatArray:
         """Sum of ``weights`` (N,), or number of ``pixels`` (N, 2), per cell."""
-        column, row = np.clip((pixels // self.size_px).astype(np.int64), 0, (_CELLS_ACROSS - 1, self.rows - 1)).T
-        cells = row * _CELLS_ACROSS + column
-        return np.bincount(cells, weights, minlength=self.rows * _CELLS_ACROSS).astype(np.float64)
+        column, row = np.clip((pixels // self.size_px).astype(np.int64), 0, (self.columns - 1, self.rows - 1)).T
+        cells = row * self.columns + column
+        return np.bincount(cells, weights, minlength=self.rows * self.columns).astype(np.float64)

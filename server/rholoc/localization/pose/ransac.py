@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import numpy as np
-import poselib
 
-from rholoc.geometry import FloatArray, pose_matrix
+from rholoc.geometry import FloatArray
+from rholoc.geometry.resection import resected
 
 _MIN_MATCHES = 4
 
 
 def lo_ransac(
-    plane: FloatArray,
+    rays: FloatArray,
     points: FloatArray,
     focal_px: float,
     tolerance_px: float,
@@ -25,17 +25,16 @@ def lo_ransac(
     ends once a better sample is improbable.
 
     Args:
-        plane: (M, 2) detections on the plane z = 1 of the camera frame, the likeliest match first.
+        rays: (M, 3) unit rays of the detections in the camera frame, the likeliest match first.
         points: (M, 3) their landmarks [m], map frame.
-        focal_px: converts the tolerance to the plane's unit.
+        focal_px: converts the tolerance to an angle.
         tolerance_px: maximum reprojection error of an inlier.
         most_samples: maximum number of samples.
         fewest_samples: minimum number of samples.
         success: required probability that no better sample was missed.
     """
-    if len(plane) < _MIN_MATCHES:
+    if len(rays) < _MIN_MATCHES:
         return None
-    pinhole = {"model": "SIMPLE_PINHOLE", "width": 1, "height": 1, "params": [focal_px, 0.0, 0.0]}
     settings = {
         "max_iterations": most_samples,
         "min_iterations": min(fewest_samples, most_samples),
@@ -43,10 +42,7 @@ def lo_ransac(
         "success_prob": success,
         "progressive_sampling": True,
     }
-    pose, report = poselib.estimate_absolute_pose(
-        np.asarray(plane, dtype=np.float64) * focal_px, np.asarray(points, dtype=np.float64), pinhole, settings, {}
+    T_map_camera, agreeing = resected(
+        [rays], [np.asarray(points, dtype=np.float64)], np.eye(4)[None], focal_px, settings
     )
-    R_camera_map = np.asarray(pose.R)
-    T_map_camera = pose_matrix(R_camera_map.T, -R_camera_map.T @ np.asarray(pose.t))
-    agreeing = int(report["num_inliers"])
     return (T_map_camera, agreeing) if agreeing >= _MIN_MATCHES and np.isfinite(T_map_camera).all() else None

@@ -41,9 +41,8 @@ def rival_seeds(
     for some in unexplained_by_place(index, nearest, query, found):
         if len(some) < fewest:
             continue
-        seen = rays[some.detections]
         landmarks = index.landmarks[some.landmarks]
-        seed = lo_ransac(seen[:, :2] / seen[:, 2:], landmarks, query.camera.focal, _TOLERANCE_PX, *_SAMPLES)
+        seed = lo_ransac(rays[some.detections], landmarks, query.camera.focal, _TOLERANCE_PX, *_SAMPLES)
         if seed is not None and seed[1] >= fewest:
             yield seed[0]
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from rholoc.density.tensor import DEGREES
 from rholoc.errors import InvalidInput, MappingFailed
-from rholoc.features import Extractor, FeatureSet, get_extractor
+from rholoc.features import Extractor, FeatureSet, get_extractor, widened
 from rholoc.geometry import BoolArray, Camera, FloatArray, IntArray
 from rholoc.mapping.build.assembly import assemble
 from rholoc.mapping.build.density_fitting import DEFAULT_DEGREE, fit_densities
@@ -131,7 +131,7 @@ def build_map(
 
 
 def _walk(recording: Recording, extractor: Extractor, options: BuildOptions, progress: ProgressListener) -> _Walk:
-    features = FrameFeatures(recording.frames, extractor, options.pictures)
+    features = FrameFeatures(recording.frames, widened(extractor, recording.camera), options.pictures)
     try:
         trajectory = estimate_trajectory(recording, options.poses, progress, features.show)
     except MappingFailed as failure:
@@ -205,7 +205,8 @@ def reconstruct(
     for round_ in range(_EXTENSION_ROUNDS):
         landmarks = extend_and_merge(views, landmarks, extractor.metric)
         progress(Stage.DENSITIES, 0.2 * (round_ + 1), f"{len(landmarks)} features")
-    stable = are_stable(views, landmarks, _FEATURES_PER_VIEW, walk_of_view)
+    per_view = round(_FEATURES_PER_VIEW * max(camera.breadth for camera in views.cameras))
+    stable = are_stable(views, landmarks, per_view, walk_of_view)
     count = int(stable.sum())
     if count < _MIN_FEATURES:
         raise MappingFailed(

@@ -152,7 +152,7 @@ def _hidden(index: MapIndex, one: Looked, landmarks: IntArray, seen: BoolArray) 
     """Which landmarks (E,) lie behind one that was seen beside them in the picture."""
     T = one.T_map_camera
     in_camera = (index.landmarks[landmarks] - T[:3, 3]) @ T[:3, :3]
-    pixels, depth = one.camera.project(in_camera), in_camera[:, 2]
+    pixels, depth = one.camera.project(in_camera), one.camera.depths(in_camera)
     near = cKDTree(pixels).sparse_distance_matrix(cKDTree(pixels[seen]), _HIDING_PX, output_type="ndarray")
     nearest = np.full(len(landmarks), np.inf)
     np.minimum.at(nearest, near["i"], depth[seen][near["j"]])

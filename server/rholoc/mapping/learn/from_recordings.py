@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rholoc.errors import Conflict, InvalidCamera, MappingFailed
-from rholoc.features import get_extractor
+from rholoc.features import get_extractor, widened
 from rholoc.features.matching import LIMITS
-from rholoc.geometry import Camera, FloatArray, IntArray
+from rholoc.geometry import CAMERA_WRITTEN, Camera, FloatArray, IntArray
 from rholoc.localization import Localizer
 from rholoc.mapping.build.assembly import assemble
 from rholoc.mapping.build.density_fitting import ray_form
@@ -222,7 +222,8 @@ def alignment_report(alignment: Alignment, found: Found) -> LearningReport:
 
 
 def _frame_features(localizer: Localizer, recording: Recording, pictures: bool) -> FrameFeatures:
-    return FrameFeatures(recording.frames, get_extractor(localizer.map.info.features), pictures)
+    extractor = widened(get_extractor(localizer.map.info.features), recording.camera)
+    return FrameFeatures(recording.frames, extractor, pictures)
 
 
 def _collected(frames: Iterable[Shown], count: int, progress: ProgressListener) -> list[Shown]:
@@ -241,7 +242,7 @@ def _camera_of(recording: Recording, info: MapInfo) -> Camera:
         return info.camera
     raise InvalidCamera(
         "The recording's intrinsics are unknown, and its frames are not of the size of the map's.",
-        "Give the camera as fx,fy,cx,cy[,k1,k2,p1,p2[,k3]].",
+        f"Give the camera as {CAMERA_WRITTEN}.",
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -11,17 +12,18 @@ import cv2
 import numpy as np
 
 from rholoc.errors import InvalidImage, InvalidRecording
-from rholoc.geometry import ByteArray, Camera, FloatArray, IntArray
+from rholoc.geometry import ByteArray, Camera, FloatArray, IntArray, Lens, on_plane
+from rholoc.geometry.lenses import places_of
 from rholoc.recordings.frames.image import read_image
 
-_MAX_EXTENT = 1.8  # tangent of the angle off the axis up to which a wide lens is kept: 61°
+_MAX_EXTENT = 1.8  # tangent of the angle off the axis up to which a wide pinhole is kept: 61°
 _SHRINKING = 1.5  # factor from which a picture is averaged down before it is resampled
 _MAPS = 4  # resampling maps of distorted cameras in memory
 
 
 @dataclass(frozen=True, eq=False)
 class UnifiedPictures:
-    """Picture files resampled to one pinhole camera when they are read, see :class:`rholoc.recordings.FrameSource`.
+    """Picture files resampled to one camera when they are read, see :class:`rholoc.recordings.FrameSource`.
 
     Beyond a picture's edge its border pixels are repeated, which adds no corners.
 
@@ -66,14 +68,19 @@ class UnifiedPictures:
 
 
 def common_camera(cameras: Sequence[Camera]) -> Camera:
-    """Pinhole camera that shows what all ``cameras`` show, at their median focal length.
+    """Camera without distortion that shows what all ``cameras`` show, at their median focal length.
 
-    Its principal point is the middle of its image.
+    A pinhole if all are, else a panorama if one is, else a fisheye. Its principal point is the middle of its image.
     """
     focal = float(np.median([camera.focal for camera in cameras]))
-    extents = np.array([_extent(camera) for camera in set(cameras)]).max(axis=0)
-    width, height = (round(2 * focal * min(extent, _MAX_EXTENT)) for extent in extents)
-    return Camera(width, height, focal, focal, (width - 1) / 2, (height - 1) / 2)
+    lenses = {camera.lens for camera in cameras}
+    if Lens.EQUIRECTANGULAR in lenses:
+        height = round(math.pi * focal)
+        return Camera.panorama(2 * height, height)
+    lens = Lens.FISHEYE if Lens.FISHEYE in lenses else Lens.PINHOLE
+    extents = np.array([_extent(camera, lens) for camera in set(cameras)]).max(axis=0)
+    width, height = (round(2 * focal * extent) for extent in extents)
+    return Camera(width, height, focal, focal, (width - 1) / 2, (height - 1) / 2, lens=lens)
 
 
 def resampled(image: ByteArray, camera: Camera, common: Camera) -> ByteArray:
@@ -93,18 +100,25 @@ def resampled(image: ByteArray, camera: Camera, common: Camera) -> ByteArray:
 @lru_cache(_MAPS)
 def _maps(camera: Camera, common: Camera) -> tuple[ByteArray, ByteArray]:
     """Where each pixel of the common camera lies in the camera's image, in OpenCV's fixed-point form."""
-    size = common.width, common.height
-    found = cv2.initUndistortRectifyMap(
-        camera.matrix, np.array(camera.distortion), np.eye(3), common.matrix, size, cv2.CV_16SC2
-    )
-    return found[0], found[1]  # type: ignore[return-value]
+    u, v = np.meshgrid(np.arange(common.width), np.arange(common.height))
+    found = camera.project(common.rays(np.column_stack([u.ravel(), v.ravel()])))
+    far = 2.0 * max(camera.width, camera.height)
+    places = np.clip(np.nan_to_num(found, nan=-far), -far, far).astype(np.float32)
+    shape = common.height, common.width
+    horizontal, vertical = (np.ascontiguousarray(axis.reshape(shape)) for axis in places.T)
+    maps = cv2.convertMaps(horizontal, vertical, cv2.CV_16SC2)
+    return maps[0], maps[1]  # type: ignore[return-value]
 
 
-def _extent(camera: Camera) -> FloatArray:
-    """(2,) the furthest that the image reaches from its axis, horizontally and vertically, on the plane z = 1."""
+def _extent(camera: Camera, lens: Lens) -> FloatArray:
+    """(2,) the furthest that the image reaches from its axis, horizontally and vertically, in units of the focal length
+    of an image by another lens without distortion."""
     across, down = np.linspace(-0.5, camera.width - 0.5, 9), np.linspace(-0.5, camera.height - 0.5, 9)
     edge = np.concatenate(
         [np.column_stack([across, np.full(9, place)]) for place in (down[0], down[-1])]
         + [np.column_stack([np.full(9, place), down]) for place in (across[0], across[-1])]
     )
-    return np.asarray(np.abs(camera.undistort(edge)).max(axis=0))
+    rays = camera.rays(edge)
+    if lens is Lens.PINHOLE:
+        return np.asarray(np.minimum(np.abs(on_plane(rays)).max(axis=0), _MAX_EXTENT))
+    return np.asarray(np.abs(places_of(lens, rays, ())).max(axis=0))

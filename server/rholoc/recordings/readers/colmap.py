@@ -23,6 +23,7 @@ import numpy as np
 from rholoc.errors import InvalidCamera, InvalidRecording
 from rholoc.geometry import Camera
 from rholoc.recordings.readers._frames import listed_file, untimed_images
+from rholoc.recordings.readers._lenses import camera_of_model, unsupported
 from rholoc.recordings.recording import GivenPoses, Recording, RecordingFormat
 from rholoc.recordings.tables.csv_table import read_text
 from rholoc.recordings.tables.pose_table import poses_from_rows
@@ -33,17 +34,6 @@ SCALE_WARNING = RecordingWarning(
 )
 
 TABLES = ("sparse/*", "cameras.*", "images.*", "points3d.*", "frames.*", "rigs.*", "database.db", "project.ini")
-
-# Places of fx, fy, cx, cy among a model's parameters, and of k1, k2, p1, p2, …; None stands for zero.
-_MODELS: dict[str, tuple[tuple[int, ...], tuple[int | None, ...]]] = {
-    "SIMPLE_PINHOLE": ((0, 0, 1, 2), ()),
-    "PINHOLE": ((0, 1, 2, 3), ()),
-    "SIMPLE_RADIAL": ((0, 0, 1, 2), (3, None, None, None)),
-    "RADIAL": ((0, 0, 1, 2), (3, 4, None, None)),
-    "OPENCV": ((0, 1, 2, 3), (4, 5, 6, 7)),
-    "FULL_OPENCV": ((0, 1, 2, 3), (4, 5, 6, 7, 8, 9, 10, 11)),
-}
-
 
 # COLMAP's numbers of the models in binary files, and how many parameters each has.
 _BINARY_MODELS = {
@@ -58,6 +48,13 @@ _BINARY_MODELS = {
     8: ("SIMPLE_RADIAL_FISHEYE", 4),
     9: ("RADIAL_FISHEYE", 5),
     10: ("THIN_PRISM_FISHEYE", 12),
+    11: ("RAD_TAN_THIN_PRISM_FISHEYE", 16),
+    12: ("SIMPLE_DIVISION", 4),
+    13: ("DIVISION", 5),
+    14: ("SIMPLE_FISHEYE", 3),
+    15: ("FISHEYE", 4),
+    16: ("EUCM", 6),
+    17: ("EQUIRECTANGULAR", 2),
 }
 _CAMERA_HEAD, _IMAGE_HEAD, _COUNT = struct.Struct("<iiQQ"), struct.Struct("<i7di"), struct.Struct("<Q")
 _POINT_BYTES = 24  # of a point in an image: x, y, and the point's number
@@ -183,23 +180,19 @@ def _read_cameras(path: Path) -> dict[str, list[str]]:
     return {row[0]: row[1:] for row in rows}
 
 
-def _intrinsics(fields: list[str]) -> tuple[tuple[int, int], list[float], tuple[float, ...]] | None:
-    """Size, fx, fy, cx, cy and distortion of a camera's fields; None where the model is not supported.
+def _camera(fields: list[str]) -> Camera | None:
+    """The camera of a line's fields; None where the model is not supported.
 
     Raises:
         InvalidCamera: the fields are broken.
     """
     try:
-        model, width, height = fields[0], int(fields[1]), int(fields[2])
         values = [float(field) for field in fields[3:]]
-        if model not in _MODELS:
-            return None
-        pinhole, distortion = _MODELS[model]
-        fx, fy, cx, cy = (values[place] for place in pinhole)
-        coefficients = tuple(0.0 if place is None else values[place] for place in distortion)
+        return camera_of_model(fields[0], (int(fields[1]), int(fields[2])), values)
+    except InvalidCamera:
+        raise
     except (ValueError, IndexError) as error:
         raise InvalidCamera(f"cameras.txt: '{' '.join(fields)[:60]}' is not a camera.") from error
-    return (width, height), [fx, fy, cx - 0.5, cy - 0.5], coefficients
 
 
 def _cameras(
@@ -210,10 +203,8 @@ def _cameras(
     for number in dict.fromkeys(used):
         if number not in fields:
             raise InvalidCamera(f"The model has no camera {number}, which its images use.")
-        known = _intrinsics(fields[number])
-        if known is None:
-            text = f"The camera's model is {fields[number][0]}, which is not supported: its intrinsics are ignored."
-            return None, (RecordingWarning(WarningKind.CAMERA_UNSUPPORTED, text),)
-        (width, height), (fx, fy, cx, cy), distortion = known
-        found[number] = Camera(width, height, fx, fy, cx, cy, distortion)
+        camera = _camera(fields[number])
+        if camera is None:
+            return None, (unsupported(fields[number][0]),)
+        found[number] = camera
     return [found[number] for number in used], ()

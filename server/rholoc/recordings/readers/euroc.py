@@ -3,7 +3,7 @@
 ::
 
     mav0/cam0/data.csv      #timestamp [ns],filename        images in cam0/data/
-    mav0/cam0/sensor.yaml   intrinsics, distortion_coefficients, T_BS
+    mav0/cam0/sensor.yaml   intrinsics, distortion_model (radial-tangential, equidistant), …_coefficients, T_BS
     mav0/imu0/data.csv      #timestamp [ns],w_RS_S_x [rad s^-1],…,a_RS_S_x [m s^-2],…    gravity included
     mav0/imu0/sensor.yaml   T_BS
     mav0/state_groundtruth_estimate0/data.csv    #timestamp, p_RS_R_x [m],…,q_RS_w [],…    of the body
@@ -20,14 +20,15 @@ import numpy as np
 import yaml
 
 from rholoc.errors import InvalidCamera
-from rholoc.geometry import Camera, FloatArray, is_rotation
+from rholoc.geometry import Camera, FloatArray, Lens, is_rotation
 from rholoc.recordings.imu_normalisation import ImuConvention, Samples, frame_times_s, normalise_imu
 from rholoc.recordings.readers._frames import listed_file, timed_images
+from rholoc.recordings.readers._lenses import unsupported
 from rholoc.recordings.recording import FrameSource, GivenPoses, Imu, Recording, RecordingFormat
 from rholoc.recordings.tables.csv_table import read_text, shortened
 from rholoc.recordings.tables.logged_table import has_columns, read_logged_table
 from rholoc.recordings.tables.pose_table import PoseTable, match_poses, poses_from_rows
-from rholoc.reports import RecordingWarning, WarningKind
+from rholoc.reports import RecordingWarning
 
 TABLES = (
     "*cam0/data.csv",
@@ -41,6 +42,10 @@ _GYROSCOPE = tuple(f"w_rs_s_{axis}" for axis in "xyz")
 _ACCELEROMETER = tuple(f"a_rs_s_{axis}" for axis in "xyz")
 _BODY_POSE = ("p_rs_r_x", "p_rs_r_y", "p_rs_r_z", "q_rs_x", "q_rs_y", "q_rs_z", "q_rs_w")
 _NS_PER_S = 1e9
+_LENSES = {  # by the name of the distortion
+    **dict.fromkeys(("radial-tangential", "radtan", "plumb_bob", "none"), Lens.PINHOLE),
+    **dict.fromkeys(("equidistant", "kannala-brandt"), Lens.FISHEYE),
+}
 _MAX_SENSOR_BYTES = 2**16
 
 
@@ -102,18 +107,16 @@ def _sensor(path: Path) -> dict[str, Any]:
 def _camera(sensor: dict[str, Any], size: tuple[int, int]) -> tuple[Camera | None, tuple[RecordingWarning, ...]]:
     if "intrinsics" not in sensor:
         return None, ()
-    distortion = sensor.get("distortion_model", "radial-tangential")
-    if distortion not in ("radial-tangential", "radtan", "none"):
-        shown = shortened(str(distortion))
-        text = f"The camera's distortion is {shown}, which is not supported: its intrinsics are ignored."
-        return None, (RecordingWarning(WarningKind.CAMERA_UNSUPPORTED, text),)
+    distortion = str(sensor.get("distortion_model", "radial-tangential"))
+    if distortion not in _LENSES:
+        return None, (unsupported(shortened(distortion)),)
     try:
         fx, fy, cx, cy = (float(value) for value in sensor["intrinsics"])
         coefficients = tuple(float(value) for value in sensor.get("distortion_coefficients") or ())
         width, height = (int(value) for value in sensor.get("resolution") or size)
     except (TypeError, ValueError, OverflowError) as error:
         raise InvalidCamera("cam0/sensor.yaml: a part of the intrinsics is not a number.") from error
-    return Camera(width, height, fx, fy, cx, cy, coefficients).fitted(*size), ()
+    return Camera(width, height, fx, fy, cx, cy, coefficients, _LENSES[distortion]).fitted(*size), ()
 
 
 def _body(sensor: dict[str, Any]) -> FloatArray | None:

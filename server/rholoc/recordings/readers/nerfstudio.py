@@ -2,7 +2,7 @@
 
 ::
 
-    transforms.json   camera_model, fl_x, fl_y, cx, cy, w, h, k1, k2, p1, p2
+    transforms.json   camera_model, fl_x, fl_y, cx, cy, w, h, k1, k2, p1, p2, k3, of OPENCV_FISHEYE k1, k2, k3, k4
                       frames: [{"file_path": "images/frame_00001.png", "transform_matrix": 4×4}]
 
 ``transform_matrix`` is T_world_camera of a camera that looks along −z with y up; pixel (0.5, 0.5) is the centre of the
@@ -19,18 +19,20 @@ from typing import Any
 import numpy as np
 
 from rholoc.errors import InvalidCamera, InvalidImage, InvalidRecording, InvalidTrajectory
-from rholoc.geometry import Camera, FloatArray, is_rotation
+from rholoc.geometry import Camera, FloatArray, Lens, is_rotation
 from rholoc.recordings.frames.image import image_size
 from rholoc.recordings.readers._apple import opencv_camera
 from rholoc.recordings.readers._frames import listed_file, untimed_images
+from rholoc.recordings.readers._lenses import lens_of_model, unsupported
 from rholoc.recordings.readers.colmap import SCALE_WARNING
 from rholoc.recordings.recording import GivenPoses, Recording, RecordingFormat
 from rholoc.recordings.tables.csv_table import read_json
-from rholoc.reports import RecordingWarning, WarningKind
+from rholoc.reports import RecordingWarning
 
 TABLES = ("transforms.json",)
 _FILE = "transforms.json"
-_PINHOLE = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "PERSPECTIVE")
+_LENSES = {"PERSPECTIVE": Lens.PINHOLE}  # names that only nerfstudio has
+_COEFFICIENTS = {Lens.PINHOLE: ("k1", "k2", "p1", "p2", "k3"), Lens.FISHEYE: ("k1", "k2", "k3", "k4")}
 _ROTATION_TOLERANCE = 1e-2
 _LARGEST = 1e9
 
@@ -139,10 +141,12 @@ def _number(values: dict[str, Any], name: str) -> float:
 
 
 def _camera(values: dict[str, Any], size: tuple[int, int]) -> tuple[Camera | None, tuple[RecordingWarning, ...]]:
-    model = str(values.get("camera_model", "OPENCV")).upper()
-    if model not in _PINHOLE:
-        text = f"The camera's model is {model}, which is not supported: its intrinsics are ignored."
-        return None, (RecordingWarning(WarningKind.CAMERA_UNSUPPORTED, text),)
+    model = str(values.get("camera_model", "OPENCV_FISHEYE" if values.get("is_fisheye") else "OPENCV")).upper()
+    lens = _LENSES.get(model) or lens_of_model(model)
+    if lens is None:
+        return None, (unsupported(model),)
+    if lens is Lens.EQUIRECTANGULAR:
+        return Camera.panorama(*size), ()
     width, height = (_number(values, name) for name in ("w", "h"))
     width, height = (width, height) if width > 0 and height > 0 else size
     fx, angle = _number(values, "fl_x"), _number(values, "camera_angle_x")
@@ -158,13 +162,14 @@ def _camera(values: dict[str, Any], size: tuple[int, int]) -> tuple[Camera | Non
         fy if math.isfinite(fy) else fx,
         (cx if math.isfinite(cx) else width / 2) - 0.5,
         (cy if math.isfinite(cy) else height / 2) - 0.5,
-        _distortion(values),
+        _distortion(values, lens),
+        lens,
     )
     return camera.fitted(*size), ()
 
 
-def _distortion(values: dict[str, Any]) -> tuple[float, ...]:
-    k1, k2, p1, p2, k3 = (_number({name: 0.0} | values, name) for name in ("k1", "k2", "p1", "p2", "k3"))
-    if k3:
-        return k1, k2, p1, p2, k3
-    return (k1, k2, p1, p2) if any((k1, k2, p1, p2)) else ()
+def _distortion(values: dict[str, Any], lens: Lens) -> tuple[float, ...]:
+    found = tuple(_number({name: 0.0} | values, name) for name in _COEFFICIENTS[lens])
+    if lens is Lens.PINHOLE and not found[4]:
+        found = found[:4]
+    return found if any(found) else ()

@@ -17,9 +17,10 @@ from typing import Any
 import numpy as np
 
 from rholoc.errors import InvalidCamera, InvalidRecording
-from rholoc.geometry import Camera, FloatArray, is_rotation
+from rholoc.geometry import Camera, FloatArray, Lens, is_rotation
 from rholoc.recordings.imu_normalisation import ImuConvention, Samples, normalise_imu
 from rholoc.recordings.readers._frames import require_video, timed_video
+from rholoc.recordings.readers._lenses import unsupported
 from rholoc.recordings.recording import Imu, Recording, RecordingFormat
 from rholoc.recordings.tables.csv_table import parse_json, read_text
 from rholoc.reports import RecordingWarning, WarningKind
@@ -27,6 +28,7 @@ from rholoc.reports import RecordingWarning, WarningKind
 TABLES = ("data.jsonl", "calibration.json")
 _INTRINSICS = ("focalLengthX", "focalLengthY", "principalPointX", "principalPointY")
 _ROTATION_TOLERANCE = 1e-2
+_LENSES = {"pinhole": Lens.PINHOLE, "brown-conrady": Lens.PINHOLE, "kannala-brandt4": Lens.FISHEYE}
 
 
 @dataclass(eq=False)
@@ -147,13 +149,12 @@ def _camera(values: dict[str, Any], size: tuple[int, int]) -> tuple[Camera | Non
         width, height = int(values.get("imageWidth") or size[0]), int(values.get("imageHeight") or size[1])
     except (TypeError, ValueError, OverflowError) as error:
         raise InvalidCamera("The calibration holds a value that is not a number.") from error
+    if model not in _LENSES:
+        return None, (unsupported(model),)
     if model == "pinhole" and len(coefficients) == 3:
         k1, k2, k3 = coefficients
         coefficients = [k1, k2, 0.0, 0.0, k3]
-    elif model not in ("pinhole", "brown-conrady"):
-        text = f"The camera's model is {model}, which is not supported: its intrinsics are ignored."
-        return None, (RecordingWarning(WarningKind.CAMERA_UNSUPPORTED, text),)
-    camera = Camera(width, height, fx, fy, cx, cy, tuple(coefficients))
+    camera = Camera(width, height, fx, fy, cx, cy, tuple(coefficients), _LENSES[model])
     return camera.fitted(*size), ()
 
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from rholoc.errors import InvalidCamera, InvalidDescriptors, InvalidInput
 from rholoc.features import Extractor, FeatureSet
-from rholoc.geometry import ByteArray, Camera, FloatArray, Pose
+from rholoc.geometry import ByteArray, Camera, FloatArray, Lens, Pose
 from rholoc.localization import Intrinsics, Prior
 from rholoc.recordings.frames.image import visited_pixels
 from rholoc.service.frames.requests import FeaturesIn, LocalizeOptions, PriorIn
@@ -76,8 +76,10 @@ def camera_for(frame: Frame, size: tuple[int, int], map_camera: Camera) -> Camer
             raise InvalidCamera("The camera is both named and given.", "Send its name, or its intrinsics.")
         return stored.fitted(*size)
     if given.fx is None:
-        if given.fy is not None or given.distortion:
+        if given.fy is not None or given.distortion or given.lens is Lens.FISHEYE:
             raise InvalidCamera("The camera has no fx.", _CAMERA_HINT)
+        if given.lens is Lens.EQUIRECTANGULAR:
+            return Camera.panorama(*size)
         try:
             return map_camera.fitted(*size)
         except InvalidCamera as error:
@@ -95,12 +97,14 @@ def camera_for(frame: Frame, size: tuple[int, int], map_camera: Camera) -> Camer
         (width - 1) / 2 if given.cx is None else given.cx,
         (height - 1) / 2 if given.cy is None else given.cy,
         tuple(given.distortion),
+        given.lens,
     )
     return camera.fitted(*size)
 
 
 def _has_intrinsics(given: CameraIn) -> bool:
-    return any(value is not None for value in (given.fx, given.fy, given.cx, given.cy)) or bool(given.distortion)
+    figures = given.fx, given.fy, given.cx, given.cy
+    return any(value is not None for value in figures) or bool(given.distortion) or given.lens is not Lens.PINHOLE
 
 
 def prior_of(given: PriorIn | None) -> Prior | None:

@@ -27,7 +27,7 @@ MaxSigmaDeg = Annotated[
 class CameraChoice(CameraIn):
     """Intrinsics, or the name of a stored camera instead: then ``width`` and ``height`` are the image's."""
 
-    name: str | None = Field(default=None, description="a stored camera, instead of fx, fy, cx, cy and distortion")
+    name: str | None = Field(default=None, description="a stored camera, instead of intrinsics")
 
 
 class PriorIn(RequestModel):

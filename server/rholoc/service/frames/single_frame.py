@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 from rholoc import telemetry
 from rholoc.errors import DeadlineExceeded, RholocError
+from rholoc.features import widened
 from rholoc.localization import (
     AnyLocalizer,
     Intrinsics,
@@ -70,7 +71,7 @@ def localize_frame(
     if listener is not None and found.localized and frame.options.intrinsics is Intrinsics.GIVEN:
         info = localizer.map.info
         camera = camera_for(frame, features.size, info.camera)
-        listener(Lesson(info.id, localizer.extractor, camera, found, features.by))
+        listener(Lesson(info.id, widened(localizer.extractor, camera), camera, found, features.by))
     return answer_of(name, localizer, found, clock, frame.options.with_matches)
 
 
@@ -143,12 +144,13 @@ def _localize(
     prior, gravity = prior_of(frame.options.prior), gravity_of(frame.options.gravity)
     if clock.elapsed_s >= deadline_s:
         return too_late()
-    found = features.by(localizer.extractor.quick)
+    extractor = widened(localizer.extractor, camera)
+    found = features.by(extractor.quick)
     left_s = deadline_s - clock.elapsed_s
     if left_s <= 0:
         return too_late()
     options = frame.options
-    more = features.more_by(localizer.extractor)
+    more = features.more_by(extractor)
     answer = localizer.localize(
         Query(
             found,

@@ -7,6 +7,8 @@ from typing import Annotated
 from pydantic import BaseModel, ConfigDict, Field, JsonValue, Strict
 from pydantic.config import JsonDict
 
+from rholoc.geometry import CAMERA_WRITTEN, Lens
+
 _LARGEST_SIZE_PX = 2**31
 SizePx = Annotated[int, Strict(), Field(ge=-_LARGEST_SIZE_PX, le=_LARGEST_SIZE_PX)]  # Camera checks what is possible
 Number = Annotated[float, Strict()]  # neither text nor true and false
@@ -43,11 +45,16 @@ class AnswerModel(BaseModel):
     model_config = ConfigDict(frozen=True)
 
 
+CAMERA_TEXT = f"{CAMERA_WRITTEN}, in pixels, or a stored camera's name; default: the recording's own"
+"""How users write a recording's camera."""
+
+
 class CameraIn(RequestModel):
     """Intrinsics in pixels; pixel (0, 0) is the centre of the top-left pixel.
 
     ``width`` and ``height`` are the size of the images that the intrinsics belong to; for an image of the same aspect
-    ratio but another size they are scaled. Without ``fx`` the map's own camera is used if it has the same aspect ratio.
+    ratio but another size they are scaled. Without ``fx`` the map's own camera is used if it has the same aspect ratio;
+    an equirectangular picture is then a whole panorama.
     """
 
     model_config = example(CAMERA_EXAMPLE)
@@ -59,5 +66,8 @@ class CameraIn(RequestModel):
     cx: Number | None = Field(default=None, description="px; default: the middle of the image")
     cy: Number | None = Field(default=None, description="px; default: the middle of the image")
     distortion: list[Number] = Field(
-        default_factory=list, max_length=8, description="OpenCV's k1, k2, p1, p2[, k3[, k4, k5, k6]]"
+        default_factory=list,
+        max_length=8,
+        description="OpenCV's k1, k2, p1, p2[, k3[, k4, k5, k6]]; of a fisheye its k1, k2, k3, k4",
     )
+    lens: Lens = Field(default=Lens.PINHOLE, description="how the camera projects")

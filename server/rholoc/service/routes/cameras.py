@@ -9,7 +9,7 @@ from pydantic import Field
 from pydantic.config import JsonDict
 
 from rholoc.errors import InvalidCamera, InvalidInput, InvalidName, RholocError, StorageFull, UnknownCamera
-from rholoc.geometry import Camera
+from rholoc.geometry import Camera, Lens
 from rholoc.maps import CameraLibrary, CameraProfile
 from rholoc.service.access.scopes import NEEDS_MAP, NEEDS_READ
 from rholoc.service.errors import InvalidRequest
@@ -32,6 +32,7 @@ class CameraProfileIn(RequestModel):
     cx: Number
     cy: Number
     distortion: list[Number] = Field(default_factory=list, max_length=8)
+    lens: Lens = Field(default=Lens.PINHOLE, description="how the camera projects")
     calibration: dict[str, Any] = Field(
         default_factory=dict, description="how it was calibrated: rms_px, sigmas, views, …"
     )

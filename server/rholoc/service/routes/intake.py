@@ -26,7 +26,7 @@ from rholoc.maps import DensityKind, check_map_name, check_memory
 from rholoc.recordings import parse_frame_slice
 from rholoc.service.access.scopes import request_key
 from rholoc.service.errors import InvalidRequest
-from rholoc.service.http.models import RequestModel, example
+from rholoc.service.http.models import CAMERA_TEXT, RequestModel, example
 from rholoc.service.state import State
 from rholoc.trajectory import PoseMethod
 
@@ -62,7 +62,7 @@ class RecordingFields(RequestModel):
     )
     camera: str | None = Field(
         default=None,
-        description="fx,fy,cx,cy[,k1,k2,p1,p2[,k3]] in pixels, or a stored camera's name; default: the recording's own",
+        description=CAMERA_TEXT,
     )
     frames: str | None = Field(
         default=None, description="only these frames, by number: start:stop[:step], like 30:900", examples=["30:900"]

@@ -10,9 +10,10 @@ from enum import StrEnum
 import numpy as np
 
 from rholoc.geometry import Camera, FloatArray, IntArray, rotation_angles
+from rholoc.geometry.resection import is_narrow
 from rholoc.recordings import Recording
 from rholoc.trajectory.visual.keyframe_features import KeyframeFeatures
-from rholoc.trajectory.visual.two_view import ratio_matches, rays_of, relative_pose, unit_descriptors
+from rholoc.trajectory.visual.two_view import ratio_matches, relative_pose, unit_descriptors
 
 _ANCHORS = 10  # frames spread over the recording, each compared with …
 _APART = (1, 4)  # … the frame so many rows later, and …
@@ -76,7 +77,7 @@ class PoseCheck:
 
 @dataclass(frozen=True, eq=False)
 class _Matched:
-    """Matches of two frames that some relative pose explains: (M, 2) on the plane z = 1 of each."""
+    """Matches of two frames that some relative pose explains: rays (M, 3) in the frame of each."""
 
     first: int
     second: int
@@ -119,16 +120,16 @@ def _pairs(rows: IntArray, T: FloatArray) -> list[tuple[int, int]]:
 
 def _matched(recording: Recording, camera: Camera, pairs: list[tuple[int, int]]) -> list[_Matched]:
     needed = np.unique(list(itertools.chain.from_iterable(pairs))).astype(np.int64)
-    with KeyframeFeatures(recording.frames) as extractor:
+    with KeyframeFeatures(recording.frames, camera=camera) as extractor:
         features = dict(zip(needed.tolist(), extractor.of(needed), strict=True))
     descriptors = {row: unit_descriptors(found) for row, found in features.items()}
-    planes = {row: camera.undistort(found.pixels.astype(np.float64)) for row, found in features.items()}
+    rays = {row: camera.rays(found.pixels) for row, found in features.items()}
     matched = []
     for first, second in pairs:
         matches = ratio_matches(descriptors[first], descriptors[second])
         if len(matches) < _MIN_MATCHES:
             continue
-        a, b = planes[first][matches[:, 0]], planes[second][matches[:, 1]]
+        a, b = rays[first][matches[:, 0]], rays[second][matches[:, 1]]
         inliers = relative_pose(a, b, _TOLERANCE).inliers
         if inliers.sum() >= _MIN_MATCHES:
             matched.append(_Matched(first, second, a[inliers], b[inliers]))
@@ -136,7 +137,7 @@ def _matched(recording: Recording, camera: Camera, pairs: list[tuple[int, int]])
 
 
 def _error(matched: list[_Matched], read: Callable[[FloatArray], FloatArray], T: FloatArray) -> float:
-    """Median over pairs of the median epipolar error (Sampson's distance) on the plane z = 1."""
+    """Median over pairs of the median epipolar error (Sampson's distance) as :func:`epipolar_errors` has it."""
     medians = []
     for one in matched:
         T_first, T_second = read(T[[one.first, one.second]])
@@ -145,19 +146,24 @@ def _error(matched: list[_Matched], read: Callable[[FloatArray], FloatArray], T:
 
 
 def epipolar_errors(T_second_first: FloatArray, a: FloatArray, b: FloatArray) -> FloatArray:
-    """Sampson's distances (M,) on the plane z = 1 of matches ``a``, ``b`` (M, 2) under a relative pose (4, 4).
+    """Sampson's distances (M,) of matches, rays ``a`` and ``b`` (M, 3), under a relative pose (4, 4).
 
-    Hartley and Zisserman, Multiple View Geometry, equation 11.9. Matches that lie in front of only one of the cameras
-    count as infinitely far off, and so do matches of cameras at one place that differ by more than the rotation.
+    Hartley and Zisserman, Multiple View Geometry, equation 11.9: on the plane z = 1 where that shows all rays, else in
+    radians on the unit sphere. Of cameras at one place the angle between the rays.
     """
     R, t = T_second_first[:3, :3], T_second_first[:3, 3]
     length = float(np.linalg.norm(t))
     if length < 1e-9:
-        return np.asarray(np.linalg.norm(rays_of(b) - rays_of(a) @ R.T, axis=1))
+        return np.asarray(np.linalg.norm(b - a @ R.T, axis=1))
     tx, ty, tz = t / length
     E = np.array([[0, -tz, ty], [tz, 0, -tx], [-ty, tx, 0]]) @ R
-    first, second = np.column_stack([a, np.ones(len(a))]), np.column_stack([b, np.ones(len(b))])
-    lines_b, lines_a = first @ E.T, second @ E
-    algebraic = np.sum(second * lines_b, axis=1)
-    gradient = np.sqrt(np.sum(lines_b[:, :2] ** 2, axis=1) + np.sum(lines_a[:, :2] ** 2, axis=1))
+    if is_narrow(a) and is_narrow(b):
+        a, b = a / a[:, 2:], b / b[:, 2:]
+        lines_b, lines_a = a @ E.T, b @ E
+        across = lines_b[:, :2], lines_a[:, :2]
+    else:
+        lines_b, lines_a = a @ E.T, b @ E
+        across = np.cross(lines_b, b), np.cross(lines_a, a)
+    algebraic = np.sum(b * lines_b, axis=1)
+    gradient = np.sqrt(sum(np.sum(one**2, axis=1) for one in across))
     return np.asarray(np.abs(algebraic) / np.maximum(gradient, 1e-12))

@@ -11,22 +11,24 @@ import numpy as np
 import pycolmap
 
 from rholoc.errors import MappingFailed
-from rholoc.geometry import FloatArray, IntArray
+from rholoc.geometry import FloatArray, IntArray, on_plane
+from rholoc.geometry.resection import is_narrow
+from rholoc.trajectory.visual.sphere import on_sphere, sphere_camera
 
-_UNIT_PX = 1000.0  # focal length of the ideal camera that pycolmap is given
-_SIDE_PX = 4000  # its image is large enough for any field of view
+_UNIT_PX = 1000.0  # focal length of the ideal pinhole camera that pycolmap is given
+_SIDE_PX = 4000  # its image is large enough for any field of view of a narrow lens
 _CAMERA = 1
 
 
 def global_positions(
-    R_world_camera: FloatArray, keyframes: IntArray, tracks: IntArray, plane: FloatArray, seed: int = 1
+    R_world_camera: FloatArray, keyframes: IntArray, tracks: IntArray, rays: FloatArray, seed: int = 1
 ) -> FloatArray:
     """The cameras' positions (K, 3), in a frame and scale of their own.
 
     Args:
         R_world_camera: (K, 3, 3).
         keyframes, tracks: (N,) which camera sees which point.
-        plane: (N, 2) where, on the plane z = 1 of the camera.
+        rays: (N, 3) where, in the camera frame.
         seed: of the random positions from which it starts.
 
     Raises:
@@ -34,11 +36,7 @@ def global_positions(
     """
     pycolmap.logging.minloglevel = 3  # what fails is said by the error raised
     model = pycolmap.Reconstruction()
-    centre = _SIDE_PX / 2
-    camera = pycolmap.Camera(
-        camera_id=_CAMERA, model="PINHOLE", width=_SIDE_PX, height=_SIDE_PX, params=[_UNIT_PX, _UNIT_PX, centre, centre]
-    )
-    camera.has_prior_focal_length = True
+    camera, pixels = _ideal_camera(rays)
     model.add_camera_with_trivial_rig(camera)
     count = len(R_world_camera)
     order = np.argsort(keyframes, kind="stable")
@@ -48,7 +46,7 @@ def global_positions(
         rows = order[starts[k] : starts[k + 1]]
         number_in_image[rows] = np.arange(len(rows))
         image = pycolmap.Image(name=f"{k:06d}", camera_id=_CAMERA, image_id=k + 1)
-        image.points2D = pycolmap.Point2DList([pycolmap.Point2D(xy) for xy in plane[rows] * _UNIT_PX + centre])
+        image.points2D = pycolmap.Point2DList([pycolmap.Point2D(xy) for xy in pixels[rows]])
         pose = pycolmap.Rigid3d(pycolmap.Rotation3d(R_world_camera[k].T), np.zeros(3))
         model.add_image_with_trivial_frame(image, pose)
     by_track = np.argsort(tracks, kind="stable")
@@ -66,3 +64,14 @@ def global_positions(
             "No positions of the camera explain what the pictures show.", "Walk slower, keep more texture in view."
         )
     return np.array([model.images[k + 1].projection_center() for k in range(count)])
+
+
+def _ideal_camera(rays: FloatArray) -> tuple[pycolmap.Camera, FloatArray]:
+    """An ideal camera that sees rays (N, 3), and its pixels (N, 2): a pinhole, of wide lenses a panorama."""
+    if not is_narrow(rays):
+        return sphere_camera(_CAMERA), on_sphere(rays)
+    centre = _SIDE_PX / 2
+    params = [_UNIT_PX, _UNIT_PX, centre, centre]
+    camera = pycolmap.Camera(camera_id=_CAMERA, model="PINHOLE", width=_SIDE_PX, height=_SIDE_PX, params=params)
+    camera.has_prior_focal_length = True
+    return camera, on_plane(rays) * _UNIT_PX + centre

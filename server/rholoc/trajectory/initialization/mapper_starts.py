@@ -11,8 +11,9 @@ from pathlib import Path
 import numpy as np
 import pycolmap
 
-from rholoc.geometry import Camera, FloatArray, IntArray
+from rholoc.geometry import Camera, FloatArray, IntArray, Lens, on_plane
 from rholoc.trajectory.visual.matching import VerifiedPair
+from rholoc.trajectory.visual.sphere import on_sphere, sphere_camera
 
 _LEAST_PIECE = 3  # pictures
 _SEED = 1
@@ -62,25 +63,32 @@ def largest_piece(
     with tempfile.TemporaryDirectory(prefix="rholoc-mapper-") as name:
         folder = Path(name)
         database = folder / "pictures.db"
-        model = _model(camera, is_known)
-        places = [camera.undistort(some) * camera.focal + _centre(camera) if is_known else some for some in pixels]
-        _write(database, model, [some + _CENTRE_SHIFT for some in places], pairs)
+        model, places = _model(camera, pixels) if is_known else _guessed_model(camera, pixels)
+        _write(database, model, places, pairs)
         found = _run(mapper, database, folder, is_known)
     if not found:
         return None
     return _piece(mapper, max(found, key=lambda one: one.num_reg_images()), camera, is_known)
 
 
-def _centre(camera: Camera) -> FloatArray:
-    return np.array([camera.cx, camera.cy])
+def _model(camera: Camera, pixels: Sequence[FloatArray]) -> tuple[pycolmap.Camera, list[FloatArray]]:
+    """An ideal camera for pycolmap in place of one that is known, and its pixels."""
+    rays = [camera.rays(some) for some in pixels]
+    if camera.lens is not Lens.PINHOLE:
+        return sphere_camera(_CAMERA), [on_sphere(some) for some in rays]
+    centre = np.array([camera.cx, camera.cy]) + _CENTRE_SHIFT
+    model = _pycolmap_camera(camera, "SIMPLE_PINHOLE", [camera.focal, *centre])
+    return model, [on_plane(some) * camera.focal + centre for some in rays]
 
 
-def _model(camera: Camera, is_known: bool) -> pycolmap.Camera:
-    """The camera as pycolmap has it: ideal if it is known, for its pixels are undistorted then; else with one k."""
-    cx, cy = camera.cx + _CENTRE_SHIFT, camera.cy + _CENTRE_SHIFT
-    kind, params = (
-        ("SIMPLE_PINHOLE", [camera.focal, cx, cy]) if is_known else ("SIMPLE_RADIAL", [camera.focal, cx, cy, 0.0])
-    )
+def _guessed_model(camera: Camera, pixels: Sequence[FloatArray]) -> tuple[pycolmap.Camera, list[FloatArray]]:
+    """A camera with one coefficient of distortion, to be refined, and the pixels as pycolmap counts them."""
+    centre = camera.cx + _CENTRE_SHIFT, camera.cy + _CENTRE_SHIFT
+    model = _pycolmap_camera(camera, "SIMPLE_RADIAL", [camera.focal, *centre, 0.0])
+    return model, [some + _CENTRE_SHIFT for some in pixels]
+
+
+def _pycolmap_camera(camera: Camera, kind: str, params: list[float]) -> pycolmap.Camera:
     model = pycolmap.Camera(camera_id=_CAMERA, model=kind, width=camera.width, height=camera.height, params=params)
     model.has_prior_focal_length = True
     return model

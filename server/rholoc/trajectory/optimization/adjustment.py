@@ -20,7 +20,7 @@ import numpy as np
 from gtsam.symbol_shorthand import B, C, D, E, G, L, S, V, X
 
 from rholoc.errors import MappingFailed
-from rholoc.geometry import BoolArray, Camera, FloatArray, IntArray, angles_between, cross, pose_matrix
+from rholoc.geometry import BoolArray, Camera, FloatArray, IntArray, angles_between, cross, on_plane, pose_matrix
 from rholoc.recordings import GRAVITY, Imu
 from rholoc.trajectory.inertial.gyroscope import GyroCalibration, longest_interval_s
 from rholoc.trajectory.visual.tracks import Observations
@@ -289,13 +289,7 @@ def adjust(
 
 def triangulate(observations: Observations, state: State) -> tuple[FloatArray, FloatArray]:
     """The points (M, 3) nearest to the rays that see them, and the widest angle (M,) at which they do, degrees."""
-    plane = state.camera.undistort(observations.pixels)
-    rays = np.einsum(
-        "nij,nj->ni",
-        state.R_map_camera[observations.keyframes],
-        np.column_stack([plane, np.ones(len(plane))]),
-    )
-    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    rays = np.einsum("nij,nj->ni", state.R_map_camera[observations.keyframes], state.camera.rays(observations.pixels))
     across = np.eye(3) - rays[:, :, None] * rays[:, None, :]
     seen_from = np.einsum("nij,nj->ni", across, state.positions[observations.keyframes])
     count = observations.points
@@ -314,14 +308,18 @@ def triangulate(observations: Observations, state: State) -> tuple[FloatArray, F
 def residuals_px(observations: Observations, state: State, points: FloatArray | None = None) -> FloatArray:
     """How far each sighting (N,) is from where its point appears, in pixels; infinite behind the camera."""
     points = state.points if points is None else points
-    T = state.T_map_camera[observations.keyframes]
-    seen = np.einsum("nji,nj->ni", T[:, :3, :3], points[observations.tracks] - T[:, :3, 3])
+    R_map_plane, measured = _image_planes(observations, state)
+    seen = np.einsum("nji,nj->ni", R_map_plane, points[observations.tracks] - state.positions[observations.keyframes])
     ahead = seen[:, 2] > 1e-6
     off = np.full(len(observations), np.inf)
-    plane = seen[ahead, :2] / seen[ahead, 2:]
-    measured = state.camera.undistort(observations.pixels[ahead])
-    off[ahead] = np.linalg.norm(plane - measured, axis=1) * state.camera.focal
+    off[ahead] = np.linalg.norm(on_plane(seen[ahead]) - measured[ahead], axis=1) * state.camera.focal
     return off
+
+
+def _image_planes(observations: Observations, state: State) -> tuple[FloatArray, FloatArray]:
+    """R_map_plane (N, 3, 3) of the plane that each sighting is measured in, and where on it (N, 2)."""
+    R_plane_camera, measured = state.camera.planes(observations.pixels)
+    return state.R_map_camera[observations.keyframes] @ np.swapaxes(R_plane_camera, 1, 2), measured
 
 
 def _usable_points(observations: Observations, state: State, sigma_px: float) -> tuple[FloatArray, BoolArray]:
@@ -340,17 +338,17 @@ def _settled(points: FloatArray, observations: Observations, state: State, sigma
 
     The nearest point to the rays is not yet that; the joint problem would spend its first iterations on the way there.
     """
-    tracks, T = observations.tracks, state.T_map_camera[observations.keyframes]
-    measured = state.camera.undistort(observations.pixels)
+    tracks, positions = observations.tracks, state.positions[observations.keyframes]
+    R, measured = _image_planes(observations, state)
     scale = _CAUCHY_PIXELS * sigma_px / state.camera.focal
     points = points.copy()
     for _ in range(_SETTLING_STEPS):
-        seen = np.einsum("nji,nj->ni", T[:, :3, :3], points[tracks] - T[:, :3, 3])
+        seen = np.einsum("nji,nj->ni", R, points[tracks] - positions)
         depth = np.maximum(seen[:, 2], 1e-6)
         plane = seen[:, :2] / depth[:, None]
         off = measured - plane
         weight = np.where(seen[:, 2] > 1e-6, 1 / (1 + np.sum(off**2, axis=1) / scale**2), 0.0)
-        slope = (T[:, :3, :2] - T[:, :3, 2:3] * plane[:, None, :]) / depth[:, None, None]  # (n, 3, 2)
+        slope = (R[:, :, :2] - R[:, :, 2:] * plane[:, None, :]) / depth[:, None, None]  # (n, 3, 2)
         weighted = weight[:, None, None] * slope
         information, target = np.zeros((len(points), 3, 3)), np.zeros((len(points), 3))
         np.add.at(information, tracks, weighted @ np.swapaxes(slope, 1, 2))
@@ -370,9 +368,12 @@ def _add_sightings(
     keyframes, tracks = observations.keyframes[used].tolist(), observations.tracks[used].tolist()
     if problem.camera_sigmas is None:
         ideal = gtsam.Cal3_S2(camera.focal, camera.focal, 0.0, 0.0, 0.0)
-        places = camera.undistort(observations.pixels[used]) * camera.focal
-        for keyframe, track, place in zip(keyframes, tracks, places, strict=True):
-            graph.add(gtsam.GenericProjectionFactorCal3_S2(place, noise, C(keyframe), L(track), ideal, False, False))
+        R_plane_camera, places = camera.planes(observations.pixels[used])
+        for keyframe, track, R, place in zip(keyframes, tracks, R_plane_camera, camera.focal * places, strict=True):
+            turned = gtsam.Pose3(gtsam.Rot3(R.T), np.zeros(3))
+            graph.add(
+                gtsam.GenericProjectionFactorCal3_S2(place, noise, C(keyframe), L(track), ideal, False, False, turned)
+            )
         return
     model = _to_gtsam(camera)
     values.insert(D(0), model)
@@ -555,7 +556,7 @@ def _add_depths(graph: gtsam.NonlinearFactorGraph, problem: Problem, state: Stat
     by_keyframe = np.split(rows, np.flatnonzero(np.diff(seen.keyframes[rows])) + 1)
     rows = np.concatenate([some[:: len(some) // _DEPTHS_PER_KEYFRAME + 1] for some in by_keyframe])
     depths = seen.depths[rows]
-    lengths = np.linalg.norm(np.column_stack([state.camera.undistort(seen.pixels[rows]), np.ones(len(rows))]), axis=1)
+    lengths = 1 / state.camera.rays(seen.pixels[rows])[:, 2]  # depths are along the optical axis
     ranges = zip(
         seen.keyframes[rows].tolist(),
         seen.tracks[rows].tolist(),

@@ -36,14 +36,14 @@ class PlacedFeatures:
         points: (M, 3) metres, in the walk's frame.
         known: (M,) bool, which of them are seen from places far enough apart.
         labels: of each keyframe's features the point, (F,) each.
-        plane: of each keyframe's features the place on the plane z = 1 of its camera, (F, 2) each.
+        rays: of each keyframe's features, in its camera's frame, (F, 3) each.
         state: the walk.
     """
 
     points: FloatArray
     known: BoolArray
     labels: Sequence[IntArray]
-    plane: Sequence[FloatArray]
+    rays: Sequence[FloatArray]
     state: State
 
 
@@ -63,8 +63,8 @@ def place_features(neighbours: Sequence[VerifiedPair], pixels: Sequence[FloatArr
     furthest_px = np.zeros(len(points))
     np.maximum.at(furthest_px, label, residuals_px(seen, state, points))
     known = (parallax_deg > _LEAST_PARALLAX_DEG) & (furthest_px < _FURTHEST_OFF_PX)
-    plane = [state.camera.undistort(some) for some in pixels]
-    return PlacedFeatures(points, known, np.split(label, first_feature[1:-1]), plane, state)
+    rays = [state.camera.rays(some) for some in pixels]
+    return PlacedFeatures(points, known, np.split(label, first_feature[1:-1]), rays, state)
 
 
 def loops_in_reach(loops: Sequence[VerifiedPair], placed: PlacedFeatures, sigmas_m: FloatArray) -> BoolArray:
@@ -112,6 +112,6 @@ def _seen_by(placed: PlacedFeatures, first: int, second: int, matches: IntArray)
         return None, 0
     tolerance = _AGREEING_PX / placed.state.camera.focal
     T_map_second, agreeing = absolute_pose(
-        placed.plane[second][matches[known, 1]], placed.points[points[known]], tolerance
+        placed.rays[second][matches[known, 1]], placed.points[points[known]], tolerance
     )
     return RelativePose(first, second, np.linalg.inv(placed.state.T_map_camera[first]) @ T_map_second), agreeing

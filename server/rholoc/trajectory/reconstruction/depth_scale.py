@@ -35,7 +35,7 @@ def with_depths(observations: Observations, depth: DepthImages | None, camera: C
     """
     if depth is None:
         return observations
-    rays = np.column_stack([camera.undistort(observations.pixels), np.ones(len(observations))])
+    rays = camera.rays(observations.pixels)
     found = np.full(len(observations), np.nan)
     for keyframe in np.unique(observations.keyframes).tolist():
         image = depth.of_frame(keyframe, camera)

@@ -85,15 +85,15 @@ def _directions(sights: Sights, camera: Camera, R: FloatArray, pairs: Sequence[V
         for k in range(len(rows) - apart):
             shared, a, b = sights.flow.shared(rows[k], rows[k + apart])
             if len(shared) >= _FEWEST_CORNERS:
-                plane = camera.undistort(a), camera.undistort(b)
-                found.append(direction_between(k, k + apart, R, plane, _DIRECTION_TOLERANCE_PX, camera.focal))
+                rays = camera.rays(a), camera.rays(b)
+                found.append(direction_between(k, k + apart, R, rays, _DIRECTION_TOLERANCE_PX, camera.focal))
     found += [_direction_of(sights, camera, R, pair) for pair in pairs]
     return [one for one in found if one is not None]
 
 
 def _direction_of(sights: Sights, camera: Camera, R: FloatArray, pair: VerifiedPair) -> PairDirection | None:
     a, b = (
-        camera.undistort(sights.features[keyframe].pixels[pair.matches[:, side]].astype(np.float64))
+        camera.rays(sights.features[keyframe].pixels[pair.matches[:, side]])
         for side, keyframe in enumerate((pair.first, pair.second))
     )
     return direction_between(pair.first, pair.second, R, (a, b), _DIRECTION_TOLERANCE_PX, camera.focal)

@@ -255,11 +255,11 @@ def _own_start(
     if len(kinds) == 0:
         raise MappingFailed("No two pictures overlap enough.", ADVICE)
     members = np.flatnonzero(both == kinds[sizes.argmax()])
-    positions = _positions_of(members, R, observations, camera.undistort(observations.pixels))
+    positions = _positions_of(members, R, observations, camera.rays(observations.pixels))
     return State(pose_matrix(R[members], positions), np.zeros((0, 3)), camera), members
 
 
-def _positions_of(members: IntArray, R: FloatArray, observations: Observations, plane: FloatArray) -> FloatArray:
+def _positions_of(members: IntArray, R: FloatArray, observations: Observations, rays: FloatArray) -> FloatArray:
     """The positions (N, 3) of some keyframes from what they see together."""
     number = np.full(len(R), -1)
     number[members] = np.arange(len(members))
@@ -268,4 +268,4 @@ def _positions_of(members: IntArray, R: FloatArray, observations: Observations, 
     often = np.bincount(tracks, minlength=observations.points)[tracks] >= 2
     rows = np.flatnonzero(within)[often]
     _, tracks = np.unique(observations.tracks[rows], return_inverse=True)
-    return global_positions(R[members], number[observations.keyframes[rows]], tracks, plane[rows])
+    return global_positions(R[members], number[observations.keyframes[rows]], tracks, rays[rows])

@@ -52,11 +52,11 @@ def _reconstruct(
 ) -> Reconstruction:
     turned = Rotation.from_matrix(T[0, :3, :3].T @ T[:, :3, :3])
     evidence = gather_evidence(sights, camera, turned, progress)
-    planes = [camera.undistort(found.pixels.astype(np.float64)) for found in sights.features]
+    rays = [camera.rays(found.pixels) for found in sights.features]
     evidence = replace(
         evidence,
-        sequential=[pair for pair in evidence.sequential if _fits(pair, planes, T)],
-        loops=[pair for pair in evidence.loops if _fits(pair, planes, T)],
+        sequential=[pair for pair in evidence.sequential if _fits(pair, rays, T)],
+        loops=[pair for pair in evidence.loops if _fits(pair, rays, T)],
     )
     problem = Problem(
         sights.times,
@@ -71,8 +71,8 @@ def _reconstruct(
     return finished(solved, len(evidence.loops), sights.camera is not None, None, "")
 
 
-def _fits(pair: VerifiedPair, planes: list[FloatArray], T: FloatArray) -> bool:
-    a, b = planes[pair.first][pair.matches[:, 0]], planes[pair.second][pair.matches[:, 1]]
+def _fits(pair: VerifiedPair, rays: list[FloatArray], T: FloatArray) -> bool:
+    a, b = rays[pair.first][pair.matches[:, 0]], rays[pair.second][pair.matches[:, 1]]
     errors = epipolar_errors(np.linalg.inv(T[pair.second]) @ T[pair.first], a, b)
     return float(np.median(errors)) <= _MAX_PAIR_ERROR
 

@@ -76,6 +76,6 @@ def _resected(
     rows = rows[known[observations.tracks[rows]]]
     if len(rows) < _MIN_POINTS:
         return None
-    plane = state.camera.undistort(observations.pixels[rows])
-    T, inliers = absolute_pose(plane, points[observations.tracks[rows]], _TOLERANCE_PX / state.camera.focal)
+    rays = state.camera.rays(observations.pixels[rows])
+    T, inliers = absolute_pose(rays, points[observations.tracks[rows]], _TOLERANCE_PX / state.camera.focal)
     return T if inliers >= max(_MIN_POINTS, _MIN_INLIER_SHARE * len(rows)) else None

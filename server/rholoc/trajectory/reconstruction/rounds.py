@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from rholoc.geometry import Camera, FloatArray
+from rholoc.geometry import Camera, FloatArray, Lens
 from rholoc.progress import ProgressListener, Stage
 from rholoc.trajectory.optimization.adjustment import (
     GIVEN,
@@ -30,7 +30,7 @@ FAR_M = 0.15  # by which a walk is bent at most where an adjustment alone closes
 FEWEST_PX, OUTLIER = 2.5, 5.0  # a sighting this far off is left out, or so many times the median
 _LEAST_PIXEL_SIGMA_PX = 0.35
 _MEDIAN_TO_SIGMA = 1 / 1.177  # of a coordinate, from the median length of a two-vector of normal errors
-_MODELLED_DISTORTION = 4  # coefficients: k1, k2, p1, p2
+_MODELLED_DISTORTION = 4  # coefficients of a pinhole: k1, k2, p1, p2
 
 
 class AdjustmentProgress:
@@ -78,4 +78,5 @@ def camera_sigmas(given: Camera | None) -> CameraSigmas | None:
     """How far the walk may correct the intrinsics: not at all where the adjustment's model could not hold them."""
     if given is None:
         return GUESSED
-    return GIVEN if len(given.distortion) <= _MODELLED_DISTORTION else None
+    is_modelled = given.lens is Lens.PINHOLE and len(given.distortion) <= _MODELLED_DISTORTION
+    return GIVEN if is_modelled else None

@@ -102,14 +102,14 @@ def gather_evidence(sights: Sights, camera: Camera, felt: Rotation | None, progr
         MappingFailed: the camera stayed in one place.
     """
     corners, rotations = followed_corners(sights.flow, sights.rows, camera, felt, sights.shutter)
-    planes = [camera.undistort(features.pixels.astype(np.float64)) for features in sights.features]
+    rays = [camera.rays(features.pixels) for features in sights.features]
     if sights.is_film or felt is not None:
         sequential, loops = match_keyframes(
-            sights.features, planes, camera.focal, sights.times, felt, _is_followed(sights), progress
+            sights.features, rays, camera.focal, sights.times, felt, _is_followed(sights), progress
         )
     else:
-        sequential, loops = match_pictures(sights.features, planes, camera.focal, progress), []
-    if only_turned(sequential, planes):
+        sequential, loops = match_pictures(sights.features, rays, camera.focal, progress), []
+    if only_turned(sequential, rays):
         raise MappingFailed(
             "The camera stayed in one place; turning alone does not show how far away things are.",
             "Walk through the room, sideways where you can.",

@@ -41,7 +41,7 @@ def calibrate_by_flow(flow: Flow, camera: Camera, imu: Imu, most_pairs: int | No
         shared, a, b = flow.shared(int(rows[k - 1]), int(rows[k]))
         R[k] = R[k - 1]
         if len(shared) >= _FEWEST_SHARED:
-            view = relative_pose(camera.undistort(a), camera.undistort(b), _TOLERANCE_PX / camera.focal)
+            view = relative_pose(camera.rays(a), camera.rays(b), _TOLERANCE_PX / camera.focal)
             R[k] = R[k - 1] @ view.R_second_first.T
     return calibrate_gyro(flow.times[rows], R, imu)
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rholoc.geometry import FloatArray
-from rholoc.trajectory.visual.two_view import inliers_of_rotation, rays_of
+from rholoc.trajectory.visual.two_view import inliers_of_rotation
 
 _FEWEST_INLIERS = 12
 _FEWEST_SHARE = 0.4  # of the matches must agree with the direction
@@ -39,7 +39,7 @@ def direction_between(
     first: int,
     second: int,
     R_world_camera: FloatArray,
-    plane: tuple[FloatArray, FloatArray],
+    rays: tuple[FloatArray, FloatArray],
     tolerance_px: float,
     focal_px: float,
 ) -> PairDirection | None:
@@ -50,15 +50,15 @@ def direction_between(
     Args:
         first, second: keyframe numbers.
         R_world_camera: (K, 3, 3).
-        plane: the matched points, (M, 2) in either, on the plane z = 1 of the camera.
+        rays: of the matches, unit (M, 3) in the frame of either camera.
         tolerance_px: how far from its plane a ray may be.
         focal_px: of the camera.
     """
     R_a, R_b = R_world_camera[first], R_world_camera[second]
-    inliers = inliers_of_rotation(*plane, R_b.T @ R_a, tolerance_px / focal_px)
+    inliers = inliers_of_rotation(*rays, R_b.T @ R_a, tolerance_px / focal_px)
     if inliers.sum() < max(_FEWEST_INLIERS, _FEWEST_SHARE * len(inliers)):
         return None
-    a, b = rays_of(plane[0][inliers]) @ R_a.T, rays_of(plane[1][inliers]) @ R_b.T
+    a, b = rays[0][inliers] @ R_a.T, rays[1][inliers] @ R_b.T
     normals = np.cross(a, b)
     weights = np.ones(len(normals))
     sigma_ray = _RAY_SIGMA_PX / focal_px

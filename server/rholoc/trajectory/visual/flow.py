@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from rholoc.geometry import BoolArray, ByteArray, FloatArray, IntArray
+from rholoc.geometry import BoolArray, ByteArray, Camera, FloatArray, IntArray
 from rholoc.progress import ProgressListener, Stage, silent
 from rholoc.recordings import FrameSource
 
@@ -43,7 +43,8 @@ class Flow:
         starts: (N + 1,) the sightings of frame n are rows starts[n] : starts[n + 1] of the next two.
         tracks: (M,) which corner, increasing within a frame.
         pixels: (M, 2) where, in pixels of the full image.
-        motion: (N,) how far the image moved since the frame before, as a share of its longer side.
+        motion: (N,) how far the image moved since the frame before, as a share of its longer side, or that of an
+            ordinary picture where the lens is wide.
         sharpness: (N,) the variance of the Laplacian.
         brightness: (N,) the mean grey value, 0..255.
         contrast: (N,) the standard deviation of the grey values, blurred: of noise nothing is left.
@@ -91,26 +92,35 @@ FrameListener = Callable[[int, ByteArray, float, float], None]
 """Is shown a frame: its row, its image (H, W, 3) BGR, its motion and its sharpness."""
 
 
-def track_corners(frames: FrameSource, progress: ProgressListener = silent, show: FrameListener | None = None) -> Flow:
+def track_corners(
+    frames: FrameSource,
+    progress: ProgressListener = silent,
+    show: FrameListener | None = None,
+    camera: Camera | None = None,
+) -> Flow:
     """Follow corners through all frames, each of which is decoded once, and shown to ``show``.
+
+    ``camera`` matters if its lens is wide: motion is then in longer sides of an ordinary picture.
 
     Raises:
         InvalidRecording: a frame cannot be decoded.
     """
-    count = len(frames.times)
+    count, breadth = len(frames.times), 1.0 if camera is None else camera.breadth
+    most_corners = round(_CORNERS * breadth)
     motion, sharpness, brightness, contrast = np.zeros((4, count))
     tracks: list[IntArray] = []
     pixels: list[FloatArray] = []
     corners, numbers, next_number = np.zeros((0, 2), np.float32), np.zeros(0, np.int64), 0
     before: ByteArray | None = None
-    for row, (whole, image, factor, sharpness[row]) in enumerate(_looked_at(frames)):
+    for row, (whole, image, factor, sharpness[row]) in enumerate(_looked_at(frames, breadth)):
         brightness[row] = float(image.mean())
         contrast[row] = float(_reduced(image, _CONTRAST_SIDE_PX).std())
         if before is not None:
-            corners, kept, motion[row] = _followed(before, image, corners)
+            corners, kept, moved = _followed(before, image, corners)
+            motion[row] = breadth * moved
             numbers = numbers[kept]
-        if len(corners) < _REFILLED_BELOW * _CORNERS:
-            found = _new_corners(image, corners)
+        if len(corners) < _REFILLED_BELOW * most_corners:
+            found = _new_corners(image, corners, most_corners)
             corners = np.concatenate([corners, found])
             numbers = np.concatenate([numbers, np.arange(next_number, next_number + len(found))])
             next_number += len(found)
@@ -139,7 +149,7 @@ def track_corners(frames: FrameSource, progress: ProgressListener = silent, show
 _Seen = tuple[ByteArray, ByteArray, FloatArray, float]
 
 
-def _looked_at(frames: FrameSource) -> Iterator[_Seen]:
+def _looked_at(frames: FrameSource, breadth: float) -> Iterator[_Seen]:
     """Every frame, in grey and reduced, the factors (2,) from those pixels to the full image's, and its sharpness.
 
     A thread prepares the next frames while this one's corners are followed.
@@ -147,16 +157,16 @@ def _looked_at(frames: FrameSource) -> Iterator[_Seen]:
     with ThreadPoolExecutor(1) as pool:
         waiting: list[Future[_Seen]] = []
         for image in frames.images(range(len(frames.times))):
-            waiting.append(pool.submit(_look, image))
+            waiting.append(pool.submit(_look, image, breadth))
             if len(waiting) > _IN_FLIGHT:
                 yield waiting.pop(0).result()
         for future in waiting:
             yield future.result()
 
 
-def _look(image: ByteArray) -> _Seen:
+def _look(image: ByteArray, breadth: float) -> _Seen:
     gray = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) if image.ndim == 3 else image, dtype=np.uint8)
-    small = _reduced(gray, _LONGER_SIDE_PX)
+    small = _reduced(gray, round(_LONGER_SIDE_PX * breadth))
     factor = np.array([gray.shape[1] / small.shape[1], gray.shape[0] / small.shape[0]])
     sharpness = float(cv2.Laplacian(_reduced(gray, _SHARPNESS_SIDE_PX), cv2.CV_32F).var())
     return image, small, factor, sharpness
@@ -211,12 +221,12 @@ def _flow(
     return np.asarray(moved.reshape(-1, 2)), np.asarray(found.ravel() == 1)
 
 
-def _new_corners(image: ByteArray, corners: FloatArray) -> FloatArray:
+def _new_corners(image: ByteArray, corners: FloatArray, most: int) -> FloatArray:
     """Corners (K, 2) of the image away from those that are followed already, as many as are missing."""
     free = np.full(image.shape, 255, dtype=np.uint8)
     for x, y in corners.tolist():
         cv2.circle(free, (int(x), int(y)), _CORNER_DISTANCE_PX, 0, -1)
     found = cv2.goodFeaturesToTrack(
-        image, _CORNERS - len(corners), _CORNER_QUALITY, _CORNER_DISTANCE_PX, mask=free, blockSize=5
+        image, most - len(corners), _CORNER_QUALITY, _CORNER_DISTANCE_PX, mask=free, blockSize=5
     )
     return np.zeros((0, 2), np.float32) if found is None else found.reshape(-1, 2).astype(np.float32)

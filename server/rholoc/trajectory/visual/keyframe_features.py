@@ -11,9 +11,9 @@ from typing import Self
 import cv2
 import numpy as np
 
-from rholoc.features import FeatureSet
+from rholoc.features import Extractor, FeatureSet, widened
 from rholoc.features.extractors._sift import SiftExtractor
-from rholoc.geometry import ByteArray, IntArray
+from rholoc.geometry import ByteArray, Camera, IntArray
 from rholoc.progress import ProgressListener, Stage, silent
 from rholoc.recordings import FrameSource
 from rholoc.trajectory.visual.keyframes import KeyframeSteps
@@ -35,15 +35,24 @@ class KeyframeFeatures:
     show afterwards. What was not foreseen is decoded when it is asked for. A context: threads extract within it.
     """
 
-    def __init__(self, frames: FrameSource, certain: Container[int] = (), show: ImageListener | None = None) -> None:
+    def __init__(
+        self,
+        frames: FrameSource,
+        certain: Container[int] = (),
+        show: ImageListener | None = None,
+        camera: Camera | None = None,
+    ) -> None:
         """Begin with no frame.
 
         Args:
             frames: of the recording.
             certain: rows of frames that will be keyframes, whatever the motion.
             show: is shown each frame whose features are extracted, in a thread.
+            camera: of the frames, which matters if its lens is wide.
         """
         self._frames = frames
+        self._extractor = widened(_EXTRACTOR, camera)
+        self._longest_px = round(_LONGER_SIDE_PX * (1.0 if camera is None else camera.breadth))
         self._certain = certain
         self._show = show
         self._steps = KeyframeSteps(timed=frames.timed)
@@ -98,15 +107,15 @@ class KeyframeFeatures:
     def _extracted(self, row: int, image: ByteArray) -> FeatureSet:
         if self._show is not None:
             self._show(row, image)
-        return _extract(image)
+        return _extract(image, self._extractor, self._longest_px)
 
 
-def _extract(image: ByteArray) -> FeatureSet:
+def _extract(image: ByteArray, extractor: Extractor, longest_px: int) -> FeatureSet:
     height, width = image.shape[:2]
     longer = max(height, width)
-    if longer <= _LONGER_SIDE_PX:
-        return _EXTRACTOR.extract(image)
-    size = round(width * _LONGER_SIDE_PX / longer), round(height * _LONGER_SIDE_PX / longer)
-    features = _EXTRACTOR.extract(np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), dtype=np.uint8))
+    if longer <= longest_px:
+        return extractor.extract(image)
+    size = round(width * longest_px / longer), round(height * longest_px / longer)
+    features = extractor.extract(np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), dtype=np.uint8))
     factor = np.array([width / size[0], height / size[1]], dtype=np.float32)
     return replace(features, pixels=(features.pixels + 0.5) * factor - 0.5, sizes=features.sizes * factor.max())

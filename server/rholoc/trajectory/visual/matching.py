@@ -66,7 +66,7 @@ class VerifiedPair:
 
 def match_keyframes(
     features: Sequence[FeatureSet],
-    planes: Sequence[FloatArray],
+    rays: Sequence[FloatArray],
     focal_px: float,
     times: FloatArray,
     felt: Rotation | None,
@@ -77,7 +77,7 @@ def match_keyframes(
 
     Args:
         features: of K keyframes, in the order of time.
-        planes: their places on the plane z = 1 of the camera, (N, 2) each.
+        rays: theirs in the camera frame, (N, 3) each.
         focal_px: of the camera.
         times: (K,) seconds.
         felt: R_start_camera of the keyframes by the gyroscope, or None. Pairs that it contradicts are left out.
@@ -93,7 +93,7 @@ def match_keyframes(
 
     def verified(pair: Pair) -> VerifiedPair | None:
         fewest = _FEWEST_SEQUENTIAL if pair in beside else _FEWEST_LOOP
-        return _verify(pair, descriptors, planes, _TOLERANCE_PX / focal_px, times, felt, fewest)
+        return _verify(pair, descriptors, rays, _TOLERANCE_PX / focal_px, times, felt, fewest)
 
     found: list[VerifiedPair] = []
     with ThreadPoolExecutor(_THREADS) as pool:
@@ -108,7 +108,7 @@ def match_keyframes(
 
 def match_pictures(
     features: Sequence[FeatureSet],
-    planes: Sequence[FloatArray],
+    rays: Sequence[FloatArray],
     focal_px: float,
     progress: ProgressListener = silent,
 ) -> list[VerifiedPair]:
@@ -118,7 +118,7 @@ def match_pictures(
 
     Args:
         features: of K pictures.
-        planes: their places on the plane z = 1 of the camera, (N, 2) each.
+        rays: theirs in the camera frame, (N, 3) each.
         focal_px: of the camera.
         progress: hears of :data:`Stage.POSES`, up to the fraction 0.4.
     """
@@ -127,7 +127,7 @@ def match_pictures(
 
     def verified(pair: Pair) -> VerifiedPair | None:
         tolerance = _TOLERANCE_PX / focal_px
-        return _verify(pair, descriptors.__getitem__, planes, tolerance, nowhen, None, _FEWEST_SEQUENTIAL)
+        return _verify(pair, descriptors.__getitem__, rays, tolerance, nowhen, None, _FEWEST_SEQUENTIAL)
 
     with ThreadPoolExecutor(_THREADS) as pool:
         pairs = picture_pairs(features)
@@ -157,7 +157,7 @@ def supported_loops(pairs: Sequence[VerifiedPair]) -> list[VerifiedPair]:
 def _verify(
     pair: Pair,
     descriptors: Callable[[int], FloatArray],
-    planes: Sequence[FloatArray],
+    rays: Sequence[FloatArray],
     tolerance: float,
     times: FloatArray,
     felt: Rotation | None,
@@ -168,7 +168,7 @@ def _verify(
     matches = ratio_matches(descriptors(i), descriptors(j))
     if len(matches) < fewest:
         return None
-    first, second = planes[i][matches[:, 0]], planes[j][matches[:, 1]]
+    first, second = rays[i][matches[:, 0]], rays[j][matches[:, 1]]
     view = relative_pose(first, second, tolerance)
     inliers, R = view.inliers, view.R_second_first
     if felt is not None and inliers.any():

@@ -144,7 +144,7 @@ def _neighbours(
     shared, in_a, in_b = flow.shared(int(rows[a]), int(rows[b]))
     if len(shared) < _FEWEST_SHARED:
         return shared, np.zeros(len(shared), dtype=np.bool_), None
-    first, second = camera.undistort(in_a), camera.undistort(in_b)
+    first, second = camera.rays(in_a), camera.rays(in_b)
     view = relative_pose(first, second, tolerance)
     turned: PairRotation | None = PairRotation(a, b, view.R_second_first, int(view.inliers.sum()))
     inliers = view.inliers
@@ -160,26 +160,26 @@ def _neighbours(
     return shared, inliers, turned
 
 
-def matched_features(planes: Sequence[FloatArray], pairs: Sequence[VerifiedPair]) -> Observations:
+def matched_features(places: Sequence[FloatArray], pairs: Sequence[VerifiedPair]) -> Observations:
     """Points from matched features: what is linked by matches is one point; of a keyframe that sees one twice, neither.
 
     Args:
-        planes: the features' places in every keyframe, (N, 2) each, in whatever the observations are to be.
+        places: of the features in every keyframe, (N, 2) each, in whatever the observations are to be.
         pairs: verified matches.
     """
-    offsets = np.concatenate([[0], np.cumsum([len(places) for places in planes])])
+    offsets = np.concatenate([[0], np.cumsum([len(some) for some in places])])
     if not pairs:
         return Observations(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 2)))
     links, label = linked_features(offsets, pairs)
-    keyframe = np.repeat(np.arange(len(planes)), np.diff(offsets))
+    keyframe = np.repeat(np.arange(len(places)), np.diff(offsets))
     seen = np.unique(links)
-    label, keyframe, places = label[seen], keyframe[seen], np.concatenate(planes)[seen]
+    label, keyframe, pixels = label[seen], keyframe[seen], np.concatenate(places)[seen]
     _, label = np.unique(label, return_inverse=True)
     order = np.lexsort((keyframe, label))
-    label, keyframe, places = label[order], keyframe[order], places[order]
+    label, keyframe, pixels = label[order], keyframe[order], pixels[order]
     same = (label[1:] == label[:-1]) & (keyframe[1:] == keyframe[:-1])
     twice = np.concatenate([same, [False]]) | np.concatenate([[False], same])
-    found = Observations(keyframe, label, places)
+    found = Observations(keyframe, label, pixels)
     return found.take(~twice)
 
 

@@ -8,7 +8,9 @@ import numpy as np
 import poselib
 
 from rholoc.features import FeatureSet
-from rholoc.geometry import BoolArray, FloatArray, IntArray, pose_matrix
+from rholoc.geometry import BoolArray, FloatArray, IntArray, on_plane
+from rholoc.geometry.resection import is_narrow, resected
+from rholoc.trajectory.visual.sphere import relative_pose_on_sphere
 
 _RATIO = 0.8  # Lowe's ratio of the nearest to the second nearest distance
 _ROUNDING = 1e-6  # of a dot product of unit descriptors: twins differ by no more
@@ -49,30 +51,35 @@ class PairRotation:
 
 
 def relative_pose(first: FloatArray, second: FloatArray, tolerance: float) -> TwoView:
-    """The relative pose that most matches agree with (LO-RANSAC, poselib).
+    """The relative pose that most matches agree with (LO-RANSAC; by poselib, of wide lenses by pycolmap).
 
     Args:
-        first, second: (M, 2) matched points on the plane z = 1 of either camera, M ≥ 5.
-        tolerance: how far from its epipolar line a point may be, on that plane.
+        first, second: (M, 3) rays of the matches in either camera's frame, M ≥ 5.
+        tolerance: how far from its epipolar line a point may be, on the plane z = 1; of wide lenses in radians.
     """
+    if not (is_narrow(first) and is_narrow(second)):
+        inliers, R = relative_pose_on_sphere(first, second, tolerance, _ITERATIONS, _SEED)
+        return TwoView(inliers, R)
     options = {
         "max_epipolar_error": tolerance,
         "min_iterations": _ITERATIONS[0],
         "max_iterations": _ITERATIONS[1],
         "seed": _SEED,
     }
-    pose, info = poselib.estimate_relative_pose(first, second, _UNIT_CAMERA, _UNIT_CAMERA, options, {})
+    pose, info = poselib.estimate_relative_pose(
+        on_plane(first), on_plane(second), _UNIT_CAMERA, _UNIT_CAMERA, options, {}
+    )
     inliers = np.array(info["inliers"], dtype=np.bool_)
     return TwoView(inliers if len(inliers) == len(first) else np.zeros(len(first), np.bool_), np.asarray(pose.R))
 
 
-def absolute_pose(plane: FloatArray, points: FloatArray, tolerance: float) -> tuple[FloatArray, int]:
+def absolute_pose(rays: FloatArray, points: FloatArray, tolerance: float) -> tuple[FloatArray, int]:
     """The camera's pose T_map_camera (4, 4) that most matches agree with, and how many do (LO-RANSAC, poselib).
 
     Args:
-        plane: (M, 2) detections on the plane z = 1 of the camera.
+        rays: (M, 3) of detections, in the camera frame.
         points: (M, 3) what they are of, in the map frame.
-        tolerance: how far off a detection may be, on that plane.
+        tolerance: how far off a detection may be, on the plane z = 1; of wide lenses on the face of a cube.
     """
     options = {
         "max_reproj_error": tolerance,
@@ -80,9 +87,7 @@ def absolute_pose(plane: FloatArray, points: FloatArray, tolerance: float) -> tu
         "max_iterations": _ITERATIONS[1],
         "seed": _SEED,
     }
-    pose, info = poselib.estimate_absolute_pose(plane, points, _UNIT_CAMERA, options, {})
-    R = np.asarray(pose.R)
-    return pose_matrix(R.T, -R.T @ np.asarray(pose.t)), int(info["num_inliers"])
+    return resected([rays], [points], np.eye(4)[None], 1.0, options)
 
 
 def inliers_of_rotation(
@@ -91,11 +96,11 @@ def inliers_of_rotation(
     """Which matches (M,) agree with a rotation that is known, and with one translation, which two of them fix.
 
     Args:
-        first, second: (M, 2) matched points on the plane z = 1 of either camera.
+        first, second: (M, 3) unit rays of the matches in either camera's frame.
         R_second_first: (3, 3).
         tolerance: radians between a ray and its epipolar plane.
     """
-    turned, seen = rays_of(first) @ R_second_first.T, rays_of(second)
+    turned, seen = first @ R_second_first.T, second
     normals = np.cross(turned, seen)
     still = np.linalg.norm(normals, axis=1) < tolerance
     if len(first) < 2:
@@ -125,12 +130,6 @@ def ratio_matches(a: FloatArray, b: FloatArray) -> IntArray:
     others[np.arange(len(rows)), to_b] = -1
     distinct = 1 - best + _ROUNDING < _RATIO**2 * (1 - others.max(1))
     return np.column_stack([rows[distinct], to_b[distinct]])
-
-
-def rays_of(plane: FloatArray) -> FloatArray:
-    """Points (N, 2) on the plane z = 1 → unit rays (N, 3)."""
-    rays = np.column_stack([plane, np.ones(len(plane))])
-    return np.asarray(rays / np.linalg.norm(rays, axis=1, keepdims=True))
 
 
 def unit_descriptors(features: FeatureSet) -> FloatArray:

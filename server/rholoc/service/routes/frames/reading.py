@@ -37,16 +37,20 @@ SentFrames = tuple[FramesQuery, dict[int, bytes]]  # the query, and the pictures
 class OptionParameters:
     """The options of a request as query parameters; lists are separated by commas."""
 
-    camera: Annotated[
-        str | None, Query(description="a stored camera, instead of fx … distortion", examples=["pixel-7"])
-    ] = None
+    camera: Annotated[str | None, Query(description="a stored camera, instead of fx … lens", examples=["pixel-7"])] = (
+        None
+    )
     fx: Annotated[float | None, Query(description="focal length, px", examples=[525.5])] = None
     fy: Annotated[float | None, Query(description="px; default: fx", examples=[525.5])] = None
     cx: Annotated[float | None, Query(description="principal point, px", examples=[320.0])] = None
     cy: Annotated[float | None, Query(description="principal point, px", examples=[240.0])] = None
-    distortion: Annotated[str | None, Query(description="k1,k2,p1,p2[,k3[,k4,k5,k6]]", examples=["0.02,-0.05,0,0"])] = (
-        None
-    )
+    distortion: Annotated[
+        str | None,
+        Query(description="k1,k2,p1,p2[,k3[,k4,k5,k6]]; of a fisheye k1,k2,k3,k4", examples=["0.02,-0.05,0,0"]),
+    ] = None
+    lens: Annotated[
+        str | None, Query(description="pinhole, the default; fisheye; or equirectangular", examples=["fisheye"])
+    ] = None
     dof: Annotated[str | None, Query(description="auto, 5 or 6", examples=["auto"])] = None
     intrinsics: Annotated[
         str | None, Query(description="'unknown': the focal length is estimated", examples=["unknown"])
@@ -75,6 +79,7 @@ class OptionParameters:
             cx=self.cx,
             cy=self.cy,
             distortion=_numbers("distortion", self.distortion),
+            lens=self.lens,
         )
         prior = _given(
             position=_numbers("prior_position", self.prior_position),

@@ -16,6 +16,7 @@ from pydantic_core import from_json
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from rholoc.errors import Busy, DeadlineExceeded, InvalidInput
+from rholoc.evaluation.tracking import client_camera
 from rholoc.geometry import Camera
 from rholoc.localization import AnyLocalizer
 from rholoc.recordings.frames.image import SENT_FORMATS, decode_image
@@ -232,10 +233,7 @@ class _ServedTrack:
     def _camera(self, image: np.ndarray) -> ClientCamera:
         size = (image.shape[1], image.shape[0])
         frame = Frame(LocalizeOptions(camera=self._begin.camera), stored=self._stored)
-        camera = camera_for(frame, size, self._localizer.map.info.camera)
-        return ClientCamera(
-            camera.fx, camera.fy, camera.cx, camera.cy, tuple(camera.distortion), camera.width, camera.height
-        )
+        return client_camera(camera_for(frame, size, self._localizer.map.info.camera))
 
 
 def _odometry(message: FrameMessage) -> FloatArray | None:

@@ -27,7 +27,7 @@ from rholoc.maps.floor_plan import MEDIA_TYPES
 from rholoc.service.access.scopes import NEEDS_MAP, request_key
 from rholoc.service.errors import InvalidRequest, UnsupportedMediaType
 from rholoc.service.http.bodies import media_type, read_body
-from rholoc.service.http.models import RequestModel, example
+from rholoc.service.http.models import CAMERA_TEXT, RequestModel, example
 from rholoc.service.http.openapi import BINARY, failures, request_body
 from rholoc.service.maps.corrections import CORRECTION_EXAMPLES, CorrectionIn, corrected_map
 from rholoc.service.maps.descriptions import MapDetail
@@ -53,7 +53,7 @@ class UpdateIn(RequestModel):
     )
     camera: str | None = Field(
         default=None,
-        description="fx,fy,cx,cy[,k1,k2,p1,p2[,k3]] in pixels, or a stored camera's name; default: the recording's own",
+        description=CAMERA_TEXT,
     )
     priority: JobPriority = Field(
         default=JobPriority.NORMAL, description="how soon its turn comes, among jobs submitted within a day"

@@ -1,0 +1,71 @@
+"""Camera models by the names that COLMAP, kapture, nerfstudio and others have for them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from rholoc.geometry import Camera, Lens
+from rholoc.reports import RecordingWarning, WarningKind
+
+_CENTRE_SHIFT = 0.5  # their pixel (0.5, 0.5) is the centre of the top-left one
+
+
+@dataclass(frozen=True)
+class _Model:
+    """Where a model has its parameters.
+
+    Attributes:
+        lens: its lens.
+        pinhole: places of fx, fy, cx, cy; empty of a panorama, whose parameters are its size.
+        distortion: places of the lens's coefficients; None stands for zero.
+    """
+
+    lens: Lens
+    pinhole: tuple[int, ...]
+    distortion: tuple[int | None, ...] = ()
+
+
+_MODELS = {
+    "SIMPLE_PINHOLE": _Model(Lens.PINHOLE, (0, 0, 1, 2)),
+    "PINHOLE": _Model(Lens.PINHOLE, (0, 1, 2, 3)),
+    "SIMPLE_RADIAL": _Model(Lens.PINHOLE, (0, 0, 1, 2), (3, None, None, None)),
+    "RADIAL": _Model(Lens.PINHOLE, (0, 0, 1, 2), (3, 4, None, None)),
+    "OPENCV": _Model(Lens.PINHOLE, (0, 1, 2, 3), (4, 5, 6, 7)),
+    "FULL_OPENCV": _Model(Lens.PINHOLE, (0, 1, 2, 3), (4, 5, 6, 7, 8, 9, 10, 11)),
+    "SIMPLE_FISHEYE": _Model(Lens.FISHEYE, (0, 0, 1, 2)),
+    "FISHEYE": _Model(Lens.FISHEYE, (0, 1, 2, 3)),
+    "SIMPLE_RADIAL_FISHEYE": _Model(Lens.FISHEYE, (0, 0, 1, 2), (3, None, None, None)),
+    "RADIAL_FISHEYE": _Model(Lens.FISHEYE, (0, 0, 1, 2), (3, 4, None, None)),
+    "OPENCV_FISHEYE": _Model(Lens.FISHEYE, (0, 1, 2, 3), (4, 5, 6, 7)),
+    "EQUIRECTANGULAR": _Model(Lens.EQUIRECTANGULAR, ()),
+}
+
+
+def camera_of_model(model: str, size: tuple[int, int], parameters: Sequence[float]) -> Camera | None:
+    """The camera of a COLMAP model with its parameters; None where the model is not supported.
+
+    Raises:
+        IndexError: parameters are missing.
+        InvalidCamera: their values are impossible.
+    """
+    known = _MODELS.get(model)
+    if known is None:
+        return None
+    if known.lens is Lens.EQUIRECTANGULAR:
+        return Camera.panorama(*size)
+    fx, fy, cx, cy = (parameters[place] for place in known.pinhole)
+    coefficients = tuple(0.0 if place is None else parameters[place] for place in known.distortion)
+    return Camera(*size, fx, fy, cx - _CENTRE_SHIFT, cy - _CENTRE_SHIFT, coefficients, known.lens)
+
+
+def lens_of_model(model: str) -> Lens | None:
+    """The lens of a model; None where it is not supported."""
+    known = _MODELS.get(model)
+    return None if known is None else known.lens
+
+
+def unsupported(model: str) -> RecordingWarning:
+    """Warn of a camera whose intrinsics cannot be used."""
+    text = f"The camera's model is {model}, which is not supported: its intrinsics are ignored."
+    return RecordingWarning(WarningKind.CAMERA_UNSUPPORTED, text)
