@@ -22,7 +22,7 @@ PACKAGE = Path(__file__).parents[2] / "server" / "rholoc"
         ("VTK's ImageData", r'VTKFile type="ImageData"', {"maps/formats/vti.py"}),
         (
             "starting and killing processes",
-            r"\bPopen\(|\bget_context\(|create_subprocess_|\bos\.(kill|killpg|fork)\(|subprocess\.run\(",
+            r"\bPopen\(|\bget_context\(|create_subprocess_|\bos\.(kill|killpg|fork)\(|subprocess\.run\(|psutil\.Process\(",
             {"processes/async_program.py", "processes/child.py", "processes/program.py", "processes/tree.py"},
         ),
         ("opening videos", r"\bcv2\.VideoCapture\(", {"recordings/frames/video.py"}),
