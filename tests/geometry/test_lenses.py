@@ -83,7 +83,9 @@ def test_what_a_lens_does_not_show_has_no_pixel() -> None:
     assert widest_angle(narrowing.distortion) == pytest.approx(np.sqrt(1 / 0.3))
     assert np.isnan(narrowing.project(aside)).all()
     outside = narrowing.rays(np.array([[0.0, 0.0]]))
-    assert np.arctan2(np.hypot(*outside[0, :2]), outside[0, 2]) == pytest.approx(widest_angle(narrowing.distortion), abs=1e-4)
+    assert np.arctan2(np.hypot(*outside[0, :2]), outside[0, 2]) == pytest.approx(
+        widest_angle(narrowing.distortion), abs=1e-4
+    )
 
 
 def test_depth_is_what_a_size_in_pixels_is_divided_by() -> None:
