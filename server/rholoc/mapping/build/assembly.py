@@ -1,4 +1,4 @@
-"""Views and landmarks → the arrays of a map."""
+"""Assemble views and landmarks into a map."""
 
 from __future__ import annotations
 
@@ -32,17 +32,17 @@ DESCRIPTORS_PER_FEATURE = 2
 
 
 def assemble(info: MapInfo, views: Views, landmarks: Landmarks, view_sources: IntArray, metric: Metric) -> Map:
-    """The map, of ``ray`` form, of landmarks that are all observed.
+    """Map with ``ray`` densities from views and landmarks. Every landmark must have observations.
 
-    Pixels, poses and patches are rounded as files keep them, so that a map read back learns as the one that was built.
-    Every recording that saw a feature brings its own descriptors for it, so that each can be forgotten.
+    Pixels, poses and patches are rounded as in files, so that a map read back learns like the one that was built. Each
+    recording contributes its own descriptors of a feature, so that it can be forgotten.
 
     Args:
-        info: the map's description.
+        info: description of the map.
         views: K views.
-        landmarks: F landmarks and which detections of the views are theirs.
-        view_sources: (K,) the row of ``info.sources`` that each view comes from.
-        metric: how descriptors are compared.
+        landmarks: F landmarks and their detections in the views.
+        view_sources: (K,) row of ``info.sources`` for each view.
+        metric: metric of the descriptors.
     """
     observed = landmarks.observed_rows
     features, of_view = landmarks.labels[observed], views.view_of[observed]
@@ -81,14 +81,14 @@ def assemble(info: MapInfo, views: Views, landmarks: Landmarks, view_sources: In
 
 
 def mean_colours(seen: ByteArray, features: IntArray, count: int) -> ByteArray:
-    """The mean colour (count, 3) of each feature, of the colours (V, 3) that its observations have."""
+    """Mean colour (count, 3) of each feature over its observations (V,) with colours (V, 3)."""
     sums = [np.bincount(features, weights=seen[:, channel], minlength=count) for channel in range(3)]
     counts = np.maximum(np.bincount(features, minlength=count), 1)
     return np.asarray(np.round(np.column_stack(sums) / counts[:, None]).astype(np.uint8))
 
 
 def _patches(views: Views, landmarks: Landmarks) -> FloatArray | None:
-    """The patch (F, 3) of each landmark, of all its observations; None where none says anything of it."""
+    """Mean patch (F, 3) of each landmark over its observations; None if no observation has one."""
     features, vectors = views.features, np.full((len(landmarks.labels), 3), np.nan)
     for k, camera in enumerate(views.cameras):
         here = np.arange(views.offsets[k], views.offsets[k + 1])
@@ -102,7 +102,7 @@ def _patches(views: Views, landmarks: Landmarks) -> FloatArray | None:
 def _descriptor_rows(
     views: Views, landmarks: Landmarks, view_sources: IntArray, metric: Metric
 ) -> tuple[IntArray, IntArray]:
-    """The feature (D,) of each descriptor, rising, and the detection (D,) that it is taken from."""
+    """Feature (D,) of each descriptor, ascending, and the detection (D,) it is copied from."""
     labels = landmarks.labels
     sources = view_sources[views.view_of]
     owners, rows = [], []

@@ -1,4 +1,4 @@
-"""A map's densities fitted in the form that is asked for."""
+"""Fit a map's densities in a given form."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ DEFAULT_DEGREE = 2
 def fit_densities(
     map_: Map, kind: DensityKind, degree: int = DEFAULT_DEGREE, progress: ProgressListener = silent
 ) -> Map:
-    """The map with densities of form ``kind`` and of ``degree`` P, fitted to what its views saw from where.
+    """The map with densities of form ``kind`` and degree P = ``degree``, fitted to its observations.
 
     Raises:
-        InvalidInput: ``observed`` densities are asked for, and the map does not remember its observations.
+        InvalidInput: ``observed`` densities are requested, but the map does not remember its observations.
     """
     sightings = sightings_of(map_) if kind is DensityKind.OBSERVED else _without_bearings(map_)
     densities = FORMS[kind].fit(sightings, degree, lambda done, text: progress(Stage.DENSITIES, done, text))
@@ -28,7 +28,7 @@ def fit_densities(
 
 
 def sightings_of(map_: Map) -> Sightings:
-    """Who was seen at which bearing from where, in the map's order.
+    """All observations of a map as bearings and camera positions, in the map's order.
 
     Raises:
         InvalidInput: the map does not remember its observations.
@@ -45,5 +45,5 @@ def _without_bearings(map_: Map) -> Sightings:
 
 
 def ray_form(map_: Map) -> Map:
-    """The map in the ``ray`` form that learning works on: the other forms follow from what it remembers."""
+    """The map with ``ray`` densities, on which learning operates; the other forms can be fitted again."""
     return replace(map_, info=replace(map_.info, density=DensityKind.RAY), densities=RayDensities())

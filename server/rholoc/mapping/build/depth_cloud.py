@@ -1,6 +1,6 @@
-"""Points of a room from depth images: nothing is localized by them, but people see the room.
+"""Point cloud of a room from depth pictures, for display; localization does not use it.
 
-Depth is brought to the map's scale by the landmarks that it shows, so that it fits them whatever the unit of either is.
+Depth is scaled to the landmarks visible in each picture, so it fits the map whatever the units are.
 """
 
 from __future__ import annotations
@@ -24,8 +24,9 @@ _LARGEST_MISFIT = 0.1  # of depths to the landmarks', in the median, as a share
 
 
 class _Seen(NamedTuple):
-    """What a depth image shows: points (P, 3) of the camera frame in metres, their colours (P, 3), and the ratios (L,)
-    of landmarks' depths in the map to their depths in the image."""
+    """Points (P, 3) of a depth picture in the camera frame [m], their colours (P, 3), and the ratios (L,) of
+    landmark depth in the map to measured depth.
+    """
 
     points: FloatArray
     colours: ByteArray
@@ -35,15 +36,18 @@ class _Seen(NamedTuple):
 def depth_cloud(
     recording: Recording, rows: IntArray, views: Views, of_views: IntArray, landmarks: Landmarks, source: int
 ) -> Cloud:
-    """The surfaces that a recording's depth images show, in the map frame; none where they contradict the landmarks.
+    """Point cloud of the surfaces in a recording's depth pictures, in the map frame.
 
     Args:
-        recording: some of its frames may have depth images.
-        rows: (V,) those of its frames that are views.
-        views: K views, these among them.
-        of_views: (V,) which of the K views each is.
-        landmarks: what was reconstructed of the views.
-        source: the number that the recording has among the map's sources.
+        recording: a recording, some of whose frames may have depth.
+        rows: (V,) rows of the frames that are views.
+        views: K views, including these.
+        of_views: (V,) row of the view for each frame.
+        landmarks: landmarks reconstructed from the views.
+        source: number of the recording among the map's sources.
+
+    Returns:
+        An empty cloud if depth and landmarks contradict each other.
 
     Raises:
         InvalidRecording: a frame cannot be decoded.
@@ -73,7 +77,7 @@ def depth_cloud(
 def _look(
     depth: DepthImages, row: int, image: ByteArray, views: Views, view: int, landmarks: Landmarks, budget: int
 ) -> _Seen | None:
-    """At most about ``budget`` points of one frame; None where its depth image cannot be used."""
+    """About ``budget`` points of one frame. None if its depth picture is unusable."""
     camera = views.cameras[view]
     found = depth.of_frame(row, camera)
     if found is None:
@@ -91,7 +95,7 @@ def _look(
 
 
 def _ratios(depth: DepthImage, views: Views, view: int, landmarks: Landmarks) -> FloatArray:
-    """The ratios (L,) of the depths of the landmarks that a view shows to those in its depth image."""
+    """Ratios (L,) of landmark depth in the map to measured depth, for the landmarks in a view."""
     seen = np.arange(views.offsets[view], views.offsets[view + 1])
     seen = seen[landmarks.labels[seen] >= 0]
     T = views.T_map_camera[view]
@@ -101,7 +105,7 @@ def _ratios(depth: DepthImage, views: Views, view: int, landmarks: Landmarks) ->
 
 
 def _scale(ratios: list[FloatArray]) -> float | None:
-    """The map's unit of length in the depth images' metres; None where they do not agree on one."""
+    """Median of the ratios: map units per metre of measured depth. None if the ratios disagree."""
     together = np.concatenate(ratios) if ratios else np.zeros(0)
     if len(together) < _FEWEST_LANDMARKS:
         return None

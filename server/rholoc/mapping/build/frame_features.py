@@ -1,4 +1,4 @@
-"""The features of a recording's frames, extracted while another step has them decoded: a video is not decoded again."""
+"""Features of a recording's frames, extracted while another step decodes the video, so that it is decoded only once."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _PICTURE_QUALITY = 70  # of its JPEG
 
 
 class Shown(NamedTuple):
-    """What a frame shows: its features, its look, and a small JPEG of it, empty where none is wanted."""
+    """Features, appearance statistics and small JPEG of a frame; the JPEG is empty if pictures are not kept."""
 
     features: FeatureSet
     look: Look
@@ -25,9 +25,9 @@ class Shown(NamedTuple):
 
 
 class FrameFeatures:
-    """What frames show: their features by one extractor, their looks, and small pictures if ``pictures`` are wanted.
+    """Features, appearance statistics and optional small pictures of a recording's frames.
 
-    Frames that were passed to :meth:`show` are remembered, about 70 kB each; others are decoded when asked for.
+    Frames passed to :meth:`show` are cached, about 70 kB each; others are decoded on demand.
     """
 
     def __init__(self, frames: FrameSource, extractor: Extractor, pictures: bool = False) -> None:
@@ -37,11 +37,11 @@ class FrameFeatures:
         self._shown: dict[int, Shown] = {}
 
     def show(self, row: int, image: ByteArray) -> None:
-        """Extract and remember the features of the frame at ``row``; may be called from several threads."""
+        """Extract and cache the features of the frame at ``row``. Thread-safe."""
         self._shown[row] = self._extracted(image)
 
     def of(self, rows: Sequence[int]) -> Iterator[Shown]:
-        """What each frame shows in ``rows``, which increase; what was remembered is forgotten.
+        """Iterate over the frames at ``rows`` (ascending), and drop them from the cache.
 
         Raises:
             InvalidRecording: a frame cannot be decoded.
@@ -53,7 +53,7 @@ class FrameFeatures:
         self._shown.clear()
 
     def of_keyframes(self, trajectory: Trajectory, keyframes: IntArray) -> Iterator[Shown]:
-        """What each of the ``keyframes`` (rows of the trajectory, increasing) shows, as if read at once.
+        """Iterate over keyframes (ascending rows of the trajectory), with rolling shutter removed from their features.
 
         Raises:
             InvalidRecording: a frame cannot be decoded.

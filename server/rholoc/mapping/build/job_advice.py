@@ -1,4 +1,4 @@
-"""What a mapping job reports about its recordings: problems, what was measured of the walk, what to do better."""
+"""Advice of a mapping job on its recordings: problems, figures of the walk, and what to do better next time."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from rholoc.reports import CoachingReport
 
 
 def coach(recording: Recording, looks: Sequence[Look], times: FloatArray, T_map_camera: FloatArray) -> CoachingReport:
-    """The section of a map's report on one recording, from its frames' looks and poses (N, 4, 4) at times (N,)."""
+    """Report section on one recording, from its frames' appearance and their poses (N, 4, 4) at times (N,)."""
     figures = measure_walk(recording, looks, times, T_map_camera)
     return CoachingReport(recording.name, figures, recording.warnings, advise(figures))
 
 
 def advice_line(coaching: Sequence[CoachingReport]) -> str:
-    """All advices of the sections in one line; empty for good walks."""
+    """All advice of the sections in one line; empty for good walks."""
     texts = [advice.text for section in coaching for advice in section.advice]
     return f"next time: {' '.join(texts)}" if texts else ""
 
 
 def with_advice(failure: MappingFailed, recording: Recording) -> MappingFailed:
-    """The failure, with the recording's problems and what its frames and IMU advise added to the hint."""
+    """Extend a failure's hint by the recording's problems and the advice drawn from its frames and IMU."""
     try:
         section = coach(recording, look_through(recording.frames), np.zeros(0), np.zeros((0, 4, 4)))
     except InvalidRecording:

@@ -1,4 +1,4 @@
-"""Tracks → landmarks: robust information sums, observations found by looking where a landmark should be, selection."""
+"""Tracks → landmarks: robust information sums, guided search for more observations, merging, selection."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ _MERGE_CHI2 = 4.0
 
 @dataclass(frozen=True, eq=False)
 class Landmarks:
-    """F landmarks and the observations that they rest on.
+    """F landmarks and their observations.
 
     Attributes:
-        information: (F, 3, 3) Λ, 1/m².
-        eta: (F, 3) η, 1/m.
-        labels: (N,) for each detection of the views its landmark 0..F-1, or -1.
-        positions: (F, 3) Λ⁻¹ η, metres.
-        covariances: (F, 3, 3) Λ⁻¹, m².
+        information: (F, 3, 3) Λ [1/m²].
+        eta: (F, 3) η [1/m].
+        labels: (N,) landmark 0 to F-1 of each detection in the views, or -1.
+        positions: (F, 3) Λ⁻¹ η [m].
+        covariances: (F, 3, 3) Λ⁻¹ [m²].
     """
 
     information: FloatArray
@@ -50,31 +50,32 @@ class Landmarks:
 
     @property
     def observed_rows(self) -> IntArray:
-        """Rows (O,) of the detections that belong to a landmark."""
+        """Rows (O,) of the detections with a landmark."""
         return np.flatnonzero(self.labels >= 0)
 
     @property
     def view_counts(self) -> IntArray:
-        """(F,) how many views each landmark is seen in."""
+        """(F,) number of views that see each landmark."""
         return np.bincount(self.labels[self.labels >= 0], minlength=len(self))
 
     def presence(self, views: Views) -> Presence:
-        """From where each landmark was seen."""
+        """Presence of each landmark: the directions and distances it was seen from."""
         rows = self.observed_rows
         return Presence.of(self.positions, views.positions[views.view_of[rows]], self.labels[rows])
 
     def keep(self, kept: BoolArray) -> Landmarks:
-        """Only the landmarks where ``kept`` (F,) holds, renumbered."""
+        """The landmarks where ``kept`` (F,) is true, renumbered."""
         number = np.append(np.where(kept, np.cumsum(kept) - 1, -1), -1)  # of no landmark, -1, too
         labels = number[self.labels]
         return Landmarks(self.information[kept], self.eta[kept], labels, self.positions[kept], self.covariances[kept])
 
 
 def triangulate(views: Views, labels: IntArray) -> Landmarks:
-    """Landmarks from track labels (N,), by information sums whose weights fade with the residual.
+    """Triangulate tracks with labels (N,), by robust information sums.
 
-    Observations further than the outlier limit from their landmark's projection lose their label; landmarks left
-    with fewer than two observations, or without a determined position, vanish.
+    Observations beyond the outlier limit lose their label. Landmarks with fewer than two observations or an
+    undetermined
+    position are dropped.
     """
     rows = np.flatnonzero(labels >= 0)
     tracks, count = labels[rows], int(labels.max(initial=-1)) + 1
@@ -92,16 +93,16 @@ def triangulate(views: Views, labels: IntArray) -> Landmarks:
 def estimate_information(
     tracks: IntArray, count: int, bearings: FloatArray, positions: FloatArray, focal_px: FloatArray
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """Λ (count, 3, 3) and η (count, 3) of each track, and which observations (O,) agree with it.
+    """Λ (count, 3, 3) and η (count, 3) of each track, and the inlier mask (O,) of the observations.
 
-    The sums' weights fade with the residual, over tolerances that narrow. They are a function of a track's own
-    observations, whatever their order.
+    Weights decrease with the residual, over narrowing tolerances. The result does not depend on the observations'
+    order.
 
     Args:
-        tracks: (O,) each observation's track, 0..count-1.
-        count: how many tracks there are.
+        tracks: (O,) track 0 to count-1 of each observation.
+        count: number of tracks.
         bearings: (O, 3) unit vectors in the map frame.
-        positions: (O, 3) of the cameras, metres.
+        positions: (O, 3) of the cameras [m].
         focal_px: (O,) their focal lengths.
     """
     information, eta = _information_sums(tracks, count, bearings, positions, np.ones(len(tracks)))
@@ -116,7 +117,9 @@ def estimate_information(
 
 
 def extend_and_merge(views: Views, landmarks: Landmarks, metric: Metric) -> Landmarks:
-    """Find further observations where each landmark should appear, merge landmarks that are one, triangulate again."""
+    """Search further observations near each landmark's projections, merge duplicate landmarks, and triangulate
+    again.
+    """
     if len(landmarks) == 0:
         return landmarks
     labels = landmarks.labels.copy()
@@ -139,22 +142,24 @@ def extend_and_merge(views: Views, landmarks: Landmarks, metric: Metric) -> Land
 
 
 def select_stable(views: Views, landmarks: Landmarks, per_view: int, walks: IntArray | None = None) -> Landmarks:
-    """The landmarks that :func:`are_stable`."""
+    """Keep the landmarks that :func:`are_stable`."""
     return landmarks.keep(are_stable(views, landmarks, per_view, walks))
 
 
 def are_stable(views: Views, landmarks: Landmarks, per_view: int, walks: IntArray | None = None) -> BoolArray:
-    """Which landmarks (F,) are seen from enough views and well determined; of those, each view's best ones.
+    """Mask (F,) of well-determined landmarks that are among the best of some view.
 
-    A landmark stays when it is among the ``per_view`` best of any view: the map grows with the space that it covers,
-    not with the time that the walk took. The best are those that a further walk most probably sees, where several walks
-    tell, and then those seen most often.
+    A landmark stays if it is among the ``per_view`` best of any view, so the map grows with the space it covers, not
+    with
+    the duration of the walk. The best are those that a further walk sees with the highest probability (with several
+    walks),
+    then those seen most often.
 
     Args:
         views: K views.
-        landmarks: of these views.
-        per_view: how many each view may bring.
-        walks: (K,) which of several walks each view is of; None: all are of one.
+        landmarks: their landmarks.
+        per_view: maximum number of landmarks that each view contributes.
+        walks: (K,) number of the walk that each view belongs to; None for a single walk.
     """
     rows, counts = landmarks.observed_rows, landmarks.view_counts
     labels, view = landmarks.labels[rows], views.view_of[rows]
@@ -171,7 +176,7 @@ def are_stable(views: Views, landmarks: Landmarks, per_view: int, walks: IntArra
 
 
 def relative_sigmas(views: Views, landmarks: Landmarks) -> FloatArray:
-    """(F,) each landmark's largest standard deviation as a share of the mean distance that it is seen from."""
+    """(F,) largest standard deviation of each landmark, divided by its mean viewing distance."""
     rows = landmarks.observed_rows
     labels = landmarks.labels[rows]
     depth = np.linalg.norm(landmarks.positions[labels] - views.positions[views.view_of[rows]], axis=1)
@@ -181,15 +186,15 @@ def relative_sigmas(views: Views, landmarks: Landmarks) -> FloatArray:
 
 
 def expected_sightings(views: Views, landmarks: Landmarks, walks: IntArray) -> FloatArray:
-    """How probably a further walk that passes each landmark (F,) sees it: what light, time and furniture leave alone.
+    """Probability (F,) that a further walk past each landmark sees it again, despite other light, time or furniture.
 
-    By the rule of succession, of the walks that passed it: from three views at least it was in the picture, from where
-    it is seen.
+    Rule of succession over the walks that passed it, i.e. had it in the picture of at least three views within its
+    presence.
 
     Args:
         views: K views.
-        landmarks: of these views.
-        walks: (K,) which of the walks 0..W-1 each view is of.
+        landmarks: their landmarks.
+        walks: (K,) number 0 to W-1 of the walk that each view belongs to.
     """
     shape = (len(landmarks), int(walks.max(initial=0)) + 1)
     saw, chances = np.zeros(shape, dtype=np.bool_), np.zeros(shape, dtype=np.int64)
@@ -205,12 +210,11 @@ def expected_sightings(views: Views, landmarks: Landmarks, walks: IntArray) -> F
 
 
 def representative_rows(views: Views, labels: IntArray, count: int, metric: Metric, most: int) -> list[IntArray]:
-    """For each of ``count`` landmarks the detections whose descriptors stand best for all that are labelled (N,) so.
+    """For each of ``count`` landmarks the detections with the most representative descriptors, at most ``most``.
 
-    At most ``most``, none where no detection has the label.
-
-    The first is the medoid; each further one lowers the others' distances most, as long as one is still badly
-    described.
+    The first is the medoid. Further ones reduce the distances to the other descriptors most, as long as some descriptor
+    is
+    poorly represented. Empty for a landmark without detections labelled (N,) with it.
     """
     order = np.argsort(labels, kind="stable")
     bounds = np.searchsorted(labels[order], np.arange(count + 1))
@@ -252,7 +256,7 @@ def _residuals(
     positions: FloatArray,
     focal_px: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
-    """Each observation's distance (O,) from its landmark's projection in pixels, and its weight (O,), 1/m²."""
+    """Reprojection error (O,) [px] of each observation, and its weight (O,) [1/m²]."""
     landmarks, _ = landmarks_from_information(information, eta)
     to_landmark = landmarks[tracks] - positions
     along = np.einsum("ni,ni->n", to_landmark, bearings)
@@ -265,7 +269,7 @@ def _residuals(
 def _guided_matches(
     views: Views, landmarks: Landmarks, medoids: IntArray, presence: Presence, k: int, metric: Metric
 ) -> tuple[IntArray, IntArray]:
-    """Landmarks (C,) and the detections (C,) of view ``k`` near their projections, each the other's best match."""
+    """Landmarks (C,) and detections (C,) of view ``k`` near their projections that are mutual best matches."""
     T, camera = views.T_map_camera[k], views.cameras[k]
     pixels = camera.project((landmarks.positions - T[:3, 3]) @ T[:3, :3])
     visible = np.flatnonzero(camera.contains(pixels) & presence.allows(landmarks.positions, T[:3, 3]))
@@ -292,7 +296,7 @@ def _guided_matches(
 
 
 def _coincide(views: Views, landmarks: Landmarks, a: IntArray, b: IntArray, k: int) -> BoolArray:
-    """Which pairs of landmarks a (M,), b (M,) lie at one place, as far as their uncertainty and view ``k`` tell."""
+    """Mask (M,) of landmark pairs a (M,), b (M,) at the same place, given their uncertainty and view ``k``."""
     apart = landmarks.positions[a] - landmarks.positions[b]
     depth = np.linalg.norm(landmarks.positions[a] - views.positions[k], axis=1)
     floor = (_MERGE_PX * depth / views.cameras[k].focal) ** 2
@@ -302,7 +306,7 @@ def _coincide(views: Views, landmarks: Landmarks, a: IntArray, b: IntArray, k: i
 
 
 def _merged(labels: IntArray, same: IntArray, count: int, view_of: IntArray) -> IntArray:
-    """Labels after merging the pairs (M, 2) of landmarks that no view shows both of."""
+    """Labels after merging pairs (M, 2) of landmarks that never appear in the same view."""
     rows = np.flatnonzero(labels >= 0)
     shown = coo_array(
         (np.ones(len(rows), dtype=np.int32), (labels[rows], view_of[rows])), shape=(count, int(view_of.max()) + 1)
@@ -317,7 +321,7 @@ def _merged(labels: IntArray, same: IntArray, count: int, view_of: IntArray) -> 
 
 
 def _without_doubles(labels: IntArray, view_of: IntArray) -> IntArray:
-    """Labels, renumbered, without those that stand twice in one view: they confuse two landmarks there."""
+    """Renumbered labels without those that occur twice in a view, which confuse two landmarks."""
     keys = labels * (int(view_of.max()) + 1) + view_of
     _, key, counts = np.unique(keys, return_inverse=True, return_counts=True)
     single = np.where(counts[key] == 1, labels, -1)

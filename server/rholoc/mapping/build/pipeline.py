@@ -44,15 +44,15 @@ _MIN_FEATURES = 60
 
 @dataclass(frozen=True)
 class BuildOptions:
-    """How a map is built.
+    """Options of a build.
 
     Attributes:
-        density: the form of the densities.
-        features: the extractor's name.
-        poses: where frame poses come from.
-        report: whether to hold frames out and localize them for the map's report (takes time).
-        degree: P of ``tensor`` densities: 1, 2 or 3. With 1 they have no peak, and nothing is localized.
-        pictures: whether the map keeps a small picture of each view, for people to see.
+        density: form of the densities.
+        features: name of the extractor.
+        poses: source of the frame poses.
+        report: whether to hold out frames and localize them for the report, which takes time.
+        degree: P of ``tensor`` densities, 1 to 3. With 1 they have no peak, so nothing can be localized.
+        pictures: whether to keep a small picture of each view for display.
     """
 
     density: DensityKind = DensityKind.RAY
@@ -65,7 +65,7 @@ class BuildOptions:
 
 @dataclass(frozen=True, eq=False)
 class _Walk:
-    """One recording with its trajectory, and the rows of the trajectory that become views or are held out."""
+    """One recording, its trajectory, and the trajectory's rows that become views or are held out."""
 
     recording: Recording
     features: FrameFeatures
@@ -158,8 +158,9 @@ def _check_common_frame(walks: Sequence[_Walk]) -> None:
 def _look(
     walks: Sequence[_Walk], options: BuildOptions, progress: ProgressListener
 ) -> tuple[Views, HeldOut, list[list[Look]], tuple[bytes, ...] | None]:
-    """The features of all views, those of the frames held out, what each walk's frames look like, and the views'
-    pictures where they are to be kept."""
+    """Features of all views and of the held-out frames, appearance of each walk's frames, and the views' pictures if
+    kept.
+    """
     cameras: list[Camera] = []
     poses: list[FloatArray] = []
     times: list[float] = []
@@ -192,11 +193,19 @@ def _look(
 def reconstruct(
     views: Views, extractor: Extractor, progress: ProgressListener, walk_of_view: IntArray | None = None
 ) -> tuple[Landmarks, BoolArray]:
-    """All F points that the views determine, and which (F,) of them are the landmarks that a map is made of: tracked,
-    extended, and chosen, across walks (K,) where views are of several.
+    """Reconstruct points from views: link tracks, triangulate, extend, select.
+
+    Args:
+        views: K views.
+        extractor: extractor of their features.
+        progress: called with the share done and a line about it.
+        walk_of_view: (K,) number of the walk that each view belongs to.
+
+    Returns:
+        All F points, and the mask (F,) of those that become landmarks of the map.
 
     Raises:
-        MappingFailed: too few are stable.
+        MappingFailed: too few landmarks are stable.
         Cancelled: ``progress`` asked to stop.
     """
     labels = link_observations(views, extractor.metric, progress)
@@ -241,7 +250,7 @@ def _assemble(
 
 
 def _view_covariances(walks: Sequence[_Walk]) -> FloatArray | None:
-    """(K, 6, 6) of all views, NaN where a trajectory does not know; None where none does."""
+    """(K, 6, 6) of all views, NaN if a trajectory has none; None if no trajectory has any."""
     if all(walk.trajectory.covariances is None for walk in walks):
         return None
     parts = []

@@ -1,4 +1,6 @@
-"""Points of the reconstruction that are no landmarks: too few views saw them to localize by, but they show the room."""
+"""Points of the reconstruction that are not landmarks: seen by too few views to localize with, but useful for
+display.
+"""
 
 from __future__ import annotations
 
@@ -15,13 +17,13 @@ _MAX_RELATIVE_SIGMA = 0.1  # of the largest standard deviation against the dista
 
 
 def cloud_of(views: Views, reconstructed: Landmarks, is_landmark: BoolArray, view_sources: IntArray) -> Cloud:
-    """The points whose place is determined well enough to be shown; none where the views' colours are not known.
+    """Points with a position uncertainty small enough to draw; empty if the views have no colour.
 
     Args:
         views: K views.
-        reconstructed: all that was reconstructed, F points.
-        is_landmark: (F,) which of them are landmarks of the map.
-        view_sources: (K,) the recording that each view comes from.
+        reconstructed: all F reconstructed points.
+        is_landmark: (F,) mask of the map's landmarks, which are left out.
+        view_sources: (K,) row of the recording that each view comes from.
     """
     colours = views.features.colours
     shown = np.flatnonzero(~is_landmark & (relative_sigmas(views, reconstructed) < _MAX_RELATIVE_SIGMA))

@@ -1,4 +1,6 @@
-"""``observed`` densities that learn as observations come: a map's go on from where they stand, with forgetting."""
+"""Recursive learning of ``observed`` densities: a map's densities are updated one observation at a time, with
+forgetting.
+"""
 
 from __future__ import annotations
 
@@ -17,10 +19,10 @@ _SAME_SIDE = np.cos(np.deg2rad(30.0))  # between a density's direction and a bea
 
 
 def check_forgetting(map_: Map, forgetting: float) -> None:
-    """Refuse a forgetting that is none, or densities that do not learn one observation at a time.
+    """Check a forgetting factor, and that the map's densities can learn recursively.
 
     Raises:
-        InvalidInput: they do not, or it is not above 0 and at most 1.
+        InvalidInput: the factor is not in (0, 1], or the densities cannot learn recursively.
     """
     if not 0 < forgetting <= 1:
         raise InvalidInput(f"{forgetting:g} is not a valid forgetting factor.", "Give a number above 0, at most 1.")
@@ -32,18 +34,17 @@ def check_forgetting(map_: Map, forgetting: float) -> None:
 
 
 def with_learned_densities(before: Map, after: Map, forgetting: float) -> Map:
-    """``after``, of ``ray`` form, with the ``observed`` densities of ``before`` gone on with.
+    """``after`` with the ``observed`` densities of ``before``, updated by the new observations in their order.
 
-    Each takes the observations that are new, in their order, as far as they are of its place; what is seen from
-    elsewhere, and features that are new, get densities of their own.
+    Observations from elsewhere and new features get densities of their own.
 
     Args:
-        before: a map.
-        after: the same with further observations and features behind its own.
-        forgetting: what the weight of all before is multiplied by at each observation, 0 < forgetting ≤ 1.
+        before: a map with ``observed`` densities.
+        after: the same map in ``ray`` form, with further observations and features appended.
+        forgetting: factor in (0, 1] by which each observation reduces the weight of all earlier ones.
 
     Raises:
-        InvalidInput: a map does not remember its observations, or :func:`check_forgetting` refuses.
+        InvalidInput: a map does not remember its observations, or :func:`check_forgetting` fails.
     """
     check_forgetting(before, forgetting)
     known = before.densities
@@ -61,7 +62,7 @@ def with_learned_densities(before: Map, after: Map, forgetting: float) -> Map:
 def _learned(
     known: ObservedDensities, sightings: Sightings, new: IntArray, forgetting: float
 ) -> tuple[BoolArray, ObservedDensities]:
-    """Which of all sightings were taken in, and the densities after it."""
+    """Mask of the sightings that were used, and the updated densities."""
     assert sightings.bearings is not None
     taken = np.zeros(len(sightings.features), dtype=bool)
     coefficients, moments, counts = known.coefficients.copy(), known.moments.copy(), known.counts.copy()
@@ -85,7 +86,7 @@ def _some(sightings: Sightings, rows: IntArray) -> Sightings:
 
 
 def _sorted(a: ObservedDensities, b: ObservedDensities) -> ObservedDensities:
-    """The densities of both, by feature."""
+    """Densities of both sets, sorted by feature."""
     order = np.argsort(np.concatenate([a.features, b.features]), kind="stable")
 
     def joined(name: str) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""What a map's observations say: their rays, and the landmarks that follow from them."""
+"""The observations that a map remembers: as rays, and the landmarks triangulated from them."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ _MIN_OBSERVATIONS = 2
 
 @dataclass(frozen=True, eq=False)
 class ObservedRays:
-    """V observations of a map's features as rays, in the order of the map.
+    """V observations of a map's features as rays, in the map's order.
 
     Attributes:
         features: (V,) rows of the map's features.
         views: (V,) rows of its views.
         pixels: (V, 2) u and v.
         bearings: (V, 3) unit vectors in the map frame.
-        positions: (V, 3) metres, where the camera was.
-        focal_px: (V,) its focal length.
+        positions: (V, 3) of the camera [m].
+        focal_px: (V,) focal length of the camera.
     """
 
     features: IntArray
@@ -40,7 +40,7 @@ class ObservedRays:
 
 
 def recording_id(recording: Recording) -> str:
-    """What distinguishes recordings whatever they are called: 16 hex digits, of their times and first frame."""
+    """Identifier of a recording, independent of its name: 16 hex digits from its times and first frame."""
     digest = hashlib.blake2b(recording.frames.times.tobytes(), digest_size=8)
     with contextlib.suppress(InvalidRecording):  # a damaged frame is no matter as long as nobody needs it
         digest.update(next(iter(recording.frames.images([0]))).tobytes())
@@ -48,11 +48,11 @@ def recording_id(recording: Recording) -> str:
 
 
 def observed_rays(map_: Map) -> ObservedRays:
-    """All observations that a map keeps.
+    """All observations that a map remembers.
 
     Raises:
-        InvalidInput: it keeps none.
-        InvalidMap: they contradict the rest of it.
+        InvalidInput: it remembers none.
+        InvalidMap: they are inconsistent with the rest of the map.
     """
     kept = check_memory(map_, "The map")
     views = map_.observations.views
@@ -70,10 +70,12 @@ def observed_rays(map_: Map) -> ObservedRays:
 def solve_landmarks(
     observations: ObservedRays, count: int, wanted: BoolArray
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """Landmarks (F, 3), covariances (F, 3, 3) and whether they are determined (F,), of ``wanted`` (F,) of F features.
+    """Triangulate the landmarks ``wanted`` (F,) out of F features.
 
-    A landmark depends on its own observations alone, and on all of them alike: not on their order, nor on when they
-    came. What is not wanted is NaN and undetermined.
+    Each landmark depends on its own observations alone, independent of their order and time.
+
+    Returns:
+        Positions (F, 3), covariances (F, 3, 3) and whether each is determined (F,). NaN and False if not wanted.
     """
     rows = np.flatnonzero(wanted[observations.features])
     number = np.cumsum(wanted) - 1
@@ -95,9 +97,8 @@ def solve_landmarks(
 
 
 def with_landmarks(map_: Map, wanted: BoolArray | None = None) -> Map:
-    """The map with its landmarks, or those ``wanted`` (F,), found from what it remembers.
-
-    Features whose observations determine no landmark vanish.
+    """The map with landmarks, or those ``wanted`` (F,), triangulated again. Undetermined ones are dropped with their
+    features.
     """
     wanted = np.ones(len(map_), dtype=bool) if wanted is None else wanted
     positions, covariances, determined = solve_landmarks(observed_rays(map_), len(map_), wanted)
@@ -111,7 +112,7 @@ def with_landmarks(map_: Map, wanted: BoolArray | None = None) -> Map:
 
 
 def keep_features(map_: Map, kept: BoolArray) -> Map:
-    """The map, of ``ray`` form, with only the features where ``kept`` (F,) holds, renumbered."""
+    """The map in ``ray`` form with only the features where ``kept`` (F,) is true, renumbered."""
     if kept.all():
         return map_
     number = (np.cumsum(kept) - 1).astype(np.int32)
@@ -126,7 +127,7 @@ def keep_features(map_: Map, kept: BoolArray) -> Map:
 
 
 def keep_view_rows(map_: Map, kept: BoolArray) -> Map:
-    """The map with only the views where ``kept`` (K,) holds, renumbered, and what they saw; all features stay."""
+    """The map with only the views where ``kept`` (K,) is true and their observations; all features stay."""
     number = (np.cumsum(kept) - 1).astype(np.int32)
     observations = map_.observations.take(kept[map_.observations.views])
     return replace(

@@ -1,4 +1,4 @@
-"""What a map finds out about itself; how consistent it is: frames held out while it was built, localized in it."""
+"""A map's report on itself, including how consistent it is with frames that were held out while it was built."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _MAX_HELD_OUT = 60
 
 @dataclass(frozen=True, eq=False)
 class HeldOut:
-    """Frames that the map was not built from: camera, T_map_camera (4, 4) and features of each."""
+    """Camera, T_map_camera (4, 4) and features of each frame that was held out."""
 
     frames: tuple[tuple[Camera, FloatArray, FeatureSet], ...]
 
@@ -30,10 +30,11 @@ class HeldOut:
 
 
 def map_report(map_: Map, held_out: HeldOut, progress: ProgressListener) -> MapReport:
-    """The report: statistics of the landmarks, coverage, and how consistent frames held out are with the map.
+    """Report on a map: statistics of landmarks, coverage, consistency with held-out frames.
 
-    Those are compared with the trajectory's own poses. That is consistency, not truth: it does not see an error of the
-    trajectory, which map and frames share.
+    Held-out frames are localized and compared with the trajectory's poses. This measures consistency, not truth: an
+    error
+    of the trajectory affects map and frames alike.
     """
     report = map_statistics(map_)
     if held_out.frames:
@@ -43,7 +44,7 @@ def map_report(map_: Map, held_out: HeldOut, progress: ProgressListener) -> MapR
 
 
 def map_statistics(map_: Map) -> MapReport:
-    """What follows from the map alone: how much it holds, how well determined its landmarks are, its coverage."""
+    """Statistics of the map alone: size, precision of its landmarks, coverage."""
     sigma_m = landmark_sigmas(map_)
     return MapReport(
         features=len(map_),
@@ -75,7 +76,7 @@ def _held_out_errors(map_: Map, held_out: HeldOut, progress: ProgressListener) -
 
 
 def _error_statistics(errors: list[tuple[float, float] | None], confidences: list[float]) -> HeldOutReport:
-    """Statistics of errors in metres and degrees, None for a frame without a pose, and the errors themselves."""
+    """Statistics of the errors [m, deg] of held-out frames (None for a refused frame), and the errors."""
     found = [error for error in errors if error is not None]
     distances, angles = np.array(found).reshape(-1, 2).T
     return HeldOutReport(
@@ -93,6 +94,6 @@ def _error_statistics(errors: list[tuple[float, float] | None], confidences: lis
 
 
 def _error(estimated: FloatArray, truth: FloatArray) -> tuple[float, float]:
-    """Metres and degrees between two poses (4, 4)."""
+    """Distance [m] and angle [deg] between two poses (4, 4)."""
     apart_m, turned_rad = pose_distances(estimated, truth)
     return float(apart_m), float(np.degrees(turned_rad))

@@ -1,4 +1,4 @@
-"""Observations linked into tracks: which detections, in which views, are the same landmark."""
+"""Link detections across views into tracks: detections of the same landmark."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ _EPIPOLAR_LIMIT_PX = 4.0
 
 @dataclass(frozen=True, eq=False)
 class Views:
-    """K posed keyframes with their features, all detections in one row after the other.
+    """K posed keyframes and their features; the detections of all views are concatenated to N rows.
 
     Attributes:
-        cameras: K intrinsics, one a view.
+        cameras: K intrinsics.
         T_map_camera: (K, 4, 4).
-        times: (K,) seconds.
-        features: all detections of all views, view after view.
-        offsets: (K + 1,) view k's detections are rows offsets[k] : offsets[k + 1].
-        bearings: (N, 3) their bearings in the map frame.
+        times: (K,) [s].
+        features: all N detections, view after view.
+        offsets: (K + 1,) detections of view k are rows offsets[k] : offsets[k + 1].
+        bearings: (N, 3) unit vectors in the map frame.
     """
 
     cameras: tuple[Camera, ...]
@@ -43,7 +43,7 @@ class Views:
     def from_features(
         cls, cameras: Sequence[Camera], T_map_camera: FloatArray, times: FloatArray, features: Sequence[FeatureSet]
     ) -> Views:
-        """From one camera, pose, time and feature set a view; at least one view."""
+        """Views from one camera, pose, time and feature set each; at least one view."""
         rays = [
             camera.rays(f.pixels) @ T[:3, :3].T for camera, f, T in zip(cameras, features, T_map_camera, strict=True)
         ]
@@ -72,7 +72,7 @@ class Views:
 
     @lazy
     def view_of(self) -> IntArray:
-        """(N,) the view of each detection."""
+        """(N,) row of the view of each detection."""
         return np.repeat(np.arange(len(self)), np.diff(self.offsets))
 
     def of_view(self, k: int) -> FeatureSet:
@@ -81,7 +81,7 @@ class Views:
 
 
 def neighbour_pairs(views: Views) -> IntArray:
-    """Pairs (P, 2) of views worth matching: neighbours in time, and those that stand and look alike."""
+    """Pairs (P, 2) of views worth matching: adjacent in time, or close in position and heading."""
     k = len(views)
     order = np.argsort(views.times, kind="stable")
     pairs = {
@@ -101,10 +101,11 @@ def neighbour_pairs(views: Views) -> IntArray:
 
 
 def link_observations(views: Views, metric: Metric, progress: ProgressListener = silent) -> IntArray:
-    """Track labels (N,) of all detections, -1 where a detection stands alone.
+    """Link detections into tracks. Returns labels (N,), -1 for a detection without a track.
 
-    Two detections are linked where they are mutual nearest neighbours and the views' poses allow it (epipolar
-    distance). The most similar are linked first, and no track ever gets two detections of one view.
+    Links are mutual nearest neighbours that agree with the epipolar geometry of the views' poses. The most similar ones
+    are
+    linked first; a track never has two detections in one view.
     """
     pairs = neighbour_pairs(views)
     feature_sets = [views.of_view(k) for k in range(len(views))]
@@ -123,7 +124,7 @@ def link_observations(views: Views, metric: Metric, progress: ProgressListener =
 
 
 def epipolar_agreement(views: Views, rows: IntArray, i: int, j: int) -> BoolArray:
-    """Which linked detections (M, 2) of views ``i`` and ``j`` lie within the epipolar limit, in both images."""
+    """Mask (M,) of links (M, 2) between views ``i`` and ``j`` within the epipolar limit in both pictures."""
     baseline = views.positions[j] - views.positions[i]
     b_i, b_j = views.bearings[rows[:, 0]], views.bearings[rows[:, 1]]
     length = np.linalg.norm(baseline)
@@ -141,7 +142,7 @@ def epipolar_agreement(views: Views, rows: IntArray, i: int, j: int) -> BoolArra
 
 
 def _tracks(links: IntArray, view_of: IntArray) -> IntArray:
-    """Union of the links (L, 2) in their order, leaving out those that would put one view twice into a track."""
+    """Union of the links (L, 2) in their order, without links that would put two detections of a view into a track."""
     parent = np.arange(len(view_of)).tolist()
     seen_in: dict[int, set[int]] = {}
 

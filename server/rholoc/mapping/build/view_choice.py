@@ -1,4 +1,4 @@
-"""Which frames of a trajectory become the map's views, and which are held out to test it."""
+"""Choose the frames of a trajectory that become views, and those held out for the report."""
 
 from __future__ import annotations
 
@@ -13,10 +13,11 @@ _MAX_VIEWS = 2000
 
 
 def choose_views(T_map_camera: FloatArray, hold_out: bool, step: float = VIEW_STEP) -> tuple[IntArray, IntArray]:
-    """Rows of the views and of the frames held out, of a trajectory's poses (K, 4, 4) in the order of time.
+    """Rows of the views and of the held-out frames, from a trajectory's poses (K, 4, 4) in order of time.
 
-    Every tenth pose is held out. Of the others a view is taken whenever the camera has moved or turned on (a radian
-    counting as a metre), in steps ``step`` small enough for features to overlap well, and never more than 2000 in all.
+    Every tenth pose is held out. Among the others, a view is taken whenever the camera has moved by ``step`` (metres
+    plus
+    radians), at most 2000 in all.
     """
     rows = np.arange(len(T_map_camera))
     held_out = (
@@ -31,6 +32,6 @@ def choose_views(T_map_camera: FloatArray, hold_out: bool, step: float = VIEW_ST
 
 
 def _motion(T_map_camera: FloatArray) -> FloatArray:
-    """(K,) how far the camera has moved and turned since the first pose."""
+    """(K,) accumulated motion since the first pose: metres plus radians."""
     moved, turned = pose_distances(T_map_camera[:-1], T_map_camera[1:])
     return np.concatenate([[0.0], np.cumsum(moved + _METRES_PER_RADIAN * turned)])

@@ -1,4 +1,4 @@
-"""How uncertain the poses of a map's views are: as it is built, learns and is moved."""
+"""Covariances of a map's view poses: when built, when learning, and when moved."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _NEAR_M = 0.1  # closer than this, a view is not nearer than another
 
 
 def storable_covariances(covariances: FloatArray) -> FloatArray:
-    """Covariances (K, 6, 6) as a map keeps them: symmetric float32, NaN as a whole where a number is not finite."""
+    """Covariances (K, 6, 6) as stored: symmetric float32, all NaN if a number is not finite."""
     symmetric = ((covariances + covariances.transpose(0, 2, 1)) / 2).astype(np.float32)
     symmetric[~np.isfinite(symmetric).all(axis=(1, 2))] = np.nan
     return symmetric
@@ -23,10 +23,11 @@ def storable_covariances(covariances: FloatArray) -> FloatArray:
 def uncertainty_in(
     map_: Map, T_map_camera: FloatArray, residual_m: float = 0.0, residual_rad: float = 0.0
 ) -> FloatArray:
-    """(K, 6, 6) float32 of poses (K, 4, 4) that were found in a map: what it does not know there, they do not know.
+    """Covariances (K, 6, 6) float32 of poses (K, 4, 4) that were localized in a map.
 
-    Each also errs by what it is off from the map on its own: ``residual_m`` and ``residual_rad``, standard deviations
-    of an axis. NaN where the map does not say how uncertain it is.
+    The map's own covariance at each pose, plus ``residual_m`` and ``residual_rad``, the standard deviations per axis of
+    the
+    poses relative to the map. NaN if the map has no covariances.
     """
     covariances, positions = map_.views.known_covariances.astype(np.float64), map_.views.positions
     own = np.diag([residual_m**2] * 3 + [residual_rad**2] * 3)
@@ -42,14 +43,14 @@ def uncertainty_in(
 
 
 def moved_covariances(covariances: FloatArray, similarity: Similarity) -> FloatArray:
-    """Covariances (K, 6, 6) of poses in another frame: positions turned and scaled, rotations turned."""
+    """Covariances (K, 6, 6) of poses after a similarity: positions rotated and scaled, rotations rotated."""
     J = np.zeros((6, 6))
     J[:3, :3], J[3:, 3:] = similarity.scale * similarity.rotation, similarity.rotation
     return storable_covariances(J @ covariances.astype(np.float64) @ J.T)
 
 
 def expected_error(map_: Map) -> ExpectedError | None:
-    """How far a map's views are expected to be from the truth; None where it is not known."""
+    """Expected error of a map's views; None if unknown."""
     errors_m = map_.views.expected_errors_m
     known = np.flatnonzero(np.isfinite(errors_m))
     if len(known) == 0:

@@ -1,6 +1,6 @@
-"""A map corrected by people who know the place: its frame, its scale, what is to go, what is called what.
+"""Corrections of a map by people who know the place: frame, scale, removal of parts, names.
 
-Each function gives the map's next version, which keeps in ``info.corrections`` what was done.
+Each function returns the map's next version, with the correction recorded in ``info.corrections``.
 """
 
 from __future__ import annotations
@@ -32,65 +32,64 @@ _MIN_PLAN_POINTS, _MAX_PLAN_POINTS = 2, 100
 
 
 def set_origin(map_: Map, point: FloatArray) -> Map:
-    """The point (3,) of the present frame becomes the origin.
+    """Move the origin to ``point`` (3,) of the present frame.
 
     Raises:
-        InvalidInput: the map would lie too far from it.
+        InvalidInput: the map would be too far from its origin.
     """
     return _moved(map_, frames.origin_at(point), CorrectionKind.ORIGIN)
 
 
 def set_north(map_: Map, direction: FloatArray) -> Map:
-    """The direction (3,), seen from above, becomes y; the map turns about the origin.
+    """Rotate the map about its origin so that ``direction`` (3,), seen from above, becomes y.
 
     Raises:
-        InvalidInput: it is not level.
+        InvalidInput: the direction is not level.
         Conflict: the map is not upright.
     """
     return _moved(_upright(map_), frames.level_direction(direction, _Y_DEG), CorrectionKind.NORTH)
 
 
 def set_wall(map_: Map, direction: FloatArray) -> Map:
-    """The direction (3,) along a wall, seen from above, becomes x; the map turns about the origin.
+    """Rotate the map about its origin so that ``direction`` (3,) along a wall, seen from above, becomes x.
 
     Raises:
-        InvalidInput: it is not level.
+        InvalidInput: the direction is not level.
         Conflict: the map is not upright.
     """
     return _moved(_upright(map_), frames.level_direction(direction, 0.0), CorrectionKind.WALL)
 
 
 def set_up(map_: Map, direction: FloatArray | None = None) -> Map:
-    """The direction (3,) becomes z, and the map upright; where none is given, the one that its views hold upright.
+    """Rotate the map so that ``direction`` (3,) becomes z; default: the up direction estimated from its views.
 
     Raises:
-        InvalidInput: it is not a valid direction, or the views do not show one.
+        InvalidInput: the direction is invalid, or the views do not agree on one.
     """
     up = frames.estimated_up(map_) if direction is None else direction
     return _moved(map_, frames.upward(up), CorrectionKind.UP, upright=True)
 
 
 def set_distance(map_: Map, start: FloatArray, end: FloatArray, length_m: float) -> Map:
-    """Two points (3,) of the present frame are ``length_m`` apart: the map takes that scale, and is metric.
+    """Scale the map so that points ``start`` (3,) and ``end`` (3,) are ``length_m`` apart; it is metric from then on.
 
     Raises:
-        InvalidInput: the points are the same, or the length is absurd.
+        InvalidInput: the points coincide, or the length is implausible.
     """
     return _moved(map_, frames.measured(start, end, length_m), CorrectionKind.SCALE, metric=True)
 
 
 def lay_over_plan(map_: Map, points: FloatArray, plan: FloatArray, scaled: bool) -> Map:
-    """Points (N, 3) of the present frame come to lie over those of a floor plan (N, 2), in metres.
+    """Align points (N, 3) of the map with points (N, 2) [m] of a floor plan.
 
     Args:
         map_: the map.
-        points: two or more.
-        plan: as many.
-        scaled: whether the map takes the plan's scale, and is metric; else two points fix where it lies and how it is
-            turned.
+        points: two or more points of the present frame.
+        plan: the corresponding points of the plan.
+        scaled: whether the map takes the plan's scale and becomes metric.
 
     Raises:
-        InvalidInput: there are too few, or they lie above each other.
+        InvalidInput: there are too few points, or they lie above each other.
         Conflict: the map is not upright.
     """
     if len(points) != len(plan) or not _MIN_PLAN_POINTS <= len(points) <= _MAX_PLAN_POINTS:
@@ -105,13 +104,14 @@ def lay_over_plan(map_: Map, points: FloatArray, plan: FloatArray, scaled: bool)
 def remove_region(
     map_: Map, outline: FloatArray, bottom_m: float | None, top_m: float | None, keep_inside: bool
 ) -> Map:
-    """The map without the landmarks within a region, or without those outside of it.
+    """Remove the landmarks inside a region, or all others.
 
     Args:
         map_: the map.
-        outline: (N, 2) the region's corners, seen from above.
-        bottom_m, top_m: its lowest and highest z; None where it has none.
-        keep_inside: whether what is outside goes.
+        outline: (N, 2) corners of the region, seen from above.
+        bottom_m: lowest z of the region; None for no bound.
+        top_m: highest z of the region; None for no bound.
+        keep_inside: whether to remove what is outside instead.
 
     Raises:
         InvalidInput: the outline is not a valid polygon.
@@ -125,7 +125,7 @@ def remove_region(
 
 
 def remove_views(map_: Map, first: int, last: int) -> Map:
-    """The map without its views ``first`` to ``last``, and without what only they saw.
+    """Remove the views ``first`` to ``last``, and the landmarks that only they saw.
 
     Raises:
         InvalidInput: there are no such views.
@@ -135,17 +135,17 @@ def remove_views(map_: Map, first: int, last: int) -> Map:
 
 
 def set_names(map_: Map, names: MapNames) -> Map:
-    """The map with these names in place of those it has.
+    """Replace the map's names of points and areas.
 
     Raises:
-        InvalidInput: a name or an area is not valid.
+        InvalidInput: a name or an area is invalid.
     """
     named = replace(map_, info=replace(map_.info, names=check_names(names)))
     return replace(named, info=noted(named.info, _correction(map_.info, CorrectionKind.NAMES)))
 
 
 def set_floor_plan(map_: Map, content: bytes, plan: FloorPlan | None) -> Map:
-    """The map with a floor plan to be kept with it: the file's ``content``, and where it lies; or without, for None.
+    """Attach a floor plan: the file's ``content`` and its placement; None removes it.
 
     Raises:
         TooLarge, InvalidInput: it cannot be kept.
@@ -156,10 +156,10 @@ def set_floor_plan(map_: Map, content: bytes, plan: FloorPlan | None) -> Map:
 
 
 def set_labels(map_: Map, labels: MapLabels) -> Map:
-    """The map with this site, floor and tags in place of its own.
+    """Replace the map's site, floor and tags.
 
     Raises:
-        InvalidInput: one is not valid.
+        InvalidInput: one is invalid.
     """
     info = replace(map_.info, labels=check_labels(labels))
     return replace(map_, info=noted(info, _correction(map_.info, CorrectionKind.LABELS)))

@@ -1,4 +1,4 @@
-"""Parts of a map removed: the landmarks of a region, the views of a piece of a walk."""
+"""Remove parts of a map: the landmarks of a region, or the views of a piece of a walk."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _LEAST_LEFT = 12  # landmarks; fewer than that no camera is localized by
 def in_region(
     positions: FloatArray, outline: FloatArray, bottom_m: float | None = None, top_m: float | None = None
 ) -> BoolArray:
-    """Which positions (N, 3) are within an outline (M, 2), seen from above, and between two heights (even-odd rule).
+    """Mask (N,) of positions (N, 3) inside an outline (M, 2), seen from above, and between two heights (even–odd rule).
 
     Raises:
         InvalidInput: the outline is not a valid polygon.
@@ -30,12 +30,10 @@ def in_region(
 
 
 def without_landmarks(map_: Map, removed: BoolArray, points_removed: BoolArray) -> Map:
-    """The map, in ``ray`` form, without the landmarks where ``removed`` (F,) holds.
-
-    The points of its cloud where ``points_removed`` (P,) holds go, too.
+    """The map in ``ray`` form without the landmarks ``removed`` (F,) and the cloud points ``points_removed`` (P,).
 
     Raises:
-        Conflict: none is there, or too few would be left.
+        Conflict: there are none, or too few would be left.
     """
     if not removed.any():
         raise Conflict("There is no landmark to remove.", "Choose another region.")
@@ -44,9 +42,9 @@ def without_landmarks(map_: Map, removed: BoolArray, points_removed: BoolArray) 
 
 
 def without_views(map_: Map, first: int, last: int) -> Map:
-    """The map, in ``ray`` form, without the views ``first`` to ``last``, both included, and what only they saw.
+    """The map in ``ray`` form without the views ``first`` to ``last`` (inclusive) and the landmarks that only they saw.
 
-    Where the map remembers its observations, landmarks that they saw too are those of a map that never had them.
+    If the map remembers its observations, the other landmarks are those of a map that never had these views.
 
     Raises:
         InvalidInput: there are no such views.
@@ -65,9 +63,10 @@ def without_views(map_: Map, first: int, last: int) -> Map:
 
 
 def keep_views(map_: Map, stays: BoolArray) -> Map:
-    """The map, in ``ray`` form, with only the views where ``stays`` (K,) holds, and without what only the others saw.
+    """The map in ``ray`` form with only the views where ``stays`` (K,) is true, without landmarks that only the others
+    saw.
 
-    Where the map remembers its observations, landmarks that the others saw too are those of a map that never had them.
+    If the map remembers its observations, the landmarks are those of a map that never had the other views.
     """
     seen = stays[map_.observations.views]
     touched = np.zeros(len(map_), dtype=bool)

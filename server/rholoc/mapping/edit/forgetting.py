@@ -1,4 +1,4 @@
-"""A recording forgotten: the map as if it had never been learned."""
+"""Forget a recording: the map as if it had never been learned."""
 
 from __future__ import annotations
 
@@ -12,11 +12,12 @@ from rholoc.reports import LearningReport
 
 
 def forget_recording(map_: Map, recording: str, progress: ProgressListener = silent) -> Map:
-    """The map without what it learned from a recording, which is named by its id or, where that is clear, by its name.
+    """The map without what it learned from ``recording``, given by id or by an unambiguous name.
 
     Raises:
         InvalidInput: the map does not remember its observations, never learned the recording, or learned several of
-            that name; says which it did.
+            that
+            name; lists those that it learned.
         Conflict: it learned nothing else.
     """
     check_memory(map_, "The map")

@@ -1,4 +1,4 @@
-"""Where a map's frame should be, by what people say of it: the similarity that takes the present frame to that one."""
+"""Similarities that align a map with what people say about its frame: origin, direction, up, length, floor plan."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ _SCALES = (1e-4, 1e4)  # what a map may be stretched by at once
 
 
 def origin_at(point: FloatArray) -> Similarity:
-    """The point (3,) becomes (0, 0, 0)."""
+    """Translation that moves ``point`` (3,) to (0, 0, 0)."""
     return Similarity(1.0, np.eye(3), -point)
 
 
 def level_direction(direction: FloatArray, becomes_deg: float) -> Similarity:
-    """A direction (3,), seen from above, comes to point ``becomes_deg`` from x towards y; turned about z.
+    """Rotation about z that turns ``direction`` (3,), seen from above, to ``becomes_deg`` from x towards y.
 
     Raises:
-        InvalidInput: it is too short, or points up or down.
+        InvalidInput: the direction is too short or vertical.
     """
     length, level = float(np.linalg.norm(direction)), float(np.linalg.norm(direction[:2]))
     if length < _SHORTEST or level < _MIN_LEVEL * length:
@@ -37,10 +37,10 @@ def level_direction(direction: FloatArray, becomes_deg: float) -> Similarity:
 
 
 def upward(direction: FloatArray) -> Similarity:
-    """A direction (3,) becomes z, by the least turn.
+    """Smallest rotation that turns ``direction`` (3,) to z.
 
     Raises:
-        InvalidInput: it is too short.
+        InvalidInput: the direction is too short.
     """
     length = float(np.linalg.norm(direction))
     if length < _SHORTEST:
@@ -55,13 +55,13 @@ def upward(direction: FloatArray) -> Similarity:
 
 
 def estimated_up(map_: Map) -> FloatArray:
-    """The direction (3,), of unit length, that is up, by the views, for people hold cameras upright.
+    """Up direction (3,), unit length, estimated from the views, because people hold cameras upright.
 
-    Where the views look around, it is the direction that their horizontal axes are perpendicular to, however far the
-    camera was tilted up or down (Szeliski, Image alignment and stitching, 2006, section 5.1); else the mean of theirs.
+    If the views look around, the direction perpendicular to their horizontal axes, regardless of pitch (Szeliski, Image
+    alignment and stitching, 2006, section 5.1); otherwise the mean of their up axes.
 
     Raises:
-        InvalidInput: the views do not agree on any.
+        InvalidInput: the views do not agree.
     """
     ups, across = -map_.views.T_map_camera[:, :3, 1], map_.views.T_map_camera[:, :3, 0]
     mean = ups.mean(axis=0) if len(ups) else np.zeros(3)
@@ -75,10 +75,11 @@ def estimated_up(map_: Map) -> FloatArray:
 
 
 def levelled(map_: Map) -> FloatArray | None:
-    """A rotation (3, 3) by which a map that is not upright is shown: up becomes z, walls become parallel to x and y.
+    """Rotation (3, 3) for displaying a map that is not upright: up becomes z, walls become parallel to x and y.
 
-    Both are estimated: up by the views, the walls by the angle at which the landmarks, seen from above, crowd most in
-    x and in y (least entropy of their histograms). None where the map is upright, or the views do not show up.
+    Up is estimated from the views; walls from the angle at which the landmarks, seen from above, concentrate most in x
+    and y
+    (least entropy of the histograms). None if the map is upright, or the views do not agree on up.
     """
     if map_.info.upright or not len(map_):
         return None
@@ -94,7 +95,7 @@ def levelled(map_: Map) -> FloatArray | None:
 
 
 def _entropy(plane: FloatArray, turn: float) -> float:
-    """Of the histograms along both axes, of points (N, 2) whose axes are turned by an angle."""
+    """Entropy of the histograms of points (N, 2) along both axes after a rotation by ``turn``."""
     cosine, sine = np.cos(turn), np.sin(turn)
     total = 0.0
     for along in (plane @ [cosine, sine], plane @ [-sine, cosine]):
@@ -106,10 +107,10 @@ def _entropy(plane: FloatArray, turn: float) -> float:
 
 
 def measured(start: FloatArray, end: FloatArray, length_m: float) -> Similarity:
-    """Two points (3,) come to be ``length_m`` apart; the origin stays.
+    """Scaling that makes points ``start`` (3,) and ``end`` (3,) ``length_m`` apart; the origin stays.
 
     Raises:
-        InvalidInput: they are one point, or the length is absurd.
+        InvalidInput: the points coincide, or the length is implausible.
     """
     distance = float(np.linalg.norm(end - start))
     if distance < _SHORTEST:
@@ -118,20 +119,20 @@ def measured(start: FloatArray, end: FloatArray, length_m: float) -> Similarity:
 
 
 def laid_over(points: FloatArray, plan: FloatArray, scaled: bool) -> tuple[Similarity, float]:
-    """Points of the map (N, 3) come to lie over those of a plan (N, 2), by least squares; turned about z.
+    """Least-squares similarity that aligns points (N, 3) of the map with points (N, 2) of a plan by a rotation about z.
 
-    In complex numbers, with a and b the centred points, turn and scale are Σ b ā / Σ |a|².
+    In complex numbers, with a and b the centred points, rotation and scale are Σ b ā / Σ |a|².
 
     Args:
-        points: at least two, that are not above each other.
-        plan: in metres.
-        scaled: whether the map takes the plan's scale; heights are scaled alike.
+        points: two or more, not all above each other.
+        plan: the corresponding points [m].
+        scaled: whether the map takes the plan's scale, heights included.
 
     Returns:
-        The similarity, and how far the points miss those of the plan: root mean square, metres.
+        The similarity, and the root mean square residual [m].
 
     Raises:
-        InvalidInput: the points are one, seen from above, or the scale is absurd.
+        InvalidInput: the points coincide when seen from above, or the scale is implausible.
     """
     a, b = (xy[:, 0] + 1j * xy[:, 1] for xy in (points, plan))
     from_middle, to_middle = a - a.mean(), b - b.mean()

@@ -1,7 +1,7 @@
-"""Maps as sums: one joined to another in the same frame, one recording taken out again.
+"""Maps as sums: join another map in the same frame, or take a recording out again.
 
-What a map has learned does not depend on the order of learning: A joined to B has the landmarks of B joined to A and
-of both built at once, and a recording that is taken out leaves the landmarks of a map that never had it.
+The result does not depend on the order of learning: A joined with B has the same landmarks as B joined with A and as a
+map built from both, and a map without a recording has the landmarks of a map that never had it.
 """
 
 from __future__ import annotations
@@ -26,13 +26,14 @@ _Sourced = TypeVar("_Sourced", MapDescriptors, MapViews)
 
 
 def join(a: Map, b: Map, same: IntArray) -> Map:
-    """``a`` with all that ``b`` remembers added to it; both are of ``ray`` form and in the frame of ``a``.
+    """``a`` with everything that ``b`` remembers; both in ``ray`` form and in the frame of ``a``.
 
     Args:
         a: a map.
-        b: another, of other recordings.
-        same: (F_b,) for each feature of ``b`` the feature of ``a`` that it is, or -1 where it is new. Observations that
-            would leave a landmark of ``a`` undetermined are not believed: they are left out.
+        b: a map of other recordings.
+        same: (F_b,) row of the feature of ``a`` that each feature of ``b`` is, or -1 for a new one. Observations that
+            would
+            leave a landmark of ``a`` undetermined are dropped.
     """
     joined = _joined(a, b, same)
     counted = np.zeros(len(joined), dtype=bool)
@@ -48,9 +49,8 @@ def join(a: Map, b: Map, same: IntArray) -> Map:
 
 
 def without_source(map_: Map, source: int) -> Map:
-    """The map, of ``ray`` form, without the recording in row ``source`` of its sources.
-
-    Features that only it saw, or described, vanish.
+    """The map in ``ray`` form without the recording in row ``source``, and without features only it saw or
+    described.
     """
     memory = check_memory(map_, "The map")
     seen = memory.view_sources[map_.observations.views] != source
@@ -69,15 +69,14 @@ def without_source(map_: Map, source: int) -> Map:
 
 
 def _without_source(table: _Sourced, source: int) -> _Sourced:
-    """A table, none of whose rows comes from ``source``, where that source is no longer counted."""
+    """A table without the rows of ``source``; later sources are renumbered."""
     assert table.sources is not None
     return replace(table, sources=(table.sources - (table.sources > source)).astype(np.int32))
 
 
 def with_sources_once(map_: Map) -> Map:
-    """The map, its sources of one id taken together, as the first of them.
-
-    Of the descriptors that they brought for a feature the last stay, as many as one source brings.
+    """The map with sources of the same id merged. Of the descriptors they contribute to a feature, the last are
+    kept.
     """
     memory, sources = check_memory(map_, "The map"), map_.info.sources
     ids = [source.id for source in sources]
@@ -99,7 +98,7 @@ def with_sources_once(map_: Map) -> Map:
 
 
 def _latest(features: IntArray, sources: IntArray) -> BoolArray:
-    """Which descriptors (D,) are among the last that a source brought for a feature."""
+    """Mask (D,) of the last descriptors that a source contributed to a feature."""
     order = np.lexsort((np.arange(len(features)), sources, features))[::-1]
     starts = np.append(True, (np.diff(features[order]) != 0) | (np.diff(sources[order]) != 0))
     rank = np.arange(len(order)) - np.maximum.accumulate(np.where(starts, np.arange(len(order)), 0))
@@ -109,13 +108,13 @@ def _latest(features: IntArray, sources: IntArray) -> BoolArray:
 
 
 def _numbers(a: Map, same: IntArray) -> IntArray:
-    """The rows (F_b,) that the features of the second map get in the joined one."""
+    """Rows (F_b,) of the second map's features in the joined map."""
     new = same < 0
     return np.asarray(np.where(new, len(a) + np.cumsum(new) - 1, same))
 
 
 def _joined(a: Map, b: Map, same: IntArray) -> Map:
-    """All rows of both; landmarks as they were."""
+    """Rows of both maps, with the landmarks unchanged."""
     numbers, views = _numbers(a, same).astype(np.int32), np.int32(len(a.views))
     of_b, first_source = check_memory(b, "The map"), np.int32(len(a.info.sources))
     descriptors = MapDescriptors.concat(
@@ -141,7 +140,7 @@ def _joined(a: Map, b: Map, same: IntArray) -> Map:
 
 
 def _with_patches(a: Map, b: Map, same: IntArray) -> MapLandmarks:
-    """The landmarks of ``a``, with the patches of ``b`` where ``a`` knows none."""
+    """Landmarks of ``a``, with missing patches taken from ``b``."""
     if b.landmarks.patches is None:
         return a.landmarks
     patches = a.landmarks.known_patches.copy()

@@ -1,4 +1,4 @@
-"""A map in another frame: every answer moves by exactly the transform."""
+"""Move a map to another frame: every answer moves by exactly the transform."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ _FARTHEST_M = 10_000.0  # from the origin: single precision still tells a millim
 
 
 def move_map(map_: Map, similarity: Similarity) -> Map:
-    """The map in another frame, which ``similarity`` takes points to: landmarks, views, densities and what is reported.
+    """Apply a similarity to a map: landmarks, views, densities and reported lengths.
 
-    Nothing is estimated anew. The coverage in the report is that of the frame before: it is up to the caller.
+    Nothing is estimated again. The caller updates the report's coverage.
 
     Raises:
-        InvalidInput: some of it would lie more than 10 km from the origin.
+        InvalidInput: a part of the map would be more than 10 km from the origin.
     """
     positions = similarity.points(map_.landmarks.positions.astype(np.float64)).astype(np.float32)
     T_map_camera = similarity.poses(map_.views.T_map_camera)
@@ -55,7 +55,7 @@ def move_map(map_: Map, similarity: Similarity) -> Map:
 
 
 def moved_names(names: MapNames, similarity: Similarity) -> MapNames:
-    """Names in another frame."""
+    """Names after a similarity."""
     return MapNames(
         tuple(replace(point, position=_moved(point.position, similarity)) for point in names.points),
         tuple(
@@ -90,7 +90,7 @@ def _moved_info(info: MapInfo, similarity: Similarity) -> MapInfo:
 
 
 def _scaled_report(report: MapReport, scale: float) -> MapReport:
-    """A report whose lengths are ``scale`` times as long."""
+    """A report with its lengths multiplied by ``scale``."""
     if scale == 1.0:
         return report
     return replace(

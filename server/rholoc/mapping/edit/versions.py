@@ -1,4 +1,4 @@
-"""The next version of a map that has learned or forgotten, or that somebody corrected."""
+"""Next version of a map that has learned, forgotten, or been corrected."""
 
 from __future__ import annotations
 
@@ -22,10 +22,12 @@ def as_learned(
     progress: ProgressListener = silent,
     forgetting: float | None = None,
 ) -> Map:
-    """The next version of a map: ``after``, of ``ray`` form, in the form that ``before`` has, its report brought up.
+    """Next version of a map that has learned: ``after`` (``ray`` form) in the form of ``before``, with an updated
+    report.
 
-    ``learned`` says what was learned; the report keeps it. With ``forgetting`` ``observed`` densities go on from where
-    they stand, one observation at a time; else all densities are fitted anew.
+    ``learned`` is added to the report. With ``forgetting``, ``observed`` densities are updated recursively; without,
+    all
+    densities are fitted again.
     """
     report = _brought_up(after, before.info.report)
     report = replace(report, learned=_without_old_lessons((*report.learned, learned)))
@@ -36,30 +38,27 @@ def as_learned(
 
 
 def _without_old_lessons(learned: tuple[LearningReport, ...]) -> tuple[LearningReport, ...]:
-    """Without all but the last reports of what was learned from queries: there is one each night."""
+    """Learning reports without all but the last ones from queries, of which there is one per night."""
     from_queries = [report for report in learned if report.queries is not None]
     old = from_queries[:-_MAX_LESSONS]
     return tuple(report for report in learned if report not in old)
 
 
 def as_corrected(before: Map, after: Map, correction: Correction) -> Map:
-    """The next version of a map that somebody corrected: ``after``, in the form that ``before`` has.
-
-    ``correction`` says what was corrected; the map keeps it.
-    """
+    """Next version of a map that was corrected: ``after`` in the form of ``before``, with ``correction`` recorded."""
     if after.info.density is not before.info.density:
         after = fit_densities(after, before.info.density, before.densities.degree)
     return replace(after, info=replace(noted(after.info, correction), report=_brought_up(after, after.info.report)))
 
 
 def noted(info: MapInfo, correction: Correction) -> MapInfo:
-    """A map's description with one correction more."""
+    """Description of a map with one more correction."""
     kept = (*info.corrections, correction)[-_MAX_CORRECTIONS:]
     return replace(info, version=correction.version, corrections=kept)
 
 
 def _brought_up(map_: Map, report: MapReport) -> MapReport:
-    """What a map says of itself, with what ``report`` says of how it was made."""
+    """Report on a map with its statistics updated and the rest taken from ``report``."""
     return replace(
         map_statistics(map_),
         held_out=report.held_out,

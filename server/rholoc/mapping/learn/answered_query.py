@@ -1,4 +1,4 @@
-"""A query that a map has answered, as far as the map may learn from it: what was seen, from where. Not the picture."""
+"""An answered query as far as the map may learn from it: features and pose, not the picture."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from rholoc.geometry import Camera, FloatArray
 
 @dataclass(frozen=True, eq=False)
 class AnsweredQuery:
-    """One frame that was localized surely.
+    """One frame with a confident answer.
 
     Attributes:
-        features: what it showed, by the map's own extractor.
-        camera: its intrinsics, as they were given.
+        features: its features, by the map's own extractor.
+        camera: its intrinsics, as given.
         T_map_camera: (4, 4) the answer.
-        covariance: (6, 6) of it: metres, then radians, map frame.
-        confidence: 0..1, of the answer.
-        time_s: when it was asked, seconds since the epoch.
-        asker: who asked, as a pseudonym; the same for the same key.
+        covariance: (6, 6) of the answer: position [m], then rotation [rad], map frame.
+        confidence: confidence of the answer, 0 to 1.
+        time_s: time of the query since the epoch.
+        asker: pseudonym of the client, the same for the same key.
     """
 
     features: FeatureSet

@@ -1,8 +1,8 @@
-"""Which cameras agree: what one rests on, others do not miss.
+"""Which cameras contradict each other? Trust those that see the same landmarks, and drop the others.
 
-A piece of furniture that was moved is as rigid as the room: a picture that shows little else is placed by it, surely
-and wrongly. Others that look at where it was, from places known by something else, miss all of it. What most agree on
-is what stayed; so those are not believed, the most contradicted first, that rest on what the rest of them misses.
+Furniture that was moved is as rigid as the room: a picture that shows little else is localized by it, confidently and
+wrongly. Cameras that are localized by other landmarks and look at its old place miss it. The majority agrees on what
+stayed, so cameras that rely on landmarks missed by the others are dropped, the most contradicted first.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ _FEWEST_TELLING = 10  # landmarks that others know of: among fewer, each counts 
 
 
 def agreeing(sights: Sights, speaking: BoolArray) -> BoolArray:
-    """Which cameras (C,) are not contradicted by those of the ``speaking`` (C,) that agree with each other."""
+    """Mask (C,) of cameras that are not contradicted by the ``speaking`` (C,) cameras that agree with each other."""
     believed = speaking.copy()
     while True:
         contradicted = _contradicted(sights, believed)
@@ -30,7 +30,7 @@ def agreeing(sights: Sights, speaking: BoolArray) -> BoolArray:
 
 
 def _contradicted(sights: Sights, believed: BoolArray) -> FloatArray:
-    """(C,) of the landmarks that each camera sees, of which the believed others know, the share that they miss."""
+    """(C,) share of the landmarks seen by each camera that the ``believed`` other cameras miss."""
     nats = sights.evidence(believed, _MISPLACED)
     of_others = sights.sums(nats, believed)[sights.landmarks] - nats * believed[sights.cameras]
     missed = np.bincount(sights.cameras, sights.seen & (of_others < -_TELLING_NATS), sights.camera_count)

@@ -1,4 +1,4 @@
-"""What cameras should have seen of a map where they are said to have been, and what of it they saw."""
+"""Expected sightings: which landmarks cameras at given poses should have seen, and which of them they saw."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ _ROUNDS = 2  # how well a camera sees shows in what is there; what is there, in 
 
 @dataclass(frozen=True, eq=False)
 class Looked:
-    """A camera that looked at a map's place, and what it saw.
+    """A camera at a known pose and its features.
 
     Attributes:
         camera: its intrinsics.
         T_map_camera: (4, 4).
-        features: all that it saw.
-        occasion: what is the same for cameras that looked together, 0, 1, ….
+        features: all its features.
+        occasion: number of the occasion, equal for cameras that looked at the same time.
     """
 
     camera: Camera
@@ -43,16 +43,16 @@ class Looked:
 
 @dataclass(frozen=True, eq=False)
 class Sights:
-    """What C cameras were expected to see of a map's F landmarks, in S rows of a camera and a landmark.
+    """Expected sightings of F landmarks by C cameras, in S rows of one camera and one landmark.
 
-    A camera that sees too little to say what is missing has no rows.
+    A camera with too few features to tell what is missing has no rows.
 
     Attributes:
-        cameras: (S,) 0..C-1, rising.
-        landmarks: (S,) 0..F-1.
-        chances: (S,) how probably the camera sees the landmark, by the map's own views.
+        cameras: (S,) 0 to C-1, ascending.
+        landmarks: (S,) 0 to F-1.
+        chances: (S,) probability that the camera sees the landmark, according to the map's own views.
         seen: (S,) whether it did.
-        occasions: (C,) when each camera looked.
+        occasions: (C,) occasion of each camera.
         landmark_count: F.
     """
 
@@ -70,16 +70,18 @@ class Sights:
 
     @classmethod
     def of(cls, index: MapIndex, cameras: Sequence[Looked], recorded: BoolArray) -> Sights:
-        """The sights of cameras.
+        """Expected sightings of some cameras.
 
-        Each is expected to see what the map's views saw that saw most of what it sees, with the probability that they
-        did. What is hidden behind something that the camera did see is not missed.
+        Each camera is expected to see what nearby views of the map saw, with the probability that they did. Landmarks
+        hidden
+        behind one that the camera saw are not expected.
 
         Args:
-            index: of the map.
-            cameras: that looked.
-            recorded: (K,) which views are of recordings; landmarks that those saw are expected by those alone, for the
-                others may have come after they were gone.
+            index: index of the map.
+            cameras: the cameras.
+            recorded: (K,) mask of the views from recordings. For landmarks seen by recordings only these views count,
+                because
+                the others may have come after the landmark was gone.
         """
         by_recording = np.zeros(len(index.map), dtype=bool)
         by_recording[index.map.observations.features[recorded[index.map.observations.views]]] = True
@@ -90,11 +92,14 @@ class Sights:
         return cls(np.repeat(np.arange(len(cameras)), counts), landmarks, chances, seen, occasions, len(index.map))
 
     def evidence(self, believed: BoolArray, misplaced: float = 0.0) -> FloatArray:
-        """Nats (S,) that each row says for its landmark being there, by what cameras that are ``believed`` (C,) see.
+        """Log-likelihood ratio (S,) [nats] of each row for its landmark being present, from the ``believed`` (C,)
+        cameras.
 
-        A camera sees a landmark that is there as probably as the map's views, times how much of all that is there and
-        expected it sees; so a dim or a blurred picture says little. One that is gone is seen by chance, and by the
-        share of cameras that are ``misplaced``, by that landmark itself.
+        A present landmark is seen as often as by the map's views, reduced by the camera's overall rate of sightings, so
+        a dark
+        or blurred picture says little. An absent one is seen by chance, and by the share ``misplaced`` of cameras that
+        were
+        localized by that landmark itself.
         """
         nats: FloatArray = np.zeros(len(self.cameras))
         for _ in range(_ROUNDS):
@@ -107,7 +112,7 @@ class Sights:
         return nats
 
     def sums(self, values: FloatArray | BoolArray, believed: BoolArray) -> FloatArray:
-        """(F,) the sums over the cameras that are ``believed`` (C,) of what each row (S,) says of its landmark."""
+        """(F,) sum of ``values`` (S,) over the ``believed`` (C,) cameras, per landmark."""
         counted = values * believed[self.cameras]
         return np.bincount(self.landmarks, counted, self.landmark_count).astype(np.float64)
 
@@ -117,7 +122,7 @@ _NOTHING: _Sight = (np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros(0, dtype=
 
 
 def _sight(index: MapIndex, one: Looked, recorded: BoolArray, by_recording: BoolArray) -> _Sight:
-    """What a camera was expected to see and was not hidden from it; nothing where it sees too little to say."""
+    """Expected and unobstructed sightings of one camera; empty if it has too few features."""
     landmarks, chances, seen = _expected(index, one, recorded, by_recording)
     if seen.sum() < _FEWEST_SEEN:
         return _NOTHING
@@ -126,7 +131,7 @@ def _sight(index: MapIndex, one: Looked, recorded: BoolArray, by_recording: Bool
 
 
 def _expected(index: MapIndex, one: Looked, recorded: BoolArray, by_recording: BoolArray) -> _Sight:
-    """Landmarks (E,) that a camera should see, how probably (E,) by the map's own views, and whether it did (E,)."""
+    """Landmarks (E,) that a camera should see, their probabilities (E,), and whether it saw them (E,)."""
     found, _ = index.match_near(one.features, one.camera, one.T_map_camera, _RADIUS_PX)
     saw = np.zeros(len(index.map), dtype=bool)
     saw[found.landmarks] = True
@@ -149,7 +154,7 @@ def _expected(index: MapIndex, one: Looked, recorded: BoolArray, by_recording: B
 
 
 def _hidden(index: MapIndex, one: Looked, landmarks: IntArray, seen: BoolArray) -> BoolArray:
-    """Which landmarks (E,) lie behind one that was seen beside them in the picture."""
+    """Mask (E,) of landmarks behind one that was seen next to them in the picture."""
     T = one.T_map_camera
     in_camera = (index.landmarks[landmarks] - T[:3, 3]) @ T[:3, :3]
     pixels, depth = one.camera.project(in_camera), one.camera.depths(in_camera)

@@ -1,4 +1,4 @@
-"""A map that learns from its users: from the queries that it answered surely, without their pictures."""
+"""Learn from users: from confidently answered queries, without their pictures."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ _WORSE_M = 0.01  # in the median, that is no worse: what is asked for is as the 
 
 @dataclass(frozen=True, eq=False)
 class _Placed:
-    """A query where the map as it is now has it."""
+    """A query and its pose in the present map."""
 
     query: AnsweredQuery
     T_map_camera: FloatArray
@@ -136,13 +136,13 @@ def learn_from_queries(map_: Map, queries: Sequence[AnsweredQuery], progress: Pr
 
 
 def _is_held_back(query: AnsweredQuery) -> bool:
-    """Whether a map does not learn from a query, this night or another."""
+    """Whether a query is reserved for testing, in this night and every other."""
     digest = hashlib.blake2b(f"{query.asker} {query.time_s:.3f}".encode(), digest_size=8).digest()
     return int.from_bytes(digest) % _HELD_BACK_EVERY == 0
 
 
 def too_few_queries(kept: int) -> Conflict:
-    """The error of a map that has too few queries to learn from."""
+    """Error for a map with too few queries to learn from."""
     return Conflict(
         f"{kept} queries are kept for the map; it learns from {FEWEST_QUERIES} at least.",
         "Set RHOLOC_LEARN=true to keep queries, and try again when the map has been asked more often.",
@@ -150,7 +150,7 @@ def too_few_queries(kept: int) -> Conflict:
 
 
 def _placed(localizer: Localizer, queries: Sequence[AnsweredQuery], progress: ProgressListener) -> list[_Placed]:
-    """The queries that are sure in the map as it is, without a prior."""
+    """The queries that are localized confidently in the present map, without a prior."""
     occasions = _occasions(queries)
     found = []
     for done, (query, occasion) in enumerate(zip(queries, occasions.tolist(), strict=True)):
@@ -162,29 +162,29 @@ def _placed(localizer: Localizer, queries: Sequence[AnsweredQuery], progress: Pr
 
 
 def _exact(placed: Sequence[_Placed], ratio: float) -> list[_Placed]:
-    """Those whose position has a sigma of at most so many times the median."""
+    """Queries with a position sigma of at most ``ratio`` × the median."""
     sigmas_m = np.sqrt([np.trace(one.covariance[:3, :3]) for one in placed])
     most_m = ratio * np.median(sigmas_m) if len(placed) else np.inf
     return [one for one, sigma_m in zip(placed, sigmas_m, strict=True) if sigma_m <= most_m]
 
 
 def _believed(localizer: Localizer, placed: Sequence[_Placed]) -> list[_Placed]:
-    """The queries whose places those that are not held back do not contradict."""
+    """Queries that the others, except for held-back ones, do not contradict."""
     teaching = np.array([not _is_held_back(one.query) for one in placed], dtype=bool)
     agree = agreeing(_sights(localizer, placed), teaching)
     return [one for one, agrees in zip(placed, agree.tolist(), strict=True) if agrees]
 
 
 def _sights(localizer: Localizer, placed: Sequence[_Placed]) -> Sights:
-    """What queries should have seen of the localizer's map, and saw."""
+    """Expected sightings of the localizer's map by the queries."""
     looked = [Looked(one.query.camera, one.T_map_camera, one.query.features, one.occasion) for one in placed]
     return Sights.of(localizer.index, looked, _is_recorded(localizer.map))
 
 
 def _settled(placed: Sequence[_Placed], believed: Sequence[_Placed], again: Sequence[_Placed]) -> list[_Placed]:
-    """The placed queries where they are believed to be, before a map has learned or, if not then, by what it learned.
+    """Poses of the queries that are believed before or after the map has learned.
 
-    Of those that are believed to be elsewhere then than before nobody knows which is right; they are left out.
+    Queries with contradicting poses before and after are dropped.
     """
     before, after = ({id(one.query): one for one in some} for some in (believed, again))
     found = []
@@ -201,7 +201,7 @@ def _settled(placed: Sequence[_Placed], believed: Sequence[_Placed], again: Sequ
 
 
 def _occasions(queries: Sequence[AnsweredQuery]) -> IntArray:
-    """(Q,) numbers, the same for an asker's queries that follow each other closely in time."""
+    """(Q,) number of the occasion: equal for a client's queries that follow each other closely."""
     times = np.array([query.time_s for query in queries])
     _, askers = np.unique([query.asker for query in queries], return_inverse=True)
     order = np.lexsort((times, askers))
@@ -212,17 +212,17 @@ def _occasions(queries: Sequence[AnsweredQuery]) -> IntArray:
 
 
 def _is_recorded(map_: Map) -> BoolArray:
-    """(K,) which views are of recordings, not of queries."""
+    """(K,) mask of the views from recordings rather than queries."""
     return ~_is_of_queries(map_.info)[check_memory(map_, "The map").view_sources]
 
 
 def _is_of_queries(info: MapInfo) -> BoolArray:
-    """Which sources are queries."""
+    """Mask of the sources that are queries."""
     return np.array([source.poses == QUERY_POSES for source in info.sources])
 
 
 def _fresh_views(known: Map, teaching: Sequence[_Placed]) -> list[_Placed]:
-    """The queries that become views: exact, not views already, by the commonest cameras, spread."""
+    """Queries that become views: exact, new, from the most common cameras, and spread over the map."""
     learned = set(known.views.times[~_is_recorded(known)].tolist())
     new = [one for one in _exact(teaching, _MAX_VIEW_SIGMA_RATIO) if one.query.time_s not in learned]
     cameras = [one.query.camera for one in new]
@@ -238,7 +238,7 @@ def _most_views(map_: Map) -> int:
 
 
 def _spread(T_map_camera: FloatArray, most: int) -> list[int]:
-    """Rows of at most so many poses (N, 4, 4), each as far from those before as can be; rising."""
+    """Sorted rows of at most ``most`` poses (N, 4, 4), chosen by farthest-point sampling."""
     if len(T_map_camera) <= most:
         return list(range(len(T_map_camera)))
     chosen = [len(T_map_camera) - 1]
@@ -255,11 +255,11 @@ class _Lesson:
     """What queries teach.
 
     Attributes:
-        map_: the map with it.
-        gone: (F,) which landmarks of the map before are gone.
-        views: how many views are new.
-        seen_again: how many landmarks these saw that the map knew.
-        new: how many it did not know.
+        map_: the map after learning.
+        gone: (F,) mask of the previous map's landmarks that are gone.
+        views: number of new views.
+        seen_again: number of known landmarks in the new views.
+        new: number of new landmarks.
     """
 
     map_: Map
@@ -270,12 +270,12 @@ class _Lesson:
 
     @property
     def is_empty(self) -> bool:
-        """Whether nothing came and nothing went."""
+        """Whether nothing was added or removed."""
         return not self.new and not self.gone.any()
 
 
 def _lesson(localizer: Localizer, placed: Sequence[_Placed], progress: ProgressListener) -> _Lesson:
-    """The localizer's map without what is gone, and with queries that are not held back as views."""
+    """The localizer's map without vanished landmarks, with queries (except held-back ones) as views."""
     known = localizer.map
     teaching = [one for one in placed if not _is_held_back(one.query)]
     gone = vanished(_sights(localizer, teaching))
@@ -288,7 +288,7 @@ def _lesson(localizer: Localizer, placed: Sequence[_Placed], progress: ProgressL
 
 
 def _joined(left: Map, fresh: Sequence[_Placed], most: int, progress: ProgressListener) -> tuple[Map, int, int]:
-    """A map with the views of queries and at most so many landmarks; how many they see again, how many are new."""
+    """A map extended by the views of queries, with at most ``most`` landmarks; number seen again, number new."""
     localizer = Localizer(left, min_recognized=LEARNING_RECOGNIZED)
     cameras = [one.query.camera for one in fresh]
     T = np.array([one.T_map_camera for one in fresh])
@@ -311,7 +311,7 @@ def _joined(left: Map, fresh: Sequence[_Placed], most: int, progress: ProgressLi
 
 
 def _some_of_each_view(views: Views, labels: IntArray) -> IntArray:
-    """Labels (N,) of known landmarks, or -1; so many in each view as its place is recognized by."""
+    """Labels (N,) of known landmarks, or -1; limited per view to as many as recognition needs."""
     kept = np.full_like(labels, -1)
     for k in range(len(views)):
         known = np.flatnonzero(labels[views.offsets[k] : views.offsets[k + 1]] >= 0) + views.offsets[k]
@@ -322,7 +322,7 @@ def _some_of_each_view(views: Views, labels: IntArray) -> IntArray:
 
 
 def _without_like_descriptors(map_: Map, metric: Metric) -> Map:
-    """The map without those descriptors of queries that are like one that a recording brought for the same feature."""
+    """The map without descriptors from queries that resemble a recording's for the same feature."""
     kept = check_memory(map_, "The map")
     of_queries = _is_of_queries(map_.info)[kept.descriptor_sources]
     features = map_.descriptors.features
@@ -339,22 +339,23 @@ def _without_like_descriptors(map_: Map, metric: Metric) -> Map:
 
 
 def _source(map_: Map, camera: Camera) -> Source:
-    """All that a map learns from queries by one camera is of one source, however often it learns."""
+    """The map's source for all queries of one camera."""
     digest = hashlib.blake2b(repr((map_.info.id, astuple(camera))).encode(), digest_size=8)
     return Source(name=QUERY_POSES, id=digest.hexdigest(), camera=camera, poses=QUERY_POSES)
 
 
 def _seen_repeatedly(views: Views, landmarks: Landmarks, occasions: IntArray) -> BoolArray:
-    """Which landmarks (F,) were seen on several of the views' occasions (K,)."""
+    """Mask (F,) of landmarks seen on several of the views' occasions (K,)."""
     rows = landmarks.observed_rows
     seen = np.unique(np.column_stack([landmarks.labels[rows], occasions[views.view_of[rows]]]), axis=0)
     return np.bincount(seen[:, 0], minlength=len(landmarks)) >= _FEWEST_OCCASIONS
 
 
 def _needed_most(views: Views, landmarks: Landmarks, known: IntArray, most: int) -> BoolArray:
-    """Those new landmarks (F,), at most so many, that views need most.
+    """Mask (F,) of at most ``most`` new landmarks that views need most.
 
-    A view needs its own that are seen by most views, the more the fewer of its detections (N,) are ``known``, not -1.
+    A view needs the landmarks that most views see, and more of them the fewer of its detections (N,) are ``known`` (not
+    -1).
     """
     rows = landmarks.observed_rows
     labels, view = landmarks.labels[rows], views.view_of[rows]
@@ -370,16 +371,13 @@ def _needed_most(views: Views, landmarks: Landmarks, known: IntArray, most: int)
 
 
 def _most_landmarks(known: Map) -> int:
-    """How many landmarks the next version of a map may have: as many as this, or a little more than recordings brought.
-
-    What is forgotten makes room for what is new.
-    """
+    """Maximum number of landmarks in the next version: as many as now, or slightly more than recordings contributed."""
     recorded = np.unique(known.observations.features[_is_recorded(known)[known.observations.views]])
     return max(len(known), int(_MOST_LANDMARKS_RATIO * len(recorded)))
 
 
 def _bounded(map_: Map) -> Map:
-    """The map without the oldest of its views of queries, where there are too many."""
+    """The map without its oldest views of queries, if there are too many."""
     of_queries = np.flatnonzero(~_is_recorded(map_))
     oldest_first = of_queries[np.argsort(map_.views.times[of_queries], kind="stable")]
     excess = len(of_queries) - _most_views(map_)
@@ -392,13 +390,13 @@ def _bounded(map_: Map) -> Map:
 
 @dataclass(frozen=True)
 class _Answers:
-    """How a map answered questions whose answers are known.
+    """How a map answered test queries.
 
     Attributes:
-        asked: how many questions.
-        right: of those how many answers are within 5 cm and 5°.
-        wrong: how many poses were given that are off by more than 25 cm or 10°.
-        median_m: of the errors of the poses given; infinite where there are none.
+        asked: number of queries.
+        right: number of answers within 5 cm and 5°.
+        wrong: number of answers off by more than 25 cm or 10°.
+        median_m: median error of the answers; infinite if there are none.
     """
 
     asked: int
@@ -412,7 +410,7 @@ class _Answers:
 
 
 def _answers(localizer: Localizer, frames: Sequence[tuple[Camera, FloatArray, FeatureSet]]) -> _Answers:
-    """Frames, each a camera, the right T_map_camera (4, 4) and features, localized."""
+    """Localize frames, each a camera, its true T_map_camera (4, 4) and its features."""
     errors = []
     for camera, T, features in frames:
         pose = localizer.localize(Query(features, camera, Dof.FREE)).pose
@@ -426,7 +424,7 @@ def _answers(localizer: Localizer, frames: Sequence[tuple[Camera, FloatArray, Fe
 
 
 def _questions(held_back: Sequence[_Placed]) -> list[tuple[Camera, FloatArray, FeatureSet]]:
-    """Queries whole, and by halves: what a picture shows of one side of a place alone is harder to find."""
+    """Held-back queries, whole and split in halves: half a picture is harder to localize."""
     found = []
     for one in held_back:
         features, camera = one.query.features, one.query.camera
@@ -437,7 +435,7 @@ def _questions(held_back: Sequence[_Placed]) -> list[tuple[Camera, FloatArray, F
 
 
 def _remembered(map_: Map, gone: BoolArray) -> list[tuple[Camera, FloatArray, FeatureSet]]:
-    """Some of the views that the map remembers of recordings, as far as what they saw is still there."""
+    """Some of the recordings' views that the map remembers, without the features that are ``gone``."""
     recorded = np.flatnonzero(_is_recorded(map_))
     chosen = recorded[np.unique(np.linspace(0, len(recorded) - 1, _MOST_REMEMBERED).round().astype(np.int64))]
     frames = remembered_frames(map_)
@@ -450,7 +448,11 @@ def _remembered(map_: Map, gone: BoolArray) -> list[tuple[Camera, FloatArray, Fe
 
 
 def _check_no_worse(before: _Answers, after: _Answers, of: str) -> None:
-    """Raises MappingFailed: a map answers worse than before; ``of`` says what it was asked."""
+    """Compare answers before and after learning. ``of`` names the test queries.
+
+    Raises:
+        MappingFailed: the map answers worse than before.
+    """
     gained = after.right - before.right
     if gained < 0 or _RIGHT_PER_WRONG * (after.wrong - before.wrong) > gained:
         raise MappingFailed(

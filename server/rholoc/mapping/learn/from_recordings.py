@@ -1,4 +1,4 @@
-"""Learning goes on: a further recording of the same place, learned into a map."""
+"""Learn a further recording of the same place into a map."""
 
 from __future__ import annotations
 
@@ -53,14 +53,14 @@ _LOCALIZED_M, _LOCALIZED_RAD = 0.01, np.deg2rad(0.3)  # standard deviations of a
 
 @dataclass(frozen=True)
 class UpdateOptions:
-    """How a recording is learned into a map.
+    """Options for learning a recording.
 
     Attributes:
-        poses: where its frame poses come from, to be aligned to the map; None: its own if it comes with poses, else
-            each frame is localized in the map, and frames beyond what the map shows are left out.
-        forgetting: ``observed`` densities take the recording in one observation at a time, everything before weighing
-            this much less at each; None: all densities are fitted anew to all observations.
-        pictures: whether the map keeps a small picture of each new view, for people to see.
+        poses: source of its frame poses, which are then aligned with the map; None: its own if it has any, else each
+            frame
+            is localized in the map, and frames outside the map are dropped.
+        forgetting: update ``observed`` densities recursively with this factor; None: fit all densities again.
+        pictures: whether to keep a small picture of each new view for display.
     """
 
     poses: PoseMethod | None = None
@@ -70,11 +70,10 @@ class UpdateOptions:
 
 @dataclass(frozen=True, eq=False)
 class _Walk:
-    """The frames of a recording that are learned from: camera, rows (K,) among its frames, times (K,),
-    T_map_camera (K, 4, 4), and what each shows.
+    """Frames of a recording to learn from: camera, rows (K,) among its frames, times (K,), T_map_camera (K, 4, 4),
+    features.
 
-    ``residual`` is how far a pose may be off from the map on its own: metres and radians, standard deviations.
-    ``figures`` are what is known so far of the report.
+    ``residual`` is the standard deviation of a pose relative to the map [m, rad]. ``figures`` is the report so far.
     """
 
     camera: Camera
@@ -90,15 +89,15 @@ class _Walk:
 def update_map(
     map_: Map, recording: Recording, options: UpdateOptions | None = None, progress: ProgressListener = silent
 ) -> Map:
-    """The map with a further recording learned into it: more observations of its features, and features that are new.
+    """Localize a further recording in a map and learn it: more observations of known features, and new features.
 
-    The recording finds its place by being localized in the map. The map handed in stays as it was.
+    The given map is not modified.
 
     Raises:
-        InvalidInput: the map does not remember its observations, or its densities cannot forget as asked.
-        Conflict: the map has learned this recording already.
-        InvalidRecording, InvalidCamera, InvalidWaypoints: the recording cannot be read, or its poses not be had.
-        MappingFailed: it shows another place, or disagrees with the map; says by how much.
+        InvalidInput: the map does not remember its observations, or its densities cannot forget as requested.
+        Conflict: the map has already learned this recording.
+        InvalidRecording, InvalidCamera, InvalidWaypoints: the recording cannot be read, or has no usable poses.
+        MappingFailed: it shows another place, or contradicts the map; says by how much.
         Cancelled: ``progress`` asked to stop.
     """
     options = options or UpdateOptions()
@@ -151,7 +150,7 @@ def update_map(
 
 
 def _localized_walk(localizer: Localizer, recording: Recording, pictures: bool, progress: ProgressListener) -> _Walk:
-    """Each frame where it is localized; frames that are not found are left out."""
+    """Frames localized one by one; frames without a pose are dropped."""
     camera = _camera_of(recording, localizer.map.info)
     times = recording.frames.times
     wanted = (times[-1] - times[0]) * _FRAMES_PER_S if recording.frames.timed else len(times)
@@ -181,7 +180,7 @@ def _localized_walk(localizer: Localizer, recording: Recording, pictures: bool, 
 def _aligned_walk(
     localizer: Localizer, recording: Recording, method: PoseMethod, pictures: bool, progress: ProgressListener
 ) -> _Walk:
-    """The recording's own trajectory, aligned to those of its frames that are localized."""
+    """The recording's own trajectory, aligned with those of its frames that can be localized."""
     frame_features = _frame_features(localizer, recording, pictures)
     trajectory = estimate_trajectory(recording, method, progress, frame_features.show)
     views, _ = choose_views(trajectory.T_map_camera, hold_out=False, step=_VIEW_STEP)
@@ -210,7 +209,7 @@ def _aligned_walk(
 
 
 def alignment_report(alignment: Alignment, found: Found) -> LearningReport:
-    """What is reported of an alignment to frames found; the version is not known yet."""
+    """Report on an alignment; the version is filled in later."""
     return LearningReport(
         version=0,
         frames_tried=found.tried,
@@ -235,7 +234,7 @@ def _collected(frames: Iterable[Shown], count: int, progress: ProgressListener) 
 
 
 def _camera_of(recording: Recording, info: MapInfo) -> Camera:
-    """The recording's camera, or the map's where that one is of the same size."""
+    """The recording's camera, or the map's if it has the same size and the recording has none."""
     if recording.camera is not None:
         return recording.camera
     if recording.frames.size == (info.camera.width, info.camera.height):
@@ -247,7 +246,7 @@ def _camera_of(recording: Recording, info: MapInfo) -> Camera:
 
 
 def recognize(localizer: Localizer, views: Views, progress: ProgressListener) -> tuple[IntArray, Landmarks, Cloud]:
-    """Each detection's feature (N,) of the map, or -1; the landmarks and the further points that the others make up."""
+    """Feature (N,) of the map for each detection, or -1; landmarks and further points made of the other detections."""
     index, metric = localizer.index, localizer.extractor.metric
     labels = np.full(len(views.features), -1, dtype=np.int64)
     for k in range(len(views)):
@@ -276,7 +275,7 @@ def recognize(localizer: Localizer, views: Views, progress: ProgressListener) ->
 
 
 def seen_landmarks(known: Map, labels: IntArray, new: Landmarks) -> tuple[IntArray, Landmarks]:
-    """All landmarks that the recording shows, those of the map first; and which of the map's each is, or -1."""
+    """All landmarks in the recording, the map's first; and the feature of the map that each one is, or -1."""
     again, number = np.unique(labels[labels >= 0], return_inverse=True)
     together = np.where(new.labels >= 0, new.labels + len(again), -1)
     together[labels >= 0] = number

@@ -1,4 +1,4 @@
-"""Two maps of rooms that overlap, merged into one."""
+"""Merge two maps of overlapping rooms."""
 
 from __future__ import annotations
 
@@ -31,16 +31,16 @@ _MIN_SHARE = 0.5  # of the times that two features could have been recognised as
 
 
 def merge_maps(a: Map, b: Map, progress: ProgressListener = silent) -> Map:
-    """A new map of all that two maps were learned from, in the frame of ``a``.
+    """New map of everything that two maps have learned, in the frame of ``a``.
 
-    The views that ``b`` remembers are localized in ``a``; that aligns the maps, rigidly where both are metric. Features
-    that appear at the same pixels and look alike are one. What both learned from the same recording counts once.
+    The views that ``b`` remembers are localized in ``a``, which aligns the maps, rigidly if both are metric. Features
+    at the
+    same pixels with similar descriptors are identified. A recording that both have learned counts once.
 
     Raises:
-        InvalidInput: a map does not remember its observations, they have different features, or other densities than
-            ``ray``.
-        Conflict: ``a`` has learned all that ``b`` has.
-        MappingFailed: the maps do not overlap, or disagree; says by how much.
+        InvalidInput: a map does not remember its observations, the features differ, or the densities are not ``ray``.
+        Conflict: ``a`` has learned everything that ``b`` has.
+        MappingFailed: the maps do not overlap, or contradict each other; says by how much.
         Cancelled: ``progress`` asked to stop.
     """
     check_alike(a, b)
@@ -71,7 +71,7 @@ def merge_maps(a: Map, b: Map, progress: ProgressListener = silent) -> Map:
 
 
 def _placed_in(a: Map, b: Map) -> Map:
-    """``b``, which was brought into the frame of ``a``, as uncertain as that makes it: as both are."""
+    """``b`` in the frame of ``a``, with the uncertainty of both maps."""
     if b.views.covariances is None:
         return b
     covariances = b.views.covariances + uncertainty_in(a, b.views.T_map_camera)
@@ -79,11 +79,10 @@ def _placed_in(a: Map, b: Map) -> Map:
 
 
 def check_alike(a: Map, b: Map) -> None:
-    """Check that views of one map can be found in the other, and be learned.
+    """Check that views of one map can be found in the other and learned.
 
     Raises:
-        InvalidInput: a map does not remember its observations, they have different features, or other densities than
-            ``ray``.
+        InvalidInput: a map does not remember its observations, the features differ, or the densities are not ``ray``.
     """
     for map_, which in ((a, "The first map"), (b, "The second map")):
         check_memory(map_, which)
@@ -106,8 +105,9 @@ def _without_shared(map_: Map, shared: set[str | None]) -> Map:
 
 
 def remembered_frames(map_: Map) -> list[tuple[Camera, FeatureSet]]:
-    """What the map remembers of its views, as frames: the features seen, each with its first descriptor, and its patch
-    as it looks from there."""
+    """Views that the map remembers, as frames: observed features, each with its first descriptor and its predicted
+    patch.
+    """
     observations = check_memory(map_, "The map")
     first = np.searchsorted(map_.descriptors.features, np.arange(len(map_)))
     cameras, patches = source_cameras(map_.info), map_.landmarks.known_patches
@@ -130,7 +130,7 @@ def remembered_frames(map_: Map) -> list[tuple[Camera, FeatureSet]]:
 
 
 def _same_features(localizer: Localizer, moved: Map, progress: ProgressListener) -> IntArray:
-    """For each feature of the second map the one of the first that it is, or -1; by votes of the views."""
+    """For each feature of the second map the same one of the first map, or -1; by votes of the views."""
     index, metric = localizer.index, localizer.extractor.metric
     frames, poses = remembered_frames(moved), moved.views.T_map_camera
     pairs = [np.zeros((0, 2), dtype=np.int64)]

@@ -1,4 +1,4 @@
-"""Where frames that a map has not seen stand in it: found by localizing them, or by aligning their own trajectory."""
+"""Register new frames in a map: localize them one by one, or align their own trajectory."""
 
 from __future__ import annotations
 
@@ -43,8 +43,8 @@ class Found:
     """K frames, some of them localized.
 
     Attributes:
-        T_map_camera: (K, 4, 4), NaN where a frame was not localized or not tried.
-        tried: how many frames were tried.
+        T_map_camera: (K, 4, 4), NaN for a frame that was refused or not tried.
+        tried: number of frames tried.
     """
 
     T_map_camera: FloatArray
@@ -52,7 +52,7 @@ class Found:
 
     @property
     def rows(self) -> IntArray:
-        """The frames (L,) that were localized."""
+        """Rows (L,) of the localized frames."""
         return np.flatnonzero(np.isfinite(self.T_map_camera[:, 0, 0]))
 
 
@@ -63,10 +63,10 @@ def find_frames(
     what: str,
     progress: ProgressListener = silent,
 ) -> Found:
-    """Localize some frames, ``rows`` in rising order, of a recording that ``what`` names to users.
+    """Localize the frames ``rows`` (ascending) of a recording; ``what`` names it in messages.
 
     Raises:
-        MappingFailed: hardly any of them is found: they show another place.
+        MappingFailed: hardly any frame is found, so the recording shows another place.
     """
     T = np.full((len(frames), 4, 4), np.nan)
     probes = rows[np.unique(np.linspace(0, len(rows) - 1, _PROBES).round().astype(np.int64))]
@@ -84,14 +84,14 @@ def find_frames(
 
 
 def without_jumps(found: Found, times: FloatArray, what: str) -> Found:
-    """Only the frames that a camera in a hand could have reached from the one found before or after.
+    """Drop localized frames that a hand-held camera could not have reached from the previous or next one.
 
-    Frames of another place that are taken for one of the map's lie anywhere in it; those of a walk do not.
+    Frames of another place that are mistaken for the map lie anywhere in it; those of a walk do not.
 
     Args:
         found: K frames.
-        times: (K,) seconds.
-        what: names the recording to users.
+        times: (K,) [s].
+        what: name of the recording in messages.
 
     Raises:
         MappingFailed: hardly any frame is left.
@@ -112,13 +112,13 @@ def without_jumps(found: Found, times: FloatArray, what: str) -> Found:
 
 @dataclass(frozen=True, eq=False)
 class Alignment:
-    """How a trajectory comes into the map's frame.
+    """Alignment of a trajectory with a map.
 
     Attributes:
-        similarity: takes it there.
-        agreeing: (L,) which of the localized frames agree with it.
-        residual_m: the median distance of the localized positions from the aligned ones.
-        residual_rad: the same of the rotations.
+        similarity: takes the trajectory to the map frame.
+        agreeing: (L,) mask of the localized frames that agree with it.
+        residual_m: median distance between localized and aligned positions.
+        residual_rad: median angle between localized and aligned rotations.
     """
 
     similarity: Similarity
@@ -128,13 +128,14 @@ class Alignment:
 
 
 def align_to_found(T_own_camera: FloatArray, found: Found, scale_is_known: bool, what: str) -> Alignment:
-    """Align a trajectory (K, 4, 4) of its own frame, which ``what`` names to users, to the frames found in the map.
+    """Align a trajectory (K, 4, 4) with the frames localized in the map; ``what`` names it in messages.
 
-    Robust least squares, rotations first: each frame's own says how the two frames are turned, so that a walk along a
-    line, or on the spot, is aligned as well. The scale is left as it is where ``scale_is_known``, but is looked at.
+    Robust least squares, rotations first: every frame determines the rotation between the two frames, so walks along a
+    line
+    or on the spot can be aligned too. The scale is kept if ``scale_is_known``, but checked.
 
     Raises:
-        MappingFailed: the trajectory and the map disagree; says by how much.
+        MappingFailed: trajectory and map contradict each other; says by how much.
     """
     own, target = T_own_camera[found.rows], found.T_map_camera[found.rows]
     similarity, distance, angle = _fit(own, target, fixed_scale=scale_is_known)
@@ -153,7 +154,7 @@ def align_to_found(T_own_camera: FloatArray, found: Found, scale_is_known: bool,
 
 
 def _fit(own: FloatArray, target: FloatArray, fixed_scale: bool) -> tuple[Similarity, FloatArray, FloatArray]:
-    """The robust similarity, and what it leaves of each pose: metres (L,) and radians (L,)."""
+    """Robust similarity, and the residuals of each pose: metres (L,) and radians (L,)."""
     weights = np.ones(len(own))
     for _ in range(_ROUNDS):
         similarity = posed_alignment(own, target, weights, fixed_scale, _MIN_SPREAD_M)
@@ -167,7 +168,7 @@ def _fit(own: FloatArray, target: FloatArray, fixed_scale: bool) -> tuple[Simila
 def _localize(
     localizer: Localizer, frames: Sequence[tuple[Camera, FeatureSet]], row: int, T: FloatArray, last: int | None
 ) -> None:
-    """Fill in the pose of frame ``row``, if it has one; near the last one's, or anywhere."""
+    """Fill in the pose of frame ``row``, if it can be localized near the last one or anywhere."""
     camera, features = frames[row]
     query = Query(features, camera, Dof.FREE)
     if last is not None:

@@ -1,4 +1,4 @@
-"""Landmarks that are no longer there: many cameras should have seen them, and did not."""
+"""Vanished landmarks: many cameras should have seen them and did not."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ _FEWEST_OCCASIONS = 2
 
 
 def vanished(sights: Sights) -> BoolArray:
-    """Which landmarks (F,) of a map are gone.
+    """Mask (F,) of landmarks that are gone.
 
-    One is gone where that explains what was seen and missed better by a large factor, on several occasions.
+    A landmark is gone if its absence explains the sightings better by a large factor, on several occasions.
     """
     everyone = np.ones(sights.camera_count, dtype=bool)
     nats = sights.sums(sights.evidence(everyone), everyone)
