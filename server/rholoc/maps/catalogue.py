@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
@@ -99,48 +100,49 @@ class MapChange(Protocol):
         ...
 
 
-class MapCatalogue(Protocol):
+class MapCatalogue(ABC):
     """Which file each map's name stands for, and which it stood for before. Safe to share between threads, processes.
 
     Attributes:
         holds_only_maps: whether all files were found to be maps before they got a name.
     """
 
-    holds_only_maps: bool
+    holds_only_maps = False
 
     @property
+    @abstractmethod
     def folder(self) -> Path:
         """The folder of files on this machine."""
-        ...
 
+    @abstractmethod
     def names(self) -> list[str]:
         """The names of all maps, sorted."""
-        ...
 
+    @abstractmethod
     def find(self, name: str) -> MapFile | None:
         """The file of a name; None if no map has it."""
-        ...
 
+    @abstractmethod
     def versions(self, name: str) -> list[MapFile]:
         """The files that were replaced under a name, the last replaced first."""
-        ...
 
+    @abstractmethod
     def stamp(self) -> int | None:
         """Changes whenever a map is published, renamed or deleted, by any process; None where that is not known."""
-        ...
 
     def refresh(self) -> None:
         """See what other processes have changed, if that can be seen now."""
-        ...
+        return
 
     def look_again(self) -> None:
         """:meth:`refresh` on a miss, at most a few times a second."""
-        ...
+        return
 
     def is_here(self, file: MapFile) -> bool:
         """Whether :meth:`local` would need this machine's disk alone."""
-        ...
+        return True
 
+    @abstractmethod
     def local(self, file: MapFile) -> Path:
         """The file on this machine, fetched if necessary.
 
@@ -148,8 +150,8 @@ class MapCatalogue(Protocol):
             MissingObject: it was removed.
             StorageUnavailable, StorageFull: it cannot be fetched.
         """
-        ...
 
+    @abstractmethod
     def outline(self, file: MapFile, name: str) -> MapOutline:
         """Description and size of a map called ``name``, by the header of its file. No more than that is fetched.
 
@@ -157,32 +159,24 @@ class MapCatalogue(Protocol):
             InvalidMap: the file is not a map.
             StorageUnavailable: the header cannot be fetched.
         """
-        ...
 
-    def arrival(self) -> Path:
-        """Path for a new file, to be stored by :meth:`store` or removed.
+    @abstractmethod
+    def make_room(self) -> None:
+        """Make room in :attr:`folder` for a file that arrives. Raises InvalidInput, StorageFull."""
 
-        Raises:
-            InvalidInput, StorageFull: there is no room for it.
-        """
-        ...
-
+    @abstractmethod
     def store(self, arrived: Path, map_: Map) -> MapFile:
-        """Store the file of a map, which has no name yet.
+        """Store the file of a map, which has no name yet. Raises StorageUnavailable, StorageFull."""
 
-        Raises:
-            StorageUnavailable, StorageFull: it is not stored.
-        """
-        ...
-
+    @abstractmethod
     def changing(self, published: Map | None = None) -> AbstractContextManager[MapChange]:
         """A change that is made at the end of the block, unless that raises. ``published`` is the map that gets a name.
 
         Raises:
-            Whatever says that the change could not be made; nothing was changed.
+            StorageFull, OSError, SQLAlchemyError: nothing was changed.
         """
-        ...
 
+    @abstractmethod
     def snapshot(self) -> Iterator[tuple[str, int, Path]]:
         """Names, numbers and copies of all files of one moment. A copy may be gone when the next one is asked for.
 
@@ -192,8 +186,11 @@ class MapCatalogue(Protocol):
             MissingObject: a file was removed meanwhile.
             StorageUnavailable, StorageFull: a file cannot be copied.
         """
-        ...
 
+    @abstractmethod
     def sweep(self) -> None:
-        """Remove files that belong to no map, and complete a change that a crash broke off."""
-        ...
+        """Remove files that belong to no map, and complete a change that a crash broke off.
+
+        Raises:
+            StorageUnavailable, SQLAlchemyError: it is done the next time.
+        """

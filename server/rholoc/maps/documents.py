@@ -69,13 +69,11 @@ class FolderDocuments(Documents):
         self._mode = mode
 
     def names(self) -> list[str]:
-        """The names of all files that are not hidden."""
         if not self._folder.is_dir():
             return []
         return [path.name for path in self._folder.iterdir() if path.is_file() and not path.name.startswith(".")]
 
     def read(self, name: str) -> bytes:
-        """Content of a file. Raises FileNotFoundError, and OSError where it cannot be read."""
         return (self._folder / name).read_bytes()
 
     def stamp(self) -> object:

@@ -8,6 +8,7 @@ import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
+from uuid import uuid4
 
 from rholoc.disk import replace_file
 from rholoc.errors import Conflict, InvalidMap, MissingObject, UnknownMap
@@ -212,7 +213,8 @@ class MapLibrary:
             instead_of: the file that it replaces; None: whichever there is.
         """
         called = check_map_name(name) + SUFFIX
-        arrived = self._catalogue.arrival()
+        self._catalogue.make_room()
+        arrived = self.folder / f".{uuid4().hex}.upload"
         replace_file(arrived, data, called=called)
         try:
             map_ = read(arrived)

@@ -8,10 +8,9 @@ import stat
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from uuid import uuid4
 
 from rholoc.disk import link_file, locked_folder, make_folder, reporting_full_disk, sync_folder, temporary_folder
-from rholoc.maps.catalogue import KEPT_VERSIONS, MapChange, MapFile, is_map_name
+from rholoc.maps.catalogue import KEPT_VERSIONS, MapCatalogue, MapChange, MapFile, is_map_name
 from rholoc.maps.formats.rho_file import SUFFIX, MapOutline, load_outline
 from rholoc.maps.map import Map
 
@@ -26,34 +25,28 @@ def place_of(name: str, number: int = 0) -> str:
     return f"{_PREVIOUS}/{name}{SUFFIX}" + (f".{number}" if number > 1 else "")
 
 
-class MapFolder:
+class MapFolder(MapCatalogue):
     """Maps as ``NAME.rho`` in a folder; those that they replaced are in ``.previous``.
 
     A file that somebody puts there, replaces or removes is a map that was published, replaced or deleted. A change of
     several files is decided by one renaming: whoever changes the folder next completes it if its process was killed.
     """
 
-    holds_only_maps = False
-
     def __init__(self, folder: Path) -> None:
         self._folder = folder
 
     @property
     def folder(self) -> Path:
-        """The folder."""
         return self._folder
 
     def names(self) -> list[str]:
-        """The names of all maps, sorted; empty if the folder does not exist."""
         files = (file for file in self.folder.glob(f"*{SUFFIX}") if file.is_file())
         return sorted(file.stem for file in files if is_map_name(file.stem))
 
     def find(self, name: str) -> MapFile | None:
-        """The file of a name; None if no map has it."""
         return self.at(place_of(name))
 
     def versions(self, name: str) -> list[MapFile]:
-        """The files that were replaced under a name, the last replaced first."""
         found = (self.at(place_of(name, number)) for number in range(1, KEPT_VERSIONS + 1))
         return [file for file in found if file is not None]
 
@@ -68,42 +61,25 @@ class MapFolder:
         return _file(place, status)
 
     def stamp(self) -> int | None:
-        """The folder's time of change, in nanoseconds."""
         try:
             return self.folder.stat().st_mtime_ns
         except OSError:
             return None
 
-    def refresh(self) -> None:
-        """Do nothing: the folder is looked at each time."""
-
-    def look_again(self) -> None:
-        """Do nothing: the folder is looked at each time."""
-
-    def is_here(self, file: MapFile) -> bool:
-        """Always."""
-        return True
-
     def local(self, file: MapFile) -> Path:
-        """The file itself."""
         return self.folder / file.key
 
     def outline(self, file: MapFile, name: str) -> MapOutline:
-        """Description and size of a map. Raises InvalidMap."""
         return load_outline(self.local(file))
 
-    def arrival(self) -> Path:
-        """Path for a new file. Raises InvalidInput, StorageFull: the folder cannot be created."""
+    def make_room(self) -> None:
         make_folder(self.folder)
-        return self.folder / f".{uuid4().hex}.upload"
 
     def store(self, arrived: Path, map_: Map) -> MapFile:
-        """The file as it arrived."""
         return _file(arrived.name, arrived.stat())
 
     @contextmanager
     def changing(self, published: Map | None = None) -> Iterator[MapChange]:
-        """A change, while no other process changes the folder. Raises StorageFull, OSError: nothing was changed."""
         with locked_folder(self.folder):
             self._complete()
             change = _Change(self)
@@ -113,7 +89,6 @@ class MapFolder:
                 self._complete()
 
     def snapshot(self) -> Iterator[tuple[str, int, Path]]:
-        """Names, numbers and links of all files of one moment. Raises StorageFull."""
         if not self.folder.is_dir():
             return
         with temporary_folder(self.folder) as links:
@@ -131,7 +106,6 @@ class MapFolder:
                 yield name, number, links / str(row)
 
     def sweep(self) -> None:
-        """Complete a change that a crash broke off."""
         if (self.folder / _DECIDED).exists():
             with locked_folder(self.folder):
                 self._complete()
@@ -183,7 +157,6 @@ class _Change:
         self.wanted: dict[str, str | None] = {}
 
     def arrange(self, name: str, present: MapFile | None, versions: Sequence[MapFile]) -> None:
-        """Give a name to a file, or to none, and keep the first versions."""
         files = [present, *versions[:KEPT_VERSIONS]]
         for number in range(KEPT_VERSIONS + 1):
             file = files[number] if number < len(files) else None

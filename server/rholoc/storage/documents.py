@@ -23,18 +23,15 @@ class StoredDocuments(Documents):
         self._prefix = f"{kind}/"
 
     def names(self) -> list[str]:
-        """The names of all files."""
         return [path.removeprefix(self._prefix) for path in self._replica.documents if path.startswith(self._prefix)]
 
     def read(self, name: str) -> bytes:
-        """Content of a file. Raises FileNotFoundError."""
         try:
             return self._replica.documents[self._prefix + name]
         except KeyError as error:
             raise FileNotFoundError(name) from error
 
     def stamp(self) -> object:
-        """The catalogue's revision."""
         return self._replica.revision
 
     def _set(self, name: str, content: bytes | None, called: str, accepts: Accepts | None = None) -> bool:

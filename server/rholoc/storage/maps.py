@@ -6,14 +6,13 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from uuid import uuid4
 
 import sqlalchemy as sa
 from sqlalchemy.exc import SQLAlchemyError
 
 from rholoc.disk import make_folder, temporary_folder
 from rholoc.maps import Map
-from rholoc.maps.catalogue import KEPT_VERSIONS, MapChange, MapFile
+from rholoc.maps.catalogue import KEPT_VERSIONS, MapCatalogue, MapChange, MapFile
 from rholoc.maps.formats.rho_file import LENGTH_BYTES, MapOutline, header_bytes, outline_of
 from rholoc.storage.copies import Copies
 from rholoc.storage.replica import Replica
@@ -24,7 +23,7 @@ _ORPHANED_AFTER_S = 6 * 3600.0  # an object that the catalogue does not name may
 ActOnPublishing = Callable[[sa.Connection, Map], None]
 
 
-class StoredMaps:
+class StoredMaps(MapCatalogue):
     """Catalogue of maps whose names are in the database and whose files are objects; see :class:`MapCatalogue`.
 
     Files never change once they are stored: a change is one transaction, whole or not at all. Methods that change
@@ -43,73 +42,58 @@ class StoredMaps:
 
     @property
     def folder(self) -> Path:
-        """The folder of copies."""
         return self._copies.folder
 
     def names(self) -> list[str]:
-        """The names of all maps, sorted."""
         return sorted(self._replica.maps)
 
     def find(self, name: str) -> MapFile | None:
-        """The file of a name, as of the catalogue's last refresh; None if no map has it."""
         row = self._replica.maps.get(name)
         if row is None:
             return None
         return _present(row.blob, row.size_bytes, row.modified, row.revision, row.map_id, row.version)
 
     def versions(self, name: str) -> list[MapFile]:
-        """The files that were replaced under a name, the last replaced first."""
         with self._replica.engine.connect() as connection:
             return _Change(connection, 0).versions(name)
 
     def stamp(self) -> int:
-        """The catalogue's revision."""
         return self._replica.revision
 
     def refresh(self) -> None:
-        """See what other processes have changed, if the database answers."""
         with suppress(SQLAlchemyError):
             self._replica.refresh()
 
     def look_again(self) -> None:
-        """:meth:`refresh` on a miss, at most a few times a second."""
         self._replica.look_again()
 
     def is_here(self, file: MapFile) -> bool:
-        """Whether there is a copy of a file on this machine."""
         return self._copies.has(file.key)
 
     def local(self, file: MapFile) -> Path:
-        """The copy of a file, fetched if necessary. Raises MissingObject, StorageUnavailable, StorageFull."""
         return self._copies.path(file.key, file.size_bytes)
 
     def outline(self, file: MapFile, name: str) -> MapOutline:
-        """Description and size of a map, by its header. Raises InvalidMap, MissingObject, StorageUnavailable."""
         length = header_bytes(self._copies.read(file.key, 0, LENGTH_BYTES), name)
         return outline_of(self._copies.read(file.key, LENGTH_BYTES, length), name)
 
-    def arrival(self) -> Path:
-        """Path for a new file, beside the copies. Raises InvalidInput, StorageFull: there is no room for it."""
+    def make_room(self) -> None:
         make_folder(self.folder)
         self._copies.make_room()  # something else may have filled the disk
-        return self.folder / f".{uuid4().hex}.upload"
 
     def store(self, arrived: Path, map_: Map) -> MapFile:
-        """Store a file, which becomes a copy. Raises StorageUnavailable, StorageFull."""
         size_bytes = arrived.stat().st_size
         blob = self._copies.store(arrived)
         return _replaced(blob, size_bytes, map_.info.id, map_.info.version)
 
     @contextmanager
     def changing(self, published: Map | None = None) -> Iterator[MapChange]:
-        """A transaction of the catalogue, in which ``act`` acts on the map that is published."""
         with self._replica.changing() as (connection, revision):
             if published is not None and self._act is not None:
                 self._act(connection, published)
             yield _Change(connection, revision)
 
     def snapshot(self) -> Iterator[tuple[str, int, Path]]:
-        """Names, numbers and copies of all files of one moment. Raises as :meth:`local`."""
         now, before = maps_table.c, map_versions_table.c
         present = sa.select(now.name, sa.literal(0), now.blob, now.size_bytes).where(now.blob.is_not(None))
         replaced = sa.select(before.name, before.number, before.blob, before.size_bytes)
@@ -121,11 +105,6 @@ class StoredMaps:
                 yield name, number, folder / "file"
 
     def sweep(self) -> None:
-        """Remove the files from the storage that the catalogue has not named for hours.
-
-        Raises:
-            SQLAlchemyError, StorageUnavailable: it is done the next time.
-        """
         self._copies.sweep()
         old = time.time() - _ORPHANED_AFTER_S
         stored = [blob for blob, modified in self._copies.stored() if modified < old]
@@ -144,20 +123,17 @@ class _Change:
         self._connection, self._revision = connection, revision
 
     def present(self, name: str) -> MapFile | None:
-        """The file of a name; None if no map has it."""
         c = maps_table.c
         wanted = sa.select(c.blob, c.size_bytes, c.modified, c.revision, c.map_id, c.version).where(c.name == name)
         row = self._connection.execute(wanted.where(c.blob.is_not(None))).first()
         return None if row is None else _present(*row)
 
     def versions(self, name: str) -> list[MapFile]:
-        """The files that were replaced under a name, the last replaced first."""
         c = map_versions_table.c
         wanted = sa.select(c.blob, c.size_bytes, c.map_id, c.version).where(c.name == name).order_by(c.number)
         return [_replaced(*row) for row in self._connection.execute(wanted)]
 
     def arrange(self, name: str, present: MapFile | None, versions: Sequence[MapFile]) -> None:
-        """Give a name to a file, or to none, and keep the first versions."""
         self._connection.execute(map_versions_table.delete().where(map_versions_table.c.name == name))
         for number, file in enumerate(versions[:KEPT_VERSIONS], start=1):
             self._connection.execute(map_versions_table.insert().values(name=name, number=number, **_columns(file)))
