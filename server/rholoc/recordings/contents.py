@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import PurePath
 
 from rholoc.errors import InvalidRecording
+from rholoc.recordings.frames.bag import BAG_SUFFIXES
 from rholoc.recordings.frames.video import VIDEO_SUFFIXES
 
 START_BYTES = 12
@@ -12,22 +13,30 @@ ZIP_SUFFIX = ".zip"
 
 # The first box of a QuickTime or MPEG-4 file, at byte 4; browsers and phones write "ftyp".
 _MPEG4_BOXES = frozenset({b"ftyp", b"moov", b"mdat", b"wide", b"free", b"skip", b"pnot", b"styp", b"moof"})
-_STARTS = {".zip": (b"PK\x03\x04",), ".jpg": (b"\xff\xd8\xff",), ".jpeg": (b"\xff\xd8\xff",), ".png": (b"\x89PNG",)}
+_STARTS = {
+    ".bag": (b"#ROSBAG V2.0",),
+    ".mcap": (b"\x89MCAP",),
+    ".db3": (b"SQLite forma",),
+    ".zip": (b"PK\x03\x04",),
+    ".jpg": (b"\xff\xd8\xff",),
+    ".jpeg": (b"\xff\xd8\xff",),
+    ".png": (b"\x89PNG",),
+}
 
 
 def check_file_name(name: str) -> None:
     """Refuse the name of a single file that is not a recording's.
 
     Raises:
-        InvalidRecording: it is neither a video's nor a ZIP file's.
+        InvalidRecording: it is neither a video's, nor a bag's, nor a ZIP file's.
     """
-    if PurePath(name).suffix.lower() not in VIDEO_SUFFIXES | {ZIP_SUFFIX}:
-        kinds = ", ".join(sorted(VIDEO_SUFFIXES))
-        raise InvalidRecording(f"{name} is not a recording.", f"Send a video ({kinds}) or a ZIP file.")
+    if PurePath(name).suffix.lower() not in VIDEO_SUFFIXES | BAG_SUFFIXES | {ZIP_SUFFIX}:
+        videos, bags = (", ".join(sorted(suffixes)) for suffixes in (VIDEO_SUFFIXES, BAG_SUFFIXES))
+        raise InvalidRecording(f"{name} is not a recording.", f"Send a video ({videos}), a bag ({bags}) or a ZIP file.")
 
 
 def check_file_start(name: str, start: bytes) -> None:
-    """Refuse a video, picture or ZIP file whose first bytes do not match its name; other names pass.
+    """Refuse a video, bag, picture or ZIP file whose first bytes do not match its name; other names pass.
 
     Args:
         name: the file's name.

@@ -13,8 +13,10 @@ from pathlib import Path
 from rholoc.errors import InvalidRecording
 from rholoc.geometry import Camera
 from rholoc.recordings.archive import DEFAULT_MAX_BYTES, unpack
+from rholoc.recordings.frames.bag import BAG_SUFFIXES
 from rholoc.recordings.frames.video import VIDEO_SUFFIXES, read_video
 from rholoc.recordings.readers import read_folder
+from rholoc.recordings.readers.bag import read_bag
 from rholoc.recordings.recording import Recording, RecordingFormat
 from rholoc.recordings.selection import parse_frame_slice, select_frames
 from rholoc.recordings.tables.lengths import parse_length
@@ -22,7 +24,11 @@ from rholoc.recordings.tables.waypoints import read_waypoints_csv
 from rholoc.recordings.walk.checks import whole_warnings
 
 _KNOWN = (
-    "Known are: a video (" + ", ".join(sorted(VIDEO_SUFFIXES)) + "); a folder with images whose names end in a number; "
+    "Known are: a video ("
+    + ", ".join(sorted(VIDEO_SUFFIXES))
+    + "); a ROS bag ("
+    + ", ".join(sorted(BAG_SUFFIXES))
+    + "); a folder with images whose names end in a number; "
     "a folder or .zip with video.mp4 or frames/, and with imu.csv, frames.csv, waypoints.csv, camera.json or not; and "
     "those of recorder apps and datasets, which maps/README.md lists."
 )
@@ -36,6 +42,7 @@ def read_recording(
     workdir: Path | None = None,
     max_unpacked_bytes: int = DEFAULT_MAX_BYTES,
     lengths: Sequence[str] = (),
+    topics: Sequence[str] = (),
 ) -> Recording:
     """Read a recording: a video, a folder of images, or a folder or ZIP file of any format of ``RecordingFormat``.
 
@@ -50,6 +57,7 @@ def read_recording(
         max_unpacked_bytes: what a ZIP file may unpack to.
         lengths: measured distances, instead of the recording's own: ``12,340,2.40``, the camera was 2.40 m further in
             frame 340 than in frame 12.
+        topics: of a bag, names of those to take where there are several of a kind.
 
     Raises:
         InvalidRecording: the recording, a length or the choice of frames cannot be used; says what is wrong.
@@ -59,7 +67,7 @@ def read_recording(
         TooLarge: a ZIP file would unpack to too much.
         StorageFull: no room to unpack a ZIP file.
     """
-    recording = _read(Path(path), workdir, max_unpacked_bytes)
+    recording = _read(Path(path), workdir, max_unpacked_bytes, topics)
     recording = replace(recording, warnings=(*recording.warnings, *whole_warnings(recording)))
     if frames is not None:
         recording = select_frames(recording, parse_frame_slice(frames))
@@ -75,23 +83,25 @@ def read_recording(
     return recording
 
 
-def _read(path: Path, workdir: Path | None, max_unpacked_bytes: int) -> Recording:
+def _read(path: Path, workdir: Path | None, max_unpacked_bytes: int, topics: Sequence[str]) -> Recording:
     suffix = path.suffix.lower()
     if not path.exists():
         raise InvalidRecording(f"There is no {path.name}.", "Check the path.")
     if path.is_dir():
-        return read_folder(path)
+        return read_folder(path, topics)
+    if suffix in BAG_SUFFIXES:
+        return read_bag(path, topics)
     if suffix in VIDEO_SUFFIXES:
         return Recording(name=path.stem, path=path, frames=read_video(path), format=RecordingFormat.VIDEO)
     if suffix == ".zip":
-        return _read_zip(path, workdir, max_unpacked_bytes)
+        return _read_zip(path, workdir, max_unpacked_bytes, topics)
     raise InvalidRecording(f"{path.name} is not a recording of a known format.", _KNOWN)
 
 
-def _read_zip(path: Path, workdir: Path | None, max_unpacked_bytes: int) -> Recording:
+def _read_zip(path: Path, workdir: Path | None, max_unpacked_bytes: int, topics: Sequence[str]) -> Recording:
     folder = Path(tempfile.mkdtemp(prefix="rholoc-recording-", dir=workdir))
     try:
-        recording = replace(read_folder(unpack(path, folder, max_unpacked_bytes)), name=path.stem)
+        recording = replace(read_folder(unpack(path, folder, max_unpacked_bytes), topics), name=path.stem)
     except InvalidRecording as error:
         shutil.rmtree(folder, ignore_errors=True)
         # The name of our temporary folder means nothing to the sender.

@@ -33,6 +33,8 @@ class RecordingFormat(StrEnum):
     SEVEN_SCENES = "7-scenes"
     COLMAP = "colmap"  # text model
     NERFSTUDIO = "nerfstudio"  # transforms.json
+    KAPTURE = "kapture"
+    BAG = "ros-bag"  # of ROS 1 or 2
     SCANNER_APP = "3d-scanner-app"  # frame_*.jpg with frame_*.json
 
 

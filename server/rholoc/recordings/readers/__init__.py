@@ -5,7 +5,7 @@ A new format is one new file with ``recognises`` and ``read``, and one line here
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -13,9 +13,11 @@ from rholoc.errors import InvalidRecording
 from rholoc.recordings.readers import (
     advio,
     android_csv,
+    bag,
     colmap,
     euroc,
     ios_logger,
+    kapture,
     mars_logger,
     nerfstudio,
     opencamera_sensors,
@@ -64,15 +66,17 @@ READERS = tuple(
         (RecordingFormat.COLMAP, colmap),
         (RecordingFormat.NERFSTUDIO, nerfstudio),
         (RecordingFormat.SCANNER_APP, scanner_app),
+        (RecordingFormat.KAPTURE, kapture),
+        (RecordingFormat.BAG, bag),
     )
 )
 
 
-def read_folder(folder: Path) -> Recording:
+def read_folder(folder: Path, topics: Sequence[str] = ()) -> Recording:
     """Read a folder in the format that is recognised, by default rholoc's own.
 
     ``waypoints.csv``, ``lengths.csv`` and ``camera.json`` may be added to any of them. Files that are not used become
-    a warning.
+    a warning. Of a bag, ``topics`` names those to take where there are several of a kind.
 
     Raises:
         InvalidRecording: no frames, files of several formats, or a file that cannot be read or contradicts another.
@@ -85,7 +89,8 @@ def read_folder(folder: Path) -> Recording:
         formats = " and ".join(reader.format.value for reader in found)
         raise InvalidRecording(f"The folder {folder.name} contains files of {formats}.", "Keep those of one.")
     if found:
-        recording, tables = _with_additions(found[0].read(folder), folder), found[0].tables
+        read = found[0].read(folder) if found[0].format is not RecordingFormat.BAG else bag.read(folder, topics)
+        recording, tables = _with_additions(read, folder), found[0].tables
     else:
         recording, tables = own.read(folder), own.TABLES
     lengths_csv = folder / "lengths.csv"

@@ -7,6 +7,7 @@ from fnmatch import fnmatchcase
 from itertools import groupby
 from pathlib import Path, PurePath
 
+from rholoc.recordings.frames.bag import BagFrames
 from rholoc.recordings.frames.image_folder import ImageFolderFrames
 from rholoc.recordings.frames.unified_pictures import UnifiedPictures
 from rholoc.recordings.frames.video import VideoFrames
@@ -69,7 +70,7 @@ def _files_of(frames: FrameSource) -> tuple[Path, ...]:
             return _files_of(frames.source)
         case ImageFolderFrames() | UnifiedPictures():
             return frames.paths
-        case VideoFrames():
+        case VideoFrames() | BagFrames():
             return (frames.path,)
         case _:
             return ()

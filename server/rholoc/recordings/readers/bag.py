@@ -1,0 +1,290 @@
+"""ROS bags: a ``.bag`` of ROS 1, an ``.mcap`` or ``.db3``, or the folder that ``ros2 bag record`` makes.
+
+::
+
+    walk.bag | walk.mcap | walk.db3      or a folder with metadata.yaml and one of the latter
+    camera.json                          intrinsics, where the bag has no camera_info; beside the bag
+    sensors.txt                          the same as kapture writes them: its cameras in the order of the topics' names
+
+Topics are found by their types, whatever their names: pictures (Image, CompressedImage), CameraInfo, Imu (gyroscope and
+accelerometer may be topics of their own), Odometry, poses (PoseStamped, PoseWithCovarianceStamped, TransformStamped)
+and ``tf_static``. Where there are several of a kind, the one with most messages is taken unless another is named.
+Times are those of the headers. Poses are brought to the camera by tf; of a frame that tf does not connect with the
+camera's they are taken to be the camera's own, with x forward and z up unless its name ends in ``optical_frame``
+(REP 103). The pictures themselves tell whether that holds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from rholoc.errors import InvalidRecording, InvalidTrajectory
+from rholoc.geometry import Camera, pose_matrix
+from rholoc.recordings.frames.bag import BAG_SUFFIXES, COMPRESSED_IMAGE, IMAGE, BagFrames, opened_bag, picture_size
+from rholoc.recordings.imu_normalisation import ImuConvention, Samples, advancing_rows, normalise_imu
+from rholoc.recordings.readers._ros import Mounting, camera_of_info, pose_of, stamp_ns, vector
+from rholoc.recordings.readers.kapture import read_cameras
+from rholoc.recordings.recording import GivenPoses, Imu, PoseKind, Recording, RecordingFormat
+from rholoc.recordings.tables.pose_table import PoseTable, match_poses
+from rholoc.reports import RecordingWarning, WarningKind
+
+if TYPE_CHECKING:
+    from rosbags.highlevel import AnyReader
+    from rosbags.interfaces import Connection
+
+TABLES = ("*.bag", "*.mcap", "*.db3", "metadata.yaml", "sensors.txt")
+
+_CAMERA_INFO, _IMU = "sensor_msgs/msg/CameraInfo", "sensor_msgs/msg/Imu"
+_ODOMETRY = "nav_msgs/msg/Odometry"
+_POSES = (
+    "geometry_msgs/msg/PoseStamped",
+    "geometry_msgs/msg/PoseWithCovarianceStamped",
+    "geometry_msgs/msg/TransformStamped",
+)
+_TF = "tf2_msgs/msg/TFMessage"
+_DEPTH = ("16UC1", "32FC1")
+_TOLD = 20  # messages of an IMU's topic, which tell what it measures
+_R_FORWARD_OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+_S_PER_NS = 1e-9
+_MAX_NAMED = 3
+
+
+def recognises(folder: Path) -> bool:
+    """Whether there is a bag."""
+    return bool(_bags(folder))
+
+
+def read(folder: Path, topics: Sequence[str] = ()) -> Recording:
+    """Read the folder's bag.
+
+    Raises:
+        InvalidRecording: there are several bags, or as for :func:`read_bag`.
+    """
+    bags = _bags(folder)
+    if len(bags) > 1:
+        raise InvalidRecording(
+            f"The folder {folder.name} contains several bags: {', '.join(one.name for one in bags[:_MAX_NAMED])}.",
+            "Give one of them.",
+        )
+    return replace(read_bag(bags[0], topics), name=folder.resolve().name, path=folder)
+
+
+def read_bag(path: Path, topics: Sequence[str] = ()) -> Recording:
+    """Read a bag: a file, or a folder with ``metadata.yaml``.
+
+    Args:
+        path: the bag.
+        topics: names of those to take where there are several of a kind.
+
+    Raises:
+        InvalidRecording: it is damaged, has no pictures, or has no topic of a name.
+        InvalidCamera: its intrinsics are impossible.
+        InvalidTrajectory: its poses are.
+    """
+    with opened_bag(path) as reader:
+        found = _Topics.of(reader, topics)
+        frames, frame_id, warnings = _frames(path, reader, found)
+        camera, camera_warnings = _camera(path, reader, found, frames.size)
+        static = [one for one in found.of_types(_TF) if one.topic.endswith("tf_static")]
+        mounted = Mounting.of(message for one in static for _, message in _messages(reader, one))
+        imu, imu_warnings = _imu(reader, found, mounted, frame_id)
+        poses, pose_warnings = _poses(reader, found, mounted, frame_id, frames)
+    return Recording(
+        name=path.stem,
+        path=path,
+        frames=frames,
+        camera=camera,
+        imu=imu,
+        poses=poses,
+        format=RecordingFormat.BAG,
+        warnings=(*warnings, *camera_warnings, *imu_warnings, *pose_warnings),
+    )
+
+
+def _bags(folder: Path) -> list[Path]:
+    """The bags of a folder; the folder itself if it is one of ROS 2."""
+    if (folder / "metadata.yaml").is_file():
+        return [folder]
+    return sorted(path for path in folder.iterdir() if path.suffix.lower() in BAG_SUFFIXES and path.is_file())
+
+
+@dataclass(frozen=True, eq=False)
+class _Topics:
+    """The connections of a bag, and which topics were asked for."""
+
+    connections: tuple[Connection, ...]
+    asked: tuple[str, ...]
+    picture: Connection
+
+    @classmethod
+    def of(cls, reader: AnyReader, asked: Sequence[str]) -> _Topics:
+        """Raises InvalidRecording if a topic that was asked for is missing, or if there are no pictures."""
+        connections = tuple(one for one in reader.connections if one.msgcount > 0)
+        names = {one.topic for one in connections}
+        for topic in asked:
+            if topic not in names:
+                listed = ", ".join(sorted(names)[:12])
+                raise InvalidRecording(f"The bag has no topic {topic[:80]}.", f"It has {listed}.")
+        pictures = [one for one in connections if one.msgtype in (IMAGE, COMPRESSED_IMAGE)]
+        pictures = [one for one in pictures if one.topic in asked or _is_picture(reader, one)]
+        chosen = _chosen(pictures, asked)
+        if chosen is None:
+            raise InvalidRecording("The bag has no pictures.", "Record a topic of Image or CompressedImage.")
+        return cls(connections, tuple(asked), chosen)
+
+    def of_types(self, *types: str) -> list[Connection]:
+        """Connections of some types."""
+        return [one for one in self.connections if one.msgtype in types]
+
+    def chosen(self, *types: str) -> Connection | None:
+        """The connection of some types that was asked for, or that has most messages."""
+        return _chosen(self.of_types(*types), self.asked)
+
+
+def _chosen(connections: Sequence[Connection], asked: Sequence[str]) -> Connection | None:
+    ordered = sorted(connections, key=lambda one: (one.topic not in asked, -one.msgcount, one.topic))
+    return next(iter(ordered), None)
+
+
+def _is_picture(reader: AnyReader, connection: Connection) -> bool:
+    """Whether a topic of images shows pictures, not depths."""
+    message = _first(reader, connection)
+    if connection.msgtype == COMPRESSED_IMAGE:
+        return "compressedDepth" not in str(message.format)
+    return message.encoding not in _DEPTH
+
+
+def _first(reader: AnyReader, connection: Connection) -> Any:
+    _, _, raw = next(iter(reader.messages([connection])))
+    return reader.deserialize(raw, connection.msgtype)
+
+
+def _messages(reader: AnyReader, connection: Connection) -> Iterable[tuple[int, Any]]:
+    """When each message of the connection's topic was logged [ns], and the message."""
+    publishers = [one for one in reader.connections if one.topic == connection.topic]
+    for _, logged_ns, raw in reader.messages(publishers):
+        yield logged_ns, reader.deserialize(raw, connection.msgtype)
+
+
+# -- pictures and cameras --------------------------------------------------------------------------------------------
+
+
+def _frames(path: Path, reader: AnyReader, found: _Topics) -> tuple[BagFrames, str, tuple[RecordingWarning, ...]]:
+    """The pictures, their frame of coordinates, and what to say of others."""
+    topic = found.picture
+    logged: list[int] = []
+    stamps: list[int] = []
+    first: Any = None
+    for logged_ns, message in _messages(reader, topic):
+        first = first or message
+        logged.append(logged_ns)
+        stamps.append(stamp_ns(message, logged_ns))
+    times = np.array(stamps, dtype=np.int64) * _S_PER_NS
+    rows, warnings = advancing_rows(times, "frames")
+    size = picture_size(first, topic.topic)
+    frames = BagFrames(path, topic.topic, np.array(logged, dtype=np.int64), rows, times[rows], size)
+    others = sorted({one.topic for one in found.of_types(IMAGE, COMPRESSED_IMAGE)} - {topic.topic})
+    if others:
+        listed = ", ".join(others[:_MAX_NAMED]) + (f" and {len(others) - _MAX_NAMED} more" if len(others) > 3 else "")
+        text = f"Of the bag's pictures those of {topic.topic} are used, not {listed}; --topic chooses others."
+        warnings = (*warnings, RecordingWarning(WarningKind.NOT_USED, text))
+    return frames, str(first.header.frame_id), warnings
+
+
+def _camera(
+    path: Path, reader: AnyReader, found: _Topics, size: tuple[int, int]
+) -> tuple[Camera | None, tuple[RecordingWarning, ...]]:
+    """The intrinsics by the bag's CameraInfo, else by a file beside it."""
+    infos = found.of_types(_CAMERA_INFO)
+    asked = [one for one in infos if one.topic in found.asked]
+    nearest = asked or [one for one in infos if _is_beside(one.topic, found.picture.topic)]
+    if nearest:
+        return camera_of_info(_first(reader, nearest[0]), size, "rect" in found.picture.topic.rsplit("/", 1)[-1])
+    sensors = (path if path.is_dir() else path.parent) / "sensors.txt"
+    if not sensors.is_file():
+        return None, ()
+    cameras = list(read_cameras(sensors).values())
+    pictures = sorted({one.topic for one in found.of_types(IMAGE, COMPRESSED_IMAGE)})
+    if len(cameras) not in (1, len(pictures)):
+        return None, ()
+    camera = cameras[pictures.index(found.picture.topic) if len(cameras) > 1 else 0]
+    return None if camera is None else camera.fitted(*size), ()
+
+
+def _is_beside(info: str, picture: str) -> bool:
+    """Whether a topic of CameraInfo (/cam/camera_info) is in the namespace of a topic of pictures (/cam/image/raw)."""
+    return picture.startswith(info.rpartition("/")[0] + "/")
+
+
+# -- what else was measured ------------------------------------------------------------------------------------------
+
+
+def _imu(
+    reader: AnyReader, found: _Topics, mounted: Mounting, camera_frame: str
+) -> tuple[Imu | None, tuple[RecordingWarning, ...]]:
+    """Gyroscope and accelerometer, each of the topic that measures it: those asked for, else those with most rows."""
+    felt, turned = [], []
+    for connection in found.of_types(_IMU):
+        a, w = _measures(reader, connection)
+        felt += [connection] * a
+        turned += [connection] * w
+    accelerometer, gyroscope = _chosen(felt, found.asked), _chosen(turned, found.asked)
+    both = [one for one in felt if one in turned]
+    if both and not {one.topic for one in felt + turned if one not in both} & set(found.asked):
+        accelerometer = gyroscope = _chosen(both, found.asked)
+    if accelerometer is None or gyroscope is None:
+        return None, ()
+    felt_rows, turned_rows = (list(_messages(reader, one)) for one in (accelerometer, gyroscope))
+    samples = [
+        Samples(
+            np.array([stamp_ns(message, logged_ns) for logged_ns, message in rows], dtype=np.float64),
+            np.array([vector(getattr(message, name)) for _, message in rows]),
+        )
+        for rows, name in ((felt_rows, "linear_acceleration"), (turned_rows, "angular_velocity"))
+    ]
+    T_camera_imu = mounted.between(camera_frame, str(turned_rows[0][1].header.frame_id))
+    R_camera_imu = None if T_camera_imu is None else T_camera_imu[:3, :3]
+    return normalise_imu(samples[0], samples[1], ImuConvention(time_unit="ns"), R_camera_imu)
+
+
+def _measures(reader: AnyReader, connection: Connection) -> tuple[bool, bool]:
+    """Whether a topic has accelerations, and whether it has rates: the other's are zero, or said to be unknown."""
+    a, w = False, False
+    for number, (_, message) in enumerate(_messages(reader, connection)):
+        a |= bool(message.linear_acceleration_covariance[0] >= 0 and np.any(vector(message.linear_acceleration)))
+        w |= bool(message.angular_velocity_covariance[0] >= 0 and np.any(vector(message.angular_velocity)))
+        if number >= _TOLD:
+            break
+    return a, w
+
+
+def _poses(
+    reader: AnyReader, found: _Topics, mounted: Mounting, camera_frame: str, frames: BagFrames
+) -> tuple[GivenPoses | None, tuple[RecordingWarning, ...]]:
+    """The camera's poses by the topic asked for; else by one of poses, which are taken for exact, else by odometry."""
+    asked = [one for one in found.of_types(*_POSES, _ODOMETRY) if one.topic in found.asked]
+    connection = _chosen(asked or found.of_types(*_POSES), ()) or found.chosen(_ODOMETRY)
+    if connection is None:
+        return None, ()
+    times, T = [], []
+    body = ""
+    for logged, message in _messages(reader, connection):
+        body = str(getattr(message, "child_frame_id", ""))
+        times.append(stamp_ns(message, logged) * _S_PER_NS)
+        T.append(pose_of(message, connection.topic))
+    T_body_camera = mounted.between(body, camera_frame) if body else None
+    if T_body_camera is None:
+        R = np.eye(3) if not body or body.endswith("optical_frame") else _R_FORWARD_OPTICAL
+        T_body_camera = pose_matrix(R, np.zeros(3))
+    order = np.unique(np.array(times), return_index=True)[1]
+    table = PoseTable(np.array(times)[order], np.array(T)[order] @ T_body_camera)
+    kind = PoseKind.ODOMETRY if connection.msgtype == _ODOMETRY else PoseKind.EXACT
+    try:
+        return replace(match_poses(table, frames), kind=kind), ()
+    except InvalidTrajectory as error:
+        return None, (RecordingWarning(WarningKind.NOT_USED, f"{connection.topic} is not used: {error.message}"),)

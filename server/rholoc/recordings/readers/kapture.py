@@ -1,0 +1,185 @@
+"""kapture 1.1, Naver's pivot format of datasets.
+
+::
+
+    sensors/sensors.txt                sensor_id, name, camera, MODEL, width, height, params…    models as COLMAP's
+    sensors/records_camera.txt         timestamp, sensor_id, image path below sensors/records_data/
+    sensors/trajectories.txt           timestamp, sensor or rig, qw, qx, qy, qz, tx, ty, tz      optional
+    sensors/rigs.txt                   rig_id, sensor_id, qw, qx, qy, qz, tx, ty, tz             optional
+    sensors/records_accelerometer.txt  timestamp, sensor_id, x, y, z                             optional
+    sensors/records_gyroscope.txt      timestamp, sensor_id, x, y, z                             optional
+
+Trajectories take the world to the sensor or rig, rigs take the rig to the sensor. The unit of time is not stated;
+timestamps that only count have none. Of several cameras with times, the one with most pictures is taken; without
+times, all pictures are. The unit of length is not stated.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from rholoc.errors import InvalidCamera, InvalidInput, InvalidRecording, InvalidTrajectory
+from rholoc.geometry import Camera, FloatArray
+from rholoc.recordings.imu_normalisation import ImuConvention, Samples, frame_times_s, normalise_imu
+from rholoc.recordings.readers._frames import TimedFrames, listed_file, timed_images, untimed_images
+from rholoc.recordings.readers._lenses import camera_of_model, unsupported
+from rholoc.recordings.readers.colmap import SCALE_WARNING
+from rholoc.recordings.recording import GivenPoses, Imu, Recording, RecordingFormat
+from rholoc.recordings.tables.csv_table import read_text
+from rholoc.recordings.tables.pose_table import poses_from_rows
+from rholoc.reports import RecordingWarning
+
+TABLES = ("sensors/*.txt", "reconstruction/*")
+_Pose = dict[tuple[str, str], FloatArray]
+
+
+def recognises(folder: Path) -> bool:
+    """Whether there are sensors and pictures."""
+    return all((folder / "sensors" / name).is_file() for name in ("sensors.txt", "records_camera.txt"))
+
+
+def read(folder: Path) -> Recording:
+    """Read the folder.
+
+    Raises:
+        InvalidRecording: a table or an image is broken.
+        InvalidCamera: a camera is broken.
+        InvalidTrajectory: a pose is broken.
+    """
+    tables = folder / "sensors"
+    records = [(stamp, sensor, path) for stamp, sensor, path in _rows(tables / "records_camera.txt", 3)]
+    known = read_cameras(tables / "sensors.txt")
+    stamps = np.array([_number(stamp, "records_camera.txt") for stamp, _, _ in records])
+    is_timed = bool(np.any(np.diff(np.unique(stamps)) != 1))
+    if is_timed and len({sensor for _, sensor, _ in records}) > 1:
+        most = Counter(sensor for _, sensor, _ in records).most_common(1)[0][0]
+        records = [one for one in records if one[1] == most]
+        stamps = np.array([_number(stamp, "records_camera.txt") for stamp, _, _ in records])
+    paths = [listed_file(tables / "records_data", path) for _, _, path in records]
+    cameras, warnings = _cameras(known, [sensor for _, sensor, _ in records])
+    timed, unit_warnings = _frames(paths, stamps if is_timed else None, cameras)
+    return Recording(
+        name=folder.resolve().name,
+        path=folder,
+        frames=timed.frames,
+        camera=timed.camera,
+        imu=_imu(tables) if is_timed else None,
+        poses=_poses(tables, [records[row][:2] for row in timed.rows]),
+        format=RecordingFormat.KAPTURE,
+        warnings=(*unit_warnings, *timed.warnings, *warnings, SCALE_WARNING),
+    )
+
+
+def read_cameras(path: Path) -> dict[str, Camera | None]:
+    """The cameras of ``sensors.txt`` by sensor, in the file's order; None where the model is not supported.
+
+    Raises:
+        InvalidCamera: a line is broken.
+    """
+    found: dict[str, Camera | None] = {}
+    for sensor, _, kind, *parameters in _rows(path, 3, InvalidCamera):
+        if kind != "camera":
+            continue
+        try:
+            model, width, height, *values = parameters
+            size = int(float(width)), int(float(height))
+            found[sensor] = camera_of_model(model, size, [float(value) for value in values])
+        except InvalidCamera:
+            raise
+        except (ValueError, IndexError, OverflowError) as error:
+            raise InvalidCamera(f"{path.name}: the camera {sensor[:40]} is broken.") from error
+    return found
+
+
+def _rows(path: Path, fewest: int, error: type[InvalidInput] = InvalidRecording) -> list[list[str]]:
+    """The fields of each line; raises ``error`` where there are fewer, or no lines."""
+    lines = [line for line in read_text(path, error).splitlines() if line.strip() and not line.startswith("#")]
+    rows = [[field.strip() for field in line.split(",")] for line in lines]
+    broken = next((row for row in rows if len(row) < fewest), None)
+    if broken is not None or not rows:
+        what = f"'{', '.join(broken)[:60]}' has too few fields" if broken else "it has no lines"
+        raise error(f"{path.name}: {what}.", "Leave it as kapture wrote it.")
+    return rows
+
+
+def _number(text: str, table: str) -> float:
+    try:
+        number = float(text)
+    except ValueError:
+        number = np.nan
+    if not np.isfinite(number):
+        raise InvalidRecording(f"{table}: '{text[:40]}' is not a finite number.")
+    return number
+
+
+def _cameras(
+    known: dict[str, Camera | None], used: Sequence[str]
+) -> tuple[list[Camera] | None, tuple[RecordingWarning, ...]]:
+    """The camera of each picture; None if one of them is not known."""
+    cameras = [known.get(sensor) for sensor in used]
+    unknown = next((sensor for sensor, camera in zip(used, cameras, strict=True) if camera is None), None)
+    if unknown is None:
+        return [camera for camera in cameras if camera is not None], ()
+    return None, (unsupported(f"that of {unknown[:40]}"),) if unknown in known else ()
+
+
+def _frames(
+    paths: Sequence[Path], stamps: FloatArray | None, cameras: Sequence[Camera] | None
+) -> tuple[TimedFrames, tuple[RecordingWarning, ...]]:
+    if stamps is None:
+        return untimed_images(paths, cameras), ()
+    times, warnings = frame_times_s(stamps, "ns")
+    order = np.argsort(times, kind="stable")
+    chosen = None if cameras is None else [cameras[row] for row in order]
+    found = timed_images([paths[row] for row in order], times[order], chosen)
+    return TimedFrames(found.frames, order[found.rows], found.warnings, found.camera), warnings
+
+
+def _imu(tables: Path) -> Imu | None:
+    """The first accelerometer and gyroscope that there are."""
+    samples = []
+    for name in ("accelerometer", "gyroscope"):
+        path = tables / f"records_{name}.txt"
+        if not path.is_file():
+            return None
+        rows = _rows(path, 5)
+        rows = [row for row in rows if row[1] == rows[0][1]]
+        values = np.array([[_number(text, path.name) for text in (row[0], *row[2:5])] for row in rows])
+        samples.append(Samples.from_rows(values[np.argsort(values[:, 0], kind="stable")]))
+    return normalise_imu(samples[0], samples[1], ImuConvention(time_unit="ns"))[0]
+
+
+def _poses(tables: Path, records: Sequence[tuple[str, str]]) -> GivenPoses | None:
+    """T_world_camera of each picture, by its own trajectory or by its rig's."""
+    path = tables / "trajectories.txt"
+    if not path.is_file():
+        return None
+    placed = _pose_table(path)
+    rigs = _pose_table(tables / "rigs.txt") if (tables / "rigs.txt").is_file() else {}
+    T = np.full((len(records), 4, 4), np.nan)
+    for row, (stamp, sensor) in enumerate(records):
+        found = placed.get((stamp, sensor))
+        if found is None:
+            mounted = ((rig, T_sensor_rig) for (rig, other), T_sensor_rig in rigs.items() if other == sensor)
+            by_rig = (T_sensor_rig @ placed[stamp, rig] for rig, T_sensor_rig in mounted if (stamp, rig) in placed)
+            found = next(by_rig, None)
+        if found is not None:
+            T[row] = np.linalg.inv(found)
+    known = np.isfinite(T[:, 0, 0])
+    return GivenPoses(known, T, metric=False) if known.any() else None
+
+
+def _pose_table(path: Path) -> _Pose:
+    """The transform (4, 4) of each line, by its first two fields."""
+    rows = _rows(path, 9, InvalidTrajectory)
+    try:
+        numbers = np.array([[float(text) for text in row[2:9]] for row in rows])
+    except ValueError as error:
+        raise InvalidTrajectory(f"{path.name}: a part of a pose is not a number.") from error
+    qw, qx, qy, qz, tx, ty, tz = numbers.T
+    poses = poses_from_rows(np.column_stack([tx, ty, tz, qx, qy, qz, qw]), path.name)
+    return {(row[0], row[1]): T for row, T in zip(rows, poses, strict=True)}
