@@ -9,7 +9,7 @@ import threading
 import time
 import uuid
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -205,6 +205,7 @@ class PointRoom:
     camera: Camera
     noise_px: float = 0.5
     flipped_bits: int = 12
+    _maps: dict[tuple[bytes, str], Map] = field(default_factory=dict, init=False)
 
     @cached_property
     def patches(self) -> FloatArray:
@@ -252,8 +253,14 @@ class PointRoom:
         ]
 
     def map_of(self, poses: Sequence[Pose], name: str) -> Map:
-        """The map of a recording called ``name``, of cameras at known poses."""
+        """The map of a recording called ``name``, of cameras at known poses; made once, so nobody may change it."""
         T = np.array([pose.T_map_camera for pose in poses])
+        known = T.tobytes(), name
+        if known not in self._maps:
+            self._maps[known] = self._made_map(poses, T, name)
+        return self._maps[known]
+
+    def _made_map(self, poses: Sequence[Pose], T: FloatArray, name: str) -> Map:
         seen = [self.see(pose, seed) for seed, pose in enumerate(poses)]
         views = Views.from_features([self.camera] * len(T), T, np.arange(len(T)) / 10, seen)
         landmarks = select_stable(views, triangulate(views, link_observations(views, Metric.HAMMING)), 300)
