@@ -11,7 +11,7 @@ import pytest
 from rholoc.calibration import Board, BoardKind, Calibration, calibrate
 from rholoc.calibration.boards import BoardFinder
 from rholoc.errors import InvalidInput, InvalidRecording
-from rholoc.geometry import ByteArray, Camera
+from rholoc.geometry import ByteArray, Camera, Lens
 from rholoc.pictures.calibration import calibration_png
 
 _CHECKERBOARD = Board.parse("9x6", 25, BoardKind.CHECKERBOARD)
@@ -135,3 +135,25 @@ def test_squares_without_a_size_are_refused() -> None:
 def test_boards_are_named_as_they_are_sold() -> None:
     assert (str(_CHECKERBOARD), str(_CHARUCO)) == ("9x6 checkerboard", "10x7 charuco")
     assert len(_CHARUCO.corners) == len(_CHECKERBOARD.corners) == 54
+
+
+@pytest.mark.slow
+def test_a_fisheye_is_given_back(studio, as_frames) -> None:
+    """Of pictures in which the lens bends the board most, it is not found."""
+    fisheye = Camera(480, 480, 160.0, 161.0, 242.0, 237.0, (0.01, 0.02, -0.015, 0.003), Lens.FISHEYE)
+    rng = np.random.default_rng(4)
+    room = studio(fisheye, _CHECKERBOARD)
+    pictures = [room.photograph(T, rng) for T in room.walk(24, rng)]
+    found = calibrate(as_frames(pictures), _CHECKERBOARD, lens=Lens.FISHEYE)
+    assert found.rms_px < 0.15
+    assert max(map(abs, off_by_sigmas(found, fisheye).values())) < 5
+    seen = np.concatenate([view.sighting.pixels for view in found.views])
+    off_deg = np.degrees(np.linalg.norm(found.camera.rays(seen) - fisheye.rays(seen), axis=1))
+    assert np.median(off_deg) < 0.15
+    assert found.camera.lens is Lens.FISHEYE
+    assert set(found.sigmas) == {"fx", "fy", "cx", "cy", "k1", "k2", "k3", "k4"}
+
+
+def test_a_panorama_has_nothing_to_calibrate(as_frames) -> None:
+    with pytest.raises(InvalidInput, match="panorama"):
+        calibrate(as_frames([_BLANK]), _CHECKERBOARD, lens=Lens.EQUIRECTANGULAR)

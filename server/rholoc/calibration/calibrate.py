@@ -1,4 +1,7 @@
-"""Views of a board → the camera (Zhang, 2000, with OpenCV), its uncertainty, and whether it is good enough."""
+"""Views of a board → the camera, its uncertainty, and whether it is good enough.
+
+Pinholes by Zhang's method (2000, with OpenCV), fisheyes by :mod:`rholoc.calibration.fisheye`.
+"""
 
 from __future__ import annotations
 
@@ -10,9 +13,10 @@ import cv2
 import numpy as np
 
 from rholoc.calibration.boards import Board, BoardKind, Sighting
+from rholoc.calibration.fisheye import solve_fisheye
 from rholoc.calibration.views import BoardViews, find_views
-from rholoc.errors import InvalidCamera, InvalidRecording
-from rholoc.geometry import BoolArray, Camera, FloatArray, angles_between
+from rholoc.errors import InvalidCamera, InvalidInput, InvalidRecording
+from rholoc.geometry import BoolArray, Camera, FloatArray, Lens, angles_between, pose_matrix
 from rholoc.recordings import FrameSource
 
 _MIN_VIEWS = 8
@@ -22,7 +26,10 @@ _MAX_FOCAL_SIGMA = 0.01  # relative
 _LEAST_TILT_DEG = 6.0
 _OUTLIER = 3.0  # times the median error of all views
 _SIGNIFICANT = 3.0  # standard deviations from zero that the sixth-order term must be to be kept
-_PARAMETERS = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
+_PARAMETERS = {
+    Lens.PINHOLE: ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3"),
+    Lens.FISHEYE: ("fx", "fy", "cx", "cy", "k1", "k2", "k3", "k4"),
+}
 _CELLS = (6, 8)  # rows and columns that the image is cut into, for coverage
 
 _MOVE = "Film it from near and far, tilted by 30° and more, in every part of the picture."
@@ -103,17 +110,23 @@ class Calibration:
         }
 
 
-def calibrate(frames: FrameSource, board: Board, advance: Callable[[], None] = lambda: None) -> Calibration:
+def calibrate(
+    frames: FrameSource, board: Board, advance: Callable[[], None] = lambda: None, lens: Lens = Lens.PINHOLE
+) -> Calibration:
     """The camera that filmed a board.
 
     Args:
         frames: a video or pictures of one camera, its focus and zoom unchanged.
         board: the board; the size of its squares scales distances, not intrinsics.
         advance: called after each frame that was looked at.
+        lens: of the camera: a pinhole or a fisheye.
 
     Raises:
+        InvalidInput: a panorama, which has no intrinsics to be found.
         InvalidRecording: the board is not seen, or not in enough different views to determine the intrinsics.
     """
+    if lens not in _PARAMETERS:
+        raise InvalidInput("A panorama needs no calibration: its size says it all.", "Store it as equirectangular.")
     found = find_views(frames, board, advance)
     if not found.found:
         counts = "squares" if board.kind is BoardKind.CHARUCO else "inner corners"
@@ -128,7 +141,7 @@ def calibrate(frames: FrameSource, board: Board, advance: Callable[[], None] = l
             _MOVE,
         )
     try:
-        calibration = _without_outliers(found, board, frames.size)
+        calibration = _without_outliers(found, board, frames.size, lens)
     except InvalidCamera as error:
         raise InvalidRecording("The views do not determine the focal length: they are too similar.", _MOVE) from error
     _check(calibration)
@@ -152,17 +165,33 @@ def _check(calibration: Calibration) -> None:
         )
 
 
-def _without_outliers(found: BoardViews, board: Board, size: tuple[int, int]) -> Calibration:
-    first = _solve(found, found.chosen, board, size)
+def _without_outliers(found: BoardViews, board: Board, size: tuple[int, int], lens: Lens) -> Calibration:
+    first = _solve(found, found.chosen, board, size, lens)
     errors = np.array([np.sqrt(np.mean(view.residuals_px**2)) for view in first.views])
     kept = [
         sighting for sighting, error in zip(found.chosen, errors, strict=True) if error <= _OUTLIER * np.median(errors)
     ]
-    return first if len(kept) == len(errors) else _solve(found, kept, board, size)
+    return first if len(kept) == len(errors) else _solve(found, kept, board, size, lens)
 
 
-def _solve(found: BoardViews, sightings: Sequence[Sighting], board: Board, size: tuple[int, int]) -> Calibration:
-    """With radial terms of the second, fourth and, where it is significant, sixth order, and tangential ones."""
+def _solve(
+    found: BoardViews, sightings: Sequence[Sighting], board: Board, size: tuple[int, int], lens: Lens
+) -> Calibration:
+    solve = solve_fisheye if lens is Lens.FISHEYE else _solve_pinhole
+    camera, poses, deviations = solve(sightings, board, size)
+    views = []
+    for sighting, T in zip(sightings, poses, strict=True):
+        points = board.corners[sighting.corners] @ T[:3, :3].T + T[:3, 3]
+        views.append(CalibrationView(sighting, sighting.pixels - camera.project(points), T))
+    residuals = np.concatenate([view.residuals_px for view in views])
+    sigmas = dict(zip(_PARAMETERS[lens][: len(camera.parameters)], deviations.tolist(), strict=False))
+    return Calibration(camera, sigmas, float(np.sqrt((residuals**2).sum(axis=1).mean())), board, found, tuple(views))
+
+
+def _solve_pinhole(
+    sightings: Sequence[Sighting], board: Board, size: tuple[int, int]
+) -> tuple[Camera, list[FloatArray], FloatArray]:
+    """As :func:`solve_fisheye`: with radial terms of the second, fourth and, where significant, sixth order."""
     solved = _calibrate_camera(sightings, board, size, 0)
     if abs(solved[2].ravel()[4]) < _SIGNIFICANT * solved[5].ravel()[8]:
         solved = _calibrate_camera(sightings, board, size, cv2.CALIB_FIX_K3)
@@ -171,15 +200,11 @@ def _solve(found: BoardViews, sightings: Sequence[Sighting], board: Board, size:
     count = 5 if coefficients[4] != 0 else 4
     fx, fy, cx, cy = (float(value) for value in (K[0, 0], K[1, 1], K[0, 2], K[1, 2]))
     camera = Camera(*size, fx, fy, cx, cy, tuple(coefficients[:count].tolist()))
-    views = []
-    for sighting, turn, shift in zip(sightings, turns, shifts, strict=True):
-        T = np.eye(4)
-        T[:3, :3], T[:3, 3] = cv2.Rodrigues(turn)[0], shift.ravel()
-        points = board.corners[sighting.corners] @ T[:3, :3].T + T[:3, 3]
-        views.append(CalibrationView(sighting, sighting.pixels - camera.project(points), T))
-    residuals = np.concatenate([view.residuals_px for view in views])
-    sigmas = dict(zip(_PARAMETERS[: 4 + count], deviations.ravel().tolist(), strict=False))
-    return Calibration(camera, sigmas, float(np.sqrt((residuals**2).sum(axis=1).mean())), board, found, tuple(views))
+    poses = [
+        pose_matrix(np.asarray(cv2.Rodrigues(turn)[0], dtype=np.float64), np.asarray(shift, dtype=np.float64).ravel())
+        for turn, shift in zip(turns, shifts, strict=True)
+    ]
+    return camera, poses, np.asarray(deviations, dtype=np.float64).ravel()[: 4 + count]
 
 
 def _calibrate_camera(sightings: Sequence[Sighting], board: Board, size: tuple[int, int], flags: int) -> Any:

@@ -34,7 +34,9 @@ def add(
     source: Annotated[
         str,
         typer.Argument(
-            metavar="CAMERA", help="FX,FY,CX,CY[,K1,K2,P1,P2[,K3]] in pixels, a camera.json, or a map for its camera."
+            metavar="CAMERA",
+            help="FX,FY,CX,CY[,K1,K2,P1,P2[,K3]] in pixels, fisheye:FX,FY,CX,CY[,K1,K2,K3,K4], equirectangular, a "
+            "camera.json, or a map for its camera.",
         ),
     ],
     size: Annotated[
@@ -43,9 +45,11 @@ def add(
     maps: Maps = _MAPS,
 ) -> None:
     """Store a camera under a name, replacing any of that name."""
+    from rholoc.geometry import Lens
     from rholoc.maps import CameraLibrary, CameraProfile
 
-    profile = CameraProfile(_parse(source, size) if "," in source else _read(Path(source)))
+    is_written = "," in source or source == Lens.EQUIRECTANGULAR
+    profile = CameraProfile(_parse(source, size) if is_written else _read(Path(source)))
     CameraLibrary(maps).put(name, profile)
     _print(name, profile, as_json=False)
 
@@ -93,11 +97,13 @@ def calibrate(
     charuco: Annotated[
         bool, typer.Option("--charuco", help="The board has ArUco markers in its white squares.")
     ] = False,
+    lens: Annotated[str, typer.Option(metavar="pinhole|fisheye", help="How the camera projects.")] = "pinhole",
     name: Annotated[str | None, typer.Option(help="Store the camera under this name.")] = None,
     picture: Annotated[
         Path | None, typer.Option(metavar="PNG", help="Draw where in the image the board was seen, and the residuals.")
     ] = None,
     frames: options.Frames = None,
+    topic: options.Topics = None,
     maps: Maps = _MAPS,
     as_json: options.Json = False,
 ) -> None:
@@ -105,6 +111,7 @@ def calibrate(
     from rholoc.calibration import Board, BoardKind
     from rholoc.calibration import calibrate as calibrated
     from rholoc.disk import replace_file
+    from rholoc.geometry import Lens
     from rholoc.maps import CameraLibrary, CameraProfile, check_camera_name
     from rholoc.recordings import read_recording
 
@@ -113,9 +120,9 @@ def calibrate(
     library = CameraLibrary(maps)
     if name is not None:
         check_camera_name(name)  # refuses an invalid name before the work
-    shown = read_recording(source, frames=frames).frames
+    shown = read_recording(source, frames=frames, topics=topic or ()).frames
     with frame_progress("looking for the board", len(shown.times)) as advance:
-        found = calibrated(shown, looked_for, advance)
+        found = calibrated(shown, looked_for, advance, options.choice(Lens, lens, "--lens"))
     profile = CameraProfile(found.camera, found.figures)
     if name is not None:
         library.put(name, profile)
@@ -154,7 +161,9 @@ def _figures(profile: CameraProfile) -> dict[str, Any]:
 
 
 def _line(camera: Camera) -> str:
-    return f"{camera.width}x{camera.height} {','.join(f'{value:.6g}' for value in camera.parameters)}"
+    lens, _, _ = camera.to_text().rpartition(":")
+    figures = ",".join(f"{value:.6g}" for value in camera.parameters)
+    return f"{camera.width}x{camera.height} {lens}{':' if lens else ''}{figures}"
 
 
 def _print(name: str, profile: CameraProfile, as_json: bool) -> None:

@@ -39,12 +39,14 @@ def localize(
         "trajectory.csv"
     ),
     frames: options.Frames = None,
+    topic: options.Topics = None,
     camera: Annotated[
         str | None,
         typer.Option(
             metavar="FX,FY,CX,CY[,K1,K2,P1,P2[,K3]]|NAME|unknown",
-            help="Intrinsics in pixels of the frames, or a camera that `rholoc camera` keeps, instead of the "
-            "recording's own; unknown: the focal length is estimated with each pose.",
+            help="Intrinsics in pixels of the frames (with fisheye: before them, of such a lens), equirectangular, or "
+            "a camera that `rholoc camera` keeps, instead of the recording's own; unknown: the focal length is "
+            "estimated with each pose.",
         ),
     ] = None,
     dof: options.DofOption = "auto",
@@ -70,7 +72,7 @@ def localize(
     map_ = load_map(map_file)
     known = Intrinsics.UNKNOWN if camera == Intrinsics.UNKNOWN else Intrinsics.GIVEN
     given = None if known is Intrinsics.UNKNOWN else options.named_camera(camera)
-    recording = read_recording(source, camera=given, frames=frames)
+    recording = read_recording(source, camera=given, frames=frames, topics=topic or ())
     used_camera = _guessed(recording) if known is Intrinsics.UNKNOWN else recording_camera(recording, map_.info)
     localizer = localizer_of(map_, MIN_RECOGNIZED if min_recognized is None else min_recognized)
     count = len(recording.frames.times)

@@ -50,6 +50,7 @@ def build(
     ] = "auto",
     frames: options.Frames = None,
     camera: options.Camera = None,
+    topic: options.Topics = None,
     waypoints: Annotated[
         Path | None, typer.Option(metavar="CSV", help="Measured waypoints: name[,time or frame],x,y,z.")
     ] = None,
@@ -66,8 +67,10 @@ def build(
     as_json: options.Json = False,
 ) -> None:
     """Build a map from one or more recordings of a place."""
-    if len(recordings) > 1 and (waypoints or frames or camera or length):
-        raise typer.BadParameter("--frames, --camera, --waypoints and --length speak of one recording; give just one.")
+    if len(recordings) > 1 and (waypoints or frames or camera or length or topic):
+        raise typer.BadParameter(
+            "--frames, --camera, --waypoints, --length and --topic speak of one recording; give just one."
+        )
     target = check_target(out or Path(f"{recordings[0].resolve().stem}.rho"), "the map")
     from rholoc.mapping import DEFAULT_FEATURES, BuildOptions, build_map
     from rholoc.maps import DensityKind, save_map
@@ -84,7 +87,9 @@ def build(
     )
     with stage_progress() as progress:
         read = [
-            read_recording(path, options.named_camera(camera), frames, waypoints, lengths=length or ())
+            read_recording(
+                path, options.named_camera(camera), frames, waypoints, lengths=length or (), topics=topic or ()
+            )
             for path in recordings
         ]
         map_ = build_map(read, build_options, progress)
@@ -175,6 +180,7 @@ def update(
     ] = None,
     frames: options.Frames = None,
     camera: options.Camera = None,
+    topic: options.Topics = None,
     pictures: Annotated[
         bool, typer.Option("--pictures", help="Keep a small picture of each new view in the map.")
     ] = False,
@@ -191,7 +197,10 @@ def update(
     map_ = load_map(map_file)
     with stage_progress() as progress:
         updated = update_map(
-            map_, read_recording(recording, options.named_camera(camera), frames), update_options, progress
+            map_,
+            read_recording(recording, options.named_camera(camera), frames, topics=topic or ()),
+            update_options,
+            progress,
         )
     _save(updated, out or map_file, as_json)
 

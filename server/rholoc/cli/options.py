@@ -29,8 +29,8 @@ Camera = Annotated[
     str | None,
     typer.Option(
         metavar="FX,FY,CX,CY[,K1,K2,P1,P2[,K3]]|NAME",
-        help="Intrinsics in pixels of the frames, with OpenCV's distortion, or a camera that `rholoc camera` keeps; "
-        "instead of the recording's own.",
+        help="Intrinsics in pixels of the frames, with OpenCV's distortion; fisheye:FX,FY,CX,CY[,K1,K2,K3,K4]; "
+        "equirectangular; or a camera that `rholoc camera` keeps; instead of the recording's own.",
     ),
 ]
 DofOption = Annotated[
@@ -46,9 +46,17 @@ Frames = Annotated[
     str | None,
     typer.Option(metavar="START:STOP[:STEP]", help="Only these frames, by number; STOP is left out."),
 ]
+Topics = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--topic", metavar="NAME", help="Of a bag, a topic to take where there are several of a kind; repeatable."
+    ),
+]
 Json = Annotated[bool, typer.Option("--json", help="Print the figures as JSON.")]
 MapFile = Annotated[Path, typer.Argument(metavar="MAP", help="A map file (.rho).")]
-Source = Annotated[Path, typer.Argument(metavar="SOURCE", help="A video, a folder of images, or a recording's folder.")]
+Source = Annotated[
+    Path, typer.Argument(metavar="SOURCE", help="A video, a folder of images, a ROS bag, or a recording's folder.")
+]
 
 
 def named_camera(text: str | None) -> GeometryCamera | str | None:

@@ -30,12 +30,13 @@ def info(
     ] = None,
     frames: options.Frames = None,
     camera: options.Camera = None,
+    topic: options.Topics = None,
     as_json: options.Json = False,
 ) -> None:
     """Describe a recording: what it is, its problems, and what to do better next time."""
     from rholoc.recordings import describe_recording, read_recording
 
-    read = read_recording(recording, camera=camera, frames=frames)
+    read = read_recording(recording, camera=camera, frames=frames, topics=topic or ())
     description = describe_recording(read)
     if as_json:
         print_json(description)
@@ -89,7 +90,8 @@ def _span(table: dict[str, Any]) -> str:
 def _camera(description: dict[str, Any]) -> str:
     camera, logged = description["camera"], description["frame_intrinsics"]
     if camera is not None:
-        return f"fx {camera['fx']:.1f}, fy {camera['fy']:.1f}, cx {camera['cx']:.1f}, cy {camera['cy']:.1f} px"
+        lens = f"{camera['lens']}, " if "lens" in camera else ""
+        return f"{lens}fx {camera['fx']:.1f}, fy {camera['fy']:.1f}, cx {camera['cx']:.1f}, cy {camera['cy']:.1f} px"
     if logged is not None and logged["fx"] is not None:
         return f"logged for each frame, fx {logged['fx'][0]:.1f} to {logged['fx'][1]:.1f} px"
     return "unknown: will be calibrated with the poses"

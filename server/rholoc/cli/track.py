@@ -56,6 +56,7 @@ def track(
     ] = None,
     frames: options.Frames = None,
     camera: options.Camera = None,
+    topic: options.Topics = None,
     out: Annotated[
         Path | None, typer.Option("--out", "-o", metavar="CSV", help="Where the trajectory goes (Table 6).")
     ] = None,
@@ -71,7 +72,7 @@ def track(
     from rholoc.recordings import read_recording
 
     localizer = localizer_of(load_map(map_file))
-    recording = read_recording(source, camera=options.named_camera(camera), frames=frames)
+    recording = read_recording(source, camera=options.named_camera(camera), frames=frames, topics=topic or ())
     true_poses = None if recording.poses is None else recording.poses.T_map_camera
     if truth is not None:
         true_poses = _poses_of(truth, recording.frames)
