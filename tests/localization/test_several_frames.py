@@ -112,7 +112,7 @@ def test_frames_of_another_place_have_no_pose(localizer: Localizer, point_room: 
     )
     found = localize_together(localizer, SeveralFrames(strange, asked.T_rig_cameras))
     assert not found.first.localized
-    assert found.first.reason is not None
+    assert found.first.reason is Reason.NO_MATCHES
     assert found.poses == ()
 
 

@@ -39,7 +39,7 @@ def test_cameras_at_one_place_are_compared_by_their_rotation() -> None:
 
 @pytest.fixture(scope="module")
 def kitchen(real_data: Path) -> Recording:
-    return read_recording(real_data / "redkitchen", "525.505,525.505,320,240", "400:520:3")
+    return read_recording(real_data / "redkitchen", "525.505,525.505,320,240", "400:520:8")
 
 
 def _written(recording: Recording, write: Callable[[FloatArray], FloatArray]) -> Recording:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -14,12 +14,15 @@ from synthetic_walk import followed
 from rholoc.errors import MappingFailed
 from rholoc.features import FeatureSet
 from rholoc.geometry import FloatArray, IntArray, Similarity
-from rholoc.recordings import Imu
+from rholoc.progress import silent
+from rholoc.recordings import GRAVITY, Imu
 from rholoc.trajectory import Scale
 from rholoc.trajectory.frame.map_frame import MapFrame
 from rholoc.trajectory.inertial.gyroscope import GyroCalibration
+from rholoc.trajectory.optimization.adjustment import InertialState, Problem, State
 from rholoc.trajectory.reconstruction import dispatch, from_imu
 from rholoc.trajectory.reconstruction.outcome import Reconstruction
+from rholoc.trajectory.reconstruction.rounds import AdjustmentProgress
 from rholoc.trajectory.reconstruction.sights import Evidence, Sights
 from rholoc.trajectory.visual.matching import VerifiedPair
 from rholoc.trajectory.visual.tracks import Observations
@@ -66,6 +69,38 @@ def _features(pixels: FloatArray) -> FeatureSet:
     return FeatureSet(
         pixels.astype(np.float32), np.zeros(len(pixels), np.uint8), np.zeros((len(pixels), 0), np.uint8), zeros, zeros
     )
+
+
+@dataclass(frozen=True, eq=False)
+class _Adjusted:
+    state: State
+
+
+def _inertial(read: float) -> State:
+    inertial = InertialState(np.ones((2, 3)), np.zeros((2, 6)), np.eye(4), 0.0, np.array([0.0, 0.0, -read * GRAVITY]))
+    return State(arc(2), np.zeros((0, 3)), CAMERA, inertial)
+
+
+@pytest.mark.parametrize(("read", "corrected"), [(0.985, True), (0.995, False), (1.005, False), (1.015, True)])
+def test_an_accelerometer_a_hundredth_off_is_corrected(
+    read: float, corrected: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    adjusted: Any = _Adjusted(_inertial(read))
+    asked: list[int] = []
+
+    def adjust(problem: Problem, state: State, iterations: int, progress: object) -> _Adjusted:
+        asked.append(iterations)
+        return _Adjusted(state)
+
+    monkeypatch.setattr(from_imu, "adjust", adjust)
+    problem = Problem(np.arange(2.0), _NOTHING, _IMU, _GYRO)
+    found, after, scale = from_imu._accelerometer_corrected(problem, adjusted, AdjustmentProgress(silent))
+    assert scale == pytest.approx(read if corrected else 1.0)
+    assert asked == ([8] if corrected else [])
+    assert found.imu is not None
+    np.testing.assert_allclose(found.imu.acceleration, 2.0 / (read if corrected else 1.0))
+    assert after.state.inertial is not None
+    np.testing.assert_allclose(after.state.inertial.gravity[2], -GRAVITY * (1 if corrected else read))
 
 
 def test_what_shows_nothing_has_no_observations() -> None:

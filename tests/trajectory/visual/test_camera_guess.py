@@ -46,9 +46,8 @@ def test_without_a_gyroscope_the_pictures_give_one_that_is_plausible(walk: Synth
     assert found.focal == pytest.approx(PHONE_CAMERA.focal, rel=0.25)
 
 
-@pytest.mark.slow
 def test_a_camera_that_shows_nothing_gets_the_usual_one() -> None:
-    blank = SyntheticWalk(times=np.arange(0.0, 6.0, 0.2), blank=((0.0, 99.0),))
+    blank = SyntheticWalk(times=np.arange(0.0, 2.0, 0.2), blank=((0.0, 99.0),))
     found = guess_camera(blank.flow, blank.imu)
     assert 0.7 < found.focal / max(blank.flow.size) < 1.0
 

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
+import cv2
 import numpy as np
 import pytest
 
 from rholoc.geometry import ByteArray, FloatArray
+from rholoc.recordings import MemoryFrames
 from rholoc.trajectory.visual.flow import track_corners
 from rholoc.trajectory.visual.keyframe_features import KeyframeFeatures
 from rholoc.trajectory.visual.keyframes import choose_keyframes
@@ -68,6 +70,15 @@ def test_a_short_walk_takes_smaller_steps_that_are_decoded_again() -> None:
     assert len(rows) > 20
     assert set(again) < set(rows)
     assert again == sorted(again)
+
+
+def test_features_of_large_pictures_are_in_pixels_of_the_whole() -> None:
+    (noise,) = Walk(1).images([0])
+    large = cv2.resize(noise, (1920, 1440), interpolation=cv2.INTER_CUBIC)
+    small = cv2.resize(large, (960, 720), interpolation=cv2.INTER_AREA)
+    found, reduced = (KeyframeFeatures(MemoryFrames([image])).of(np.zeros(1, np.int64))[0] for image in (large, small))
+    np.testing.assert_allclose(found.pixels, 2 * reduced.pixels + 0.5, atol=1e-3)
+    np.testing.assert_allclose(found.sizes, 2 * reduced.sizes)
 
 
 def test_few_images_wait_at_a_time() -> None:
