@@ -318,7 +318,7 @@ def asked(path: str) -> list[Request]:
         request("POST", path, *form(parts)),
         request("POST", path, picture, JPEG, intrinsics="unknown", deadline_ms=30_000),
         request("POST", path, {**options, "features": features}),
-        request("POST", path, frames),
+        *([request("POST", f"{path}/frames", frames)] if path.endswith("localize") else []),
     ]  # fmt: skip
 
 

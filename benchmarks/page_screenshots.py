@@ -134,7 +134,7 @@ def start(folder: Path, map_: Map) -> tuple[str, uvicorn.Server]:
 
 def ask(app: FastAPI, server: uvicorn.Server) -> None:
     """Three robots that are answered five times a second, one not found now and then; the answers are made up."""
-    live = app.state.rholoc.live
+    live = app.state.rholoc.frames.live
     example = LocalizationOut.model_config["json_schema_extra"]["example"]
     while not server.should_exit:
         for robot, (x, y) in enumerate([(0.3, 1.2), (1.2, 2.4), (2.6, 2.5)]):

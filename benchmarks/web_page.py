@@ -168,7 +168,7 @@ def _ask(app: FastAPI, stop: threading.Event) -> None:
             pose = {**example["pose"], "position": [x, y, 1.5]}
             pose["T_map_camera"] = [[0, 0, 1, x], [-1, 0, 0, y], [0, -1, 0, 1.5], [0, 0, 0, 1]]
             ASKER.set(f"robot-{robot}")
-            state.live.note(LocalizationOut.model_validate({**example, "pose": pose}))
+            state.frames.live.note(LocalizationOut.model_validate({**example, "pose": pose}))
         stop.wait(1 / ROBOT_HZ)
 
 

@@ -273,8 +273,8 @@ def test_a_job_is_looked_up_once_for_all_who_watch_it(tmp_path):
 def test_jobs_are_listed_a_page_at_a_time(serve):
     running = serve()
     state = running.app.state.rholoc
-    recording = state.recordings.create([("walk.mp4", [b"x"])]).id
-    ids = [state.jobs.submit(recording, "room").id for _ in range(5)][::-1]
+    recording = state.recordings.sync.create([("walk.mp4", [b"x"])]).id
+    ids = [state.jobs.sync.submit(recording, "room").id for _ in range(5)][::-1]
     url = f"{running.url}/v1/jobs"
     assert [job["id"] for job in httpx.get(url).json()["jobs"]] == ids
     pages, before = [], None

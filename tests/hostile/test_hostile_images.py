@@ -147,7 +147,7 @@ def test_ordinary_frames_wait_for_no_large_ones(serve, picture_world, monkeypatc
         try:
             held = [pool.submit(httpx.post, url, content=large, headers=jpeg, timeout=60) for _ in range(2)]
             assert entered.wait(60)
-            compute = running.app.state.rholoc.compute
+            compute = running.app.state.rholoc.frames.compute
             while compute.taken < 2:
                 time.sleep(0.01)
             refused = httpx.post(url, content=large, headers=jpeg, timeout=60)

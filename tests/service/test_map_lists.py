@@ -17,6 +17,7 @@ from rholoc.maps import FloorPlan, MapLibrary
 from rholoc.maps.floor_plan import check_plan
 from rholoc.service.settings import KeyPolicy
 from rholoc.storage.replica import Replica
+from waiting import until
 
 _RHO = {"Content-Type": "application/octet-stream"}
 
@@ -34,8 +35,9 @@ def put(running, name: str, content: bytes, **headers: str) -> httpx.Response:
 def test_a_list_reads_no_map(running, picture_world, monkeypatch):
     for name in ("a", "b"):
         put(running, name, picture_world.rho()).raise_for_status()
-    library = running.app.state.rholoc.library
+    library = running.app.state.rholoc.maps.sync
     wanted = httpx.get(f"{running.url}/v1/maps/a").json()
+    until(lambda: running.app.state.rholoc.frames.finder.counts()["indexed"] == 2)  # which reads them once
     library._cache.drop("a")
     for copy in library.folder.glob("*.rho") if running.settings.shared_storage else ():
         copy.unlink()
@@ -102,7 +104,7 @@ def test_a_large_site_is_stored(serve, picture_world):
 
 def test_recordings_are_listed_while_one_is_deleted(serve, monkeypatch):
     running = serve()
-    store = running.app.state.rholoc.recordings
+    store = running.app.state.rholoc.recordings.sync
     other = RecordingStore(running.settings.data_dir, engine=store.engine)
     kept, gone = (store.create([("walk.mp4", [b"x"])]).id for _ in range(2))
     really = store.get

@@ -64,7 +64,7 @@ def written(path: Path, content: bytes) -> Path:
 
 def test_no_route_answers_with_a_path(serve, picture_world):
     running = serve()
-    maps, library = running.settings.maps_dir, running.app.state.rholoc.library
+    maps, library = running.settings.maps_dir, running.app.state.rholoc.maps.sync
     (maps / "broken.rho").write_bytes(b"\xff" * 100)
     (maps / "folder.rho").mkdir()
     (maps / "unreadable.rho").symlink_to("/proc/self/mem")

@@ -211,7 +211,7 @@ def test_a_silent_storage_costs_no_compute_threads(serve, tmp_path, picture_worl
         return answer.status_code, time.perf_counter() - begun
 
     alone_s = statistics.median(localize("hot")[1] for _ in range(5))
-    library = running.app.state.rholoc.library
+    library = running.app.state.rholoc.maps.sync
     for copy in library.folder.glob("*.rho"):
         if copy != library.path("hot"):
             copy.unlink()

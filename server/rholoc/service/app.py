@@ -45,6 +45,7 @@ from rholoc.service.errors import (
     invalid_request,
     status_of,
 )
+from rholoc.service.frames.answerer import Answerer
 from rholoc.service.frames.learning import Learner
 from rholoc.service.frames.live import Live
 from rholoc.service.frames.localizers import Localizers
@@ -59,8 +60,18 @@ from rholoc.service.http.openapi import install
 from rholoc.service.http.pacing import FramesFirst
 from rholoc.service.http.tracing import Traced
 from rholoc.service.http.tus import Tus
+from rholoc.service.libraries import (
+    AsyncAudit,
+    AsyncCameras,
+    AsyncJobs,
+    AsyncKeys,
+    AsyncLearning,
+    AsyncMaps,
+    AsyncQuotas,
+    AsyncRecordings,
+    AsyncSites,
+)
 from rholoc.service.maps.exports import Exports
-from rholoc.service.maps.job_events import JobEvents
 from rholoc.service.maps.map_watch import MapWatch
 from rholoc.service.maps.renderings import Renderings
 from rholoc.service.operate.readings import Readings
@@ -68,7 +79,7 @@ from rholoc.service.operate.stores import open_keys, stores_of
 from rholoc.service.routes import ROUTERS
 from rholoc.service.routes.frames.reading import READ_BY_HAND
 from rholoc.service.settings import Settings
-from rholoc.service.state import State
+from rholoc.service.state import Operation, State
 from rholoc.service.threads.compute import ComputePool
 from rholoc.service.threads.storage import StorageLanes
 from rholoc.storage.holdings import Holdings
@@ -88,17 +99,18 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     """The service as an ASGI application. Its threads and its worker live from start-up to shut-down."""
     settings, metrics = settings or Settings(), Metrics()
     stores = stores_of(settings)
-    keys, audit = open_keys(stores), AuditLog(stores.engine)
+    keys, audit, lanes = open_keys(stores), AuditLog(stores.engine), StorageLanes()
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
         configure_logs()
         telemetry.begin("rholoc-server")
-        app.state.rholoc = state = await asyncio.to_thread(_start, settings, metrics, keys, audit, stores)
-        state.watch.start()
-        state.learner.start()
-        if state.worker is not None:
-            state.worker.start()
+        app.state.rholoc = state = await asyncio.to_thread(_start, settings, metrics, keys, audit, stores, lanes)
+        parts = state.operation
+        parts.watch.start()
+        state.frames.learner.start()
+        if parts.worker is not None:
+            parts.worker.start()
         cleanup = asyncio.create_task(clean_up_regularly(state))
         following = asyncio.create_task(follow_keys(state))
         try:
@@ -106,15 +118,15 @@ def create_app(settings: Settings | None = None) -> FastAPI:
         finally:
             cleanup.cancel()
             following.cancel()
-            if state.worker is not None:
-                state.worker.stop()
-            state.watch.stop()
-            state.compute.close()
-            state.learner.close()
+            if parts.worker is not None:
+                parts.worker.stop()
+            parts.watch.stop()
+            state.frames.compute.close()
+            state.frames.learner.close()
             await state.renderings.close()
-            state.readiness.close()
-            state.threads.close()
-            state.jobs.close()
+            parts.readiness.close()
+            parts.lanes.close()
+            state.jobs.sync.close()
             stores.close()
             telemetry.end()
 
@@ -134,17 +146,23 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     for kind in (RholocError, ValidationError, RequestValidationError, HTTPException, OSError, SQLAlchemyError):
         app.add_exception_handler(kind, _answer_error)
     app.add_middleware(JsonBodies, max_bytes=settings.max_json_bytes)
-    app.add_middleware(FramesFirst, busy=lambda scope: scope["app"].state.rholoc.compute.busy)
+    app.add_middleware(FramesFirst, busy=lambda scope: scope["app"].state.rholoc.frames.compute.busy)
     app.add_middleware(SlowBodies, silence_s=settings.slow_client_timeout_s)
     app.add_middleware(RateLimited, keys=keys)
     app.add_middleware(ConcurrencyLimited, max_of_client=max(_MIN_UNDER_WAY, settings.max_connections // 4))
     app.add_middleware(ProbesOnly)
     open_paths = ("/metrics",) if settings.open_metrics else ()
     app.add_middleware(
-        Guard, routes=app.routes, keys=keys, policy=settings.keys, host=settings.host, open_paths=open_paths
+        Guard,
+        routes=app.routes,
+        keys=keys,
+        lanes=lanes,
+        policy=settings.keys,
+        host=settings.host,
+        open_paths=open_paths,
     )
     app.add_middleware(Tus)
-    app.add_middleware(Audited, log=audit)
+    app.add_middleware(Audited, log=audit, lanes=lanes)
     app.add_middleware(RequestBoundary)
     app.add_middleware(Traced)
     app.add_middleware(SecurityHeaders)
@@ -153,9 +171,62 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     return app
 
 
-def _start(settings: Settings, metrics: Metrics, keys: KeyStore, audit: AuditLog, stores: Stores) -> State:
-    settings.data_dir.mkdir(parents=True, exist_ok=True)
+def _start(
+    settings: Settings, metrics: Metrics, keys: KeyStore, audit: AuditLog, stores: Stores, lanes: StorageLanes
+) -> State:
+    _open(settings, stores)
+    keys.refresh()
     library, recordings = stores.library, stores.recordings
+    jobs = JobQueue(settings.data_dir, settings.jobs_database, recordings, engine=stores.engine)
+    uploads = UploadStore(
+        recordings, jobs, settings.upload_expires_s, settings.max_upload_files, settings.max_unfinished_uploads
+    )
+    queries = QueryStore(stores.objects, KeptLimits(size_bytes=settings.learn_max_bytes))
+    learner = Learner(queries, settings, stores.documents(ASKERS))
+    sites = SiteLibrary(settings.maps_dir, stores.documents(SITES))
+    finder = MapFinder(library, settings.data_dir / VECTORS_FILE)
+    compute = ComputePool(settings.concurrency, settings.queue_length)
+    frames = Answerer(
+        settings,
+        library,
+        sites,
+        Localizers(library, settings.min_recognized),
+        finder,
+        compute,
+        learner,
+        Live(settings.live, settings.keep_failures),
+        metrics,
+        lanes,
+    )
+    quotas = Quotas(Holdings(stores.engine), keys, library, recordings, uploads, jobs)
+    async_quotas = AsyncQuotas(quotas, lanes)
+    streams = OpenStreams(keys, *stream_limits(settings.max_streams, settings.max_connections))
+    readiness = Readings(settings, jobs, stores)
+    _measure(metrics, readiness, frames, streams)
+    worker = _worker(settings, jobs) if settings.worker else None
+    return State(
+        settings=settings,
+        maps=AsyncMaps(library, queries, settings, lanes),
+        cameras=AsyncCameras(CameraLibrary(settings.maps_dir, stores.documents(CAMERAS)), lanes),
+        sites=AsyncSites(sites, lanes),
+        recordings=AsyncRecordings(recordings, uploads, jobs, lanes),
+        jobs=AsyncJobs(jobs, async_quotas, lanes),
+        learning=AsyncLearning(library, learner, jobs, lanes),
+        keys=AsyncKeys(keys, quotas, lanes),
+        quotas=async_quotas,
+        audit=AsyncAudit(audit, lanes),
+        streams=streams,
+        frames=frames,
+        held_bodies=HeldBodies(_BODIES_AT_ONCE * settings.max_request_bytes),
+        renderings=Renderings(settings.data_dir / "renderings", library, lanes),
+        exports=Exports(settings.export_time_limit_s),
+        operation=Operation(stores, metrics, readiness, worker, MapWatch(finder), lanes),
+    )
+
+
+def _open(settings: Settings, stores: Stores) -> None:
+    """Open the stores as far as they answer."""
+    settings.data_dir.mkdir(parents=True, exist_ok=True)
     if not stores.are_shared:
         settings.maps_dir.mkdir(parents=True, exist_ok=True)
     stores.recall()
@@ -164,54 +235,20 @@ def _start(settings: Settings, metrics: Metrics, keys: KeyStore, audit: AuditLog
     except (RholocError, SQLAlchemyError) as error:
         _log.warning("database_not_opened", error=str(error)[:200])
     stores.follow()
-    jobs = JobQueue(settings.data_dir, settings.jobs_database, recordings, engine=stores.engine)
-    threads = StorageLanes()
-    queries = QueryStore(stores.objects, KeptLimits(size_bytes=settings.learn_max_bytes))
-    finder = MapFinder(library, settings.data_dir / VECTORS_FILE)
-    compute = ComputePool(settings.concurrency, settings.queue_length)
-    readiness = Readings(settings, jobs, stores)
-    metrics.gauge("rholoc_jobs", "Mapping jobs, as last known", "state", lambda: readiness.jobs.value)
+
+
+def _measure(metrics: Metrics, known: Readings, frames: Answerer, streams: OpenStreams) -> None:
+    """Let the metrics show jobs, frames, maps and streams."""
+    metrics.gauge("rholoc_jobs", "Mapping jobs, as last known", "state", lambda: known.jobs.value)
     waiting = "Queued mapping jobs, by why no worker can take them, as last known"
-    metrics.gauge("rholoc_jobs_waiting", waiting, "obstacle", lambda: readiness.waiting.value)
-    metrics.gauge("rholoc_jobs_age_seconds", "Age of the last known numbers of jobs", "at", readiness.job_ages)
-    metrics.gauge("rholoc_frames", "Frames that are being localized, or wait", "at", lambda: {"now": compute.taken})
-    metrics.gauge("rholoc_maps", "Maps in the folder, and how many of them are indexed", "state", finder.counts)
-    streams = OpenStreams(keys, *stream_limits(settings.max_streams, settings.max_connections))
+    metrics.gauge("rholoc_jobs_waiting", waiting, "obstacle", lambda: known.waiting.value)
+    metrics.gauge("rholoc_jobs_age_seconds", "Age of the last known numbers of jobs", "at", known.job_ages)
+    under_way = "Frames that are being localized, or wait"
+    metrics.gauge("rholoc_frames", under_way, "at", lambda: {"now": frames.compute.taken})
+    present = "Maps in the folder, and how many of them are indexed"
+    metrics.gauge("rholoc_maps", present, "state", frames.finder.counts)
     counted = lambda: {str(kind): streams.count(kind) for kind in StreamKind}  # noqa: E731
     metrics.gauge("rholoc_streams", "Streams that are open", "kind", counted)
-    uploads = UploadStore(
-        recordings, jobs, settings.upload_expires_s, settings.max_upload_files, settings.max_unfinished_uploads
-    )
-    keys.refresh()
-    return State(
-        settings=settings,
-        library=library,
-        cameras=CameraLibrary(settings.maps_dir, stores.documents(CAMERAS)),
-        keys=keys,
-        audit=audit,
-        stores=stores,
-        localizers=Localizers(library, settings.min_recognized),
-        finder=finder,
-        sites=SiteLibrary(settings.maps_dir, stores.documents(SITES)),
-        watch=MapWatch(finder),
-        renderings=Renderings(settings.data_dir / "renderings", library, threads),
-        compute=compute,
-        held_bodies=HeldBodies(_BODIES_AT_ONCE * settings.max_request_bytes),
-        exports=Exports(settings.export_time_limit_s),
-        metrics=metrics,
-        live=Live(settings.live, settings.keep_failures),
-        recordings=recordings,
-        uploads=uploads,
-        jobs=jobs,
-        job_events=JobEvents(jobs, threads.database),
-        queries=queries,
-        learner=Learner(queries, settings, stores.documents(ASKERS)),
-        worker=_worker(settings, jobs) if settings.worker else None,
-        streams=streams,
-        quotas=Quotas(Holdings(jobs.engine), keys, library, recordings, uploads, jobs),
-        readiness=readiness,
-        threads=threads,
-    )
 
 
 def _worker(settings: Settings, jobs: JobQueue) -> EmbeddedWorker:

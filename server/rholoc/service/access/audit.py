@@ -86,11 +86,11 @@ class Audited:
     Args:
         app: what answers them.
         log: where they are noted.
+        lanes: threads that note them.
     """
 
-    def __init__(self, app: ASGIApp, log: AuditLog) -> None:
-        self._app = app
-        self._audit = log
+    def __init__(self, app: ASGIApp, log: AuditLog, lanes: StorageLanes) -> None:
+        self._app, self._audit, self._lanes = app, log, lanes
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Answer one request."""
@@ -102,10 +102,9 @@ class Audited:
             if message["type"] == "http.response.start" and 200 <= message["status"] < 300 and _is_change(scope):
                 location = Headers(raw=message.get("headers", [])).get("location", "")
                 job = location.rpartition("/v1/jobs/")[2] if "/v1/jobs/" in location else ""
-                threads: StorageLanes = scope["app"].state.rholoc.threads
                 change = _change(scope, message["status"], job)
                 try:
-                    await threads.database(self._audit.note, change)
+                    await self._lanes.database(self._audit.note, change)
                 except (SQLAlchemyError, RholocError) as error:  # the change is made
                     _log.warning("change_not_noted", error=str(error)[:200], **asdict(change))
             await send(message)

@@ -76,6 +76,7 @@ class Guard:
         app: the application to guard.
         routes: its routes.
         keys: the keys that exist.
+        lanes: threads that read them again.
         policy: when a request needs one.
         host: the address that the server listens on.
         open_paths: routes that need no key, whatever they declare.
@@ -86,13 +87,14 @@ class Guard:
         app: ASGIApp,
         routes: Sequence[BaseRoute],
         keys: KeyStore,
+        lanes: StorageLanes,
         policy: KeyPolicy,
         host: str,
         open_paths: Collection[str] = (),
     ) -> None:
         self._app = app
         self._routes = route_access(routes)
-        self._keys = keys
+        self._keys, self._lanes = keys, lanes
         self._open_paths = frozenset(open_paths)
         self._keys_needed = keys_needed(policy, host)
         self._looking: asyncio.Task[None] | None = None
@@ -147,8 +149,7 @@ class Guard:
         key = self._keys.find(secret)
         if key is None:
             if self._looking is None or self._looking.done():
-                threads: StorageLanes = scope["app"].state.rholoc.threads
-                self._looking = asyncio.create_task(threads.database(self._keys.refresh))
+                self._looking = asyncio.create_task(self._lanes.database(self._keys.refresh))
             await asyncio.shield(self._looking)
             key = self._keys.find(secret)
         return key

@@ -13,8 +13,9 @@ from dataclasses import asdict, dataclass, field, fields, replace
 from enum import StrEnum
 from pathlib import Path
 
-from rholoc.errors import Conflict, InvalidName, NotFound
+from rholoc.errors import Busy, Conflict, InvalidName, NotFound
 from rholoc.maps import Documents, FolderDocuments
+from rholoc.service.errors import QuotaExceeded
 
 HANDED_PREFIX = "handed-"  # of the names of keys that were handed on
 FOLDER = "keys"
@@ -23,6 +24,9 @@ _BYTES = 32
 _HASH = re.compile(r"[0-9a-f]{64}")
 _MAX_NAME_LENGTH = 64
 _MAX_CHAIN = 100  # keys that were handed on one by the other
+_MAX_HANDED = 1000  # valid at the same time, of all keys together
+_MAX_HANDED_BY = 100  # by one key, with those below it
+_NAME_BYTES = 4  # of a key that is handed on
 
 
 class Scope(StrEnum):
@@ -162,6 +166,37 @@ class KeyStore:
         key = ApiKey(name, scope, now, None if lifetime_s is None else now + lifetime_s, limits, holder)
         self._write(_hash(secret), key)
         return secret
+
+    def hand_on(self, scope: Scope, lifetime_s: float, limits: KeyLimits, by: ApiKey | None) -> tuple[str, str]:
+        """Make a temporary key. Returns its name, and the key itself, which cannot be seen again.
+
+        Args:
+            scope: what it allows.
+            lifetime_s: for how long.
+            limits: how much it allows.
+            by: the key that it is handed on by; None where none is needed.
+
+        Raises:
+            QuotaExceeded: that key has handed on too many.
+            Busy: there are too many temporary keys.
+            StorageFull: the disk is full.
+        """
+        handed = [key for key in self.keys() if key.name.startswith(HANDED_PREFIX)]
+        for key in handed:
+            if key.expired:
+                with suppress(NotFound):  # another request has done so
+                    self.revoke(key.name)
+        valid = [key for key in handed if not key.expired]
+        first = None if by is None else self.chain(by)[-1]
+        if first is not None and sum(self.chain(key)[-1].id == first.id for key in valid) >= _MAX_HANDED_BY:
+            raise QuotaExceeded(
+                f"The key {first.name} has handed on {_MAX_HANDED_BY} keys, the most allowed.",
+                "Revoke some, or wait until they expire.",
+            )
+        if len(valid) >= _MAX_HANDED:
+            raise Busy("Too many temporary keys exist at the moment.", "Revoke some, or wait until they expire.")
+        name = HANDED_PREFIX + secrets.token_hex(_NAME_BYTES)
+        return name, self.create(name, scope, lifetime_s, limits, by)
 
     def limit(self, name: str, limits: KeyLimits) -> ApiKey:
         """Set how much the key of a name allows, from the next request on; returns the key.

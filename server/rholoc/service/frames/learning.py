@@ -64,7 +64,7 @@ class Learner:
     """
 
     def __init__(self, store: QueryStore, settings: Settings, salts: Documents) -> None:
-        self._store, self._settings, self._salts = store, settings, salts
+        self.store, self._settings, self._salts = store, settings, salts
         self._barred = {name.strip() for name in settings.learn_not_from.split(",")} - {""}
         self._waiting: queue.Queue[tuple[Lesson, str] | None] = queue.Queue(_MOST_WAITING)
         self._thread: threading.Thread | None = None
@@ -142,7 +142,7 @@ class Learner:
         assert pose is not None
         assert covariance is not None
         now, who = time.time(), self.pseudonym(asker)
-        if not self._store.wants(lesson.map_id, pose.T_map_camera, who, now):
+        if not self.store.wants(lesson.map_id, pose.T_map_camera, who, now):
             return
         query = AnsweredQuery(
             features=lesson.features(lesson.extractor),
@@ -153,4 +153,4 @@ class Learner:
             time_s=now,
             asker=who,
         )
-        self._store.add(lesson.map_id, query)
+        self.store.add(lesson.map_id, query)

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import AsyncIterator, Callable, Iterator
-from contextlib import contextmanager
+from contextlib import asynccontextmanager, contextmanager
 from dataclasses import dataclass, field
 from email.message import Message
 from pathlib import Path
+from typing import BinaryIO
+from uuid import uuid4
 
 from python_multipart.exceptions import FormParserError
 from python_multipart.multipart import MultipartParser, parse_options_header
@@ -103,11 +105,37 @@ async def read_body(request: Request, max_bytes: int, on_piece: PieceListener = 
     return b"".join(chunks)
 
 
-async def save_body(request: Request, path: Path, max_bytes: int) -> None:
-    """Write the body to a new file. Raises as :func:`limited_stream` does, and OSError."""
-    with path.open("xb") as file:
+@dataclass(frozen=True)
+class SavedBody:
+    """A body in a file."""
+
+    path: Path
+    size_bytes: int
+
+
+@asynccontextmanager
+async def saved_body(request: Request, folder: Path, max_bytes: int) -> AsyncIterator[SavedBody]:
+    """The body in a new file of a folder, which is removed at the end of the block.
+
+    Raises:
+        TooLarge, ClientDisconnect: as :func:`limited_stream`.
+        OSError: it cannot be written.
+    """
+    path, size_bytes = folder / uuid4().hex, 0
+
+    def open_file() -> BinaryIO:
+        folder.mkdir(parents=True, exist_ok=True)
+        return path.open("xb")
+
+    file = await run_in_threadpool(open_file)
+    try:
         async for chunk in limited_stream(request, max_bytes):
-            await run_in_threadpool(file.write, chunk)
+            size_bytes += await run_in_threadpool(file.write, chunk)
+        await run_in_threadpool(file.close)
+        yield SavedBody(path, size_bytes)
+    finally:
+        await run_in_threadpool(file.close)
+        await run_in_threadpool(path.unlink, missing_ok=True)
 
 
 @dataclass

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pydantic import Field
 from pydantic.config import JsonDict
 
-from rholoc.geometry import Camera
+from rholoc.errors import RholocError, UnknownMap
 from rholoc.mapping import levelled
 from rholoc.maps import (
     Correction,
@@ -146,11 +146,47 @@ class MapReportOut(AnswerModel):
     report: MapReport
 
 
-def _summary(library: MapLibrary, name: str) -> dict[str, object]:
-    return summary_fields(name, library.outline(name), library.stat(name).size_bytes)
+class MapList(AnswerModel):
+    """All maps that are served, by name; files that cannot be read are listed separately."""
+
+    model_config = example({"maps": [SUMMARY_EXAMPLE], "unreadable": {}})
+
+    maps: list[MapSummary]
+    unreadable: dict[str, str] = Field(description="names of map files that cannot be read, and why")
 
 
-def summary_fields(name: str, outline: MapOutline, size_bytes: int) -> dict[str, object]:
+class MapVersions(AnswerModel):
+    """The maps that a map replaced and that are kept, the latest first."""
+
+    model_config = example(
+        {"versions": [{"number": 1, "id": MAP_ID_EXAMPLE, "version": 1, "created": "2026-01-05T10:00:00Z"}]}
+    )
+
+    versions: list[PreviousMap]
+
+
+def list_of(library: MapLibrary) -> MapList:
+    """All maps of a library, by the headers of their files."""
+    maps: list[MapSummary] = []
+    unreadable: dict[str, str] = {}
+    for name in library.names():
+        try:
+            fields = _summary_fields(name, library.outline(name), library.stat(name).size_bytes)
+            maps.append(MapSummary.model_validate(fields))
+        except UnknownMap:
+            continue  # deleted meanwhile
+        except RholocError as error:
+            unreadable[name] = error.message
+    return MapList(maps=maps, unreadable=unreadable)
+
+
+def versions_of(library: MapLibrary, name: str) -> MapVersions:
+    """The maps that a map replaced. Raises as :meth:`MapLibrary.stat`."""
+    library.stat(name)
+    return MapVersions(versions=[_previous(number, info) for number, info in library.versions(name).items()])
+
+
+def _summary_fields(name: str, outline: MapOutline, size_bytes: int) -> dict[str, object]:
     info = outline.info
     trust = trust_of(info)
     return {
@@ -169,12 +205,13 @@ def summary_fields(name: str, outline: MapOutline, size_bytes: int) -> dict[str,
         "trust_reason": trust.reason,
         "expected_error_m": expected_error_m(info),
         "consistency_m": consistency_m(info),
-        "camera": _camera(info.camera),
+        "camera": CameraIn(**info.camera.to_dict()),
         "labels": info.labels,
     }
 
 
 def detail_of(name: str, map_: Map, size_bytes: int, before: MapInfo | None) -> MapDetail:
+    """Description of a map whose file has ``size_bytes`` bytes and replaced the map ``before``."""
     bounds, rotation = None, levelled(map_)
     outline = MapOutline(map_.info, len(map_), len(map_.views))
     if len(map_):
@@ -183,7 +220,7 @@ def detail_of(name: str, map_: Map, size_bytes: int, before: MapInfo | None) -> 
         "sources": map_.info.sources,
         "waypoints": map_.info.waypoints,
         "bounds_m": bounds,
-        "previous": None if before is None else previous_map(1, before),
+        "previous": None if before is None else _previous(1, before),
         "names": map_.info.names,
         "corrections": map_.info.corrections,
         "plan": map_.info.plan,
@@ -191,12 +228,8 @@ def detail_of(name: str, map_: Map, size_bytes: int, before: MapInfo | None) -> 
         "pictures": map_.views.pictures is not None,
         "levelling": None if rotation is None else rotation.tolist(),
     }
-    return MapDetail.model_validate({**summary_fields(name, outline, size_bytes), **fields})
+    return MapDetail.model_validate({**_summary_fields(name, outline, size_bytes), **fields})
 
 
-def previous_map(number: int, info: MapInfo) -> PreviousMap:
+def _previous(number: int, info: MapInfo) -> PreviousMap:
     return PreviousMap(number=number, id=info.id, version=info.version, created=info.created)
-
-
-def _camera(camera: Camera) -> CameraIn:
-    return CameraIn(**camera.to_dict())

@@ -60,5 +60,5 @@ async def list_changes(
 ) -> ChangesOut:
     """The last requests that changed something, the newest first: maps, sites, cameras, recordings, jobs, keys."""
     name = None if map is None else check_map_name(map)
-    changes = await service.threads.database(service.audit.changes, limit, name)
+    changes = await service.audit.changes(limit, name)
     return ChangesOut(changes=[ChangeOut.model_validate(one, from_attributes=True) for one in changes])

@@ -112,7 +112,7 @@ async def end_stream(stream: str, service: Service) -> None:
 @router.get("/uploads", dependencies=[NEEDS_ADMIN], summary="Unfinished uploads")
 async def list_uploads(service: Service) -> UploadList:
     """The resumable uploads that are not complete. `DELETE /v1/recordings/{recording}` abandons one by its id."""
-    found = await service.threads.database(service.quotas.uploads)
+    found = await service.quotas.uploads()
     return UploadList(
         uploads=[
             UploadOut(

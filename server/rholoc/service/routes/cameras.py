@@ -10,7 +10,7 @@ from pydantic.config import JsonDict
 
 from rholoc.errors import InvalidCamera, InvalidInput, InvalidName, RholocError, StorageFull, UnknownCamera
 from rholoc.geometry import Camera, Lens
-from rholoc.maps import CameraLibrary, CameraProfile
+from rholoc.maps import CameraProfile
 from rholoc.service.access.scopes import NEEDS_MAP, NEEDS_READ
 from rholoc.service.errors import InvalidRequest
 from rholoc.service.http.models import CAMERA_EXAMPLE, AnswerModel, Number, RequestModel, SizePx, example
@@ -61,7 +61,16 @@ router = APIRouter(prefix="/v1/cameras", tags=["cameras"])
 @router.get("", dependencies=[NEEDS_READ], summary="All cameras")
 async def list_cameras(service: Service) -> CameraList:
     """The stored cameras by name; files that cannot be read are listed separately."""
-    return await service.threads.database(_list, service.cameras)
+    found: list[CameraProfileOut] = []
+    unreadable: dict[str, str] = {}
+    for name in await service.cameras.names():
+        try:
+            found.append(_out(name, await service.cameras.get(name)))
+        except UnknownCamera:
+            continue  # deleted meanwhile
+        except RholocError as error:
+            unreadable[name] = error.message
+    return CameraList(cameras=found, unreadable=unreadable)
 
 
 @router.get(
@@ -72,7 +81,7 @@ async def list_cameras(service: Service) -> CameraList:
 )
 async def get_camera(camera: str, service: Service) -> CameraProfileOut:
     """Its intrinsics, and how accurate they are."""
-    return await service.threads.database(_profile, service.cameras, camera)
+    return _out(camera, await service.cameras.get(camera))
 
 
 @router.put(
@@ -86,9 +95,9 @@ async def get_camera(camera: str, service: Service) -> CameraProfileOut:
 )
 async def put_camera(camera: str, given: CameraProfileIn, service: Service, response: Response) -> CameraProfileOut:
     """Requests that name it use it from then on; maps keep the camera that they were made with."""
-    new = camera not in await service.threads.database(service.cameras.names)
+    new = camera not in await service.cameras.names()
     profile = CameraProfile(Camera.from_dict(given.model_dump(exclude={"calibration"})), given.calibration)
-    await service.threads.database(service.cameras.put, camera, profile)
+    await service.cameras.put(camera, profile)
     response.status_code = 201 if new else 200
     return _out(camera, profile)
 
@@ -102,24 +111,7 @@ async def put_camera(camera: str, given: CameraProfileIn, service: Service, resp
 )
 async def delete_camera(camera: str, service: Service) -> None:
     """For good; maps that were made with it keep it."""
-    await service.threads.database(service.cameras.delete, camera)
-
-
-def _list(cameras: CameraLibrary) -> CameraList:
-    found: list[CameraProfileOut] = []
-    unreadable: dict[str, str] = {}
-    for name in cameras.names():
-        try:
-            found.append(_profile(cameras, name))
-        except UnknownCamera:
-            continue  # deleted meanwhile
-        except RholocError as error:
-            unreadable[name] = error.message
-    return CameraList(cameras=found, unreadable=unreadable)
-
-
-def _profile(cameras: CameraLibrary, name: str) -> CameraProfileOut:
-    return _out(name, cameras.get(name))
+    await service.cameras.delete(camera)
 
 
 def _out(name: str, profile: CameraProfile) -> CameraProfileOut:

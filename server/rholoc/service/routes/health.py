@@ -51,12 +51,12 @@ async def readyz(service: Service, response: Response) -> Readiness:
     Workers apart from the server are reported, but a server without any is ready: the jobs wait. Of several servers
     that share a storage, each is ready without the storage and the database, because it goes on answering for the maps
     that it has: if all of them were taken out of service at once, nobody would."""
-    await service.readiness.refresh()
+    await service.operation.readiness.refresh()
     checks = _checks(service)
     needed = set(checks)
     if not service.settings.worker:
         needed -= {"worker"}
-    if service.stores.are_shared:
+    if service.operation.stores.are_shared:
         needed -= {"maps", "jobs"}
     ready = all(checks[name] == OK for name in needed)
     response.status_code = 200 if ready else 503
@@ -72,20 +72,20 @@ async def readyz(service: Service, response: Response) -> Readiness:
 )
 async def metrics(service: Service) -> Response:
     """Requests by route and status, frames by outcome, jobs by state, frames in progress."""
-    await service.readiness.refresh()
-    return Response(await run_in_threadpool(service.metrics.text), media_type=METRICS_TYPE)
+    await service.operation.readiness.refresh()
+    return Response(await run_in_threadpool(service.operation.metrics.text), media_type=METRICS_TYPE)
 
 
 def _checks(service: State) -> dict[str, str]:
-    known = service.readiness
-    if service.worker is not None:
-        worker = service.worker.trouble or (OK if service.worker.running else "the worker is starting again")
+    known, worker_here = service.operation.readiness, service.operation.worker
+    if worker_here is not None:
+        worker = worker_here.trouble or (OK if worker_here.running else "the worker is starting again")
     else:
         worker = text_of(known.worker, "the job queue")
     return {
-        "maps": text_of(known.maps, "the storage" if service.stores.are_shared else "the folder"),
+        "maps": text_of(known.maps, "the storage" if service.operation.stores.are_shared else "the folder"),
         "data": text_of(known.data, "the folder"),
         "jobs": unanswered(known.jobs, "the job queue") or OK,
         "worker": worker,
-        "compute": "the queue is full" if service.compute.full else OK,
+        "compute": "the queue is full" if service.frames.compute.full else OK,
     }

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Annotated, Literal
 
-from fastapi import Request
 from pydantic import Field
 
 from rholoc.errors import (
@@ -21,10 +19,9 @@ from rholoc.errors import (
     UnknownMap,
 )
 from rholoc.features import extractor_names, get_extractor
-from rholoc.jobs import Job, JobKind, JobOptions, JobPriority
+from rholoc.jobs import JobKind, JobOptions, JobPriority
 from rholoc.maps import DensityKind, check_map_name, check_memory
 from rholoc.recordings import parse_frame_slice
-from rholoc.service.access.scopes import request_key
 from rholoc.service.errors import InvalidRequest
 from rholoc.service.http.models import CAMERA_TEXT, RequestModel, example
 from rholoc.service.state import State
@@ -72,26 +69,6 @@ class RecordingFields(RequestModel):
     )
 
 
-async def counted_job(service: State, request: Request, map_name: str, begin: Callable[[], Job]) -> Job:
-    """The job that ``begin`` queues, if the request's key may have one more; counted to it.
-
-    Args:
-        service: which is asked.
-        request: by which.
-        map_name: the map that the job makes; empty where it makes none.
-        begin: queues it.
-
-    Raises:
-        QuotaExceeded: it may not.
-    """
-    key, quotas = request_key(request.scope), service.quotas
-    async with quotas.counting(key):
-        await service.threads.database(quotas.check, key, job_for=map_name)
-        job = await service.threads.database(begin)
-        await service.threads.database(quotas.hold_job, key, job.id, map_name)
-    return job
-
-
 async def checked_options(fields: RecordingFields, service: State) -> JobOptions:
     """How to map a recording.
 
@@ -102,9 +79,9 @@ async def checked_options(fields: RecordingFields, service: State) -> JobOptions
     """
     check_map_name(fields.map)
     get_extractor(fields.features)
-    await service.threads.database(service.cameras.named_in, fields.camera)
+    await service.cameras.named_in(fields.camera)
     if fields.kind is JobKind.UPDATE:
-        check_memory(await service.map(fields.map), f"The map {fields.map}")
+        check_memory(await service.maps.get(fields.map), f"The map {fields.map}")
     if fields.frames is not None:
         parse_frame_slice(fields.frames)
     return JobOptions(

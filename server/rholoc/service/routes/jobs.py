@@ -4,22 +4,21 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import AsyncIterator
-from functools import partial
 from typing import Annotated
 
 from fastapi import APIRouter, Header, Query, Request, Response
 from pydantic import Field
+from starlette.concurrency import run_in_threadpool
 
 from rholoc.errors import Conflict, UnknownJob
-from rholoc.jobs import JobPriority
+from rholoc.jobs import Job, JobPriority
 from rholoc.service.access.open_streams import EventStream
-from rholoc.service.access.scopes import NEEDS_MAP, NEEDS_READ
+from rholoc.service.access.scopes import NEEDS_MAP, NEEDS_READ, request_key
 from rholoc.service.access.stream_kind import StreamKind
 from rholoc.service.errors import InvalidRequest
 from rholoc.service.http.models import AnswerModel, RequestModel, example
 from rholoc.service.http.openapi import failures
 from rholoc.service.maps.job_events import JOB_EXAMPLE, LOOK_EVERY_S, JobOut, job_out
-from rholoc.service.routes.intake import counted_job
 from rholoc.service.state import Service, State
 
 
@@ -60,18 +59,18 @@ async def list_jobs(
     before: Annotated[str | None, Query(description="a job's id: only those that are older", examples=[None])] = None,
 ) -> Response:
     """The newest jobs, or those before a given one; `more` says whether there are older ones."""
-    return Response(await service.threads.database(_listed, service, limit, before), media_type="application/json")
+    jobs = await service.jobs.list(limit + 1, before)
+    return Response(await run_in_threadpool(_listed, jobs, limit), media_type="application/json")
 
 
-def _listed(service: State, limit: int, before: str | None) -> str:
-    jobs = service.jobs.list(limit + 1, before)
+def _listed(jobs: list[Job], limit: int) -> str:
     return JobList(jobs=[job_out(job) for job in jobs[:limit]], more=len(jobs) > limit).model_dump_json()
 
 
 @router.get("/{job}", dependencies=[NEEDS_READ], summary="One job", responses=failures(InvalidRequest, UnknownJob))
 async def get_job(job: str, service: Service) -> JobOut:
     """Its state, stage and progress; why it failed, if it did."""
-    return job_out(await service.threads.database(service.jobs.get, job))
+    return job_out(await service.jobs.get(job))
 
 
 @router.patch(
@@ -82,7 +81,7 @@ async def get_job(job: str, service: Service) -> JobOut:
 )
 async def change_job(job: str, wanted: JobChange, service: Service) -> JobOut:
     """While it waits for a worker."""
-    return job_out(await service.threads.database(service.jobs.prioritize, job, wanted.priority))
+    return job_out(await service.jobs.prioritize(job, wanted.priority))
 
 
 @router.get(
@@ -109,7 +108,7 @@ async def watch_job(
 ) -> Response:
     """Server-sent events `job`, each with the job as `GET` gives it, at once and whenever it has changed; they end with
     the job. After a broken connection the event that was missed reports all that happened in the meantime."""
-    event = await service.job_events.latest(job)
+    event = await service.jobs.events.latest(job)
     if event.last and event.id == last_event_id:
         return Response(status_code=204)  # which makes a browser stop reconnecting
     stream = service.streams.admit(StreamKind.EVENTS, request.scope)
@@ -119,7 +118,7 @@ async def watch_job(
 async def _events(job_id: str, service: State, last_id: str | None) -> AsyncIterator[str]:
     quiet_s = 0.0
     while True:
-        event = await service.job_events.latest(job_id)
+        event = await service.jobs.events.latest(job_id)
         if event.id != last_id:
             yield f"id: {event.id}\nevent: job\ndata: {event.data}\n\n"
             last_id, quiet_s = event.id, 0.0
@@ -142,9 +141,9 @@ async def cancel_job(
 ) -> JobOut:
     """The recording is kept; the job can be tried again. With `ended=true` a job that has ended is removed for good."""
     if ended:
-        return job_out(await service.threads.database(service.jobs.delete, job))
-    await service.threads.database(service.jobs.cancel, job)
-    return job_out(await service.threads.database(service.jobs.get, job))
+        return job_out(await service.jobs.delete(job))
+    await service.jobs.cancel(job)
+    return job_out(await service.jobs.get(job))
 
 
 @router.post(
@@ -156,5 +155,6 @@ async def cancel_job(
 )
 async def retry_job(job: str, request: Request, service: Service) -> JobOut:
     """Queue a failed or cancelled job again, with the recording that was kept."""
-    found = await service.threads.database(service.jobs.get, job)
-    return job_out(await counted_job(service, request, found.map_name, partial(service.jobs.retry, job)))
+    found = await service.jobs.get(job)
+    key = request_key(request.scope)
+    return job_out(await service.jobs.begin(key, found.map_name, lambda jobs: jobs.retry(job)))

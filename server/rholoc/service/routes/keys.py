@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import io
-import secrets
 import time
-from contextlib import suppress
 from dataclasses import asdict
 from typing import Any
 
@@ -15,7 +13,7 @@ from pydantic import Field
 from starlette.concurrency import run_in_threadpool
 
 from rholoc.errors import Busy, InvalidInput, NotFound, StorageFull
-from rholoc.service.access.keys import HANDED_PREFIX, ApiKey, KeyLimits, KeyStore, Scope
+from rholoc.service.access.keys import ApiKey, KeyLimits, Scope
 from rholoc.service.access.scopes import NEEDS_ADMIN, NEEDS_MAP, NEEDS_READ, forbidden, granted_key, request_key
 from rholoc.service.errors import InvalidRequest, QuotaExceeded
 from rholoc.service.http.models import AnswerModel, Number, RequestModel, example
@@ -134,9 +132,6 @@ class QrIn(RequestModel):
 
 router = APIRouter(prefix="/v1", tags=["keys"])
 
-_MAX_HANDED = 1000  # valid at the same time, of all keys together
-_MAX_HANDED_BY = 100  # by one key, with those below it
-_NAME_BYTES = 4
 _SVG = "image/svg+xml"
 
 
@@ -156,20 +151,21 @@ async def hand_on_key(wanted: KeyIn, request: Request, service: Service) -> Hand
     if not needed:
         return HandedKeyOut(key=None, name=None, scope=wanted.scope, expires=None)
     lifetime_s = wanted.lifetime_s if expires is None else min(wanted.lifetime_s, expires - time.time())
-    return await service.threads.database(_hand_on, service.keys, wanted, lifetime_s, request_key(request.scope))
+    by = request_key(request.scope)
+    name, key = await service.keys.hand_on(wanted.scope, lifetime_s, _limits(wanted.limits), by)
+    return HandedKeyOut(key=key, name=name, scope=wanted.scope, expires=time.time() + lifetime_s)
 
 
 @router.get("/keys", dependencies=[NEEDS_ADMIN], summary="All keys")
 async def list_keys(service: Service) -> KeyList:
     """Their names and scopes, the oldest first; not the keys themselves, of which the server only has hashes."""
-    keys = await service.threads.database(service.keys.keys)
-    return KeyList(keys=[_shown(key, service.keys) for key in keys])
+    return KeyList(keys=[KeyOut(**_fields(key, service)) for key in await service.keys.list()])
 
 
 @router.get("/keys/{name}", dependencies=[NEEDS_ADMIN], summary="One key", responses=failures(NotFound, InvalidRequest))
 async def get_key(name: str, service: Service) -> KeyDetail:
     """How much it allows, and what it holds."""
-    return await service.threads.database(_detail, service, name)
+    return await _detail(service, name)
 
 
 @router.put(
@@ -181,8 +177,8 @@ async def get_key(name: str, service: Service) -> KeyDetail:
 async def limit_key(name: str, wanted: KeyLimitsIn, service: Service) -> KeyDetail:
     """Sets all its limits, from the next request on; those that are missing are lifted. What it holds stays, even where
     it is more than it may."""
-    await service.threads.database(service.keys.limit, name, _limits(wanted))
-    return await service.threads.database(_detail, service, name)
+    await service.keys.limit(name, _limits(wanted))
+    return await _detail(service, name)
 
 
 @router.delete(
@@ -195,9 +191,9 @@ async def limit_key(name: str, wanted: KeyLimitsIn, service: Service) -> KeyDeta
 async def revoke_key(name: str, service: Service) -> None:
     """With all keys that it handed on. They are refused from the next request on, their streams end within a second,
     and their unfinished uploads are abandoned."""
-    await service.threads.database(service.keys.revoke, name)
+    await service.keys.revoke(name)
     service.streams.end_invalid()
-    await service.threads.database(service.quotas.abandon_uploads)
+    await service.keys.abandon_uploads()
 
 
 @router.post(
@@ -218,44 +214,19 @@ async def draw_qr(wanted: QrIn) -> Response:
     return Response(await run_in_threadpool(_svg, wanted.text), media_type=_SVG)
 
 
-def _hand_on(store: KeyStore, wanted: KeyIn, lifetime_s: float, by: ApiKey | None) -> HandedKeyOut:
-    all_keys = store.keys()
-    handed = [key for key in all_keys if key.name.startswith(HANDED_PREFIX)]
-    for key in handed:
-        if key.expired:
-            with suppress(NotFound):  # another request has done so
-                store.revoke(key.name)
-    valid = [key for key in handed if not key.expired]
-    first = None if by is None else store.chain(by)[-1]
-    if first is not None and sum(store.chain(key)[-1].id == first.id for key in valid) >= _MAX_HANDED_BY:
-        raise QuotaExceeded(
-            f"The key {first.name} has handed on {_MAX_HANDED_BY} keys, the most allowed.",
-            "Revoke some, or wait until they expire.",
-        )
-    if len(valid) >= _MAX_HANDED:
-        raise Busy("Too many temporary keys exist at the moment.", "Revoke some, or wait until they expire.")
-    name = HANDED_PREFIX + secrets.token_hex(_NAME_BYTES)
-    secret = store.create(name, wanted.scope, lifetime_s, _limits(wanted.limits), by)
-    return HandedKeyOut(key=secret, name=name, scope=wanted.scope, expires=time.time() + lifetime_s)
+async def _detail(service: State, name: str) -> KeyDetail:
+    key, used = await service.keys.get(name)
+    return KeyDetail(**_fields(key, service), used=KeyUsageOut(**asdict(used)))
 
 
-def _shown(key: ApiKey, store: KeyStore) -> KeyOut:
-    return KeyOut(**_fields(key, store))
-
-
-def _detail(service: State, name: str) -> KeyDetail:
-    key = service.keys.named(name)
-    return KeyDetail(**_fields(key, service.keys), used=KeyUsageOut(**asdict(service.quotas.usage(name))))
-
-
-def _fields(key: ApiKey, store: KeyStore) -> dict[str, Any]:
+def _fields(key: ApiKey, service: State) -> dict[str, Any]:
     return {
         "name": key.name,
         "scope": key.scope,
         "created": key.created,
         "expires": key.expires,
         "limits": KeyLimitsOut(**asdict(key.limits)),
-        "handed_on_by": next((one.name for one in store.chain(key)[1:]), None),
+        "handed_on_by": next((one.name for one in service.keys.chain(key)[1:]), None),
     }
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from functools import partial
+from dataclasses import asdict
 from typing import Annotated
 
 from fastapi import APIRouter, Query, Request, Response
@@ -17,17 +17,14 @@ from rholoc.errors import (
     StorageUnavailable,
     UnknownMap,
 )
-from rholoc.jobs import Job, JobKind, JobOptions
-from rholoc.mapping import FEWEST_QUERIES, too_few_queries
-from rholoc.maps import check_memory
+from rholoc.mapping import FEWEST_QUERIES
 from rholoc.reports import LearningReport
-from rholoc.service.access.scopes import NEEDS_MAP, NEEDS_READ
+from rholoc.service.access.scopes import NEEDS_MAP, NEEDS_READ, request_key
 from rholoc.service.errors import InvalidRequest
 from rholoc.service.http.models import AnswerModel, example
 from rholoc.service.http.openapi import failures
 from rholoc.service.maps.job_events import JobOut, job_out
-from rholoc.service.routes.intake import counted_job
-from rholoc.service.state import Service, State
+from rholoc.service.state import Service
 
 
 class LearningOut(AnswerModel):
@@ -89,7 +86,8 @@ async def learn_from_users(map_name: str, request: Request, service: Service, re
     many should have seen and did not. `Location` names the job. The map's next version takes the place of the present
     one unless it would localize queries that were held back worse; then the job fails and says by how much. Where the
     setting `learn` says so, maps learn by themselves each night."""
-    job = await counted_job(service, request, map_name, partial(_submit, service, map_name))
+    key = request_key(request.scope)
+    job = await service.jobs.begin(key, map_name, lambda jobs: service.learning.submit(jobs, map_name))
     response.headers["Location"] = f"/v1/jobs/{job.id}"
     return job_out(job)
 
@@ -102,7 +100,17 @@ async def learn_from_users(map_name: str, request: Request, service: Service, re
 )
 async def get_learning(map_name: str, service: Service) -> LearningOut:
     """How many queries are kept, of how many askers, what the map last learned from its users, and when."""
-    return await service.threads.database(_learning, service, map_name)
+    found = await service.learning.get(map_name)
+    from_users = [report for report in found.info.report.learned if report.queries is not None]
+    return LearningOut(
+        map=map_name,
+        learns=service.learning.listens,
+        **asdict(found.kept),
+        fewest=FEWEST_QUERIES,
+        last=from_users[-1] if from_users else None,
+        job=None if found.job is None else found.job.id,
+        latest=None if found.latest is None else job_out(found.latest),
+    )
 
 
 @router.delete(
@@ -120,41 +128,4 @@ async def delete_learning(
     ] = None,
 ) -> DeletedQueries:
     """For good. What the map has learned already stays: restore a version before, or forget the source `queries`."""
-    return await service.threads.database(_delete, service, map_name, asker)
-
-
-def _submit(service: State, map_name: str) -> Job:
-    map_ = service.library.get(map_name)
-    check_memory(map_, f"The map {map_name}")
-    kept = service.queries.kept(map_.info.id).queries
-    if kept < FEWEST_QUERIES:
-        raise too_few_queries(kept)
-    if (running := service.jobs.learning(map_name)) is not None:
-        raise Conflict(f"The map {map_name} is learning already.", f"Wait for the job {running.id}.")
-    return service.jobs.submit("", map_name, JobOptions(kind=JobKind.LEARN))
-
-
-def _learning(service: State, map_name: str) -> LearningOut:
-    info = service.library.get(map_name).info
-    kept, job = service.queries.kept(info.id), service.jobs.learning(map_name)
-    latest = service.jobs.last_learning(map_name)
-    from_users = [report for report in info.report.learned if report.queries is not None]
-    return LearningOut(
-        map=map_name,
-        learns=service.learner.listens,
-        queries=kept.queries,
-        size_bytes=kept.size_bytes,
-        askers=kept.askers,
-        oldest=kept.oldest,
-        newest=kept.newest,
-        fewest=FEWEST_QUERIES,
-        last=from_users[-1] if from_users else None,
-        job=None if job is None else job.id,
-        latest=None if latest is None else job_out(latest),
-    )
-
-
-def _delete(service: State, map_name: str, asker: str | None) -> DeletedQueries:
-    map_id = service.library.get(map_name).info.id
-    who = None if asker is None else service.learner.pseudonym(asker)
-    return DeletedQueries(deleted=service.queries.delete(map_id, who))
+    return DeletedQueries(deleted=await service.learning.delete(map_name, asker))

@@ -79,14 +79,14 @@ async def watch_poses(map_name: str, request: Request, service: Service) -> Resp
     """Server-sent events `poses`, at most ten a second, each with the last answer to every client that was answered in
     this map since the event before: by the name of its key, or its address where no key is required. An answer without
     a pose has the client's last one, and `localized` false. Only if the setting `live` is on; nothing is stored."""
-    await service.threads.files(service.library.stat, map_name)
-    first = service.live.after(map_name, 0)
+    await service.maps.stat(map_name)
+    first = service.frames.live.after(map_name, 0)
     stream = service.streams.admit(StreamKind.EVENTS, request.scope)
     return EventStream(_events(map_name, first, service), service.streams, stream)
 
 
 async def _events(map_name: str, first: list[Sighting], service: State) -> AsyncIterator[str]:
-    live, found = service.live, first
+    live, found = service.frames.live, first
     while True:
         seen, changed = live.number, live.changed
         # A proxy would take a connection on which nothing comes for dead.
@@ -122,7 +122,7 @@ async def list_failures(map_name: str, service: Service) -> FailuresOut:
     """The requests that found no pose, or one of a confidence below 0.8: where that was, and nothing else. Without a
     pose, that is the position of the request's prior, or the client's last pose. Only if the setting `keep_failures` is
     on, and only since this server started."""
-    await service.threads.files(service.library.stat, map_name)
+    await service.maps.stat(map_name)
     return FailuresOut(
         failures=[
             FailureOut(
@@ -132,6 +132,6 @@ async def list_failures(map_name: str, service: Service) -> FailuresOut:
                 confidence=one.confidence,
                 reason=one.reason,
             )
-            for one in service.live.failures(map_name)
+            for one in service.frames.live.failures(map_name)
         ]
     )

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from contextlib import AsyncExitStack, suppress
+from contextlib import AsyncExitStack
 from dataclasses import asdict
-from functools import partial
 from typing import Any
 
 from fastapi import APIRouter, Request, Response
@@ -23,18 +22,14 @@ from rholoc.errors import (
     UnknownRecording,
 )
 from rholoc.jobs import (
-    WAYPOINTS_FILE,
     JobKind,
     JobOptions,
     JobPriority,
     PendingRecording,
     RecordedWaypoint,
-    RecordingEntry,
-    RecordingStore,
     corrected_waypoints,
     read_notes,
     read_thumbnail,
-    waypoints_file,
 )
 from rholoc.maps import DensityKind
 from rholoc.recordings import (
@@ -51,8 +46,9 @@ from rholoc.service.http.bodies import declared_length, media_type, read_multipa
 from rholoc.service.http.models import AnswerModel, Number, RequestModel, Vector3, example
 from rholoc.service.http.openapi import BINARY, failures, request_body
 from rholoc.service.http.tus import RESUMABLE
+from rholoc.service.libraries import NotedRecording
 from rholoc.service.maps.job_events import JOB_EXAMPLE, RECORDING_ID_EXAMPLE, JobOut, job_out
-from rholoc.service.routes.intake import UPLOAD_FAILURES, RecordingFields, checked_options, counted_job
+from rholoc.service.routes.intake import UPLOAD_FAILURES, RecordingFields, checked_options
 from rholoc.service.routes.uploads import begin_upload
 from rholoc.service.state import Service, State
 from rholoc.storage.holdings import Kind
@@ -181,7 +177,7 @@ def _form_schema() -> dict[str, Any]:
 @router.get("", dependencies=[NEEDS_READ], summary="All recordings")
 async def list_recordings(request: Request, service: Service) -> RecordingList:
     """Those that are completely uploaded, the newest first."""
-    return await service.threads.database(_list, service.recordings, _may_see(request))
+    return await run_in_threadpool(_list, await service.recordings.list(), _may_see(request))
 
 
 @router.get(
@@ -192,7 +188,7 @@ async def list_recordings(request: Request, service: Service) -> RecordingList:
 )
 async def get_recording(recording: str, request: Request, service: Service) -> RecordingDetail:
     """What it holds, and its waypoints: as corrected, else as a job read them from it."""
-    return await service.threads.database(_detail, service.recordings, recording, _may_see(request))
+    return _detail(await service.recordings.get(recording), _may_see(request))
 
 
 @router.get(
@@ -207,7 +203,8 @@ async def get_recording(recording: str, request: Request, service: Service) -> R
 )
 async def get_thumbnail(recording: str, service: Service) -> Response:
     """A frame from its beginning, once a job has read it."""
-    picture = read_thumbnail(await service.threads.database(service.recordings.notes, recording))
+    _, notes = await service.recordings.get(recording)
+    picture = read_thumbnail(notes)
     if picture is None:
         raise UnknownPicture("There is no picture of the recording yet.", "Wait until a job has read it.")
     return Response(picture, media_type="image/jpeg", headers={"Cache-Control": "private, max-age=86400"})
@@ -223,7 +220,7 @@ async def put_waypoints(recording: str, wanted: WaypointsIn, request: Request, s
     """They replace the recording's own whenever it is mapped from then on. The recording's files and existing maps stay
     as they are."""
     given = tuple(_recorded(one) for one in wanted.waypoints)
-    return await service.threads.database(_corrected, service.recordings, recording, given, _may_see(request))
+    return _detail(await service.recordings.correct(recording, given), _may_see(request))
 
 
 @router.delete(
@@ -234,7 +231,7 @@ async def put_waypoints(recording: str, wanted: WaypointsIn, request: Request, s
 )
 async def delete_waypoints(recording: str, request: Request, service: Service) -> RecordingDetail:
     """The recording is mapped with its own again."""
-    return await service.threads.database(_corrected, service.recordings, recording, None, _may_see(request))
+    return _detail(await service.recordings.correct(recording, None), _may_see(request))
 
 
 @router.post(
@@ -249,8 +246,8 @@ async def map_again(
 ) -> JobOut:
     """With other options, corrected waypoints, fewer frames, or as another map. `Location` is the job's address."""
     options = await checked_options(wanted, service)
-    submit = partial(service.jobs.submit, recording, wanted.map, options)
-    job = await counted_job(service, request, wanted.map, submit)
+    key = request_key(request.scope)
+    job = await service.jobs.begin(key, wanted.map, lambda jobs: jobs.submit(recording, wanted.map, options))
     response.headers["Location"] = f"/v1/jobs/{job.id}"
     return job_out(job)
 
@@ -282,21 +279,16 @@ async def upload_recording(request: Request, service: Service) -> Response:
             "A recording must be sent as multipart/form-data.", "curl -F file=@walk.mp4 -F map=hall"
         )
     key, quotas = request_key(request.scope), service.quotas
-    await service.threads.database(quotas.check, key, size_bytes=declared_length(request))
-    pending = await service.threads.files(service.recordings.begin, service.settings.max_upload_bytes)
+    await quotas.check(key, size_bytes=declared_length(request))
+    pending = await service.recordings.begin(service.settings.max_upload_bytes)
     async with AsyncExitStack() as in_the_end:
         in_the_end.push_async_callback(run_in_threadpool, pending.abort)
         fields, options = await _receive(request, pending, service)
         await in_the_end.enter_async_context(quotas.counting(key))
-        await service.threads.database(quotas.check, key, None, pending.size_bytes, fields.map)
-        entry = await service.threads.transfers(pending.commit)
-        try:
-            job = await service.threads.database(service.jobs.submit, entry.id, fields.map, options)
-        except Exception:
-            await service.threads.database(service.recordings.delete, entry.id)  # no job would ever read it
-            raise
-        await service.threads.database(quotas.hold, key, Kind.RECORDING, entry.id, entry.size_bytes)
-        await service.threads.database(quotas.hold_job, key, job.id, fields.map)
+        await quotas.check(key, None, pending.size_bytes, fields.map)
+        entry, job = await service.recordings.commit(pending, fields.map, options)
+        await quotas.hold(key, Kind.RECORDING, entry.id, entry.size_bytes)
+        await quotas.hold_job(key, job.id, fields.map)
     accepted = RecordingAccepted(recording=entry.id, job=job_out(job))
     return JSONResponse(accepted.model_dump(mode="json"), 202, {"Location": f"/v1/jobs/{job.id}"})
 
@@ -306,16 +298,12 @@ def _may_see(request: Request) -> bool:
     return granted_key(request)[0].allows(Scope.MAP)
 
 
-def _list(recordings: RecordingStore, may_see: bool) -> RecordingList:
-    shown = []
-    for one in recordings.list():
-        with suppress(UnknownRecording):  # deleted meanwhile
-            shown.append(RecordingOut.model_validate(_shown(recordings, one, may_see)))
-    return RecordingList(recordings=shown)
+def _list(found: list[NotedRecording], may_see: bool) -> RecordingList:
+    return RecordingList(recordings=[RecordingOut.model_validate(_shown(one, may_see)) for one in found])
 
 
-def _shown(recordings: RecordingStore, entry: RecordingEntry, may_see: bool) -> dict[str, object]:
-    files = recordings.notes(entry.id)
+def _shown(found: NotedRecording, may_see: bool) -> dict[str, object]:
+    entry, files = found
     notes = read_notes(files)
     return {
         "id": entry.id,
@@ -327,22 +315,13 @@ def _shown(recordings: RecordingStore, entry: RecordingEntry, may_see: bool) -> 
     }
 
 
-def _detail(recordings: RecordingStore, recording: str, may_see: bool) -> RecordingDetail:
-    entry = recordings.get(recording)
-    files = recordings.notes(recording)
+def _detail(found: NotedRecording, may_see: bool) -> RecordingDetail:
+    _, files = found
     notes = read_notes(files)
     given = corrected_waypoints(files, notes)
     own = () if notes is None else notes.waypoints
     fields = {"waypoints": own if given is None else given, "corrected": given is not None}
-    return RecordingDetail.model_validate({**_shown(recordings, entry, may_see), **fields})
-
-
-def _corrected(
-    recordings: RecordingStore, recording: str, given: tuple[RecordedWaypoint, ...] | None, may_see: bool
-) -> RecordingDetail:
-    notes = read_notes(recordings.notes(recording))
-    recordings.note(recording, {WAYPOINTS_FILE: None if given is None else waypoints_file(given, notes)})
-    return _detail(recordings, recording, may_see)
+    return RecordingDetail.model_validate({**_shown(found, may_see), **fields})
 
 
 def _recorded(waypoint: WaypointIn) -> RecordedWaypoint:

@@ -49,12 +49,11 @@ async def begin_upload(request: Request, service: State) -> Response:
     options = await checked_options(fields, service)
     key, quotas = request_key(request.scope), service.quotas
     async with quotas.counting(key):
-        await service.threads.database(quotas.check_upload, key, math.ceil(service.settings.max_unfinished_uploads / 4))
-        await service.threads.database(quotas.check, key, None, length, fields.map)
-        create = service.uploads.create
-        upload = await service.threads.database(create, metadata[_FILE_NAME], length, fields.map, options)
-        await service.threads.database(quotas.hold, key, Kind.RECORDING, upload.id, length)
-        await service.threads.database(quotas.hold_job, key, upload.id, fields.map)
+        await quotas.check_upload(key, math.ceil(service.settings.max_unfinished_uploads / 4))
+        await quotas.check(key, None, length, fields.map)
+        upload = await service.recordings.begin_upload(metadata[_FILE_NAME], length, fields.map, options)
+        await quotas.hold(key, Kind.RECORDING, upload.id, length)
+        await quotas.hold_job(key, upload.id, fields.map)
     headers = {"Location": f"{router.prefix}/{upload.id}", **tus.standing(upload)}
     return Response(status_code=201, headers=headers)
 
@@ -69,7 +68,7 @@ async def begin_upload(request: Request, service: State) -> Response:
 async def upload_standing(recording: str, service: Service) -> Response:
     """In headers: `Upload-Offset`, `Upload-Length`, `Upload-Expires`; once it is whole, its mapping job's id in
     `Rholoc-Job`."""
-    upload = await service.threads.database(service.uploads.get, recording)
+    upload = await service.recordings.upload(recording)
     return Response(headers=tus.standing(upload))
 
 
@@ -107,16 +106,15 @@ async def continue_upload(
             "The bytes of an upload must be sent as " + tus.PATCH_TYPE + ".", "Use a tus client."
         )
     offset = tus.number("Upload-Offset", upload_offset)
-    append = service.uploads.append
     # Errors are raised before the bytes arrive.
-    upload = await service.threads.transfers(append, recording, offset, b"")
+    upload = await service.recordings.append(recording, offset, b"")
     left = upload.length - offset
     if upload_checksum is None:
         pieces = _pieces(request, left)
     else:
         pieces = _checked(request, min(left, service.settings.max_request_bytes), upload_checksum)
     async for piece in pieces:
-        upload = await service.threads.transfers(append, recording, offset, piece)
+        upload = await service.recordings.append(recording, offset, piece)
         offset += len(piece)
     return Response(status_code=204, headers=tus.standing(upload))
 
@@ -130,15 +128,8 @@ async def continue_upload(
 )
 async def delete_recording(recording: str, service: Service) -> Response:
     """For good, unless a job is waiting for it or working on it. Maps made from it stay."""
-    await service.threads.database(_delete, service, recording)
+    await service.recordings.delete(recording)
     return Response(status_code=204)
-
-
-def _delete(service: State, recording: str) -> None:
-    try:
-        service.uploads.delete(recording)
-    except UnknownRecording:
-        service.jobs.delete_recording(recording)
 
 
 async def _pieces(request: Request, max_bytes: int) -> AsyncIterator[bytes]:

@@ -5,12 +5,12 @@ from __future__ import annotations
 import asyncio
 import contextvars
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Coroutine
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
-from typing import ParamSpec, TypeVar
+from typing import Any, ParamSpec, TypeVar
 
 from rholoc.errors import StorageUnavailable
 
@@ -57,6 +57,14 @@ class StorageThreads:
             return waiting.result()
         self._give_up(future, waiting)
         raise _unavailable()
+
+    def offload(self, call: Callable[P, T]) -> Callable[P, Coroutine[Any, Any, T]]:
+        """Coroutine function that runs ``call`` in these threads. Raises as :meth:`__call__`."""
+
+        async def offloaded(*args: P.args, **kwargs: P.kwargs) -> T:
+            return await self(call, *args, **kwargs)
+
+        return offloaded
 
     def close(self) -> None:
         """Accept no more calls; those that are under way are not waited for."""

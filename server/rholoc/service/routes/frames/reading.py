@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from dataclasses import dataclass, replace
 from typing import Annotated, Any
 
 from fastapi import Depends, Query, Request
@@ -15,6 +17,7 @@ from rholoc.recordings.frames.image import IMAGE_START_BYTES, begins_like_an_ima
 from rholoc.service.errors import InvalidRequest, UnsupportedMediaType
 from rholoc.service.frames.queries import Frame, effort_of, effort_of_set
 from rholoc.service.frames.requests import DescriptorQuery, FramesQuery, LocalizeOptions
+from rholoc.service.frames.several_frames import Frames
 from rholoc.service.http.bodies import PieceListener, media_type, read_body, read_multipart
 from rholoc.service.http.json_bodies import JsonLimits
 from rholoc.service.settings import Settings
@@ -24,13 +27,9 @@ from rholoc.service.threads.compute import Effort
 READ_BY_HAND = (LocalizeOptions, DescriptorQuery, FramesQuery)
 """The models of bodies that are not parsed by the framework."""
 
-_PARTS = frozenset({"image", "request"})  # of a multipart body
 _PARTS_HINT = "Send a file part 'image' and, if you like, a JSON part 'request'."
+_FRAMES_HINT = "Send a JSON part 'request', and pictures as file parts 'image0', 'image1', …"
 _NUMBERED_IMAGE = re.compile(r"image(\d{1,2})")  # a part of one with several frames
-_FRAMES_MEMBER = re.compile(rb'"frames"\s*:')  # in a JSON body with several frames
-_START_BYTES = 2048  # of a JSON body, within which that member begins
-
-SentFrames = tuple[FramesQuery, dict[int, bytes]]  # the query, and the pictures sent beside it, by number
 
 
 @dataclass(frozen=True)
@@ -117,76 +116,87 @@ def _numbers(name: str, text: str | None) -> list[float] | None:
 Options = Annotated[OptionParameters, Depends()]
 
 
-async def read_frame(
-    request: Request, options: OptionParameters, service: State, on_piece: PieceListener, refusal: str
-) -> Frame:
-    """One picture or descriptor set; several frames are refused with the message ``refusal``."""
-    frame = await read_frames(request, options.options(), service, on_piece)
-    if not isinstance(frame, Frame):
-        raise InvalidRequest(refusal, "Send one picture.")
-    return frame
-
-
-async def read_frames(
-    request: Request, options: dict[str, Any], service: State, on_piece: PieceListener
-) -> Frame | SentFrames:
-    """The frame, or the frames, of a request's body."""
-    settings = service.settings
-    kind, max_bytes = media_type(request), settings.max_request_bytes
-    if kind.startswith("image/"):  # which format it really is, its bytes say
-        image = await read_body(request, max_bytes, _image_listener(on_piece))
-        effort = await run_in_threadpool(effort_of, image)
-        return Frame(LocalizeOptions.model_validate(options), image=image, effort=effort)
-    if kind == "application/json":
-        body = await read_body(request, max_bytes, _json_listener(settings, on_piece))
-        if _has_frames(body):
-            return await _frames_query(body, service), {}
-        effort = effort_of_set(body)
-        service.compute.check_room(effort)
-        query = await run_in_threadpool(DescriptorQuery.model_validate_json, body)
-        return Frame(query, features=query.features, effort=effort)
-    if kind == "multipart/form-data":
-        return await _read_multipart(request, options, service, on_piece)
-    raise UnsupportedMediaType(
-        f"A body of type '{kind}' cannot be read.",
-        "Send image/jpeg, image/png, multipart/form-data or application/json as Content-Type.",
-    )
-
-
-def _has_frames(body: bytes) -> bool:
-    """Whether a JSON body holds several frames: that member must begin near its start."""
-    return _FRAMES_MEMBER.search(body, 0, _START_BYTES) is not None
-
-
-def _json_listener(settings: Settings, on_piece: PieceListener) -> PieceListener:
-    """A listener that refuses a JSON body as soon as it exceeds the limits of one frame, or of several where it holds
-    several, and passes the pieces to ``on_piece``.
+@asynccontextmanager
+async def read_frame(request: Request, options: OptionParameters, service: State) -> AsyncIterator[Frame]:
+    """One picture or descriptor set, whose memory is counted until the end of the block.
 
     Raises:
-        TooLarge: from the listener.
+        InvalidRequest, UnsupportedMediaType, TooLarge, InvalidImage, Busy: the body is none, or there is no room.
+        UnknownCamera, InvalidCamera: the request names a stored camera that there is not, or that is damaged.
     """
-    one = JsonLimits.of_features(settings.max_request_bytes, settings.max_features).measured()
-    several = _limits_of_several(settings).measured(on_piece)
-    start = b""
+    settings, kind = service.settings, media_type(request)
+    max_bytes = settings.max_request_bytes
+    with service.held_bodies.hold() as on_piece:
+        if kind.startswith("image/"):  # which format it really is, its bytes say
+            image = await read_body(request, max_bytes, _image_listener(on_piece))
+            frame = Frame(LocalizeOptions.model_validate(options.options()), image=image)
+        elif kind == "application/json":
+            limits = JsonLimits.of_features(max_bytes, settings.max_features)
+            body = await read_body(request, max_bytes, limits.measured(on_piece))
+            effort = effort_of_set(body)
+            service.frames.compute.check_room(effort)
+            query = await run_in_threadpool(DescriptorQuery.model_validate_json, body)
+            frame = Frame(query, features=query.features, effort=effort)
+        elif kind == "multipart/form-data":
+            text, files = await _read_parts(request, settings, on_piece)
+            if files.keys() != {"image"}:
+                raise InvalidRequest("The multipart body is not a file 'image' and a 'request'.", _PARTS_HINT)
+            JsonLimits.of_options(settings.max_json_bytes).check(text)
+            given = LocalizeOptions.model_validate_json(text) if text else None
+            frame = Frame(given or LocalizeOptions.model_validate(options.options()), image=files["image"])
+        else:
+            raise _unsupported(kind)
+        if frame.image is not None:
+            frame = replace(frame, effort=await run_in_threadpool(effort_of, frame.image))
+        named = frame.options.camera.name
+        yield frame if named is None else replace(frame, stored=(await service.cameras.get(named)).camera)
 
-    def listen(piece: bytes) -> None:
-        nonlocal start
-        start += piece[: max(0, _START_BYTES - len(start))]
-        several(piece)
-        if not _has_frames(start):
-            one(piece)
 
-    return listen
+@asynccontextmanager
+async def read_frames(request: Request, service: State) -> AsyncIterator[Frames]:
+    """Several frames, as JSON or multipart. Raises as :func:`read_frame`, and as :meth:`Frames.of`."""
+    settings, kind = service.settings, media_type(request)
+    limits = JsonLimits.of_features(settings.max_request_bytes, MOST_FRAMES * settings.max_features)
+    images: dict[int, bytes] = {}
+    with service.held_bodies.hold() as on_piece:
+        if kind == "application/json":
+            text = await read_body(request, settings.max_request_bytes, limits.measured(on_piece))
+        elif kind == "multipart/form-data":
+            text, files = await _read_parts(request, settings, on_piece)
+            limits.check(text)
+            for name, content in files.items():
+                if (number := _NUMBERED_IMAGE.fullmatch(name)) is None:
+                    raise InvalidRequest(f"The multipart body has a part '{name}'.", _FRAMES_HINT)
+                images[int(number[1])] = content
+        else:
+            raise _unsupported(kind)
+        service.frames.compute.check_room(Effort.LARGE)
+        query = await run_in_threadpool(FramesQuery.model_validate_json, text)
+        chosen = [query.camera, *(one.camera for one in query.frames if one.camera is not None)]
+        named = {camera.name for camera in chosen if camera.name is not None}
+        stored = {name: (await service.cameras.get(name)).camera for name in named}
+        yield await run_in_threadpool(Frames.of, query, images, stored)
 
 
-def _limits_of_several(settings: Settings) -> JsonLimits:
-    return JsonLimits.of_features(settings.max_request_bytes, MOST_FRAMES * settings.max_features)
+async def _read_parts(request: Request, settings: Settings, on_piece: PieceListener) -> tuple[bytes, dict[str, bytes]]:
+    """The part ``request`` of a multipart body, empty if it is missing, and its other files by name."""
+    files: dict[str, bytearray] = {}
+
+    def keep(field_name: str, _filename: str, chunk: bytes) -> None:
+        files.setdefault(field_name, bytearray()).extend(chunk)
+
+    fields = await read_multipart(request, settings.max_request_bytes, MOST_FRAMES + 1, keep, on_piece)
+    text = bytes(files.pop("request", b"")) or fields.pop("request", "").encode()
+    if fields:
+        raise InvalidRequest(f"The multipart body has a part '{min(fields)}'.", _PARTS_HINT)
+    return text, {name: bytes(content) for name, content in files.items()}
 
 
-async def _frames_query(body: bytes, service: State) -> FramesQuery:
-    _limits_of_several(service.settings).check(body)
-    service.compute.check_room(Effort.LARGE)
-    return await run_in_threadpool(FramesQuery.model_validate_json, body)
+def _unsupported(kind: str) -> UnsupportedMediaType:
+    return UnsupportedMediaType(
+        f"A body of type '{kind}' cannot be read.",
+        "Send a picture (image/jpeg, image/png), multipart/form-data or application/json, as the route takes it.",
+    )
 
 
 def _image_listener(on_piece: PieceListener) -> PieceListener:
@@ -206,33 +216,3 @@ def _image_listener(on_piece: PieceListener) -> PieceListener:
         on_piece(piece)
 
     return listen
-
-
-async def _read_multipart(
-    request: Request, options: dict[str, Any], service: State, on_piece: PieceListener
-) -> Frame | SentFrames:
-    settings, files = service.settings, dict[str, bytearray]()
-
-    def keep(field_name: str, _filename: str, chunk: bytes) -> None:
-        files.setdefault(field_name, bytearray()).extend(chunk)
-
-    fields = await read_multipart(request, settings.max_request_bytes, MOST_FRAMES + 1, keep, on_piece)
-    text = bytes(files.get("request", b"")) or fields.get("request", "").encode()
-    numbered = {int(match[1]): name for name in files if (match := _NUMBERED_IMAGE.fullmatch(name))}
-    parts = files.keys() | fields.keys()
-    if numbered and "image" not in parts:
-        _refuse_unknown(parts - _PARTS - set(numbered.values()))
-        query = await _frames_query(text, service)
-        return query, {number: bytes(files[name]) for number, name in numbered.items()}
-    _refuse_unknown(parts - _PARTS)
-    if "image" not in files:
-        raise InvalidRequest("The multipart body has no file 'image'.", _PARTS_HINT)
-    JsonLimits.of_options(settings.max_json_bytes).check(text)
-    parsed = LocalizeOptions.model_validate_json(text) if text else LocalizeOptions.model_validate(options)
-    image = bytes(files["image"])
-    return Frame(parsed, image=image, effort=await run_in_threadpool(effort_of, image))
-
-
-def _refuse_unknown(parts: set[str]) -> None:
-    if parts:
-        raise InvalidRequest(f"The multipart body has a part '{min(parts)}'.", _PARTS_HINT)

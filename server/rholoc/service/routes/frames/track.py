@@ -12,14 +12,8 @@ from rholoc.errors import RholocError
 from rholoc.service.access.scopes import STREAM_NEEDS_LOCALIZE, STREAM_PROTOCOL
 from rholoc.service.access.stream_kind import StreamKind
 from rholoc.service.errors import Internal, as_rholoc_error, error_body
-from rholoc.service.frames.answers import LocalizationOut
-from rholoc.service.frames.map_choice import MapChoice
-from rholoc.service.frames.queries import Frame
-from rholoc.service.frames.stopwatch import Stopwatch
-from rholoc.service.routes.frames.localize import answer_frame
 from rholoc.service.routes.frames.track_messages import StreamError
 from rholoc.service.routes.frames.track_stream import Stream
-from rholoc.service.routes.frames.which_maps import check_known
 from rholoc.service.state import State
 
 router = APIRouter(prefix="/v1", tags=["localization"])
@@ -37,13 +31,10 @@ async def track(socket: WebSocket, map_name: str) -> None:
     await socket.accept(STREAM_PROTOCOL if STREAM_PROTOCOL in offered else None)
     request_id = uuid.uuid4().hex
 
-    async def localize(frame: Frame, clock: Stopwatch) -> LocalizationOut:
-        return await answer_frame(frame, MapChoice([map_name]), service, clock)
-
     try:
-        await check_known([map_name], service)
+        await service.frames.check_known([map_name])
         async with service.streams.serving(service.streams.admit(StreamKind.FRAMES, socket.scope)):
-            await Stream(socket, map_name, service, localize).run()
+            await Stream(socket, map_name, service).run()
     except WebSocketDisconnect:
         return
     except Exception as error:

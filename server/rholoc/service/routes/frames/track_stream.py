@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Callable, Coroutine, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -22,6 +22,7 @@ from rholoc.localization import AnyLocalizer
 from rholoc.recordings.frames.image import SENT_FORMATS, decode_image
 from rholoc.service.errors import InvalidRequest, RequestTimeout
 from rholoc.service.frames.answers import LocalizationOut, PoseOut
+from rholoc.service.frames.map_choice import MapChoice
 from rholoc.service.frames.queries import Frame, camera_for, effort_of
 from rholoc.service.frames.requests import LocalizeOptions, PriorIn
 from rholoc.service.frames.stopwatch import Stopwatch
@@ -39,8 +40,6 @@ from rholoc_client.tracking.rigid import FloatArray, from_quaternion
 _FRAMES_PER_S = 100.0  # messages are read no faster
 _BURST = 30
 _FOLLOWED_PIXELS = 1_000_000  # larger pictures are localized, but not followed from frame to frame
-
-Localize = Callable[[Frame, Stopwatch], Coroutine[Any, Any, LocalizationOut]]
 
 
 @dataclass
@@ -66,11 +65,10 @@ class Stream:
         socket: accepted.
         name: the map's.
         service: the parts of the service.
-        localize: answers one frame, in the service's compute pool.
     """
 
-    def __init__(self, socket: WebSocket, name: str, service: State, localize: Localize) -> None:
-        self._socket, self._name, self._service, self._localize = socket, name, service, localize
+    def __init__(self, socket: WebSocket, name: str, service: State) -> None:
+        self._socket, self._name, self._service = socket, name, service
         self._pending: asyncio.Task[LocalizationOut] | None = None
         self._pace = _Pace()
 
@@ -81,10 +79,10 @@ class Stream:
             RholocError: what was sent cannot be used, or nothing was sent for long.
         """
         begin = await self._receive(Begin)
-        localizer = await self._service.localizer(self._name)
+        localizer = await self._service.frames.localizer(self._name)
         stored = None
         if begin.camera.name is not None:
-            stored = (await self._service.threads.database(self._service.cameras.get, begin.camera.name)).camera
+            stored = (await self._service.cameras.get(begin.camera.name)).camera
         options = TrackOptions(odometry=OdometryNoise(**begin.odometry.model_dump()))
         self._track = _ServedTrack(begin, stored, localizer, options)
         info = localizer.map.info
@@ -110,11 +108,13 @@ class Stream:
     async def _take_frame(self, message: FrameMessage) -> None:
         picture = await self._receive_picture() if message.picture else None
         follow = picture is not None and message.odometry is None
-        image = await self._service.compute.run(lambda: self._decoded(picture or b"")) if follow else None
-        tracked = await self._service.compute.run(lambda: self._track.frame(message, image))
+        image = await self._service.frames.compute.run(lambda: self._decoded(picture or b"")) if follow else None
+        tracked = await self._service.frames.compute.run(lambda: self._track.frame(message, image))
         if picture is not None and self._pending is None and self._track.wants_answer:
             frame = self._track.ask(picture)
-            self._pending = asyncio.create_task(self._localize(frame, Stopwatch()))
+            self._pending = asyncio.create_task(
+                self._service.frames.localize(frame, MapChoice([self._name]), Stopwatch())
+            )
         await self._tell(tracked)
 
     async def _take_answer(self) -> None:
@@ -125,7 +125,7 @@ class Stream:
         except (Busy, DeadlineExceeded):  # the next question may find room, and time
             self._track.unanswered()
             return
-        await self._service.compute.run(lambda: self._track.answered(answer))
+        await self._service.frames.compute.run(lambda: self._track.answered(answer))
         await self._tell(self._track.now(), answer.model_copy(update={"agreeing": None}))
 
     async def _tell(self, tracked: Tracked, answer: LocalizationOut | None = None) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Annotated, Any
 
 import numpy as np
@@ -12,7 +13,7 @@ from starlette.concurrency import run_in_threadpool
 
 from rholoc.errors import Busy, InvalidInput, UnknownPicture
 from rholoc.mapping import levelled
-from rholoc.maps import MapLibrary, cloud_to_bytes, map_to_scene
+from rholoc.maps import Map, cloud_to_bytes, map_to_scene
 from rholoc.maps.floor_plan import GEOJSON, MEDIA_TYPES
 from rholoc.paper.landscape import presence_of
 from rholoc.pictures.rendering import Rendering
@@ -59,6 +60,7 @@ class FeatureOut(AnswerModel):
     views: list[int] = Field(description="the views that saw it, by number")
 
 
+_BINARY_TYPE = "application/octet-stream"
 _PLAN_CONTENT: dict[str, Any] = {
     kind: {"schema": {"type": "object"}, "example": {"type": "FeatureCollection", "features": []}}
     if kind == GEOJSON
@@ -76,7 +78,7 @@ _PLAN_CONTENT: dict[str, Any] = {
 async def get_report(map_name: str, service: Service) -> MapReportOut:
     """What the map found out about itself while it was built: coverage, residuals, and how consistent it is:
     frames of the same walk, held out, localized in it."""
-    info = (await service.map(map_name)).info
+    info = (await service.maps.get(map_name)).info
     return MapReportOut(map=map_name, map_id=info.id, map_version=info.version, report=info.report)
 
 
@@ -127,13 +129,13 @@ async def get_coverage(map_name: str, request: Request, service: Service) -> Res
 )
 async def get_plan(map_name: str, request: Request, service: Service) -> Response:
     """As it was sent; `plan` of the map says where it lies."""
-    etag = etag_of(await service.threads.files(service.library.stat, map_name), "plan")
-    if is_kept(request, etag):
-        return unchanged(etag)
-    map_ = await service.map(map_name)
-    if map_.info.plan is None:
-        raise UnknownPicture(f"The map {map_name} has no floor plan.", "Send one with PUT.")
-    return Response(map_.plan, media_type=map_.info.plan.media_type, headers=caching_headers(etag))
+
+    def plan(map_: Map) -> tuple[bytes, str]:
+        if map_.info.plan is None:
+            raise UnknownPicture(f"The map {map_name} has no floor plan.", "Send one with PUT.")
+        return map_.plan, map_.info.plan.media_type
+
+    return await _made(request, service, map_name, plan, "plan")
 
 
 @router.get(
@@ -160,13 +162,11 @@ async def get_scene(
     """Little-endian: two uint32, the numbers F of landmarks and K of views; F × 4 float32: x, y, z, standard deviation;
     K × 7 float32: x, y, z, heading, the number of the recording; where the map knows its colours, F × 3 uint8: red,
     green, blue. Lengths in metres."""
-    etag = etag_of(await service.threads.files(service.library.stat, map_name), "scene", landmarks, level)
-    if is_kept(request, etag):
-        return unchanged(etag)
-    map_ = await service.map(map_name)
-    rotation = await run_in_threadpool(levelled, map_) if level else None
-    scene = await run_in_threadpool(map_to_scene, map_, landmarks, rotation)
-    return Response(scene, media_type="application/octet-stream", headers=caching_headers(etag))
+
+    def scene(map_: Map) -> tuple[bytes, str]:
+        return map_to_scene(map_, landmarks, levelled(map_) if level else None), _BINARY_TYPE
+
+    return await _made(request, service, map_name, scene, "scene", landmarks, level)
 
 
 @router.get(
@@ -181,11 +181,10 @@ async def get_feature(
     service: Service,
 ) -> FeatureOut:
     """Features are numbered as in `…/scene`, where all of them are asked for. Lengths in the map's unit."""
-    return await service.threads.files(_feature, service.library, map_name, feature)
+    return await run_in_threadpool(_feature, await service.maps.get(map_name), feature)
 
 
-def _feature(library: MapLibrary, name: str, feature: int) -> FeatureOut:
-    map_ = library.get(name)
+def _feature(map_: Map, feature: int) -> FeatureOut:
     if feature >= len(map_):
         raise InvalidInput(f"The map has no feature {feature}.", f"Its features are 0 to {len(map_) - 1}.")
     views = np.unique(map_.observations.views[map_.observations.features == feature])
@@ -218,12 +217,7 @@ def _feature(library: MapLibrary, name: str, feature: int) -> FeatureOut:
 async def get_points(map_name: str, request: Request, service: Service) -> Response:
     """Points of the reconstruction that are not landmarks, for people to see the room. Little-endian: one uint32, the
     number P; P × 3 float32: x, y, z; P × 3 uint8: red, green, blue. Lengths in metres."""
-    etag = etag_of(await service.threads.files(service.library.stat, map_name), "points")
-    if is_kept(request, etag):
-        return unchanged(etag)
-    map_ = await service.map(map_name)
-    points = await run_in_threadpool(cloud_to_bytes, map_)
-    return Response(points, media_type="application/octet-stream", headers=caching_headers(etag))
+    return await _made(request, service, map_name, lambda map_: (cloud_to_bytes(map_), _BINARY_TYPE), "points")
 
 
 @router.get(
@@ -243,17 +237,17 @@ async def get_view_picture(
     service: Service,
 ) -> Response:
     """What the camera saw there, if the map keeps pictures and this server's setting `keep_pictures` is on."""
-    etag = etag_of(await service.threads.files(service.library.stat, map_name), "picture", view)
-    if is_kept(request, etag):
-        return unchanged(etag)
-    map_ = await service.map(map_name)
-    pictures = map_.views.known_pictures if service.settings.keep_pictures else ()
-    if view >= len(pictures) or not pictures[view]:
-        raise UnknownPicture(
-            f"The map {map_name} has no picture of its view {view}.",
-            "Maps keep pictures where RHOLOC_KEEP_PICTURES=1 was set when they were made, and show them where it is.",
-        )
-    return Response(pictures[view], media_type="image/jpeg", headers=caching_headers(etag))
+
+    def picture(map_: Map) -> tuple[bytes, str]:
+        pictures = map_.views.known_pictures if service.settings.keep_pictures else ()
+        if view >= len(pictures) or not pictures[view]:
+            raise UnknownPicture(
+                f"The map {map_name} has no picture of its view {view}.",
+                "Maps keep and show pictures where RHOLOC_KEEP_PICTURES=1 is set while they are made, and later.",
+            )
+        return pictures[view], "image/jpeg"
+
+    return await _made(request, service, map_name, picture, "picture", view)
 
 
 @router.get(
@@ -271,9 +265,23 @@ async def get_preview(map_name: str, request: Request, service: Service) -> Resp
     return await _rendered(request, service, map_name, Rendering.PREVIEW, "image/png")
 
 
+async def _made(
+    request: Request, service: State, name: str, make: Callable[[Map], tuple[bytes, str]], *parts: object
+) -> Response:
+    """What ``make`` makes of a map: content and media type. 304 where the browser has it.
+
+    ``parts`` tell it from what else is made of the map.
+    """
+    etag = etag_of(await service.maps.stat(name), *parts)
+    if is_kept(request, etag):
+        return unchanged(etag)
+    content, media_type = await run_in_threadpool(make, await service.maps.get(name))
+    return Response(content, media_type=media_type, headers=caching_headers(etag))
+
+
 async def _rendered(request: Request, service: State, name: str, kind: Rendering, media_type: str) -> Response:
     """A rendering, or 304 where the browser has it."""
-    etag = await service.threads.files(service.renderings.etag, name, kind)
+    etag = etag_of(await service.maps.stat(name), kind)
     if is_kept(request, etag):
         return unchanged(etag)
     rendered = await service.renderings.get(name, kind)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from functools import partial
 from typing import Annotated
 
 from fastapi import APIRouter, Body, Query, Request, Response
@@ -21,8 +19,8 @@ from rholoc.errors import (
     UnknownRecording,
 )
 from rholoc.jobs import JobKind, JobOptions, JobPriority
-from rholoc.mapping import forget_recording, merge_maps, set_floor_plan
-from rholoc.maps import MAX_PLAN_BYTES, FloorPlan, Map, MapLibrary, check_map_name, check_memory
+from rholoc.mapping import forget_recording, merge_maps
+from rholoc.maps import MAX_PLAN_BYTES, FloorPlan, check_map_name, check_memory
 from rholoc.maps.floor_plan import MEDIA_TYPES
 from rholoc.service.access.scopes import NEEDS_MAP, request_key
 from rholoc.service.errors import InvalidRequest, UnsupportedMediaType
@@ -32,9 +30,8 @@ from rholoc.service.http.openapi import BINARY, failures, request_body
 from rholoc.service.maps.corrections import CORRECTION_EXAMPLES, CorrectionIn, corrected_map
 from rholoc.service.maps.descriptions import MapDetail
 from rholoc.service.maps.job_events import RECORDING_ID_EXAMPLE, JobOut, job_out
-from rholoc.service.routes.intake import counted_job
-from rholoc.service.routes.maps.library import _FAILURES, _detail
-from rholoc.service.state import Service, State
+from rholoc.service.routes.maps.library import _FAILURES
+from rholoc.service.state import Service
 from rholoc.service.threads.compute import Effort
 from rholoc.storage.holdings import Kind
 from rholoc.trajectory import PoseMethod
@@ -89,10 +86,10 @@ async def correct_map(
     """The map's next version: with another origin, north, upright, axis or scale, aligned with a floor plan, without a
     region or a piece of its walk, or with names. If the frame moves, poses are in the new frame from then on, moved by
     exactly what `corrections` says. The previous version can be restored."""
-    map_ = await service.map(map_name)
-    corrected = await service.compute.run(lambda: corrected_map(map_, wanted), Effort.LARGE)
-    await service.threads.transfers(service.library.replace, map_name, corrected)
-    return await service.threads.database(_detail, service, map_name, corrected)
+    map_ = await service.maps.get(map_name)
+    corrected = await service.frames.compute.run(lambda: corrected_map(map_, wanted), Effort.LARGE)
+    await service.maps.replace(map_name, corrected)
+    return await service.maps.detail(map_name, corrected)
 
 
 @router.put(
@@ -116,10 +113,11 @@ async def put_plan(
     kind = media_type(request)
     if kind not in MEDIA_TYPES:
         raise UnsupportedMediaType(f"A floor plan cannot be {kind or 'nothing'}.", f"Send {', '.join(MEDIA_TYPES)}.")
-    await service.threads.files(service.library.stat, map_name)
+    await service.maps.stat(map_name)
     content = await read_body(request, MAX_PLAN_BYTES)
     plan = FloorPlan(kind, (x, y), turn_deg, m_per_unit)
-    return await service.threads.transfers(_planned, service, map_name, content, plan)
+    planned = await service.maps.keep_plan(map_name, content, plan)
+    return await service.maps.detail(map_name, planned)
 
 
 @router.delete(
@@ -130,7 +128,8 @@ async def put_plan(
 )
 async def delete_plan(map_name: str, service: Service) -> MapDetail:
     """The map itself does not move."""
-    return await service.threads.transfers(_planned, service, map_name, b"", None)
+    planned = await service.maps.keep_plan(map_name, b"", None)
+    return await service.maps.detail(map_name, planned)
 
 
 @router.post(
@@ -145,8 +144,8 @@ async def delete_plan(map_name: str, service: Service) -> MapDetail:
 async def update_map(map_name: str, wanted: UpdateIn, request: Request, service: Service, response: Response) -> JobOut:
     """A job localizes the recording in the map and learns it; `Location` is the job's address. When it is done, the
     map's next version replaces the present one; a recording of another place changes nothing."""
-    await service.threads.files(_check_learns, service.library, map_name)
-    await service.threads.database(service.cameras.named_in, wanted.camera)
+    check_memory(await service.maps.get(map_name), f"The map {map_name}")
+    await service.cameras.named_in(wanted.camera)
     options = JobOptions(
         kind=JobKind.UPDATE,
         poses=wanted.poses,
@@ -154,8 +153,8 @@ async def update_map(map_name: str, wanted: UpdateIn, request: Request, service:
         pictures=service.settings.keep_pictures,
         priority=wanted.priority,
     )
-    submit = partial(service.jobs.submit, wanted.recording, map_name, options)
-    job = await counted_job(service, request, map_name, submit)
+    key = request_key(request.scope)
+    job = await service.jobs.begin(key, map_name, lambda jobs: jobs.submit(wanted.recording, map_name, options))
     response.headers["Location"] = f"/v1/jobs/{job.id}"
     return job_out(job)
 
@@ -169,18 +168,18 @@ async def update_map(map_name: str, wanted: UpdateIn, request: Request, service:
 async def merge_map(map_name: str, wanted: MergeIn, request: Request, service: Service) -> MapDetail:
     """The merged map is published as `into`; both maps stay, unless `into` is one of them."""
     into = check_map_name(wanted.into)
-    a = await service.map(map_name)
-    b = await service.map(wanted.other)
+    a = await service.maps.get(map_name)
+    b = await service.maps.get(wanted.other)
     key, quotas = request_key(request.scope), service.quotas
-    new = into not in await service.threads.files(service.library.names)
-    await service.threads.database(quotas.check, key, into if new else None)
-    merged = await service.compute.run(lambda: merge_maps(a, b), Effort.LARGE)
+    new = into not in await service.maps.names()
+    await quotas.check(key, into if new else None)
+    merged = await service.frames.compute.run(lambda: merge_maps(a, b), Effort.LARGE)
     async with quotas.counting(key):
-        await service.threads.database(quotas.check, key, into if new else None)
-        await service.threads.transfers(_publish_merged, service.library, {map_name: a, wanted.other: b}, into, merged)
+        await quotas.check(key, into if new else None)
+        await service.maps.publish_merged({map_name: a, wanted.other: b}, into, merged)
         if new:
-            await service.threads.database(quotas.hold, key, Kind.MAP, into)
-    return await service.threads.database(_detail, service, into, merged)
+            await quotas.hold(key, Kind.MAP, into)
+    return await service.maps.detail(into, merged)
 
 
 @router.post(
@@ -191,24 +190,7 @@ async def merge_map(map_name: str, wanted: MergeIn, request: Request, service: S
 )
 async def forget_source(map_name: str, wanted: ForgetIn, service: Service) -> MapDetail:
     """Makes the map's next version, without what it learned from the recording: an id or a name in `sources`."""
-    map_ = await service.map(map_name)
-    left = await service.compute.run(lambda: forget_recording(map_, wanted.source), Effort.LARGE)
-    await service.threads.transfers(service.library.replace, map_name, left)
-    return await service.threads.database(_detail, service, map_name, left)
-
-
-def _planned(service: State, name: str, content: bytes, plan: FloorPlan | None) -> MapDetail:
-    planned = set_floor_plan(service.library.get(name), content, plan)
-    service.library.replace(name, planned)
-    return _detail(service, name, planned)
-
-
-def _check_learns(library: MapLibrary, name: str) -> None:
-    check_memory(library.get(name), f"The map {name}")
-
-
-def _publish_merged(library: MapLibrary, parts: Mapping[str, Map], into: str, merged: Map) -> None:
-    """Publish a merged map, unless it would replace one of its parts that has changed meanwhile."""
-    if into in parts and library.get(into) is not parts[into]:
-        raise Conflict(f"The map {into} was changed in the meantime.", "Merge again.")
-    library.put(into, merged)
+    map_ = await service.maps.get(map_name)
+    left = await service.frames.compute.run(lambda: forget_recording(map_, wanted.source), Effort.LARGE)
+    await service.maps.replace(map_name, left)
+    return await service.maps.detail(map_name, left)

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import uuid
-from contextlib import suppress
 from typing import Annotated
 
 from fastapi import APIRouter, Query, Request, Response
 from fastapi.responses import StreamingResponse
-from pydantic import Field
 
 from rholoc.errors import (
     Busy,
@@ -17,58 +14,30 @@ from rholoc.errors import (
     InvalidInput,
     InvalidMap,
     InvalidName,
-    RholocError,
     StorageFull,
     TooLarge,
     UnknownMap,
 )
 from rholoc.exports import ExportFormat, export_map, parse_features
 from rholoc.maps import (
-    Map,
-    MapLibrary,
     check_map_name,
 )
 from rholoc.pictures.rendering import Rendering
 from rholoc.service.access.scopes import NEEDS_ADMIN, NEEDS_MAP, NEEDS_READ, request_key
 from rholoc.service.errors import InvalidRequest, PreconditionFailed
-from rholoc.service.http.bodies import declared_length, save_body
-from rholoc.service.http.files import OpenedFile
-from rholoc.service.http.models import MAP_ID_EXAMPLE, AnswerModel, RequestModel, example
+from rholoc.service.http.bodies import declared_length, saved_body
+from rholoc.service.http.models import RequestModel, example
 from rholoc.service.http.openapi import BINARY, failures, request_body
 from rholoc.service.maps.descriptions import (
-    SUMMARY_EXAMPLE,
     MapDetail,
-    MapSummary,
-    PreviousMap,
-    _summary,
-    detail_of,
-    previous_map,
+    MapList,
+    MapVersions,
 )
 from rholoc.service.maps.exports import ExportRequest, is_long
 from rholoc.service.maps.renderings import etag_of
-from rholoc.service.routes.maps.publishing import publish
 from rholoc.service.state import Service, State
 from rholoc.service.threads.compute import Effort
 from rholoc.storage.holdings import Kind
-
-
-class MapVersions(AnswerModel):
-    """The maps that a map replaced and that are kept, the latest first."""
-
-    model_config = example(
-        {"versions": [{"number": 1, "id": MAP_ID_EXAMPLE, "version": 1, "created": "2026-01-05T10:00:00Z"}]}
-    )
-
-    versions: list[PreviousMap]
-
-
-class MapList(AnswerModel):
-    """All maps that are served, by name; files that cannot be read are listed separately."""
-
-    model_config = example({"maps": [SUMMARY_EXAMPLE], "unreadable": {}})
-
-    maps: list[MapSummary]
-    unreadable: dict[str, str] = Field(description="names of map files that cannot be read, and why")
 
 
 class MapPatch(RequestModel):
@@ -86,7 +55,7 @@ _FAILURES = (UnknownMap, InvalidName, InvalidMap)
 @router.get("", dependencies=[NEEDS_READ], summary="All maps")
 async def list_maps(service: Service) -> MapList:
     """The maps by name; files that cannot be read are listed separately."""
-    return await service.threads.files(_list, service.library)
+    return await service.maps.list()
 
 
 @router.get("/{map_name}", dependencies=[NEEDS_READ], summary="One map", responses=failures(*_FAILURES))
@@ -97,9 +66,8 @@ async def get_map(map_name: str, service: Service, response: Response) -> MapDet
 
 async def _answered(service: State, name: str, response: Response) -> MapDetail:
     """The description of a map, with its tag in a header."""
-    etag = etag_of(await service.threads.files(service.library.stat, name))
-    response.headers["ETag"] = etag
-    return await service.threads.database(_detail, service, name)
+    response.headers["ETag"] = etag_of(await service.maps.stat(name))
+    return await service.maps.detail(name)
 
 
 async def _check_unchanged(request: Request, service: State, name: str) -> None:
@@ -112,7 +80,7 @@ async def _check_unchanged(request: Request, service: State, name: str) -> None:
     if wanted is None and unwanted is None:
         return
     try:
-        present = etag_of(await service.threads.files(service.library.stat, name))
+        present = etag_of(await service.maps.stat(name))
     except UnknownMap:
         present = ""
     hint = "GET the map, and send its ETag as If-Match."
@@ -138,22 +106,15 @@ async def put_map(map_name: str, request: Request, service: Service, response: R
     `If-Match` only the map of that `ETag` is replaced, with `If-None-Match: *` none."""
     check_map_name(map_name)
     await _check_unchanged(request, service, map_name)
-    arrived = service.settings.data_dir / "uploads" / uuid.uuid4().hex
-    files = service.threads.files
-    await files(lambda: arrived.parent.mkdir(parents=True, exist_ok=True))
-    new = map_name not in await files(service.library.names)
+    new = map_name not in await service.maps.names()
     key, quotas = request_key(request.scope), service.quotas
-    await service.threads.database(quotas.check, key, map_name, declared_length(request))
-    try:
-        await save_body(request, arrived, service.settings.max_upload_bytes)
-        async with quotas.counting(key), service.publishing:
-            size_bytes = (await files(arrived.stat)).st_size
-            await service.threads.database(quotas.check, key, map_name, size_bytes)
-            await _check_unchanged(request, service, map_name)
-            await service.threads.transfers(publish, service, map_name, arrived)
-            await service.threads.database(quotas.hold, key, Kind.MAP, map_name)
-    finally:
-        await files(lambda: arrived.unlink(missing_ok=True))
+    await quotas.check(key, map_name, declared_length(request))
+    folder, max_bytes = service.settings.data_dir / "uploads", service.settings.max_upload_bytes
+    async with saved_body(request, folder, max_bytes) as body, quotas.counting(key), service.maps.publishing:
+        await quotas.check(key, map_name, body.size_bytes)
+        await _check_unchanged(request, service, map_name)
+        await service.maps.publish(map_name, body.path)
+        await quotas.hold(key, Kind.MAP, map_name)
     response.status_code = 201 if new else 200
     return await _answered(service, map_name, response)
 
@@ -168,11 +129,11 @@ async def patch_map(map_name: str, change: MapPatch, service: Service) -> MapDet
     """The new name must be free. The map stays in its sites."""
     check_map_name(change.name)
     if change.name != map_name:
-        await service.threads.database(service.library.rename, map_name, change.name)
-        await service.threads.database(service.sites.rename_map, map_name, change.name)
-        await service.threads.database(service.quotas.rename_map, map_name, change.name)
-    await service.threads.files(service.localizers.forget_missing)
-    return await service.threads.database(_detail, service, change.name)
+        await service.maps.rename(map_name, change.name)
+        await service.sites.rename_map(map_name, change.name)
+        await service.quotas.rename_map(map_name, change.name)
+    await service.frames.forget_missing()
+    return await service.maps.detail(change.name)
 
 
 @router.delete(
@@ -184,8 +145,8 @@ async def patch_map(map_name: str, change: MapPatch, service: Service) -> MapDet
 )
 async def delete_map(map_name: str, service: Service) -> None:
     """For good, with what is kept for it to learn from. Requests in progress still finish on it."""
-    await service.threads.database(_delete, service, map_name)
-    await service.threads.files(service.localizers.forget_missing)
+    await service.maps.delete(map_name)
+    await service.frames.forget_missing()
 
 
 @router.get(
@@ -219,21 +180,21 @@ async def download_map(
     """`rho`: the map itself; `csv`: Table 5, which can be uploaded again; `observations`: Table 4; `trajectory`: its
     views as Table 6; `ply`, `vtp`, `gltf`: landmarks and views; `surfaces`: where densities peak, as VTP;
     `colmap`: a text model of cameras, images and points, as ZIP; `nerfstudio`: `transforms.json`; `png`: a picture."""
-    await service.threads.files(service.library.stat, map_name)
+    await service.maps.stat(map_name)
     headers = {"Content-Disposition": f'attachment; filename="{map_name}{format.ending}"'}
     if format is ExportFormat.RHO and degree is None and features is None:
         headers |= {"Cache-Control": "no-store"}
-        return await service.threads.fetches(_opened, service.library, map_name, headers)
+        return await service.maps.open(map_name, headers)
     if format is ExportFormat.PNG:
         rendered = await service.renderings.get(map_name, Rendering.PREVIEW)
         return Response(rendered.content, headers=headers, media_type=format.media_type)
     chosen = None if features is None else parse_features(features)
-    map_ = await service.map(map_name)
+    map_ = await service.maps.get(map_name)
     if is_long(len(map_), format, degree, chosen):
-        path = await service.threads.fetches(service.library.path, map_name)
+        path = await service.maps.path(map_name)
         wanted = ExportRequest(path, map_name, format, degree, chosen)
         return await service.exports.answer(wanted, headers, request.is_disconnected)
-    pieces = await service.compute.run(
+    pieces = await service.frames.compute.run(
         lambda: export_map(map_, format, title=map_name, degree=degree, features=chosen), Effort.LARGE
     )
     return StreamingResponse(pieces, headers=headers, media_type=format.media_type)
@@ -252,8 +213,8 @@ async def restore_map(
 ) -> MapDetail:
     """The map that was last replaced under this name takes its place again, and the present one is kept in turn:
     restoring twice changes nothing. `number` chooses an earlier one."""
-    await service.threads.transfers(service.library.restore, map_name, number)
-    return await service.threads.database(_detail, service, map_name)
+    await service.maps.restore(map_name, number)
+    return await service.maps.detail(map_name)
 
 
 @router.get(
@@ -264,52 +225,4 @@ async def restore_map(
 )
 async def list_versions(map_name: str, service: Service) -> MapVersions:
     """The maps that can be restored: the last five that were replaced under this name, the latest first."""
-    return await service.threads.database(_versions, service.library, map_name)
-
-
-def _delete(service: State, name: str) -> None:
-    with suppress(InvalidMap):  # one that cannot be read has no id; the sweep forgets its queries
-        service.queries.delete(service.library.get(name).info.id)
-    service.library.delete(name)
-
-
-def _list(library: MapLibrary) -> MapList:
-    maps: list[MapSummary] = []
-    unreadable: dict[str, str] = {}
-    for name in library.names():
-        try:
-            maps.append(MapSummary.model_validate(_summary(library, name)))
-        except UnknownMap:
-            continue  # deleted meanwhile
-        except RholocError as error:
-            unreadable[name] = error.message
-    return MapList(maps=maps, unreadable=unreadable)
-
-
-def _detail(service: State, name: str, published: Map | None = None) -> MapDetail:
-    """The description of the map of a name; of ``published`` if the request just published it.
-
-    Meanwhile another request may have replaced it, or this server may not see it yet.
-    """
-    library, settings = service.library, service.settings
-    map_ = published or library.get(name)
-    detail = detail_of(name, map_, library.stat(name).size_bytes, library.previous(name))
-    here = {
-        "live": settings.live,
-        "keeps_failures": settings.keep_failures,
-        "pictures": detail.pictures and settings.keep_pictures,
-    }
-    return detail.model_copy(update=here)
-
-
-def _versions(library: MapLibrary, name: str) -> MapVersions:
-    library.stat(name)
-    return MapVersions(versions=[previous_map(number, info) for number, info in library.versions(name).items()])
-
-
-def _opened(library: MapLibrary, name: str, headers: dict[str, str]) -> OpenedFile:
-    try:
-        return OpenedFile(library.path(name), headers, ExportFormat.RHO.media_type)
-    except FileNotFoundError:
-        library.stat(name)  # which says that there is no such map; else it came back meanwhile
-        raise Conflict(f"The map {name} was replaced in the meantime.", "Try again.") from None
+    return await service.maps.versions(map_name)

@@ -2,34 +2,46 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 
-from rholoc.errors import InvalidInput, InvalidMap, NotInstalled, RholocError, TooLarge
+from rholoc.errors import Conflict, InvalidInput, InvalidMap, NotInstalled, RholocError, TooLarge
 from rholoc.features import get_extractor
 from rholoc.localization import localizer_of
-from rholoc.maps import Map, check_usable, is_coefficient_table, read_coefficient_table
+from rholoc.maps import Map, MapLibrary, check_usable, is_coefficient_table, read_coefficient_table
 from rholoc.service.maps.descriptions import MapReportOut, detail_of
-from rholoc.service.state import State
+from rholoc.service.settings import Settings
 
 
-def publish(service: State, name: str, arrived: Path) -> None:
-    """Put a file into the library, if the service can do with it everything that it does with maps."""
+def publish_file(library: MapLibrary, name: str, arrived: Path, settings: Settings) -> None:
+    """Publish a ``.rho`` file or a Table 5, if the service can do with it everything that it does with maps.
+
+    Raises:
+        TooLarge, InvalidMap, InvalidInput, StorageUnavailable, StorageFull: nothing was replaced.
+    """
+    size_bytes, limit = arrived.stat().st_size, settings.max_map_bytes
 
     def check(map_: Map) -> None:
         _check_features(map_)
-        _rehearse(map_, name, arrived.stat().st_size, service.settings.min_recognized)
+        _rehearse(map_, name, size_bytes, settings.min_recognized)
 
     if is_coefficient_table(arrived):
         map_ = read_coefficient_table(arrived, f"{name}.csv")
         check(map_)
-        service.library.put(name, map_)
+        library.put(name, map_)
+    elif size_bytes > limit:
+        raise TooLarge(f"The map's file is longer than {limit} bytes.", "Split it, or raise RHOLOC_MAX_MAP_BYTES.")
     else:
-        if arrived.stat().st_size > service.settings.max_map_bytes:
-            limit = service.settings.max_map_bytes
-            raise TooLarge(f"The map's file is longer than {limit} bytes.", "Split it, or raise RHOLOC_MAX_MAP_BYTES.")
-        service.library.put_file(name, arrived, check)
+        library.put_file(name, arrived, check)
+
+
+def publish_merged(library: MapLibrary, parts: Mapping[str, Map], into: str, merged: Map) -> None:
+    """Publish a merged map, unless it would replace one of its parts that has changed meanwhile. Raises Conflict."""
+    if into in parts and library.get(into) is not parts[into]:
+        raise Conflict(f"The map {into} was changed in the meantime.", "Merge again.")
+    library.put(into, merged)
 
 
 def _check_features(map_: Map) -> None:
