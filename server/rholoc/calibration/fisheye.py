@@ -112,7 +112,7 @@ def _stepped(found: _Solution, step: FloatArray) -> tuple[Camera | None, FloatAr
 def _changed(camera: Camera, by: FloatArray) -> Camera | None:
     fx, fy, cx, cy, *coefficients = (np.array(camera.parameters) + by).tolist()
     try:
-        return replace(camera, fx=fx, fy=fy, cx=cx, cy=cy, coefficients=tuple(distortion))
+        return replace(camera, fx=fx, fy=fy, cx=cx, cy=cy, distortion=tuple(coefficients))
     except InvalidCamera:
         return None
 
