@@ -110,9 +110,10 @@ def _stepped(found: _Solution, step: FloatArray) -> tuple[Camera | None, FloatAr
 
 
 def _changed(camera: Camera, by: FloatArray) -> Camera | None:
-    fx, fy, cx, cy, *distortion = (np.array(camera.parameters) + by).tolist()
+    values = (np.array(camera.parameters) + by).tolist()
+    pinhole = dict(zip(("fx", "fy", "cx", "cy"), values, strict=False))
     try:
-        return replace(camera, fx=fx, fy=fy, cx=cx, cy=cy, distortion=tuple(distortion))
+        return replace(camera, **pinhole, distortion=tuple(values[4:]))
     except InvalidCamera:
         return None
 
