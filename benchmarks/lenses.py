@@ -7,7 +7,8 @@ radian at the optical axis. Of every seed, which chooses the frames, two frames 
 IMU, and the others are localized in it. The lens is another one, what it shows is the same.
 
 ``room``: the demo's room of a seed, two pictures a second, rendered for a phone, for a fisheye of 170° and for a whole
-panorama; the first walk is mapped from its pictures alone, the second is localized. The lenses show more and more.
+panorama; the first walk is mapped from its pictures alone, or with its true poses where that fails, the second is
+localized. The lenses show more and more.
 
 Frames are localized with the camera that the map has. Errors of positions are after the similarity that aligns the
 map's views with the truth, errors of rotations after the mean rotation.
@@ -28,6 +29,7 @@ import cv2
 import numpy as np
 
 from measuring import SHARED_DATA, measured, position_errors, print_table, rounded
+from rholoc.errors import MappingFailed
 from rholoc.evaluation import trajectory_errors
 from rholoc.geometry import ByteArray, Camera, FloatArray, IntArray, Lens, Pose, align_poses, posed_alignment
 from rholoc.localization import Localizer, Query
@@ -185,7 +187,10 @@ def run(walk: str, lens: Lens, seed: int) -> dict[str, Any]:
     assert mapped.poses is not None
     assert asked.poses is not None
     with measured() as cost:
-        map_ = build_map([replace(mapped, poses=None)], BuildOptions(report=False))
+        try:
+            map_, failed = build_map([replace(mapped, poses=None)], BuildOptions(report=False)), ""
+        except MappingFailed as error:
+            map_, failed = build_map([mapped], BuildOptions(report=False)), error.message
     truth = mapped.poses.T_map_camera[np.searchsorted(mapped.frames.times, map_.views.times)]
     placed = align_poses(map_.views.T_map_camera, truth)
     turned = posed_alignment(map_.views.T_map_camera, truth, np.ones(len(truth)), fixed_scale=False).rotation
@@ -204,12 +209,13 @@ def run(walk: str, lens: Lens, seed: int) -> dict[str, Any]:
         "seed": seed,
         "views": len(map_.views),
         "landmarks": len(map_),
-        "map_cm": position_errors(map_.views.T_map_camera, truth)["median_cm"],
+        "map_cm": math.nan if failed else position_errors(map_.views.T_map_camera, truth)["median_cm"],
         "localized_percent": rounded(100 * errors.localized.mean(), 1),
         "median_cm": rounded(100 * float(np.median(errors.position_m))),
         "p90_cm": rounded(100 * float(np.quantile(errors.position_m, 0.9))),
         "median_deg": rounded(np.degrees(float(np.median(errors.rotation_rad)))),
         "map_s": rounded(cost.seconds, 0),
+        "failed": failed,
     }
 
 

@@ -20,6 +20,6 @@ def test_every_warning_and_advice_is_documented(kind: WarningKind | AdviceKind) 
 
 
 def test_every_format_has_a_row() -> None:
-    section = FORMATS.split("### Formats of recorder apps and datasets")[1].split("\n## ")[0]
+    section = FORMATS.split("### Formats of recorder apps and datasets")[1].split("\n##")[0]
     rows = [line for line in section.splitlines() if line.startswith("| ")]
     assert len(rows) == 1 + len(READERS)  # the head
