@@ -20,6 +20,7 @@ import httpx
 import numpy as np
 import pytest
 import uvicorn
+from hypothesis import settings as hypothesis_settings
 
 from rholoc.features import FeatureSet, Metric, get_extractor
 from rholoc.geometry import (
@@ -61,6 +62,10 @@ if TYPE_CHECKING:
 _PATIENCE_S = 60.0
 for _part in ("connect", "read", "write", "pool"):
     setattr(httpx._config.DEFAULT_TIMEOUT_CONFIG, _part, _PATIENCE_S)  # bound in the signatures of httpx's functions
+
+# As many examples as find what is easily wrong; each run draws others.
+hypothesis_settings.register_profile("rholoc", max_examples=40, deadline=None)
+hypothesis_settings.load_profile("rholoc")
 
 sys.path.insert(0, str(Path(__file__).parent))  # of what tests of several packages share
 
@@ -297,6 +302,14 @@ class RunningService:
         assert parts.hostname is not None
         assert parts.port is not None
         return parts.hostname, parts.port
+
+
+@pytest.fixture(scope="session")
+def openapi() -> dict[str, Any]:
+    """The service's description."""
+    from rholoc.service import Settings, create_app
+
+    return create_app(Settings()).openapi()
 
 
 ServeFunction = Callable[..., RunningService]

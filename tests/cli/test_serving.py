@@ -93,14 +93,11 @@ def fails_in_one_line(maps: Path, data: Path, port: str = "0") -> str:
     return done.stderr
 
 
-def test_a_port_that_is_taken_is_one_line(tmp_path: Path) -> None:
+@pytest.mark.slow
+def test_a_port_that_is_taken_and_folders_that_cannot_be_used_are_one_line(tmp_path: Path) -> None:
     with socket.create_server(("127.0.0.1", 0)) as listener:
         port = str(listener.getsockname()[1])
         assert f"127.0.0.1:{port}" in fails_in_one_line(tmp_path / "maps", tmp_path / "data", port)
-
-
-@pytest.mark.slow
-def test_folders_that_cannot_be_used_are_one_line(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("a file where a folder should be")
     (tmp_path / "damaged").mkdir()
     (tmp_path / "damaged" / "jobs.sqlite").write_text("no database")

@@ -105,7 +105,7 @@ def test_the_gradient_is_the_slope() -> None:
         assert slope == pytest.approx(found.gradient[0, axis], rel=0.03, abs=0.03)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(
     count=st.integers(1, 40),
     monomials=st.integers(1, 10),

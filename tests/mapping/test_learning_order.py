@@ -117,14 +117,14 @@ def assert_same_landmarks(a: Map, b: Map) -> None:
     np.testing.assert_allclose(found[both], wanted[both], rtol=0, atol=EXACT_M)
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(seed=st.integers(0, 10**6), order=st.permutations([0, 1, 2]))
 def test_learning_in_any_order_is_building_from_all_at_once(seed: int, order: list[int]) -> None:
     given_tracks = tracks(seed)
     assert_same_landmarks(learned(given_tracks, order), with_landmarks(given_tracks.map_of([0, 1, 2])))
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(seed=st.integers(0, 10**6), order=st.permutations([0, 1, 2]), forgotten=st.integers(0, 2))
 def test_forgetting_leaves_a_map_that_never_learned_it(seed: int, order: list[int], forgotten: int) -> None:
     given_tracks = tracks(seed)
@@ -135,7 +135,7 @@ def test_forgetting_leaves_a_map_that_never_learned_it(seed: int, order: list[in
     assert_same_landmarks(left, with_landmarks(given_tracks.map_of(others)))
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(seed=st.integers(0, 10**6))
 def test_forgetting_undoes_learning_to_the_last_array(seed: int) -> None:
     given_tracks = tracks(seed)

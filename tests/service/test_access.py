@@ -93,16 +93,15 @@ def test_the_readme_shows_what_the_code_declares():
     assert {name for name in hidden if "/v1/" in name} == {"OPTIONS /v1/recordings/{recording}"}
 
 
-def test_openapi_shows_the_scopes():
-    document = create_app(Settings()).openapi()
+def test_openapi_shows_the_scopes(openapi):
     shown = {
         f"{method.upper()} {path}": [scope for one in operation.get("security", []) for scope in one["ApiKey"]]
-        for path, item in document["paths"].items()
+        for path, item in openapi["paths"].items()
         for method, operation in item.items()
     }
     declared = {name_of(one): [one[1].access.scope] if one[1].access.scope else [] for one in REQUESTS}
     assert shown == {name: declared[name] for name in shown}
-    assert document["components"]["securitySchemes"]["ApiKey"]["scheme"] == "bearer"
+    assert openapi["components"]["securitySchemes"]["ApiKey"]["scheme"] == "bearer"
 
 
 @pytest.mark.parametrize("policy", [KeyPolicy.NEVER, KeyPolicy.ALWAYS])

@@ -68,7 +68,7 @@ def state(library: MapLibrary) -> dict[str, Any]:
     }
 
 
-@settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=15, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(steps=st.lists(STEPS, max_size=12))
 def test_a_shared_library_does_what_a_folder_does(steps: list[Any], tmp_path_factory: Any) -> None:
     folder = tmp_path_factory.mktemp("world")

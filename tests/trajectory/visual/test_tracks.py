@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scene import CAMERA, arc, cloud, in_pixels
 from scipy.spatial.transform import Rotation
@@ -44,7 +44,6 @@ def _check(observations: Observations) -> None:
     np.testing.assert_array_equal(observations.keyframes, observations.pixels[:, 0])
 
 
-@settings(deadline=None)
 @given(observations=_observations(), seed=st.integers(0, 100))
 def test_some_of_the_sightings_are_still_whole_points(observations: Observations, seed: int) -> None:
     kept = np.random.default_rng(seed).random(len(observations)) < 0.7
@@ -54,7 +53,6 @@ def test_some_of_the_sightings_are_still_whole_points(observations: Observations
     assert _names(some) == [name for name in remaining if len(name) >= 3]
 
 
-@settings(deadline=None)
 @given(first=_observations(), second=_observations())
 def test_joined_points_stay_apart(first: Observations, second: Observations) -> None:
     both = first.joined(second)
@@ -63,7 +61,6 @@ def test_joined_points_stay_apart(first: Observations, second: Observations) -> 
     assert _names(both) == _names(first) + _names(second)
 
 
-@settings(deadline=None)
 @given(observations=_observations(), most=st.integers(1, 6))
 def test_thinned_points_are_the_longest_and_leave_no_keyframe_short(observations: Observations, most: int) -> None:
     thinned = observations.thinned(most)
