@@ -38,9 +38,9 @@ class RequestModel(BaseModel):
 
 
 class AnswerModel(BaseModel):
-    """Base of what clients are sent."""
+    """Base of what clients are sent, made of keywords or of an object with the same attributes."""
 
-    model_config = ConfigDict(frozen=True)
+    model_config = ConfigDict(frozen=True, from_attributes=True)
 
 
 class CameraIn(RequestModel):

@@ -7,6 +7,7 @@ import hashlib
 import time
 from dataclasses import dataclass
 
+from fastapi import Response
 from pydantic import Field
 from pydantic.config import JsonDict
 
@@ -144,25 +145,11 @@ def job_out(job: Job) -> JobOut:
     error = None
     if job.error_code is not None:
         error = JobError(code=job.error_code, message=job.error_message or "", hint=job.error_hint or "")
-    return JobOut(
-        id=job.id,
-        recording=job.recording,
-        map=job.map_name,
-        state=job.state,
-        stage=job.stage,
-        progress=job.progress,
-        message=job.message,
-        log=list(job.log),
-        warnings=list(job.warnings),
-        trusted=job.trusted,
-        error=error,
-        created=job.created,
-        started=job.started,
-        ended=job.ended,
-        attempts=job.attempts,
-        priority=job.priority,
-        memory_bytes=job.memory_bytes,
-        obstacle=job.obstacle,
-        kind=job.kind,
-        site=job.site,
-    )
+    same = {name: getattr(job, name) for name in JobOut.model_fields if hasattr(job, name)}
+    return JobOut.model_validate({**same, "map": job.map_name, "error": error})
+
+
+def begun(job: Job, response: Response) -> JobOut:
+    """The answer of a request that began a job, whose address goes into a header of its response."""
+    response.headers["Location"] = f"/v1/jobs/{job.id}"
+    return job_out(job)

@@ -23,13 +23,13 @@ from rholoc.mapping import forget_recording, merge_maps
 from rholoc.maps import MAX_PLAN_BYTES, FloorPlan, check_map_name, check_memory
 from rholoc.maps.floor_plan import MEDIA_TYPES
 from rholoc.service.access.scopes import NEEDS_MAP, request_key
-from rholoc.service.errors import InvalidRequest, UnsupportedMediaType
+from rholoc.service.errors import UnsupportedMediaType
 from rholoc.service.http.bodies import media_type, read_body
 from rholoc.service.http.models import RequestModel, example
-from rholoc.service.http.openapi import BINARY, failures, request_body
+from rholoc.service.http.openapi import BINARY, declared, request_body
 from rholoc.service.maps.corrections import CORRECTION_EXAMPLES, CorrectionIn, corrected_map
 from rholoc.service.maps.descriptions import MapDetail
-from rholoc.service.maps.job_events import RECORDING_ID_EXAMPLE, JobOut, job_out
+from rholoc.service.maps.job_events import RECORDING_ID_EXAMPLE, JobOut, begun
 from rholoc.service.routes.maps.library import _FAILURES
 from rholoc.service.state import Service
 from rholoc.service.threads.compute import Effort
@@ -76,9 +76,7 @@ class ForgetIn(RequestModel):
 
 @router.post(
     "/{map_name}/corrections",
-    dependencies=[NEEDS_MAP],
-    summary="Correct a map",
-    responses=failures(*_FAILURES, InvalidInput, InvalidRequest, Conflict, Busy, StorageFull),
+    **declared(NEEDS_MAP, "Correct a map", *_FAILURES, InvalidInput, Conflict, Busy, StorageFull),
 )
 async def correct_map(
     map_name: str, wanted: Annotated[CorrectionIn, Body(openapi_examples=CORRECTION_EXAMPLES)], service: Service
@@ -94,10 +92,17 @@ async def correct_map(
 
 @router.put(
     "/{map_name}/plan",
-    dependencies=[NEEDS_MAP],
-    summary="Keep a floor plan with a map",
-    responses=failures(*_FAILURES, InvalidInput, InvalidRequest, UnsupportedMediaType, TooLarge, Conflict, StorageFull),
     openapi_extra=request_body({kind: {"schema": BINARY} for kind in MEDIA_TYPES}),
+    **declared(
+        NEEDS_MAP,
+        "Keep a floor plan with a map",
+        *_FAILURES,
+        InvalidInput,
+        UnsupportedMediaType,
+        TooLarge,
+        Conflict,
+        StorageFull,
+    ),
 )
 async def put_plan(
     map_name: str,
@@ -121,10 +126,7 @@ async def put_plan(
 
 
 @router.delete(
-    "/{map_name}/plan",
-    dependencies=[NEEDS_MAP],
-    summary="Remove a map's floor plan",
-    responses=failures(*_FAILURES, Conflict, StorageFull),
+    "/{map_name}/plan", **declared(NEEDS_MAP, "Remove a map's floor plan", *_FAILURES, Conflict, StorageFull)
 )
 async def delete_plan(map_name: str, service: Service) -> MapDetail:
     """The map itself does not move."""
@@ -134,11 +136,16 @@ async def delete_plan(map_name: str, service: Service) -> MapDetail:
 
 @router.post(
     "/{map_name}/update",
-    dependencies=[NEEDS_MAP],
     status_code=202,
-    summary="Learn a recording into a map",
-    responses=failures(
-        *_FAILURES, UnknownRecording, UnknownCamera, InvalidCamera, InvalidInput, InvalidRequest, StorageFull
+    **declared(
+        NEEDS_MAP,
+        "Learn a recording into a map",
+        *_FAILURES,
+        UnknownRecording,
+        UnknownCamera,
+        InvalidCamera,
+        InvalidInput,
+        StorageFull,
     ),
 )
 async def update_map(map_name: str, wanted: UpdateIn, request: Request, service: Service, response: Response) -> JobOut:
@@ -155,15 +162,21 @@ async def update_map(map_name: str, wanted: UpdateIn, request: Request, service:
     )
     key = request_key(request.scope)
     job = await service.jobs.begin(key, map_name, lambda jobs: jobs.submit(wanted.recording, map_name, options))
-    response.headers["Location"] = f"/v1/jobs/{job.id}"
-    return job_out(job)
+    return begun(job, response)
 
 
 @router.post(
     "/{map_name}/merge",
-    dependencies=[NEEDS_MAP],
-    summary="Merge another map into a map's frame",
-    responses=failures(*_FAILURES, InvalidInput, InvalidRequest, MappingFailed, Conflict, Busy, StorageFull),
+    **declared(
+        NEEDS_MAP,
+        "Merge another map into a map's frame",
+        *_FAILURES,
+        InvalidInput,
+        MappingFailed,
+        Conflict,
+        Busy,
+        StorageFull,
+    ),
 )
 async def merge_map(map_name: str, wanted: MergeIn, request: Request, service: Service) -> MapDetail:
     """The merged map is published as `into`; both maps stay, unless `into` is one of them."""
@@ -184,9 +197,7 @@ async def merge_map(map_name: str, wanted: MergeIn, request: Request, service: S
 
 @router.post(
     "/{map_name}/forget",
-    dependencies=[NEEDS_MAP],
-    summary="Forget a recording",
-    responses=failures(*_FAILURES, InvalidInput, InvalidRequest, Conflict, Busy, StorageFull),
+    **declared(NEEDS_MAP, "Forget a recording", *_FAILURES, InvalidInput, Conflict, Busy, StorageFull),
 )
 async def forget_source(map_name: str, wanted: ForgetIn, service: Service) -> MapDetail:
     """Makes the map's next version, without what it learned from the recording: an id or a name in `sources`."""
