@@ -22,20 +22,11 @@ from rholoc.service.errors import (
     Unauthorized,
     status_of,
 )
-from rholoc.service.http.models import AnswerModel, example
+from rholoc.service.http.models import AnswerModel
 
 
 class ErrorAnswer(AnswerModel):
     """The one shape of all errors."""
-
-    model_config = example(
-        {
-            "code": "unknown_map",
-            "message": "There is no map called 'kitchen'.",
-            "hint": "GET /v1/maps lists the maps.",
-            "request_id": "7d7f0a1c2b3d4e5f8091a2b3c4d5e6f7",
-        }
-    )
 
     code: str = Field(description="Stable: programs tell errors apart by it.")
     message: str = Field(description="One line: what is wrong.")
@@ -114,7 +105,8 @@ def _add_common_failures(operation: dict[str, Any]) -> None:
         kinds.append(TooLarge)
     for status, common in failures(*kinds).items():
         answer = operation["responses"].setdefault(str(status), {"description": ""})
-        known = answer.setdefault("content", {}).setdefault("application/json", {"schema": reference(ErrorAnswer)})
+        known = answer.setdefault("content", {}).setdefault("application/json", {})
+        known["schema"] = reference(ErrorAnswer)  # not the framework's own
         examples = known.setdefault("examples", {})
         examples |= common["content"]["application/json"]["examples"]
         answer["description"] = ", ".join(f"`{code}`" for code in examples)

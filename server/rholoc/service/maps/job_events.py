@@ -9,15 +9,11 @@ from dataclasses import dataclass
 
 from fastapi import Response
 from pydantic import Field
-from pydantic.config import JsonDict
 
 from rholoc.jobs import Job, JobKind, JobPriority, JobQueue, JobState, Obstacle
 from rholoc.progress import Stage
-from rholoc.service.http.models import AnswerModel, example
+from rholoc.service.http.models import AnswerModel
 from rholoc.service.threads.storage import StorageThreads
-
-JOB_ID_EXAMPLE = "0b6e0f6f4f0c4d5f9a8b7c6d5e4f3a21"
-RECORDING_ID_EXAMPLE = "9c5d1c3f5b8e4a0d8e6f7a8b9c0d1e2f"
 
 
 class JobError(AnswerModel):
@@ -28,34 +24,8 @@ class JobError(AnswerModel):
     hint: str
 
 
-JOB_EXAMPLE: JsonDict = {
-    "id": JOB_ID_EXAMPLE,
-    "kind": "build",
-    "recording": RECORDING_ID_EXAMPLE,
-    "map": "testsite",
-    "site": None,
-    "state": "running",
-    "stage": "poses",
-    "progress": 0.42,
-    "message": "31 of 60 keyframes placed",
-    "log": ["60 keyframes chosen"],
-    "warnings": [],
-    "trusted": None,
-    "error": None,
-    "created": 1767607200.0,
-    "started": 1767607201.5,
-    "ended": None,
-    "attempts": 1,
-    "priority": "normal",
-    "memory_bytes": 1_100_000_000,
-    "obstacle": None,
-}
-
-
 class JobOut(AnswerModel):
     """A mapping job."""
-
-    model_config = example(JOB_EXAMPLE)
 
     id: str
     kind: JobKind

@@ -10,7 +10,7 @@ from pydantic import Field
 from rholoc.errors import InvalidName
 from rholoc.maps import check_map_name
 from rholoc.service.access.scopes import NEEDS_ADMIN
-from rholoc.service.http.models import AnswerModel, example
+from rholoc.service.http.models import AnswerModel
 from rholoc.service.http.openapi import declared
 from rholoc.service.state import Service
 
@@ -29,22 +29,6 @@ class ChangeOut(AnswerModel):
 
 class ChangesOut(AnswerModel):
     """The last changes, the newest first."""
-
-    model_config = example(
-        {
-            "changes": [
-                {
-                    "time": 1767607200.0,
-                    "who": "alice",
-                    "method": "PUT",
-                    "path": "/v1/maps/hall",
-                    "status": 200,
-                    "job": "",
-                    "request_id": "7d7f0a1c2b3d4e5f8091a2b3c4d5e6f7",
-                }
-            ]
-        }
-    )
 
     changes: list[ChangeOut]
 

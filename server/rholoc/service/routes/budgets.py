@@ -8,7 +8,7 @@ from pydantic import Field
 from rholoc.errors import NotFound
 from rholoc.service.access.open_streams import StreamKind
 from rholoc.service.access.scopes import NEEDS_ADMIN
-from rholoc.service.http.models import AnswerModel, example
+from rholoc.service.http.models import AnswerModel
 from rholoc.service.http.openapi import declared
 from rholoc.service.state import Service
 
@@ -27,21 +27,6 @@ class OpenStreamOut(AnswerModel):
 class OpenStreamList(AnswerModel):
     """The open streams of a server, the oldest first."""
 
-    model_config = example(
-        {
-            "streams": [
-                {
-                    "id": "5f0c3a52d1c24e0f8d1c8f1a8f0e6c11",
-                    "kind": "events",
-                    "key": "handed-1f2e3d4c",
-                    "counted_to": "alice",
-                    "path": "/v1/maps/hall/live",
-                    "since": 1767607200.0,
-                }
-            ]
-        }
-    )
-
     streams: list[OpenStreamOut]
 
 
@@ -57,20 +42,6 @@ class UploadOut(AnswerModel):
 
 class UploadList(AnswerModel):
     """The unfinished uploads."""
-
-    model_config = example(
-        {
-            "uploads": [
-                {
-                    "id": "9b2ad7a3f3c84a1fb0f5c5b4f1a0d6ee",
-                    "map": "hall",
-                    "size_bytes": 48_211_004,
-                    "key": "handed-1f2e3d4c",
-                    "counted_to": "alice",
-                }
-            ]
-        }
-    )
 
     uploads: list[UploadOut]
 

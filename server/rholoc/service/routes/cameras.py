@@ -6,23 +6,18 @@ from typing import Any
 
 from fastapi import APIRouter, Response
 from pydantic import Field
-from pydantic.config import JsonDict
 
 from rholoc.errors import InvalidCamera, InvalidInput, InvalidName, RholocError, StorageFull, UnknownCamera
 from rholoc.geometry import Camera
 from rholoc.maps import CameraProfile
 from rholoc.service.access.scopes import NEEDS_MAP, NEEDS_READ
-from rholoc.service.http.models import CAMERA_EXAMPLE, AnswerModel, Number, RequestModel, SizePx, example
+from rholoc.service.http.models import AnswerModel, Number, RequestModel, SizePx
 from rholoc.service.http.openapi import declared
 from rholoc.service.state import Service
-
-_PROFILE: JsonDict = {**CAMERA_EXAMPLE, "calibration": {"rms_px": 0.21, "views": 24, "sigmas": {"fx": 0.6, "fy": 0.6}}}
 
 
 class CameraProfileIn(RequestModel):
     """A camera to store: its intrinsics, and how accurate they are."""
-
-    model_config = example(_PROFILE)
 
     width: SizePx
     height: SizePx
@@ -39,15 +34,11 @@ class CameraProfileIn(RequestModel):
 class CameraProfileOut(CameraProfileIn):
     """A stored camera."""
 
-    model_config = example({"name": "pixel-7", **_PROFILE})
-
     name: str
 
 
 class CameraList(AnswerModel):
     """All stored cameras, by name; files that cannot be read are listed separately."""
-
-    model_config = example({"cameras": [{"name": "pixel-7", **_PROFILE}], "unreadable": {}})
 
     cameras: list[CameraProfileOut]
     unreadable: dict[str, str] = Field(description="names of camera files that cannot be read, and why")

@@ -9,7 +9,7 @@ from starlette.concurrency import run_in_threadpool
 from rholoc import __version__
 from rholoc.service.access.scopes import NEEDS_READ, OPEN
 from rholoc.service.http.metrics import METRICS_TYPE
-from rholoc.service.http.models import AnswerModel, example
+from rholoc.service.http.models import AnswerModel
 from rholoc.service.http.openapi import content, declared
 from rholoc.service.operate.readings import OK, text_of, unanswered
 from rholoc.service.state import Service, State
@@ -18,16 +18,12 @@ from rholoc.service.state import Service, State
 class Health(AnswerModel):
     """The process answers."""
 
-    model_config = example({"status": "ok", "version": "0.1.0"})
-
     status: str
     version: str
 
 
 class Readiness(AnswerModel):
     """Whether the service can do its work, and what prevents it."""
-
-    model_config = example({"ready": False, "checks": {"maps": "ok", "jobs": "not running"}})
 
     ready: bool
     checks: dict[str, str] = Field(description="'ok', or what is not ready")

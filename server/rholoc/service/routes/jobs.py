@@ -14,24 +14,20 @@ from rholoc.errors import Conflict, UnknownJob
 from rholoc.jobs import Job, JobPriority
 from rholoc.service.access.open_streams import EventStream, StreamKind
 from rholoc.service.access.scopes import NEEDS_MAP, NEEDS_READ, request_key
-from rholoc.service.http.models import AnswerModel, RequestModel, example
+from rholoc.service.http.models import AnswerModel, RequestModel
 from rholoc.service.http.openapi import declared, event_stream
-from rholoc.service.maps.job_events import JOB_EXAMPLE, LOOK_EVERY_S, JobOut, job_out
+from rholoc.service.maps.job_events import LOOK_EVERY_S, JobOut, job_out
 from rholoc.service.state import Service, State
 
 
 class JobChange(RequestModel):
     """What of a job can be changed."""
 
-    model_config = example({"priority": "high"})
-
     priority: JobPriority
 
 
 class JobList(AnswerModel):
     """Jobs, the newest first."""
-
-    model_config = example({"jobs": [JOB_EXAMPLE], "more": False})
 
     jobs: list[JobOut]
     more: bool = Field(default=False, description="Whether there are older ones: ask with `before`, the last one's id.")

@@ -16,15 +16,13 @@ from rholoc.errors import Busy, InvalidInput, NotFound, StorageFull
 from rholoc.service.access.keys import ApiKey, KeyLimits, Scope
 from rholoc.service.access.scopes import NEEDS_ADMIN, NEEDS_MAP, NEEDS_READ, forbidden, granted_key, request_key
 from rholoc.service.errors import QuotaExceeded
-from rholoc.service.http.models import AnswerModel, Number, RequestModel, example
+from rholoc.service.http.models import AnswerModel, Number, RequestModel
 from rholoc.service.http.openapi import declared
 from rholoc.service.state import Service, State
 
 
 class KeyLimitsIn(RequestModel):
     """How much a key allows, with all keys that it handed on; what is null or missing is not limited."""
-
-    model_config = example({"requests_per_s": 5, "burst": 20, "maps": 10, "stored_bytes": 1e10, "jobs": 2})
 
     requests_per_s: Number | None = Field(
         default=None, ge=0.001, le=1e6, description="requests a second, to each server"
@@ -52,8 +50,6 @@ class KeyUsageOut(AnswerModel):
 class KeyIn(RequestModel):
     """A key to hand on."""
 
-    model_config = example({"scope": "read", "lifetime_s": 86400})
-
     scope: Scope = Field(default=Scope.READ, description="what it allows; no more than the request's own key")
     lifetime_s: Number = Field(
         default=86400, ge=60, le=31 * 86400, description="how long it is valid, s: a minute to 31 days"
@@ -77,44 +73,17 @@ class KeyOut(AnswerModel):
 class KeyDetail(KeyOut):
     """A key, and what it holds."""
 
-    model_config = example(
-        {
-            "name": "robot-7",
-            "scope": "map",
-            "created": 1767607200.0,
-            "expires": None,
-            "limits": {"requests_per_s": 5.0, "maps": 10},
-            "used": {"maps": 2, "stored_bytes": 48_211_004, "jobs": 0},
-        }
-    )
-
     used: KeyUsageOut
 
 
 class KeyList(AnswerModel):
     """All keys, the oldest first."""
 
-    model_config = example(
-        {
-            "keys": [
-                {
-                    "name": "robot-7",
-                    "scope": "localize",
-                    "created": 1767607200.0,
-                    "expires": None,
-                    "limits": {"requests_per_s": 5.0},
-                }
-            ],
-        }
-    )
-
     keys: list[KeyOut]
 
 
 class HandedKeyOut(AnswerModel):
     """A key that was handed on."""
-
-    model_config = example({"key": "rho_…", "name": "handed-1f2e3d4c", "scope": "read", "expires": 1767693600.0})
 
     key: str | None = Field(description="the key; null where the server requires none")
     name: str | None = Field(description="the name to revoke it by")
@@ -124,8 +93,6 @@ class HandedKeyOut(AnswerModel):
 
 class QrIn(RequestModel):
     """A text for a QR code."""
-
-    model_config = example({"text": "https://maps.example/record"})
 
     text: str = Field(min_length=1, max_length=1000)
 

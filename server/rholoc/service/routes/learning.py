@@ -20,7 +20,7 @@ from rholoc.errors import (
 from rholoc.mapping import FEWEST_QUERIES
 from rholoc.reports import LearningReport
 from rholoc.service.access.scopes import NEEDS_MAP, NEEDS_READ, request_key
-from rholoc.service.http.models import AnswerModel, example
+from rholoc.service.http.models import AnswerModel
 from rholoc.service.http.openapi import declared
 from rholoc.service.maps.job_events import JobOut, begun, job_out
 from rholoc.service.state import Service
@@ -28,22 +28,6 @@ from rholoc.service.state import Service
 
 class LearningOut(AnswerModel):
     """What is kept for a map to learn from, and what it last learned."""
-
-    model_config = example(
-        {
-            "map": "hall",
-            "learns": True,
-            "queries": 214,
-            "size_bytes": 9_630_000,
-            "askers": 3,
-            "oldest": 1767607200.0,
-            "newest": 1767693600.0,
-            "fewest": 30,
-            "last": None,
-            "job": None,
-            "latest": None,
-        }
-    )
 
     map: str
     learns: bool = Field(description="whether this server keeps queries for its maps to learn from")
@@ -63,8 +47,6 @@ class LearningOut(AnswerModel):
 
 class DeletedQueries(AnswerModel):
     """How many queries were deleted."""
-
-    model_config = example({"deleted": 214})
 
     deleted: int
 

@@ -15,7 +15,7 @@ from rholoc.errors import Conflict, InvalidName, UnknownMap
 from rholoc.service.access.open_streams import EventStream, StreamKind
 from rholoc.service.access.scopes import NEEDS_READ
 from rholoc.service.frames.live import Sighting
-from rholoc.service.http.models import AnswerModel, example
+from rholoc.service.http.models import AnswerModel
 from rholoc.service.http.openapi import declared, event_stream
 from rholoc.service.state import Service, State
 
@@ -32,20 +32,6 @@ class FailureOut(AnswerModel):
 
 class FailuresOut(AnswerModel):
     """The failures of the last day, the oldest first."""
-
-    model_config = example(
-        {
-            "failures": [
-                {
-                    "time": 1767607200.0,
-                    "position": [2.1, 0.4, 1.5],
-                    "heading": None,
-                    "confidence": 0.31,
-                    "reason": "not_recognized",
-                }
-            ]
-        }
-    )
 
     failures: list[FailureOut]
 

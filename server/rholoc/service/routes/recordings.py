@@ -10,7 +10,6 @@ from typing import Any
 from fastapi import APIRouter, Request, Response
 from fastapi.responses import JSONResponse
 from pydantic import Field
-from pydantic.config import JsonDict
 from starlette.concurrency import run_in_threadpool
 
 from rholoc.errors import (
@@ -40,25 +39,15 @@ from rholoc.service.access.keys import Scope
 from rholoc.service.access.scopes import NEEDS_MAP, NEEDS_READ, granted_key, request_key
 from rholoc.service.errors import InvalidRequest, UnsupportedMediaType, UnsupportedVersion
 from rholoc.service.http.bodies import declared_length, media_type, read_multipart
-from rholoc.service.http.models import AnswerModel, Number, RequestModel, Vector3, example
+from rholoc.service.http.models import AnswerModel, Number, RequestModel, Vector3
 from rholoc.service.http.openapi import BINARY, content, declared, request_body
 from rholoc.service.http.tus import RESUMABLE
 from rholoc.service.libraries import NotedRecording
-from rholoc.service.maps.job_events import JOB_EXAMPLE, RECORDING_ID_EXAMPLE, JobOut, begun, job_out
+from rholoc.service.maps.job_events import JobOut, begun, job_out
 from rholoc.service.routes.intake import UPLOAD_FAILURES, RecordingFields, checked_options
 from rholoc.service.routes.uploads import begin_upload
 from rholoc.service.state import Service, State
 from rholoc.storage.holdings import Kind
-
-_RECORDING: JsonDict = {
-    "id": RECORDING_ID_EXAMPLE,
-    "files": ["walk.mp4"],
-    "size_bytes": 60_000_000,
-    "created": 1767607200.0,
-    "content": {"length_s": 31.2, "frames": 936, "width": 1280, "height": 720, "format": "video", "imu": False},
-    "thumbnail": True,
-}
-_RECORDED_WAYPOINT: JsonDict = {"name": "W1", "position": [2.0, 0.0, 1.5], "time_s": 8.4, "sigma_m": 0.02}
 
 
 class RecordingContent(AnswerModel):
@@ -74,8 +63,6 @@ class RecordingContent(AnswerModel):
 
 class RecordingOut(AnswerModel):
     """A stored recording."""
-
-    model_config = example(_RECORDING)
 
     id: str
     files: list[str]
@@ -99,15 +86,11 @@ class WaypointIn(RequestModel):
 class WaypointsIn(RequestModel):
     """Waypoints that replace a recording's own, in the order of the walk."""
 
-    model_config = example({"waypoints": [_RECORDED_WAYPOINT]})
-
     waypoints: list[WaypointIn] = Field(max_length=1000, description="three or more")
 
 
 class RecordingDetail(RecordingOut):
     """A stored recording with its waypoints."""
-
-    model_config = example({**_RECORDING, "waypoints": [_RECORDED_WAYPOINT], "corrected": False})
 
     waypoints: tuple[RecordedWaypoint, ...] = Field(description="as corrected, else as a job read them from it")
     corrected: bool = Field(description="whether they replace the recording's own")
@@ -116,15 +99,11 @@ class RecordingDetail(RecordingOut):
 class RecordingList(AnswerModel):
     """All stored recordings, the newest first."""
 
-    model_config = example({"recordings": [_RECORDING]})
-
     recordings: list[RecordingOut]
 
 
 class RecordingAccepted(AnswerModel):
     """A completed upload, and the mapping job that it started."""
-
-    model_config = example({"recording": RECORDING_ID_EXAMPLE, "job": {**JOB_EXAMPLE, "state": "queued"}})
 
     recording: str = Field(description="the recording's id")
     job: JobOut

@@ -19,10 +19,10 @@ from rholoc.errors import (
 )
 from rholoc.mapping import find_link, solve_site, with_link
 from rholoc.service.access.scopes import NEEDS_ADMIN, NEEDS_MAP, NEEDS_READ, request_key
-from rholoc.service.http.models import AnswerModel, RequestModel, example
+from rholoc.service.http.models import AnswerModel, RequestModel
 from rholoc.service.http.openapi import declared
 from rholoc.service.maps.job_events import JobOut, begun
-from rholoc.service.maps.site_documents import SITE_EXAMPLE, SiteIn, SiteOut, site_of, site_out
+from rholoc.service.maps.site_documents import SiteIn, SiteOut, site_of, site_out
 from rholoc.service.state import Service
 from rholoc.service.threads.compute import Effort
 
@@ -30,16 +30,12 @@ from rholoc.service.threads.compute import Effort
 class SiteLinkWanted(RequestModel):
     """Two maps of a site, the pose between which is looked for."""
 
-    model_config = example({"first": "hall", "second": "kitchen"})
-
     first: str
     second: str
 
 
 class SiteList(AnswerModel):
     """All sites."""
-
-    model_config = example({"sites": [SITE_EXAMPLE], "unreadable": {}})
 
     sites: list[SiteOut]
     unreadable: dict[str, str] = Field(description="names of site files that cannot be read, and why")

@@ -60,6 +60,7 @@ async def begin_upload(request: Request, service: State) -> Response:
 
 @router.head(
     "/{recording}",
+    response_class=Response,
     **declared(
         NEEDS_READ,
         "Where an upload stands",

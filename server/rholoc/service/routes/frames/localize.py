@@ -27,6 +27,7 @@ from rholoc.service.frames.landscape import LandscapeOut
 from rholoc.service.frames.map_choice import MapChoice
 from rholoc.service.frames.requests import DescriptorQuery, FramesQuery, LocalizeOptions
 from rholoc.service.frames.stopwatch import Stopwatch
+from rholoc.service.http.models import EXAMPLES
 from rholoc.service.http.openapi import BINARY, declared, reference, request_body
 from rholoc.service.routes.frames.reading import Options, read_frame, read_frames
 from rholoc.service.routes.frames.which_maps import MapNames, Requested, named_maps
@@ -55,7 +56,7 @@ _BODY = request_body(
         "multipart/form-data": _multipart("image", reference(LocalizeOptions), ["image"]),
         "application/json": {
             "schema": reference(DescriptorQuery),
-            "example": DescriptorQuery.model_config["json_schema_extra"]["example"],  # type: ignore[index]
+            "example": EXAMPLES["DescriptorQuery"],
         },
     }
 )

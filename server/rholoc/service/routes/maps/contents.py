@@ -19,11 +19,10 @@ from rholoc.maps.floor_plan import GEOJSON, MEDIA_TYPES
 from rholoc.pictures.rendering import Rendering
 from rholoc.reports import CoverageReport
 from rholoc.service.access.scopes import NEEDS_READ
-from rholoc.service.http.caching import caching_headers, is_kept, unchanged
-from rholoc.service.http.models import AnswerModel, example
+from rholoc.service.http.files import caching_headers, is_kept, unchanged
+from rholoc.service.http.models import EXAMPLES, AnswerModel
 from rholoc.service.http.openapi import BINARY, content, declared
 from rholoc.service.maps.descriptions import MapReportOut
-from rholoc.service.maps.examples import REPORT, sent
 from rholoc.service.maps.renderings import etag_of
 from rholoc.service.routes.maps.library import _FAILURES
 from rholoc.service.state import Service, State
@@ -33,19 +32,6 @@ router = APIRouter(prefix="/v1/maps", tags=["maps"])
 
 class FeatureOut(AnswerModel):
     """A feature of a map, and where it may be seen from: a truncated cone."""
-
-    model_config = example(
-        {
-            "feature": 100,
-            "position": [3.1, 0.4, 1.7],
-            "sigma": 0.008,
-            "direction": [-0.98, 0.2, 0.0],
-            "half_angle_deg": 52.0,
-            "nearest": 0.9,
-            "farthest": 5.8,
-            "views": [3, 4, 5, 9],
-        }
-    )
 
     feature: int
     position: list[float] = Field(description="of its landmark")
@@ -98,7 +84,7 @@ async def get_report_picture(map_name: str, request: Request, service: Service) 
             200: {
                 "model": CoverageReport,
                 "description": "Landmarks in view, by position and heading.",
-                "content": {"application/json": {"example": sent(REPORT.coverage)}},
+                "content": {"application/json": {"example": EXAMPLES["MapReportOut"]["report"]["coverage"]}},
             }
         },
     ),

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Annotated
 
 from fastapi import APIRouter, Body, Query, Request, Response
+from fastapi.openapi.models import Example
 from pydantic import Field
 
 from rholoc.errors import (
@@ -25,11 +26,11 @@ from rholoc.maps.floor_plan import MEDIA_TYPES
 from rholoc.service.access.scopes import NEEDS_MAP, request_key
 from rholoc.service.errors import UnsupportedMediaType
 from rholoc.service.http.bodies import media_type, read_body
-from rholoc.service.http.models import RequestModel, example
+from rholoc.service.http.models import EXAMPLES, RequestModel
 from rholoc.service.http.openapi import BINARY, declared, request_body
-from rholoc.service.maps.corrections import CORRECTION_EXAMPLES, CorrectionIn, corrected_map
+from rholoc.service.maps.corrections import CorrectionIn, corrected_map
 from rholoc.service.maps.descriptions import MapDetail
-from rholoc.service.maps.job_events import RECORDING_ID_EXAMPLE, JobOut, begun
+from rholoc.service.maps.job_events import JobOut, begun
 from rholoc.service.routes.maps.library import _FAILURES
 from rholoc.service.state import Service
 from rholoc.service.threads.compute import Effort
@@ -37,12 +38,11 @@ from rholoc.storage.holdings import Kind
 from rholoc.trajectory import PoseMethod
 
 router = APIRouter(prefix="/v1/maps", tags=["maps"])
+_CORRECTIONS: dict[str, Example] = {kind: {"value": value} for kind, value in EXAMPLES["CorrectionIn"].items()}
 
 
 class UpdateIn(RequestModel):
     """A stored recording for a map to learn."""
-
-    model_config = example({"recording": RECORDING_ID_EXAMPLE})
 
     recording: str = Field(description="the recording's id")
     poses: PoseMethod | None = Field(
@@ -60,16 +60,12 @@ class UpdateIn(RequestModel):
 class MergeIn(RequestModel):
     """Another map to merge with, and the name of the merged one."""
 
-    model_config = example({"other": "kitchen", "into": "ground-floor"})
-
     other: str = Field(description="the map whose frame is given up")
     into: str = Field(description="the name of the merged map; a map of that name is replaced")
 
 
 class ForgetIn(RequestModel):
     """A recording for a map to forget."""
-
-    model_config = example({"source": "walk-1"})
 
     source: str = Field(description="its id or name in the map's sources")
 
@@ -79,7 +75,7 @@ class ForgetIn(RequestModel):
     **declared(NEEDS_MAP, "Correct a map", *_FAILURES, InvalidInput, Conflict, Busy, StorageFull),
 )
 async def correct_map(
-    map_name: str, wanted: Annotated[CorrectionIn, Body(openapi_examples=CORRECTION_EXAMPLES)], service: Service
+    map_name: str, wanted: Annotated[CorrectionIn, Body(openapi_examples=_CORRECTIONS)], service: Service
 ) -> MapDetail:
     """The map's next version: with another origin, north, upright, axis or scale, aligned with a floor plan, without a
     region or a piece of its walk, or with names. If the frame moves, poses are in the new frame from then on, moved by

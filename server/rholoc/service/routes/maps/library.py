@@ -26,13 +26,9 @@ from rholoc.pictures.rendering import Rendering
 from rholoc.service.access.scopes import NEEDS_ADMIN, NEEDS_MAP, NEEDS_READ, request_key
 from rholoc.service.errors import PreconditionFailed
 from rholoc.service.http.bodies import declared_length, saved_body
-from rholoc.service.http.models import RequestModel, example
+from rholoc.service.http.models import RequestModel
 from rholoc.service.http.openapi import BINARY, content, declared, request_body
-from rholoc.service.maps.descriptions import (
-    MapDetail,
-    MapList,
-    MapVersions,
-)
+from rholoc.service.maps.descriptions import MapDetail, MapList, MapVersions
 from rholoc.service.maps.exports import ExportRequest, is_long
 from rholoc.service.maps.renderings import etag_of
 from rholoc.service.state import Service, State
@@ -42,8 +38,6 @@ from rholoc.storage.holdings import Kind
 
 class MapPatch(RequestModel):
     """What may be changed of a map: its name."""
-
-    model_config = example({"name": "ground-floor"})
 
     name: str
 
