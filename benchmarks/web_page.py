@@ -30,6 +30,7 @@ from rholoc.cli.server_process import running_server
 from rholoc.service import Settings, create_app
 from rholoc.service.caller import ASKER
 from rholoc.service.frames.answers import LocalizationOut
+from rholoc.service.http.models import EXAMPLES
 from rholoc.service.state import State
 
 MAPS = Path(__file__).parents[1] / "maps"
@@ -160,7 +161,7 @@ def live(playwright: Playwright, folder: Path) -> dict[str, float]:
 def _ask(app: FastAPI, stop: threading.Event) -> None:
     """Robots that walk in circles and are answered."""
     state: State = app.state.rholoc
-    example = LocalizationOut.model_config["json_schema_extra"]["example"]  # type: ignore[index,call-overload]
+    example = EXAMPLES["LocalizationOut"]
     while not stop.is_set():
         for robot in range(ROBOTS):
             angle = 0.5 * time.monotonic() + robot

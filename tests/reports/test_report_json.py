@@ -19,7 +19,6 @@ from rholoc.reports import (
     report_from_json,
     report_to_json,
 )
-from rholoc.service.maps.examples import REPORT
 
 FULL = TrajectoryReport(
     method="visual-inertial",
@@ -78,5 +77,4 @@ def test_what_was_walked_later_is_still_read() -> None:
 
 def test_the_example_of_a_report_is_a_report_and_what_is_sent(openapi) -> None:
     example = openapi["components"]["schemas"]["MapReportOut"]["example"]["report"]
-    assert report_from_json(MapReport, example) == REPORT
-    assert report_from_json(MapReport, json.loads(json.dumps(report_to_json(REPORT)))) == REPORT
+    assert json.loads(json.dumps(report_to_json(report_from_json(MapReport, example)))) == example

@@ -6,9 +6,12 @@ import re
 
 import pytest
 from hypothesis import HealthCheck, given, settings
+from pydantic import TypeAdapter
 
 from rholoc.maps.catalogue import is_name
 from rholoc.service.access.keys import KeyStore, Scope
+from rholoc.service.http.models import EXAMPLES, AnswerModel, RequestModel
+from rholoc.service.maps.corrections import CorrectionIn
 
 METHODS = ("get", "put", "post", "patch", "delete", "head", "options")
 
@@ -42,6 +45,22 @@ def references(node):
     if isinstance(node, list):
         for one in node:
             yield from references(one)
+
+
+def test_every_example_is_one():
+    models = {model.__name__: model for base in (RequestModel, AnswerModel) for model in subclasses(base)}
+    for name, example in EXAMPLES.items():
+        if name == "CorrectionIn":  # one of each kind
+            for correction in example.values():
+                TypeAdapter(CorrectionIn).validate_python(correction)
+        else:
+            models[name].model_validate(example)
+
+
+def subclasses(kind):
+    for one in kind.__subclasses__():
+        yield one
+        yield from subclasses(one)
 
 
 def test_every_operation_has_a_summary_a_description_and_examples(openapi):

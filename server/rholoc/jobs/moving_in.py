@@ -9,10 +9,8 @@ from pathlib import Path
 
 from rholoc.errors import InvalidMap
 from rholoc.jobs.recording_store import ENTRY_FILE, RecordingStore
-from rholoc.jobs.stores import CAMERAS, KEYS, SITES, Stores
+from rholoc.jobs.stores import CAMERAS, KEYS, SITES, Stores, folder_documents
 from rholoc.maps import Documents, FolderDocuments, MapLibrary
-from rholoc.maps.cameras import FOLDER as CAMERAS_FOLDER
-from rholoc.maps.sites import SITES_FOLDER
 
 
 @dataclass(frozen=True)
@@ -68,9 +66,11 @@ def move_in(
     """
     things = [
         *_maps(MapLibrary(maps_dir), stores.library),
-        *_documents("cameras", FolderDocuments(maps_dir / CAMERAS_FOLDER), stores.documents(CAMERAS)),
-        *_documents("sites", FolderDocuments(maps_dir / SITES_FOLDER), stores.documents(SITES)),
-        *_documents("keys", FolderDocuments(data_dir / KEYS), stores.documents(KEYS)),
+        *(
+            thing
+            for kind in (CAMERAS, SITES, KEYS)
+            for thing in _documents(kind, folder_documents(kind, maps_dir, data_dir), stores.documents(kind))
+        ),
         *_recordings(data_dir, stores),
     ]
     counts = {"maps": 0, "cameras": 0, "sites": 0, "keys": 0, "recordings": 0}

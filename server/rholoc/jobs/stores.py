@@ -23,6 +23,22 @@ _MAPS, _COPIES = "maps", "copies"
 _CATALOGUE = "catalogue.json"  # as it was last seen
 
 
+def documents_folder(kind: str, maps_dir: Path, data_dir: Path) -> Path:
+    """Where a server of its own keeps the small files of one kind."""
+    folders = {
+        CAMERAS: maps_dir / CAMERAS_FOLDER,
+        SITES: maps_dir / SITES_FOLDER,
+        KEYS: data_dir / KEYS,
+        ASKERS: data_dir,
+    }
+    return folders[kind]
+
+
+def folder_documents(kind: str, maps_dir: Path, data_dir: Path) -> FolderDocuments:
+    """The small files of one kind of a server of its own. Nobody else may read keys."""
+    return FolderDocuments(documents_folder(kind, maps_dir, data_dir), mode=0o700 if kind == KEYS else 0o777)
+
+
 class Stores:
     """The stores of one process. Nothing is asked of disk, storage or database before a store is first used.
 
@@ -81,10 +97,7 @@ class Stores:
         """The small files of one kind."""
         if self._replica is not None:
             return StoredDocuments(self._replica, kind)
-        if kind == KEYS:
-            return FolderDocuments(self.data_dir / KEYS, mode=0o700)
-        folders = {CAMERAS: self.maps_dir / CAMERAS_FOLDER, SITES: self.maps_dir / SITES_FOLDER, ASKERS: self.data_dir}
-        return FolderDocuments(folders[kind])
+        return folder_documents(kind, self.maps_dir, self.data_dir)
 
     def library_acting(self, act: ActOnPublishing) -> MapLibrary:
         """The library of maps, with ``act`` called in each transaction that publishes one to shared storage.

@@ -31,10 +31,9 @@ from rholoc.maps import CameraLibrary, SiteLibrary
 from rholoc.service.access.audit import Audited, AuditLog
 from rholoc.service.access.guard import Guard, SecurityHeaders
 from rholoc.service.access.keys import KeyStore
-from rholoc.service.access.open_streams import OpenStreams, stream_limits
+from rholoc.service.access.open_streams import OpenStreams, StreamKind, stream_limits
 from rholoc.service.access.quotas import Quotas
 from rholoc.service.access.rates import RateLimited
-from rholoc.service.access.stream_kind import StreamKind
 from rholoc.service.errors import (
     InvalidRequest,
     MethodNotAllowed,

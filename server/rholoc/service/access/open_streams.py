@@ -9,6 +9,7 @@ import uuid
 from collections.abc import AsyncIterator, Mapping
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
+from enum import StrEnum
 
 from fastapi.responses import StreamingResponse
 from starlette.types import Receive, Scope, Send
@@ -16,10 +17,16 @@ from starlette.types import Receive, Scope, Send
 from rholoc.errors import Busy, Conflict, NotFound, RholocError
 from rholoc.service.access.keys import ApiKey, KeyStore
 from rholoc.service.access.scopes import client_of, request_key
-from rholoc.service.access.stream_kind import StreamKind
 from rholoc.service.errors import TooManyRequests, Unauthorized
 
 _RETRY_AFTER_S = 5.0
+
+
+class StreamKind(StrEnum):
+    """What a stream carries."""
+
+    FRAMES = "frames"  # a WebSocket
+    EVENTS = "events"  # server-sent
 
 
 @dataclass(eq=False)

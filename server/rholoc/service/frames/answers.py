@@ -6,22 +6,13 @@ from dataclasses import asdict, replace
 
 import numpy as np
 from pydantic import Field
-from pydantic.config import JsonDict
 
 from rholoc.geometry import FloatArray, Pose
 from rholoc.localization import TOO_LITTLE_TIME, AnyLocalizer, Cause, Localization, Reason
 from rholoc.maps import areas_at, points_near, trust_of
 from rholoc.service.frames.stopwatch import Stopwatch
-from rholoc.service.http.models import MAP_ID_EXAMPLE, AnswerModel, example
+from rholoc.service.http.models import AnswerModel
 from rholoc.trajectory import Scale
-
-POSE_EXAMPLE: JsonDict = {
-    "position": [1.203, 0.412, 1.498],
-    "heading": [1.0, 0.0, 0.0],
-    "roll_deg": 0.0,
-    "quaternion_xyzw": [-0.5, 0.5, -0.5, 0.5],
-    "T_map_camera": [[0, 0, 1, 1.203], [-1, 0, 0, 0.412], [0, -1, 0, 1.498], [0, 0, 0, 1]],
-}
 
 
 class PoseOut(AnswerModel):
@@ -105,36 +96,6 @@ class AlternativeOut(AnswerModel):
 class LocalizationOut(AnswerModel):
     """The answer for one frame. ``localized`` false is an answer, not an error."""
 
-    model_config = example({
-                "localized": True,
-                "reason": None,
-                "pose": POSE_EXAMPLE,
-                "covariance": [[1e-4 if row == column else 0.0 for column in range(6)] for row in range(6)],
-                "recognized": 0.998,
-                "confidence": 0.97,
-                "alternatives": [],
-                "matches": 412,
-                "inliers": 164,
-                "map": "testsite",
-                "map_id": MAP_ID_EXAMPLE,
-                "map_version": 1,
-                "scale": "metric",
-                "map_trusted": True,
-                "expected_error_m": 0.012,
-                "agreeing": None,
-                "diagnosis": None,
-                "near_prior": None,
-                "camera": None,
-                "areas": ["kitchen"],
-                "near": [],
-                "frames": None,
-                "site": None,
-                "timings_ms": {
-                    "queue": 0.1, "load": 0.0, "decode": 2.1, "extract": 11.0, "match": 9.5, "seed": 14.2,
-                    "ascend": 20.3, "verify": 1.7, "diagnose": 0.0, "total": 59.4,
-                },
-            })  # fmt: skip
-
     localized: bool
     reason: Reason | None = Field(description="why there is no pose, else null")
     pose: PoseOut | None
@@ -198,21 +159,6 @@ class PlaceOut(AnswerModel):
 
 class PlacesOut(AnswerModel):
     """The most similar views of all maps that were asked, the best match first."""
-
-    model_config = example(
-        {
-            "places": [
-                {
-                    "map": "testsite",
-                    "map_id": MAP_ID_EXAMPLE,
-                    "map_version": 1,
-                    "view": 41,
-                    "pose": POSE_EXAMPLE,
-                    "score": 6.3,
-                }
-            ]
-        }
-    )
 
     places: list[PlaceOut]
 

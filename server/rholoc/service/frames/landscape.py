@@ -9,12 +9,12 @@ from rholoc.geometry import Pose
 from rholoc.localization import Localizer, Query
 from rholoc.paper.density_localizer import DensityLocalizer
 from rholoc.paper.landscape import landscape_around
-from rholoc.service.frames.answers import POSE_EXAMPLE, PoseOut, pose_out
+from rholoc.service.frames.answers import PoseOut, pose_out
 from rholoc.service.frames.frame_features import FrameFeatures
 from rholoc.service.frames.localizers import LocalizerSource
 from rholoc.service.frames.queries import Frame, camera_for, gravity_of, prior_of
 from rholoc.service.frames.stopwatch import Stopwatch, frame_deadline_s
-from rholoc.service.http.models import MAP_ID_EXAMPLE, AnswerModel, example
+from rholoc.service.http.models import AnswerModel
 from rholoc.service.settings import Settings
 from rholoc.trajectory import Scale
 
@@ -28,22 +28,6 @@ class WayOut(AnswerModel):
 
 class LandscapeOut(AnswerModel):
     """The densities of the features that a frame shows, around its pose."""
-
-    model_config = example(
-        {
-            "localized": True,
-            "map": "testsite",
-            "map_id": MAP_ID_EXAMPLE,
-            "map_version": 1,
-            "scale": "metric",
-            "pose": POSE_EXAMPLE,
-            "origin": [0.7, -0.1, 1.5],
-            "spacing": 0.5,
-            "values": [[12.1, 80.4, 9.3], [95.7, 912.8, 101.2], [7.7, 88.1, 14.9]],
-            "tolerance_px": 12.0,
-            "ways": [{"positions": [[0.9, 0.1, 1.5], [1.18, 0.38, 1.5], [1.2, 0.4, 1.5]], "gain_nats": 912.8}],
-        }
-    )
 
     localized: bool = Field(description="whether the frame has a pose; without one it is the best optimum's landscape")
     map: str

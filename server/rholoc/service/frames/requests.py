@@ -8,7 +8,7 @@ from pydantic import FailFast, Field
 
 from rholoc.features import Channel
 from rholoc.localization import Dof, Intrinsics
-from rholoc.service.http.models import CAMERA_EXAMPLE, CameraIn, Number, Quaternion, RequestModel, Vector3, example
+from rholoc.service.http.models import CameraIn, Number, Quaternion, RequestModel, Vector3
 
 DeadlineMs = Annotated[float | None, Field(gt=0, le=600_000, description="how long the answer may take")]
 MaxSigmaM = Annotated[
@@ -33,8 +33,6 @@ class CameraChoice(CameraIn):
 class PriorIn(RequestModel):
     """The pose near which the answer is expected: a position and either a heading or a quaternion."""
 
-    model_config = example({"position": [1.2, 0.4, 1.5], "heading": [1, 0, 0], "radius_m": 0.5})
-
     position: Vector3 = Field(description="m, map frame")
     heading: Vector3 | None = Field(default=None, description="the optical axis in the map frame")
     quaternion_xyzw: Quaternion | None = Field(default=None, description="of R_map_camera")
@@ -44,8 +42,6 @@ class PriorIn(RequestModel):
 
 class LocalizeOptions(RequestModel):
     """How to localize one frame: the part ``request`` of a multipart body."""
-
-    model_config = example({"camera": CAMERA_EXAMPLE, "dof": 6, "deadline_ms": 500})
 
     camera: CameraChoice = Field(default_factory=CameraChoice)
     dof: Dof = Field(
@@ -98,20 +94,6 @@ class FeaturesIn(RequestModel):
 class DescriptorQuery(LocalizeOptions):
     """A frame by its features alone: the picture stays with the robot."""
 
-    model_config = example(
-        {
-            "camera": CAMERA_EXAMPLE,
-            "features": {
-                "pixels": [[100.5, 80.25], [320.0, 200.75]],
-                "channels": ["L", "L"],
-                "descriptors": ["9f" * 32, "0a" * 32],
-                "sizes_px": [31.0, 31.0],
-                "angles_deg": [12.5, 270.0],
-            },
-            "dof": 6,
-        }
-    )
-
     features: FeaturesIn
 
 
@@ -130,18 +112,6 @@ class FrameIn(RequestModel):
 
 class FramesQuery(RequestModel):
     """2 to 10 frames whose poses relative to each other are known: a rig's cameras, or one camera with odometry."""
-
-    model_config = example(
-        {
-            "camera": CAMERA_EXAMPLE,
-            "frames": [
-                {"image": "/9j/4AAQ…", "position": [0, 0, 0], "quaternion_xyzw": [0, 0, 0, 1]},
-                {"image": "/9j/4AAQ…", "position": [0.21, 0, 0.02], "quaternion_xyzw": [0, 0.087, 0, 0.996]},
-            ],
-            "sigma_m": 0.01,
-            "sigma_deg": 0.5,
-        }
-    )
 
     frames: list[FrameIn]
     camera: CameraChoice = Field(default_factory=CameraChoice, description="of frames that name none of their own")

@@ -14,14 +14,7 @@ from rholoc.localization import (
     Query,
     likeliest_views,
 )
-from rholoc.service.frames.answers import (
-    LocalizationOut,
-    PlaceOut,
-    PlacesOut,
-    answer_of,
-    pose_out,
-    too_late,
-)
+from rholoc.service.frames.answers import LocalizationOut, PlaceOut, PlacesOut, answer_of, pose_out, too_late
 from rholoc.service.frames.best_map import best_map, chosen, each_map
 from rholoc.service.frames.frame_features import FrameFeatures
 from rholoc.service.frames.learning import Lesson, Listener

@@ -1,4 +1,4 @@
-"""Responses with files that may be replaced or deleted while they are sent."""
+"""Responses that a browser may keep, and those with files that may be replaced or deleted while they are sent."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import os
 import re
 from pathlib import Path
 
+from fastapi import Request, Response
 from starlette.responses import FileResponse
 from starlette.types import Receive, Scope, Send
 
@@ -50,3 +51,19 @@ def _is_range(value: str) -> bool:
     return unit.strip().lower() == "bytes" and all(
         span is not None and (span[1] is None or span[2] is None or int(span[1]) <= int(span[2])) for span in found
     )
+
+
+def caching_headers(etag: str) -> dict[str, str]:
+    """A browser may cache the answer, and revalidates it before each use."""
+    return {"ETag": etag, "Cache-Control": "private, no-cache"}
+
+
+def is_kept(request: Request, etag: str) -> bool:
+    """Whether the browser already has this version."""
+    kept = {tag.strip().removeprefix("W/") for tag in request.headers.get("if-none-match", "").split(",")}
+    return etag in kept or "*" in kept
+
+
+def unchanged(etag: str) -> Response:
+    """The answer where the browser already has this version."""
+    return Response(status_code=304, headers=caching_headers(etag))

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+import json
+from pathlib import Path
+from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, Field, JsonValue, Strict
-from pydantic.config import JsonDict
+from pydantic import BaseModel, ConfigDict, Field, GetJsonSchemaHandler, Strict
+from pydantic.json_schema import JsonSchemaValue
+from pydantic_core import CoreSchema
 
 from rholoc.geometry import CAMERA_WRITTEN, Lens
 
@@ -16,33 +19,33 @@ Vector3 = Annotated[list[float], Field(min_length=3, max_length=3)]
 Vector2 = Annotated[list[Number], Field(min_length=2, max_length=2)]
 Quaternion = Annotated[list[float], Field(min_length=4, max_length=4)]
 
-MAP_ID_EXAMPLE = "4f1c2a9be07d4d0c8f5f6f0f3f1f7a11"
-CAMERA_EXAMPLE: JsonDict = {
-    "width": 640,
-    "height": 480,
-    "fx": 525.5,
-    "fy": 525.5,
-    "cx": 320.0,
-    "cy": 240.0,
-    "distortion": [],
-}
+
+EXAMPLES: dict[str, Any] = json.loads(Path(__file__).parents[1].joinpath("examples.json").read_text(encoding="utf-8"))
+"""An example of each model that is sent or received by itself, by the model's name."""
 
 
-def example(value: JsonValue) -> ConfigDict:
-    """``model_config`` of a model whose example in the OpenAPI document is ``value``."""
-    return ConfigDict(json_schema_extra={"example": value})
+class _Model(BaseModel):
+    """Base of all models. Its example, or that of its base, is in the OpenAPI document."""
+
+    @classmethod
+    def __get_pydantic_json_schema__(cls, core: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
+        schema = handler(core)
+        example = next((EXAMPLES[base.__name__] for base in cls.__mro__ if base.__name__ in EXAMPLES), None)
+        if example is not None:
+            handler.resolve_ref_schema(schema)["example"] = example
+        return schema
 
 
-class RequestModel(BaseModel):
+class RequestModel(_Model):
     """Base of what clients send. Unknown members are refused."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
-class AnswerModel(BaseModel):
-    """Base of what clients are sent."""
+class AnswerModel(_Model):
+    """Base of what clients are sent, made of keywords or of an object with the same attributes."""
 
-    model_config = ConfigDict(frozen=True)
+    model_config = ConfigDict(frozen=True, from_attributes=True)
 
 
 CAMERA_TEXT = f"{CAMERA_WRITTEN}, in pixels, or a stored camera's name; default: the recording's own"
@@ -56,8 +59,6 @@ class CameraIn(RequestModel):
     ratio but another size they are scaled. Without ``fx`` the map's own camera is used if it has the same aspect ratio;
     an equirectangular picture is then a whole panorama.
     """
-
-    model_config = example(CAMERA_EXAMPLE)
 
     width: SizePx | None = Field(default=None, description="px; default: the image's")
     height: SizePx | None = Field(default=None, description="px; default: the image's")

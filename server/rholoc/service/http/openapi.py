@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
-from fastapi import FastAPI
+from fastapi import FastAPI, Response
 from fastapi.openapi.utils import get_openapi
 from fastapi.responses import JSONResponse
 from pydantic import BaseModel, Field
@@ -22,20 +22,11 @@ from rholoc.service.errors import (
     Unauthorized,
     status_of,
 )
-from rholoc.service.http.models import AnswerModel, example
+from rholoc.service.http.models import AnswerModel
 
 
 class ErrorAnswer(AnswerModel):
     """The one shape of all errors."""
-
-    model_config = example(
-        {
-            "code": "unknown_map",
-            "message": "There is no map called 'kitchen'.",
-            "hint": "GET /v1/maps lists the maps.",
-            "request_id": "7d7f0a1c2b3d4e5f8091a2b3c4d5e6f7",
-        }
-    )
 
     code: str = Field(description="Stable: programs tell errors apart by it.")
     message: str = Field(description="One line: what is wrong.")
@@ -61,6 +52,35 @@ def request_body(content: dict[str, Any]) -> dict[str, Any]:
     return {"requestBody": {"required": True, "content": content}}
 
 
+def declared(
+    access: object, summary: str, *errors: type[RholocError], also: Mapping[int, dict[str, Any]] | None = None
+) -> dict[str, Any]:
+    """What a route declares.
+
+    Args:
+        access: who may use it, of :mod:`rholoc.service.access.scopes`.
+        summary: its title in the OpenAPI document.
+        errors: that it answers with, besides those that all routes may answer with.
+        also: further answers by status; one of 200 without a model is the route's only answer.
+    """
+    also = also or {}
+    options: dict[str, Any] = {"dependencies": [access], "summary": summary, "responses": {**failures(*errors), **also}}
+    if 200 in also and "model" not in also[200]:
+        options["response_class"] = Response
+    return options
+
+
+def content(description: str, *media_types: str) -> dict[int, dict[str, Any]]:
+    """The answer of a route that sends bytes."""
+    return {200: {"description": description, "content": {kind: {"schema": BINARY} for kind in media_types}}}
+
+
+def event_stream(event: str) -> dict[int, dict[str, Any]]:
+    """The answer of a route that sends server-sent events, with an example."""
+    schema = {"schema": {"type": "string"}, "example": event}
+    return {200: {"description": "Server-sent events.", "content": {"text/event-stream": schema}}}
+
+
 def failures(*kinds: type[RholocError]) -> dict[int | str, dict[str, Any]]:
     """``responses`` for the errors that a route answers with, by status, one example each."""
     answers: dict[int | str, dict[str, Any]] = {}
@@ -76,19 +96,20 @@ def failures(*kinds: type[RholocError]) -> dict[int | str, dict[str, Any]]:
     return answers
 
 
-def _common_failures(operation: dict[str, Any]) -> dict[str, Any]:
-    """The ``responses`` that an operation may have because of what is common to all: keys, queries, bodies."""
+def _add_common_failures(operation: dict[str, Any]) -> None:
+    """Add the ``responses`` that an operation may have because of what is common to all: keys, queries, bodies."""
     kinds: list[type[RholocError]] = [InvalidRequest]  # of a query that it does not take
     if "security" in operation:
         kinds += [Unauthorized, Forbidden, CrossSite, TooManyRequests, QuotaExceeded]
     if "requestBody" in operation:
         kinds.append(TooLarge)
-    found = {}
-    for status, answer in failures(*kinds).items():
-        examples = answer["content"]["application/json"]["examples"]
-        content = {"application/json": {"schema": reference(ErrorAnswer), "examples": examples}}
-        found[str(status)] = {"description": answer["description"], "content": content}
-    return found
+    for status, common in failures(*kinds).items():
+        answer = operation["responses"].setdefault(str(status), {"description": ""})
+        known = answer.setdefault("content", {}).setdefault("application/json", {})
+        known["schema"] = reference(ErrorAnswer)  # not the framework's own
+        examples = known.setdefault("examples", {})
+        examples |= common["content"]["application/json"]["examples"]
+        answer["description"] = ", ".join(f"`{code}`" for code in examples)
 
 
 def _describe_names(operation: dict[str, Any]) -> None:
@@ -116,7 +137,7 @@ def install(app: FastAPI, read_by_hand: Sequence[type[BaseModel]]) -> None:
                 schema["components"]["schemas"].pop(own, None)
             for item in schema["paths"].values():
                 for operation in item.values():
-                    operation["responses"] = {**_common_failures(operation), **operation["responses"]}
+                    _add_common_failures(operation)
                     _describe_names(operation)
             app.openapi_schema = schema
         return app.openapi_schema

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Annotated, Literal
 
 import numpy as np
-from fastapi.openapi.models import Example
 from pydantic import Field
 
 from rholoc import mapping
@@ -129,27 +128,6 @@ CorrectionIn = Annotated[
     OriginIn | NorthIn | WallIn | UpIn | ScaleIn | PlanIn | RegionIn | WalkIn | NamesIn | LabelsIn,
     Field(discriminator="kind"),
 ]
-
-CORRECTION_EXAMPLES: dict[str, Example] = {
-    "origin": {"value": {"kind": "origin", "at": [1.2, 0.4, 0.0]}},
-    "wall": {"value": {"kind": "wall", "direction": [0.98, 0.17, 0.0]}},
-    "scale": {"value": {"kind": "scale", "start": [0.0, 0.0, 1.0], "end": [0.0, 2.1, 1.0], "length_m": 2.05}},
-    "plan": {
-        "value": {
-            "kind": "plan",
-            "points": [{"map": [0.1, 0.2, 0.0], "plan": [4.0, 2.0]}, {"map": [3.1, 0.3, 0.0], "plan": [4.0, 5.0]}],
-        }
-    },
-    "region": {"value": {"kind": "region", "outline": [[0, 0], [4, 0], [4, 3], [0, 3]], "keep": "inside"}},
-    "names": {
-        "value": {
-            "kind": "names",
-            "points": [{"name": "charger", "position": [0.2, 3.1, 0.0]}],
-            "areas": [{"name": "kitchen", "outline": [[0, 0], [4, 0], [4, 3], [0, 3]]}],
-        }
-    },
-    "labels": {"value": {"kind": "labels", "site": "plant 2", "floor": "1", "tags": ["night shift"]}},
-}
 
 
 _FARTHEST_M = 1e6  # coordinates beyond it are refused

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pydantic import Field
-from pydantic.config import JsonDict
 
 from rholoc.errors import RholocError, UnknownMap
 from rholoc.mapping import levelled
@@ -24,35 +23,12 @@ from rholoc.maps import (
     trust_of,
 )
 from rholoc.reports import MapReport
-from rholoc.service.http.models import CAMERA_EXAMPLE, MAP_ID_EXAMPLE, AnswerModel, CameraIn, example
-from rholoc.service.maps.examples import CORRECTION, NAMES, REPORT, SOURCE, WAYPOINT, sent
+from rholoc.service.http.models import AnswerModel, CameraIn
 from rholoc.trajectory import Scale
-
-SUMMARY_EXAMPLE: JsonDict = {
-    "name": "testsite",
-    "id": MAP_ID_EXAMPLE,
-    "version": 1,
-    "density": "ray",
-    "features": "lab3",
-    "scale": "metric",
-    "upright": True,
-    "created": "2026-01-05T10:00:00Z",
-    "landmarks": 5120,
-    "views": 60,
-    "size_bytes": 480_000,
-    "trusted": True,
-    "trust_reason": "Two reconstructions agree.",
-    "expected_error_m": 0.014,
-    "consistency_m": 0.006,
-    "camera": CAMERA_EXAMPLE,
-    "labels": {"site": "plant 2", "floor": "1", "tags": []},
-}
 
 
 class MapSummary(AnswerModel):
     """A map in a list."""
-
-    model_config = example(SUMMARY_EXAMPLE)
 
     name: str
     id: str = Field(description="unique for each built map")
@@ -93,22 +69,6 @@ class PreviousMap(AnswerModel):
 class MapDetail(MapSummary):
     """A map with its sources and its extent."""
 
-    model_config = example(
-        {
-            **SUMMARY_EXAMPLE,
-            "sources": [sent(SOURCE)],
-            "waypoints": [sent(WAYPOINT)],
-            "bounds_m": [[-1.0, -2.0, 0.0], [5.0, 3.0, 2.8]],
-            "previous": None,
-            "names": sent(NAMES),
-            "corrections": [sent(CORRECTION)],
-            "plan": None,
-            "points": 24180,
-            "pictures": False,
-            "levelling": None,
-        }
-    )
-
     sources: tuple[Source, ...]
     waypoints: tuple[MapWaypoint, ...]
     bounds_m: list[list[float]] | None = Field(description="the lowest and the highest x, y, z of its landmarks")
@@ -131,15 +91,6 @@ class MapDetail(MapSummary):
 class MapReportOut(AnswerModel):
     """What the map found out about itself while it was built."""
 
-    model_config = example(
-        {
-            "map": "testsite",
-            "map_id": MAP_ID_EXAMPLE,
-            "map_version": 1,
-            "report": sent(REPORT),
-        }
-    )
-
     map: str
     map_id: str
     map_version: int
@@ -149,18 +100,12 @@ class MapReportOut(AnswerModel):
 class MapList(AnswerModel):
     """All maps that are served, by name; files that cannot be read are listed separately."""
 
-    model_config = example({"maps": [SUMMARY_EXAMPLE], "unreadable": {}})
-
     maps: list[MapSummary]
     unreadable: dict[str, str] = Field(description="names of map files that cannot be read, and why")
 
 
 class MapVersions(AnswerModel):
     """The maps that a map replaced and that are kept, the latest first."""
-
-    model_config = example(
-        {"versions": [{"number": 1, "id": MAP_ID_EXAMPLE, "version": 1, "created": "2026-01-05T10:00:00Z"}]}
-    )
 
     versions: list[PreviousMap]
 

@@ -7,16 +7,13 @@ import hashlib
 import time
 from dataclasses import dataclass
 
+from fastapi import Response
 from pydantic import Field
-from pydantic.config import JsonDict
 
 from rholoc.jobs import Job, JobKind, JobPriority, JobQueue, JobState, Obstacle
 from rholoc.progress import Stage
-from rholoc.service.http.models import AnswerModel, example
+from rholoc.service.http.models import AnswerModel
 from rholoc.service.threads.storage import StorageThreads
-
-JOB_ID_EXAMPLE = "0b6e0f6f4f0c4d5f9a8b7c6d5e4f3a21"
-RECORDING_ID_EXAMPLE = "9c5d1c3f5b8e4a0d8e6f7a8b9c0d1e2f"
 
 
 class JobError(AnswerModel):
@@ -27,34 +24,8 @@ class JobError(AnswerModel):
     hint: str
 
 
-JOB_EXAMPLE: JsonDict = {
-    "id": JOB_ID_EXAMPLE,
-    "kind": "build",
-    "recording": RECORDING_ID_EXAMPLE,
-    "map": "testsite",
-    "site": None,
-    "state": "running",
-    "stage": "poses",
-    "progress": 0.42,
-    "message": "31 of 60 keyframes placed",
-    "log": ["60 keyframes chosen"],
-    "warnings": [],
-    "trusted": None,
-    "error": None,
-    "created": 1767607200.0,
-    "started": 1767607201.5,
-    "ended": None,
-    "attempts": 1,
-    "priority": "normal",
-    "memory_bytes": 1_100_000_000,
-    "obstacle": None,
-}
-
-
 class JobOut(AnswerModel):
     """A mapping job."""
-
-    model_config = example(JOB_EXAMPLE)
 
     id: str
     kind: JobKind
@@ -144,25 +115,11 @@ def job_out(job: Job) -> JobOut:
     error = None
     if job.error_code is not None:
         error = JobError(code=job.error_code, message=job.error_message or "", hint=job.error_hint or "")
-    return JobOut(
-        id=job.id,
-        recording=job.recording,
-        map=job.map_name,
-        state=job.state,
-        stage=job.stage,
-        progress=job.progress,
-        message=job.message,
-        log=list(job.log),
-        warnings=list(job.warnings),
-        trusted=job.trusted,
-        error=error,
-        created=job.created,
-        started=job.started,
-        ended=job.ended,
-        attempts=job.attempts,
-        priority=job.priority,
-        memory_bytes=job.memory_bytes,
-        obstacle=job.obstacle,
-        kind=job.kind,
-        site=job.site,
-    )
+    same = {name: getattr(job, name) for name in JobOut.model_fields if hasattr(job, name)}
+    return JobOut.model_validate({**same, "map": job.map_name, "error": error})
+
+
+def begun(job: Job, response: Response) -> JobOut:
+    """The answer of a request that began a job, whose address goes into a header of its response."""
+    response.headers["Location"] = f"/v1/jobs/{job.id}"
+    return job_out(job)

@@ -5,26 +5,9 @@ from __future__ import annotations
 from collections.abc import Collection
 
 from pydantic import Field
-from pydantic.config import JsonDict
 
 from rholoc.maps import MOST_MAPS, FramePose, LinkOrigin, Site, SiteLink, SiteMap, SiteOnEarth, check_site
-from rholoc.service.http.models import AnswerModel, Number, RequestModel, example
-
-_FRAME: JsonDict = {"position": [4.2, 0.0, 0.0], "quaternion_xyzw": [0.0, 0.0, 0.7071, 0.7071]}
-_EARTH: JsonDict = {"latitude_deg": 52.52, "longitude_deg": 13.405, "height_m": 74.0, "heading_deg": 12.5}
-_LINK: JsonDict = {
-    "first": "hall", "second": "kitchen", "pose": _FRAME, "sigma_m": 0.05, "sigma_deg": 0.5, "origin": "given"
-}  # fmt: skip
-_SITE: JsonDict = {
-    "maps": [{"map": "hall", "floor": "0"}, {"map": "kitchen", "floor": "0"}], "links": [_LINK], "earth": _EARTH
-}  # fmt: skip
-SITE_EXAMPLE: JsonDict = {
-    "name": "campus",
-    "version": 1,
-    "maps": [{"map": "hall", "floor": "0", "pose": _FRAME, "given": True, "covariance": None, "present": True}],
-    "links": [_LINK],
-    "earth": _EARTH,
-}
+from rholoc.service.http.models import AnswerModel, Number, RequestModel
 
 
 class FramePoseIn(RequestModel):
@@ -72,8 +55,6 @@ class SiteEarthIn(RequestModel):
 class SiteIn(RequestModel):
     """A site: maps in one frame."""
 
-    model_config = example(_SITE)
-
     maps: list[SiteMapIn] = Field(max_length=MOST_MAPS)
     links: list[SiteLinkIn] = Field(default_factory=list, max_length=10_000)
     earth: SiteEarthIn | None = None
@@ -95,8 +76,6 @@ class SiteMapOut(AnswerModel):
 
 class SiteOut(AnswerModel):
     """A site."""
-
-    model_config = example(SITE_EXAMPLE)
 
     name: str
     version: int

@@ -25,17 +25,15 @@ from rholoc.disk import reporting_full_disk, sync_folder, temporary_folder
 from rholoc.errors import Conflict, InvalidInput, MissingObject, UnknownRecording
 from rholoc.jobs import MovedIn, RecordingStore, Stores, move_in
 from rholoc.jobs.recording_store import ENTRY_FILE
-from rholoc.jobs.stores import CAMERAS, KEYS, SITES
+from rholoc.jobs.stores import CAMERAS, KEYS, SITES, documents_folder
 from rholoc.maps import FolderDocuments, MapLibrary
-from rholoc.maps.cameras import FOLDER as CAMERAS_FOLDER
 from rholoc.maps.map_folder import place_of
-from rholoc.maps.sites import SITES_FOLDER
 
 _FORMAT, _FORMAT_VERSION = "rholoc-backup", 1
 _MANIFEST = "manifest.json"
 _MAX_MANIFEST_BYTES = 2**28
 _MAPS, _DATA = "maps", "data"
-_FOLDERS = {CAMERAS: f"{_MAPS}/{CAMERAS_FOLDER}", SITES: f"{_MAPS}/{SITES_FOLDER}", KEYS: f"{_DATA}/{KEYS}"}
+_FOLDERS = {kind: documents_folder(kind, Path(_MAPS), Path(_DATA)).as_posix() for kind in (CAMERAS, SITES, KEYS)}
 _ATTEMPTS = 5
 _PIECE_BYTES = 2**20
 _PRIVATE = 0o600  # the mode of a backup

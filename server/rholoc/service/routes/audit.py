@@ -10,8 +10,8 @@ from pydantic import Field
 from rholoc.errors import InvalidName
 from rholoc.maps import check_map_name
 from rholoc.service.access.scopes import NEEDS_ADMIN
-from rholoc.service.http.models import AnswerModel, example
-from rholoc.service.http.openapi import failures
+from rholoc.service.http.models import AnswerModel
+from rholoc.service.http.openapi import declared
 from rholoc.service.state import Service
 
 
@@ -30,29 +30,13 @@ class ChangeOut(AnswerModel):
 class ChangesOut(AnswerModel):
     """The last changes, the newest first."""
 
-    model_config = example(
-        {
-            "changes": [
-                {
-                    "time": 1767607200.0,
-                    "who": "alice",
-                    "method": "PUT",
-                    "path": "/v1/maps/hall",
-                    "status": 200,
-                    "job": "",
-                    "request_id": "7d7f0a1c2b3d4e5f8091a2b3c4d5e6f7",
-                }
-            ]
-        }
-    )
-
     changes: list[ChangeOut]
 
 
 router = APIRouter(prefix="/v1/audit", tags=["service"])
 
 
-@router.get("", dependencies=[NEEDS_ADMIN], summary="Who changed what", responses=failures(InvalidName))
+@router.get("", **declared(NEEDS_ADMIN, "Who changed what", InvalidName))
 async def list_changes(
     service: Service,
     limit: Annotated[int, Query(ge=1, le=1000, description="how many at most", examples=[100])] = 100,
@@ -61,4 +45,4 @@ async def list_changes(
     """The last requests that changed something, the newest first: maps, sites, cameras, recordings, jobs, keys."""
     name = None if map is None else check_map_name(map)
     changes = await service.audit.changes(limit, name)
-    return ChangesOut(changes=[ChangeOut.model_validate(one, from_attributes=True) for one in changes])
+    return ChangesOut.model_validate({"changes": changes})

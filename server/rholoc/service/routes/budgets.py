@@ -6,11 +6,10 @@ from fastapi import APIRouter
 from pydantic import Field
 
 from rholoc.errors import NotFound
+from rholoc.service.access.open_streams import StreamKind
 from rholoc.service.access.scopes import NEEDS_ADMIN
-from rholoc.service.access.stream_kind import StreamKind
-from rholoc.service.errors import InvalidRequest
-from rholoc.service.http.models import AnswerModel, example
-from rholoc.service.http.openapi import failures
+from rholoc.service.http.models import AnswerModel
+from rholoc.service.http.openapi import declared
 from rholoc.service.state import Service
 
 
@@ -28,21 +27,6 @@ class OpenStreamOut(AnswerModel):
 class OpenStreamList(AnswerModel):
     """The open streams of a server, the oldest first."""
 
-    model_config = example(
-        {
-            "streams": [
-                {
-                    "id": "5f0c3a52d1c24e0f8d1c8f1a8f0e6c11",
-                    "kind": "events",
-                    "key": "handed-1f2e3d4c",
-                    "counted_to": "alice",
-                    "path": "/v1/maps/hall/live",
-                    "since": 1767607200.0,
-                }
-            ]
-        }
-    )
-
     streams: list[OpenStreamOut]
 
 
@@ -59,27 +43,13 @@ class UploadOut(AnswerModel):
 class UploadList(AnswerModel):
     """The unfinished uploads."""
 
-    model_config = example(
-        {
-            "uploads": [
-                {
-                    "id": "9b2ad7a3f3c84a1fb0f5c5b4f1a0d6ee",
-                    "map": "hall",
-                    "size_bytes": 48_211_004,
-                    "key": "handed-1f2e3d4c",
-                    "counted_to": "alice",
-                }
-            ]
-        }
-    )
-
     uploads: list[UploadOut]
 
 
 router = APIRouter(prefix="/v1", tags=["service"])
 
 
-@router.get("/streams", dependencies=[NEEDS_ADMIN], summary="Open streams")
+@router.get("/streams", **declared(NEEDS_ADMIN, "Open streams"))
 async def list_streams(service: Service) -> OpenStreamList:
     """The streams that are open to this server, the oldest first."""
     return OpenStreamList(
@@ -97,19 +67,13 @@ async def list_streams(service: Service) -> OpenStreamList:
     )
 
 
-@router.delete(
-    "/streams/{stream}",
-    dependencies=[NEEDS_ADMIN],
-    status_code=204,
-    summary="End a stream",
-    responses=failures(NotFound, InvalidRequest),
-)
+@router.delete("/streams/{stream}", status_code=204, **declared(NEEDS_ADMIN, "End a stream", NotFound))
 async def end_stream(stream: str, service: Service) -> None:
     """At once. Its client may open another; revoke its key to prevent that."""
     service.streams.end(stream)
 
 
-@router.get("/uploads", dependencies=[NEEDS_ADMIN], summary="Unfinished uploads")
+@router.get("/uploads", **declared(NEEDS_ADMIN, "Unfinished uploads"))
 async def list_uploads(service: Service) -> UploadList:
     """The resumable uploads that are not complete. `DELETE /v1/recordings/{recording}` abandons one by its id."""
     found = await service.quotas.uploads()

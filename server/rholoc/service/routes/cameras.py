@@ -6,24 +6,18 @@ from typing import Any
 
 from fastapi import APIRouter, Response
 from pydantic import Field
-from pydantic.config import JsonDict
 
 from rholoc.errors import InvalidCamera, InvalidInput, InvalidName, RholocError, StorageFull, UnknownCamera
 from rholoc.geometry import Camera, Lens
 from rholoc.maps import CameraProfile
 from rholoc.service.access.scopes import NEEDS_MAP, NEEDS_READ
-from rholoc.service.errors import InvalidRequest
-from rholoc.service.http.models import CAMERA_EXAMPLE, AnswerModel, Number, RequestModel, SizePx, example
-from rholoc.service.http.openapi import failures
+from rholoc.service.http.models import AnswerModel, Number, RequestModel, SizePx
+from rholoc.service.http.openapi import declared
 from rholoc.service.state import Service
-
-_PROFILE: JsonDict = {**CAMERA_EXAMPLE, "calibration": {"rms_px": 0.21, "views": 24, "sigmas": {"fx": 0.6, "fy": 0.6}}}
 
 
 class CameraProfileIn(RequestModel):
     """A camera to store: its intrinsics, and how accurate they are."""
-
-    model_config = example(_PROFILE)
 
     width: SizePx
     height: SizePx
@@ -41,15 +35,11 @@ class CameraProfileIn(RequestModel):
 class CameraProfileOut(CameraProfileIn):
     """A stored camera."""
 
-    model_config = example({"name": "pixel-7", **_PROFILE})
-
     name: str
 
 
 class CameraList(AnswerModel):
     """All stored cameras, by name; files that cannot be read are listed separately."""
-
-    model_config = example({"cameras": [{"name": "pixel-7", **_PROFILE}], "unreadable": {}})
 
     cameras: list[CameraProfileOut]
     unreadable: dict[str, str] = Field(description="names of camera files that cannot be read, and why")
@@ -58,7 +48,7 @@ class CameraList(AnswerModel):
 router = APIRouter(prefix="/v1/cameras", tags=["cameras"])
 
 
-@router.get("", dependencies=[NEEDS_READ], summary="All cameras")
+@router.get("", **declared(NEEDS_READ, "All cameras"))
 async def list_cameras(service: Service) -> CameraList:
     """The stored cameras by name; files that cannot be read are listed separately."""
     found: list[CameraProfileOut] = []
@@ -73,12 +63,7 @@ async def list_cameras(service: Service) -> CameraList:
     return CameraList(cameras=found, unreadable=unreadable)
 
 
-@router.get(
-    "/{camera}",
-    dependencies=[NEEDS_READ],
-    summary="One camera",
-    responses=failures(UnknownCamera, InvalidName, InvalidCamera, InvalidRequest),
-)
+@router.get("/{camera}", **declared(NEEDS_READ, "One camera", UnknownCamera, InvalidName, InvalidCamera))
 async def get_camera(camera: str, service: Service) -> CameraProfileOut:
     """Its intrinsics, and how accurate they are."""
     return _out(camera, await service.cameras.get(camera))
@@ -86,12 +71,15 @@ async def get_camera(camera: str, service: Service) -> CameraProfileOut:
 
 @router.put(
     "/{camera}",
-    dependencies=[NEEDS_MAP],
-    summary="Store a camera",
-    responses={
-        **failures(InvalidName, InvalidCamera, InvalidInput, InvalidRequest, StorageFull),
-        201: {"model": CameraProfileOut, "description": "The camera is new."},
-    },
+    **declared(
+        NEEDS_MAP,
+        "Store a camera",
+        InvalidName,
+        InvalidCamera,
+        InvalidInput,
+        StorageFull,
+        also={201: {"model": CameraProfileOut, "description": "The camera is new."}},
+    ),
 )
 async def put_camera(camera: str, given: CameraProfileIn, service: Service, response: Response) -> CameraProfileOut:
     """Requests that name it use it from then on; maps keep the camera that they were made with."""
@@ -102,13 +90,7 @@ async def put_camera(camera: str, given: CameraProfileIn, service: Service, resp
     return _out(camera, profile)
 
 
-@router.delete(
-    "/{camera}",
-    dependencies=[NEEDS_MAP],
-    status_code=204,
-    summary="Delete a camera",
-    responses=failures(UnknownCamera, InvalidName),
-)
+@router.delete("/{camera}", status_code=204, **declared(NEEDS_MAP, "Delete a camera", UnknownCamera, InvalidName))
 async def delete_camera(camera: str, service: Service) -> None:
     """For good; maps that were made with it keep it."""
     await service.cameras.delete(camera)

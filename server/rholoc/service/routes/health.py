@@ -9,16 +9,14 @@ from starlette.concurrency import run_in_threadpool
 from rholoc import __version__
 from rholoc.service.access.scopes import NEEDS_READ, OPEN
 from rholoc.service.http.metrics import METRICS_TYPE
-from rholoc.service.http.models import AnswerModel, example
-from rholoc.service.http.openapi import BINARY
+from rholoc.service.http.models import AnswerModel
+from rholoc.service.http.openapi import content, declared
 from rholoc.service.operate.readings import OK, text_of, unanswered
 from rholoc.service.state import Service, State
 
 
 class Health(AnswerModel):
     """The process answers."""
-
-    model_config = example({"status": "ok", "version": "0.1.0"})
 
     status: str
     version: str
@@ -27,8 +25,6 @@ class Health(AnswerModel):
 class Readiness(AnswerModel):
     """Whether the service can do its work, and what prevents it."""
 
-    model_config = example({"ready": False, "checks": {"maps": "ok", "jobs": "not running"}})
-
     ready: bool
     checks: dict[str, str] = Field(description="'ok', or what is not ready")
 
@@ -36,15 +32,13 @@ class Readiness(AnswerModel):
 router = APIRouter(tags=["service"])
 
 
-@router.get("/healthz", dependencies=[OPEN], summary="Whether the process answers")
+@router.get("/healthz", **declared(OPEN, "Whether the process answers"))
 async def healthz() -> Health:
     """Always 200 while the process runs."""
     return Health(status=OK, version=__version__)
 
 
-@router.get(
-    "/readyz", dependencies=[OPEN], summary="Whether the service can do its work", responses={503: {"model": Readiness}}
-)
+@router.get("/readyz", **declared(OPEN, "Whether the service can do its work", also={503: {"model": Readiness}}))
 async def readyz(service: Service, response: Response) -> Readiness:
     """200 when maps can be read, uploads stored, jobs queued and frames localized; else 503 and what is not ready.
 
@@ -65,10 +59,7 @@ async def readyz(service: Service, response: Response) -> Readiness:
 
 @router.get(
     "/metrics",
-    dependencies=[NEEDS_READ],
-    summary="Metrics for Prometheus",
-    response_class=Response,
-    responses={200: {"description": "Text.", "content": {METRICS_TYPE: {"schema": BINARY}}}},
+    **declared(NEEDS_READ, "Metrics for Prometheus", also=content("Text.", METRICS_TYPE)),
 )
 async def metrics(service: Service) -> Response:
     """Requests by route and status, frames by outcome, jobs by state, frames in progress."""

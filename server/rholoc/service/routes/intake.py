@@ -23,7 +23,7 @@ from rholoc.jobs import JobKind, JobOptions, JobPriority
 from rholoc.maps import DensityKind, check_map_name, check_memory
 from rholoc.recordings import parse_frame_slice
 from rholoc.service.errors import InvalidRequest
-from rholoc.service.http.models import CAMERA_TEXT, RequestModel, example
+from rholoc.service.http.models import CAMERA_TEXT, RequestModel
 from rholoc.service.state import State
 from rholoc.trajectory import PoseMethod
 
@@ -43,8 +43,6 @@ UPLOAD_FAILURES: tuple[type[RholocError], ...] = (
 
 class RecordingFields(RequestModel):
     """The text fields beside the files of an uploaded recording."""
-
-    model_config = example({"map": "hall", "frames": "30:900"})
 
     map: Annotated[str, Field(description="the name of the map to publish")]
     kind: Literal[JobKind.BUILD, JobKind.UPDATE] = Field(

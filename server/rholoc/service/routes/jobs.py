@@ -12,28 +12,22 @@ from starlette.concurrency import run_in_threadpool
 
 from rholoc.errors import Conflict, UnknownJob
 from rholoc.jobs import Job, JobPriority
-from rholoc.service.access.open_streams import EventStream
+from rholoc.service.access.open_streams import EventStream, StreamKind
 from rholoc.service.access.scopes import NEEDS_MAP, NEEDS_READ, request_key
-from rholoc.service.access.stream_kind import StreamKind
-from rholoc.service.errors import InvalidRequest
-from rholoc.service.http.models import AnswerModel, RequestModel, example
-from rholoc.service.http.openapi import failures
-from rholoc.service.maps.job_events import JOB_EXAMPLE, LOOK_EVERY_S, JobOut, job_out
+from rholoc.service.http.models import AnswerModel, RequestModel
+from rholoc.service.http.openapi import declared, event_stream
+from rholoc.service.maps.job_events import LOOK_EVERY_S, JobOut, job_out
 from rholoc.service.state import Service, State
 
 
 class JobChange(RequestModel):
     """What of a job can be changed."""
 
-    model_config = example({"priority": "high"})
-
     priority: JobPriority
 
 
 class JobList(AnswerModel):
     """Jobs, the newest first."""
-
-    model_config = example({"jobs": [JOB_EXAMPLE], "more": False})
 
     jobs: list[JobOut]
     more: bool = Field(default=False, description="Whether there are older ones: ask with `before`, the last one's id.")
@@ -46,13 +40,7 @@ _QUIET_S = 15.0
 _EVENT = 'id: 9f0a1b2c3d4e5f60\nevent: job\ndata: {"id": "…", "state": "running", "stage": "poses", …}\n\n'
 
 
-@router.get(
-    "",
-    dependencies=[NEEDS_READ],
-    response_model=JobList,
-    summary="Jobs, the newest first",
-    responses=failures(InvalidRequest, UnknownJob),
-)
+@router.get("", response_model=JobList, **declared(NEEDS_READ, "Jobs, the newest first", UnknownJob))
 async def list_jobs(
     service: Service,
     limit: Annotated[int, Query(ge=1, le=_MAX_LISTED, description="how many at most", examples=[20])] = _MAX_LISTED,
@@ -67,18 +55,13 @@ def _listed(jobs: list[Job], limit: int) -> str:
     return JobList(jobs=[job_out(job) for job in jobs[:limit]], more=len(jobs) > limit).model_dump_json()
 
 
-@router.get("/{job}", dependencies=[NEEDS_READ], summary="One job", responses=failures(InvalidRequest, UnknownJob))
+@router.get("/{job}", **declared(NEEDS_READ, "One job", UnknownJob))
 async def get_job(job: str, service: Service) -> JobOut:
     """Its state, stage and progress; why it failed, if it did."""
     return job_out(await service.jobs.get(job))
 
 
-@router.patch(
-    "/{job}",
-    dependencies=[NEEDS_MAP],
-    summary="Change a job's priority",
-    responses=failures(InvalidRequest, UnknownJob, Conflict),
-)
+@router.patch("/{job}", **declared(NEEDS_MAP, "Change a job's priority", UnknownJob, Conflict))
 async def change_job(job: str, wanted: JobChange, service: Service) -> JobOut:
     """While it waits for a worker."""
     return job_out(await service.jobs.prioritize(job, wanted.priority))
@@ -86,17 +69,12 @@ async def change_job(job: str, wanted: JobChange, service: Service) -> JobOut:
 
 @router.get(
     "/{job}/events",
-    dependencies=[NEEDS_READ],
-    summary="A job, whenever it changes",
-    response_class=Response,
-    responses={
-        200: {
-            "description": "Server-sent events.",
-            "content": {"text/event-stream": {"schema": {"type": "string"}, "example": _EVENT}},
-        },
-        204: {"description": "The job has ended, and its end has been sent."},
-        **failures(InvalidRequest, UnknownJob),
-    },
+    **declared(
+        NEEDS_READ,
+        "A job, whenever it changes",
+        UnknownJob,
+        also=event_stream(_EVENT) | {204: {"description": "The job has ended, and its end has been sent."}},
+    ),
 )
 async def watch_job(
     job: str,
@@ -131,9 +109,7 @@ async def _events(job_id: str, service: State, last_id: str | None) -> AsyncIter
         quiet_s += LOOK_EVERY_S
 
 
-@router.delete(
-    "/{job}", dependencies=[NEEDS_MAP], summary="Cancel a job", responses=failures(InvalidRequest, UnknownJob, Conflict)
-)
+@router.delete("/{job}", **declared(NEEDS_MAP, "Cancel a job", UnknownJob, Conflict))
 async def cancel_job(
     job: str,
     service: Service,
@@ -146,13 +122,7 @@ async def cancel_job(
     return job_out(await service.jobs.get(job))
 
 
-@router.post(
-    "/{job}/retry",
-    dependencies=[NEEDS_MAP],
-    status_code=202,
-    summary="Try a job again",
-    responses=failures(InvalidRequest, UnknownJob, Conflict),
-)
+@router.post("/{job}/retry", status_code=202, **declared(NEEDS_MAP, "Try a job again", UnknownJob, Conflict))
 async def retry_job(job: str, request: Request, service: Service) -> JobOut:
     """Queue a failed or cancelled job again, with the recording that was kept."""
     found = await service.jobs.get(job)

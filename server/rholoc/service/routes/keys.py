@@ -15,16 +15,14 @@ from starlette.concurrency import run_in_threadpool
 from rholoc.errors import Busy, InvalidInput, NotFound, StorageFull
 from rholoc.service.access.keys import ApiKey, KeyLimits, Scope
 from rholoc.service.access.scopes import NEEDS_ADMIN, NEEDS_MAP, NEEDS_READ, forbidden, granted_key, request_key
-from rholoc.service.errors import InvalidRequest, QuotaExceeded
-from rholoc.service.http.models import AnswerModel, Number, RequestModel, example
-from rholoc.service.http.openapi import failures
+from rholoc.service.errors import QuotaExceeded
+from rholoc.service.http.models import AnswerModel, Number, RequestModel
+from rholoc.service.http.openapi import declared
 from rholoc.service.state import Service, State
 
 
 class KeyLimitsIn(RequestModel):
     """How much a key allows, with all keys that it handed on; what is null or missing is not limited."""
-
-    model_config = example({"requests_per_s": 5, "burst": 20, "maps": 10, "stored_bytes": 1e10, "jobs": 2})
 
     requests_per_s: Number | None = Field(
         default=None, ge=0.001, le=1e6, description="requests a second, to each server"
@@ -52,8 +50,6 @@ class KeyUsageOut(AnswerModel):
 class KeyIn(RequestModel):
     """A key to hand on."""
 
-    model_config = example({"scope": "read", "lifetime_s": 86400})
-
     scope: Scope = Field(default=Scope.READ, description="what it allows; no more than the request's own key")
     lifetime_s: Number = Field(
         default=86400, ge=60, le=31 * 86400, description="how long it is valid, s: a minute to 31 days"
@@ -77,44 +73,17 @@ class KeyOut(AnswerModel):
 class KeyDetail(KeyOut):
     """A key, and what it holds."""
 
-    model_config = example(
-        {
-            "name": "robot-7",
-            "scope": "map",
-            "created": 1767607200.0,
-            "expires": None,
-            "limits": {"requests_per_s": 5.0, "maps": 10},
-            "used": {"maps": 2, "stored_bytes": 48_211_004, "jobs": 0},
-        }
-    )
-
     used: KeyUsageOut
 
 
 class KeyList(AnswerModel):
     """All keys, the oldest first."""
 
-    model_config = example(
-        {
-            "keys": [
-                {
-                    "name": "robot-7",
-                    "scope": "localize",
-                    "created": 1767607200.0,
-                    "expires": None,
-                    "limits": {"requests_per_s": 5.0},
-                }
-            ],
-        }
-    )
-
     keys: list[KeyOut]
 
 
 class HandedKeyOut(AnswerModel):
     """A key that was handed on."""
-
-    model_config = example({"key": "rho_…", "name": "handed-1f2e3d4c", "scope": "read", "expires": 1767693600.0})
 
     key: str | None = Field(description="the key; null where the server requires none")
     name: str | None = Field(description="the name to revoke it by")
@@ -125,8 +94,6 @@ class HandedKeyOut(AnswerModel):
 class QrIn(RequestModel):
     """A text for a QR code."""
 
-    model_config = example({"text": "https://maps.example/record"})
-
     text: str = Field(min_length=1, max_length=1000)
 
 
@@ -136,11 +103,7 @@ _SVG = "image/svg+xml"
 
 
 @router.post(
-    "/keys",
-    dependencies=[NEEDS_MAP],
-    status_code=201,
-    summary="Hand on a key that expires",
-    responses=failures(InvalidRequest, QuotaExceeded, Busy, StorageFull),
+    "/keys", status_code=201, **declared(NEEDS_MAP, "Hand on a key that expires", QuotaExceeded, Busy, StorageFull)
 )
 async def hand_on_key(wanted: KeyIn, request: Request, service: Service) -> HandedKeyOut:
     """A new key, which allows no more than the key of the request and expires no later. It is shown only once. Where
@@ -156,24 +119,19 @@ async def hand_on_key(wanted: KeyIn, request: Request, service: Service) -> Hand
     return HandedKeyOut(key=key, name=name, scope=wanted.scope, expires=time.time() + lifetime_s)
 
 
-@router.get("/keys", dependencies=[NEEDS_ADMIN], summary="All keys")
+@router.get("/keys", **declared(NEEDS_ADMIN, "All keys"))
 async def list_keys(service: Service) -> KeyList:
     """Their names and scopes, the oldest first; not the keys themselves, of which the server only has hashes."""
     return KeyList(keys=[KeyOut(**_fields(key, service)) for key in await service.keys.list()])
 
 
-@router.get("/keys/{name}", dependencies=[NEEDS_ADMIN], summary="One key", responses=failures(NotFound, InvalidRequest))
+@router.get("/keys/{name}", **declared(NEEDS_ADMIN, "One key", NotFound))
 async def get_key(name: str, service: Service) -> KeyDetail:
     """How much it allows, and what it holds."""
     return await _detail(service, name)
 
 
-@router.put(
-    "/keys/{name}/limits",
-    dependencies=[NEEDS_ADMIN],
-    summary="Limit a key",
-    responses=failures(NotFound, InvalidRequest, StorageFull),
-)
+@router.put("/keys/{name}/limits", **declared(NEEDS_ADMIN, "Limit a key", NotFound, StorageFull))
 async def limit_key(name: str, wanted: KeyLimitsIn, service: Service) -> KeyDetail:
     """Sets all its limits, from the next request on; those that are missing are lifted. What it holds stays, even where
     it is more than it may."""
@@ -181,13 +139,7 @@ async def limit_key(name: str, wanted: KeyLimitsIn, service: Service) -> KeyDeta
     return await _detail(service, name)
 
 
-@router.delete(
-    "/keys/{name}",
-    dependencies=[NEEDS_ADMIN],
-    status_code=204,
-    summary="Revoke a key",
-    responses=failures(NotFound, InvalidRequest),
-)
+@router.delete("/keys/{name}", status_code=204, **declared(NEEDS_ADMIN, "Revoke a key", NotFound))
 async def revoke_key(name: str, service: Service) -> None:
     """With all keys that it handed on. They are refused from the next request on, their streams end within a second,
     and their unfinished uploads are abandoned."""
@@ -198,16 +150,17 @@ async def revoke_key(name: str, service: Service) -> None:
 
 @router.post(
     "/qr",
-    dependencies=[NEEDS_READ],
-    summary="A text as a QR code",
-    response_class=Response,
-    responses={
-        200: {
-            "description": "A picture.",
-            "content": {_SVG: {"schema": {"type": "string"}, "example": "<svg …></svg>"}},
+    **declared(
+        NEEDS_READ,
+        "A text as a QR code",
+        InvalidInput,
+        also={
+            200: {
+                "description": "A picture.",
+                "content": {_SVG: {"schema": {"type": "string"}, "example": "<svg …></svg>"}},
+            }
         },
-        **failures(InvalidRequest, InvalidInput),
-    },
+    ),
 )
 async def draw_qr(wanted: QrIn) -> Response:
     """For links that a phone is to open; in black on white, whatever the page's colours are."""

@@ -20,31 +20,14 @@ from rholoc.errors import (
 from rholoc.mapping import FEWEST_QUERIES
 from rholoc.reports import LearningReport
 from rholoc.service.access.scopes import NEEDS_MAP, NEEDS_READ, request_key
-from rholoc.service.errors import InvalidRequest
-from rholoc.service.http.models import AnswerModel, example
-from rholoc.service.http.openapi import failures
-from rholoc.service.maps.job_events import JobOut, job_out
+from rholoc.service.http.models import AnswerModel
+from rholoc.service.http.openapi import declared
+from rholoc.service.maps.job_events import JobOut, begun, job_out
 from rholoc.service.state import Service
 
 
 class LearningOut(AnswerModel):
     """What is kept for a map to learn from, and what it last learned."""
-
-    model_config = example(
-        {
-            "map": "hall",
-            "learns": True,
-            "queries": 214,
-            "size_bytes": 9_630_000,
-            "askers": 3,
-            "oldest": 1767607200.0,
-            "newest": 1767693600.0,
-            "fewest": 30,
-            "last": None,
-            "job": None,
-            "latest": None,
-        }
-    )
 
     map: str
     learns: bool = Field(description="whether this server keeps queries for its maps to learn from")
@@ -65,8 +48,6 @@ class LearningOut(AnswerModel):
 class DeletedQueries(AnswerModel):
     """How many queries were deleted."""
 
-    model_config = example({"deleted": 214})
-
     deleted: int
 
 
@@ -76,10 +57,8 @@ _FAILURES = (UnknownMap, InvalidName, InvalidMap)
 
 @router.post(
     "/{map_name}/learn",
-    dependencies=[NEEDS_MAP],
     status_code=202,
-    summary="Let a map learn from its users",
-    responses=failures(*_FAILURES, InvalidInput, Conflict, StorageFull),
+    **declared(NEEDS_MAP, "Let a map learn from its users", *_FAILURES, InvalidInput, Conflict, StorageFull),
 )
 async def learn_from_users(map_name: str, request: Request, service: Service, response: Response) -> JobOut:
     """A job learns from the queries that are kept for the map: views and landmarks of what was seen often, without what
@@ -88,15 +67,12 @@ async def learn_from_users(map_name: str, request: Request, service: Service, re
     setting `learn` says so, maps learn by themselves each night."""
     key = request_key(request.scope)
     job = await service.jobs.begin(key, map_name, lambda jobs: service.learning.submit(jobs, map_name))
-    response.headers["Location"] = f"/v1/jobs/{job.id}"
-    return job_out(job)
+    return begun(job, response)
 
 
 @router.get(
     "/{map_name}/learning",
-    dependencies=[NEEDS_READ],
-    summary="What is kept for a map to learn from",
-    responses=failures(*_FAILURES, StorageUnavailable),
+    **declared(NEEDS_READ, "What is kept for a map to learn from", *_FAILURES, StorageUnavailable),
 )
 async def get_learning(map_name: str, service: Service) -> LearningOut:
     """How many queries are kept, of how many askers, what the map last learned from its users, and when."""
@@ -113,12 +89,7 @@ async def get_learning(map_name: str, service: Service) -> LearningOut:
     )
 
 
-@router.delete(
-    "/{map_name}/learning",
-    dependencies=[NEEDS_MAP],
-    summary="Delete what is kept for a map to learn from",
-    responses=failures(*_FAILURES, InvalidRequest),
-)
+@router.delete("/{map_name}/learning", **declared(NEEDS_MAP, "Delete what is kept for a map to learn from", *_FAILURES))
 async def delete_learning(
     map_name: str,
     service: Service,

@@ -12,12 +12,11 @@ from fastapi import APIRouter, Request, Response
 from pydantic import Field
 
 from rholoc.errors import Conflict, InvalidName, UnknownMap
-from rholoc.service.access.open_streams import EventStream
+from rholoc.service.access.open_streams import EventStream, StreamKind
 from rholoc.service.access.scopes import NEEDS_READ
-from rholoc.service.access.stream_kind import StreamKind
 from rholoc.service.frames.live import Sighting
-from rholoc.service.http.models import AnswerModel, example
-from rholoc.service.http.openapi import failures
+from rholoc.service.http.models import AnswerModel
+from rholoc.service.http.openapi import declared, event_stream
 from rholoc.service.state import Service, State
 
 
@@ -33,20 +32,6 @@ class FailureOut(AnswerModel):
 
 class FailuresOut(AnswerModel):
     """The failures of the last day, the oldest first."""
-
-    model_config = example(
-        {
-            "failures": [
-                {
-                    "time": 1767607200.0,
-                    "position": [2.1, 0.4, 1.5],
-                    "heading": None,
-                    "confidence": 0.31,
-                    "reason": "not_recognized",
-                }
-            ]
-        }
-    )
 
     failures: list[FailureOut]
 
@@ -64,16 +49,14 @@ _EVENT = (
 
 @router.get(
     "/{map_name}/live",
-    dependencies=[NEEDS_READ],
-    summary="Who asks for poses now",
-    response_class=Response,
-    responses={
-        200: {
-            "description": "Server-sent events.",
-            "content": {"text/event-stream": {"schema": {"type": "string"}, "example": _EVENT}},
-        },
-        **failures(UnknownMap, InvalidName, Conflict),
-    },
+    **declared(
+        NEEDS_READ,
+        "Who asks for poses now",
+        UnknownMap,
+        InvalidName,
+        Conflict,
+        also=event_stream(_EVENT),
+    ),
 )
 async def watch_poses(map_name: str, request: Request, service: Service) -> Response:
     """Server-sent events `poses`, at most ten a second, each with the last answer to every client that was answered in
@@ -114,24 +97,11 @@ def _shown(sighting: Sighting) -> dict[str, object]:
 
 @router.get(
     "/{map_name}/failures",
-    dependencies=[NEEDS_READ],
-    summary="Where requests of the last day failed",
-    responses=failures(UnknownMap, InvalidName, Conflict),
+    **declared(NEEDS_READ, "Where requests of the last day failed", UnknownMap, InvalidName, Conflict),
 )
 async def list_failures(map_name: str, service: Service) -> FailuresOut:
     """The requests that found no pose, or one of a confidence below 0.8: where that was, and nothing else. Without a
     pose, that is the position of the request's prior, or the client's last pose. Only if the setting `keep_failures` is
     on, and only since this server started."""
     await service.maps.stat(map_name)
-    return FailuresOut(
-        failures=[
-            FailureOut(
-                time=one.time,
-                position=one.position,
-                heading=one.heading,
-                confidence=one.confidence,
-                reason=one.reason,
-            )
-            for one in service.frames.live.failures(map_name)
-        ]
-    )
+    return FailuresOut.model_validate({"failures": service.frames.live.failures(map_name)})

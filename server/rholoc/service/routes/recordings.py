@@ -10,7 +10,6 @@ from typing import Any
 from fastapi import APIRouter, Request, Response
 from fastapi.responses import JSONResponse
 from pydantic import Field
-from pydantic.config import JsonDict
 from starlette.concurrency import run_in_threadpool
 
 from rholoc.errors import (
@@ -22,16 +21,13 @@ from rholoc.errors import (
     UnknownRecording,
 )
 from rholoc.jobs import (
-    JobKind,
     JobOptions,
-    JobPriority,
     PendingRecording,
     RecordedWaypoint,
     corrected_waypoints,
     read_notes,
     read_thumbnail,
 )
-from rholoc.maps import DensityKind
 from rholoc.recordings import (
     START_BYTES,
     ZIP_SUFFIX,
@@ -43,26 +39,15 @@ from rholoc.service.access.keys import Scope
 from rholoc.service.access.scopes import NEEDS_MAP, NEEDS_READ, granted_key, request_key
 from rholoc.service.errors import InvalidRequest, UnsupportedMediaType, UnsupportedVersion
 from rholoc.service.http.bodies import declared_length, media_type, read_multipart
-from rholoc.service.http.models import AnswerModel, Number, RequestModel, Vector3, example
-from rholoc.service.http.openapi import BINARY, failures, request_body
+from rholoc.service.http.models import AnswerModel, Number, RequestModel, Vector3
+from rholoc.service.http.openapi import BINARY, content, declared, request_body
 from rholoc.service.http.tus import RESUMABLE
 from rholoc.service.libraries import NotedRecording
-from rholoc.service.maps.job_events import JOB_EXAMPLE, RECORDING_ID_EXAMPLE, JobOut, job_out
+from rholoc.service.maps.job_events import JobOut, begun, job_out
 from rholoc.service.routes.intake import UPLOAD_FAILURES, RecordingFields, checked_options
 from rholoc.service.routes.uploads import begin_upload
 from rholoc.service.state import Service, State
 from rholoc.storage.holdings import Kind
-from rholoc.trajectory import PoseMethod
-
-_RECORDING: JsonDict = {
-    "id": RECORDING_ID_EXAMPLE,
-    "files": ["walk.mp4"],
-    "size_bytes": 60_000_000,
-    "created": 1767607200.0,
-    "content": {"length_s": 31.2, "frames": 936, "width": 1280, "height": 720, "format": "video", "imu": False},
-    "thumbnail": True,
-}
-_RECORDED_WAYPOINT: JsonDict = {"name": "W1", "position": [2.0, 0.0, 1.5], "time_s": 8.4, "sigma_m": 0.02}
 
 
 class RecordingContent(AnswerModel):
@@ -78,8 +63,6 @@ class RecordingContent(AnswerModel):
 
 class RecordingOut(AnswerModel):
     """A stored recording."""
-
-    model_config = example(_RECORDING)
 
     id: str
     files: list[str]
@@ -103,15 +86,11 @@ class WaypointIn(RequestModel):
 class WaypointsIn(RequestModel):
     """Waypoints that replace a recording's own, in the order of the walk."""
 
-    model_config = example({"waypoints": [_RECORDED_WAYPOINT]})
-
     waypoints: list[WaypointIn] = Field(max_length=1000, description="three or more")
 
 
 class RecordingDetail(RecordingOut):
     """A stored recording with its waypoints."""
-
-    model_config = example({**_RECORDING, "waypoints": [_RECORDED_WAYPOINT], "corrected": False})
 
     waypoints: tuple[RecordedWaypoint, ...] = Field(description="as corrected, else as a job read them from it")
     corrected: bool = Field(description="whether they replace the recording's own")
@@ -120,15 +99,11 @@ class RecordingDetail(RecordingOut):
 class RecordingList(AnswerModel):
     """All stored recordings, the newest first."""
 
-    model_config = example({"recordings": [_RECORDING]})
-
     recordings: list[RecordingOut]
 
 
 class RecordingAccepted(AnswerModel):
     """A completed upload, and the mapping job that it started."""
-
-    model_config = example({"recording": RECORDING_ID_EXAMPLE, "job": {**JOB_EXAMPLE, "state": "queued"}})
 
     recording: str = Field(description="the recording's id")
     job: JobOut
@@ -141,28 +116,13 @@ _FORM_BYTES = 2**20  # what the multipart form may take beside its files
 
 
 def _form_schema() -> dict[str, Any]:
-    fields = RecordingFields.model_json_schema()
-    inlined = {
-        **fields["properties"],
-        "density": {
-            "type": "string",
-            "enum": [kind.value for kind in DensityKind],
-            "default": JobOptions.density.value,
-        },
-        "priority": {
-            "type": "string",
-            "enum": [priority.value for priority in JobPriority],
-            "default": JobOptions.priority.value,
-            "description": fields["properties"]["priority"]["description"],
-        },
-        "kind": {"type": "string", "enum": [JobKind.BUILD, JobKind.UPDATE], "default": JobKind.BUILD},
-        "poses": {
-            "type": "string",
-            "enum": [method.value for method in PoseMethod],
-            "description": fields["properties"]["poses"]["description"],
-        },
-        "camera": {"type": "string", "description": fields["properties"]["camera"]["description"]},
-    }
+    """OpenAPI of the form: its fields without references and without null, which no form can send."""
+    schema = RecordingFields.model_json_schema()
+    inlined = {}
+    for name, field in schema["properties"].items():
+        kinds = [one for one in field.pop("anyOf", [field]) if one.get("type") != "null"]
+        named = schema["$defs"].get(kinds[0].pop("$ref", "").rpartition("/")[2], {})
+        inlined[name] = {"type": "string"} | {key: named[key] for key in ("enum",) if key in named} | kinds[0] | field
     files = {
         "file": {
             "type": "array",
@@ -174,18 +134,13 @@ def _form_schema() -> dict[str, Any]:
     return {"type": "object", "required": ["file", "map"], "properties": {**files, **inlined}}
 
 
-@router.get("", dependencies=[NEEDS_READ], summary="All recordings")
+@router.get("", **declared(NEEDS_READ, "All recordings"))
 async def list_recordings(request: Request, service: Service) -> RecordingList:
     """Those that are completely uploaded, the newest first."""
     return await run_in_threadpool(_list, await service.recordings.list(), _may_see(request))
 
 
-@router.get(
-    "/{recording}",
-    dependencies=[NEEDS_READ],
-    summary="One recording",
-    responses=failures(UnknownRecording, InvalidRequest),
-)
+@router.get("/{recording}", **declared(NEEDS_READ, "One recording", UnknownRecording))
 async def get_recording(recording: str, request: Request, service: Service) -> RecordingDetail:
     """What it holds, and its waypoints: as corrected, else as a job read them from it."""
     return _detail(await service.recordings.get(recording), _may_see(request))
@@ -193,13 +148,13 @@ async def get_recording(recording: str, request: Request, service: Service) -> R
 
 @router.get(
     "/{recording}/thumbnail.jpg",
-    dependencies=[NEEDS_MAP],
-    summary="A small picture of a recording",
-    response_class=Response,
-    responses={
-        200: {"description": "A picture.", "content": {"image/jpeg": {"schema": BINARY}}},
-        **failures(UnknownRecording, UnknownPicture, InvalidRequest),
-    },
+    **declared(
+        NEEDS_MAP,
+        "A small picture of a recording",
+        UnknownRecording,
+        UnknownPicture,
+        also=content("A picture.", "image/jpeg"),
+    ),
 )
 async def get_thumbnail(recording: str, service: Service) -> Response:
     """A frame from its beginning, once a job has read it."""
@@ -212,9 +167,7 @@ async def get_thumbnail(recording: str, service: Service) -> Response:
 
 @router.put(
     "/{recording}/waypoints",
-    dependencies=[NEEDS_MAP],
-    summary="Correct a recording's waypoints",
-    responses=failures(UnknownRecording, InvalidWaypoints, InvalidRequest, StorageFull),
+    **declared(NEEDS_MAP, "Correct a recording's waypoints", UnknownRecording, InvalidWaypoints, StorageFull),
 )
 async def put_waypoints(recording: str, wanted: WaypointsIn, request: Request, service: Service) -> RecordingDetail:
     """They replace the recording's own whenever it is mapped from then on. The recording's files and existing maps stay
@@ -223,12 +176,7 @@ async def put_waypoints(recording: str, wanted: WaypointsIn, request: Request, s
     return _detail(await service.recordings.correct(recording, given), _may_see(request))
 
 
-@router.delete(
-    "/{recording}/waypoints",
-    dependencies=[NEEDS_MAP],
-    summary="Take back corrected waypoints",
-    responses=failures(UnknownRecording, InvalidRequest),
-)
+@router.delete("/{recording}/waypoints", **declared(NEEDS_MAP, "Take back corrected waypoints", UnknownRecording))
 async def delete_waypoints(recording: str, request: Request, service: Service) -> RecordingDetail:
     """The recording is mapped with its own again."""
     return _detail(await service.recordings.correct(recording, None), _may_see(request))
@@ -236,10 +184,8 @@ async def delete_waypoints(recording: str, request: Request, service: Service) -
 
 @router.post(
     "/{recording}/jobs",
-    dependencies=[NEEDS_MAP],
     status_code=202,
-    summary="Map a stored recording again",
-    responses=failures(UnknownRecording, *UPLOAD_FAILURES),
+    **declared(NEEDS_MAP, "Map a stored recording again", UnknownRecording, *UPLOAD_FAILURES),
 )
 async def map_again(
     recording: str, wanted: RecordingFields, request: Request, service: Service, response: Response
@@ -248,22 +194,23 @@ async def map_again(
     options = await checked_options(wanted, service)
     key = request_key(request.scope)
     job = await service.jobs.begin(key, wanted.map, lambda jobs: jobs.submit(recording, wanted.map, options))
-    response.headers["Location"] = f"/v1/jobs/{job.id}"
-    return job_out(job)
+    return begun(job, response)
 
 
 @router.post(
     "",
-    dependencies=[NEEDS_MAP],
     status_code=202,
     response_model=RecordingAccepted,
-    summary="Upload a recording and map it",
-    responses={
-        **failures(*UPLOAD_FAILURES, UnsupportedMediaType, UnsupportedVersion),
-        201: {"description": "A resumable upload has begun; PATCH its bytes to the address in `Location`."},
-    },
     openapi_extra=request_body(
         {"multipart/form-data": {"schema": _form_schema(), "example": {"map": "testsite", "features": "gray"}}}
+    ),
+    **declared(
+        NEEDS_MAP,
+        "Upload a recording and map it",
+        *UPLOAD_FAILURES,
+        UnsupportedMediaType,
+        UnsupportedVersion,
+        also={201: {"description": "A resumable upload has begun; PATCH its bytes to the address in `Location`."}},
     ),
 )
 async def upload_recording(request: Request, service: Service) -> Response:

@@ -19,19 +19,16 @@ from rholoc.errors import (
 )
 from rholoc.mapping import find_link, solve_site, with_link
 from rholoc.service.access.scopes import NEEDS_ADMIN, NEEDS_MAP, NEEDS_READ, request_key
-from rholoc.service.errors import InvalidRequest
-from rholoc.service.http.models import AnswerModel, RequestModel, example
-from rholoc.service.http.openapi import failures
-from rholoc.service.maps.job_events import JobOut, job_out
-from rholoc.service.maps.site_documents import SITE_EXAMPLE, SiteIn, SiteOut, site_of, site_out
+from rholoc.service.http.models import AnswerModel, RequestModel
+from rholoc.service.http.openapi import declared
+from rholoc.service.maps.job_events import JobOut, begun
+from rholoc.service.maps.site_documents import SiteIn, SiteOut, site_of, site_out
 from rholoc.service.state import Service
 from rholoc.service.threads.compute import Effort
 
 
 class SiteLinkWanted(RequestModel):
     """Two maps of a site, the pose between which is looked for."""
-
-    model_config = example({"first": "hall", "second": "kitchen"})
 
     first: str
     second: str
@@ -40,8 +37,6 @@ class SiteLinkWanted(RequestModel):
 class SiteList(AnswerModel):
     """All sites."""
 
-    model_config = example({"sites": [SITE_EXAMPLE], "unreadable": {}})
-
     sites: list[SiteOut]
     unreadable: dict[str, str] = Field(description="names of site files that cannot be read, and why")
 
@@ -49,7 +44,7 @@ class SiteList(AnswerModel):
 router = APIRouter(prefix="/v1/sites", tags=["sites"])
 
 
-@router.get("", dependencies=[NEEDS_READ], summary="All sites")
+@router.get("", **declared(NEEDS_READ, "All sites"))
 async def list_sites(service: Service) -> SiteList:
     """The sites by name; files that are no sites are named apart."""
     found: list[SiteOut] = []
@@ -65,12 +60,7 @@ async def list_sites(service: Service) -> SiteList:
     return SiteList(sites=found, unreadable=unreadable)
 
 
-@router.get(
-    "/{site}",
-    dependencies=[NEEDS_READ],
-    summary="One site",
-    responses=failures(UnknownSite, InvalidName, InvalidInput),
-)
+@router.get("/{site}", **declared(NEEDS_READ, "One site", UnknownSite, InvalidName, InvalidInput))
 async def get_site(site: str, service: Service) -> SiteOut:
     """Its maps with their poses, and the links that these follow from."""
     return site_out(site, await service.sites.get(site), await service.maps.names())
@@ -78,12 +68,16 @@ async def get_site(site: str, service: Service) -> SiteOut:
 
 @router.put(
     "/{site}",
-    dependencies=[NEEDS_MAP],
-    summary="Store a site",
-    responses={
-        **failures(UnknownMap, InvalidName, InvalidInput, InvalidRequest, Conflict, StorageFull),
-        201: {"model": SiteOut, "description": "The site is new."},
-    },
+    **declared(
+        NEEDS_MAP,
+        "Store a site",
+        UnknownMap,
+        InvalidName,
+        InvalidInput,
+        Conflict,
+        StorageFull,
+        also={201: {"model": SiteOut, "description": "The site is new."}},
+    ),
 )
 async def put_site(site: str, wanted: SiteIn, service: Service, response: Response) -> SiteOut:
     """Poses that are not given are found from links; without any given pose the first map's frame is the site's. Links
@@ -99,13 +93,7 @@ async def put_site(site: str, wanted: SiteIn, service: Service, response: Respon
     return stored
 
 
-@router.delete(
-    "/{site}",
-    dependencies=[NEEDS_ADMIN],
-    status_code=204,
-    summary="Delete a site",
-    responses=failures(UnknownSite, InvalidName),
-)
+@router.delete("/{site}", status_code=204, **declared(NEEDS_ADMIN, "Delete a site", UnknownSite, InvalidName))
 async def delete_site(site: str, service: Service) -> None:
     """Its maps stay."""
     await service.sites.delete(site)
@@ -113,11 +101,9 @@ async def delete_site(site: str, service: Service) -> None:
 
 @router.post(
     "/{site}/links",
-    dependencies=[NEEDS_MAP],
-    summary="Find the pose between two maps of a site",
-    responses=failures(
-        UnknownSite, UnknownMap, InvalidName, InvalidMap, InvalidInput, InvalidRequest, MappingFailed, Conflict, Busy,
-        StorageFull,
+    **declared(
+        NEEDS_MAP, "Find the pose between two maps of a site", UnknownSite, UnknownMap, InvalidName, InvalidMap,
+        InvalidInput, MappingFailed, Conflict, Busy, StorageFull,
     ),
 )  # fmt: skip
 async def find_site_link(site: str, wanted: SiteLinkWanted, service: Service) -> SiteOut:
@@ -136,10 +122,8 @@ async def find_site_link(site: str, wanted: SiteLinkWanted, service: Service) ->
 
 @router.post(
     "/{site}/place",
-    dependencies=[NEEDS_MAP],
     status_code=202,
-    summary="Place the maps of a site",
-    responses=failures(UnknownSite, InvalidName, InvalidInput, Conflict, StorageFull),
+    **declared(NEEDS_MAP, "Place the maps of a site", UnknownSite, InvalidName, InvalidInput, Conflict, StorageFull),
 )
 async def place_site(site: str, request: Request, service: Service, response: Response) -> JobOut:
     """A job holds pairs of maps against each other, as `links` does with one pair, until all are placed or no further
@@ -147,5 +131,4 @@ async def place_site(site: str, request: Request, service: Service, response: Re
     say what is still not placed."""
     await service.sites.get(site)
     job = await service.jobs.begin(request_key(request.scope), "", lambda jobs: jobs.submit_placing(site))
-    response.headers["Location"] = f"/v1/jobs/{job.id}"
-    return job_out(job)
+    return begun(job, response)

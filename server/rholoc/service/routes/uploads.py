@@ -14,7 +14,7 @@ from rholoc.service.access.scopes import NEEDS_MAP, NEEDS_READ, request_key
 from rholoc.service.errors import ChecksumMismatch, InvalidRequest, UnsupportedMediaType, UnsupportedVersion
 from rholoc.service.http import tus
 from rholoc.service.http.bodies import limited_stream, media_type, read_body
-from rholoc.service.http.openapi import BINARY, failures, request_body
+from rholoc.service.http.openapi import BINARY, declared, request_body
 from rholoc.service.routes.intake import RecordingFields, checked_options
 from rholoc.service.state import Service, State
 from rholoc.storage.holdings import Kind
@@ -25,7 +25,7 @@ _PIECE_BYTES = 2**20  # written at once
 _FILE_NAME = "filename"
 
 
-@router.options("", dependencies=[NEEDS_READ], status_code=204, summary="What resumable uploads can do here")
+@router.options("", status_code=204, **declared(NEEDS_READ, "What resumable uploads can do here"))
 @router.options("/{recording}", dependencies=[NEEDS_READ], status_code=204, include_in_schema=False)
 async def upload_abilities(service: Service) -> Response:
     """tus 1.0: version, extensions, checksums, and the largest upload, in headers."""
@@ -60,10 +60,16 @@ async def begin_upload(request: Request, service: State) -> Response:
 
 @router.head(
     "/{recording}",
-    dependencies=[NEEDS_READ],
-    summary="Where an upload stands",
     response_class=Response,
-    responses=failures(InvalidRequest, InvalidRecording, UnknownRecording, TooLarge, StorageFull, UnsupportedVersion),
+    **declared(
+        NEEDS_READ,
+        "Where an upload stands",
+        InvalidRecording,
+        UnknownRecording,
+        TooLarge,
+        StorageFull,
+        UnsupportedVersion,
+    ),
 )
 async def upload_standing(recording: str, service: Service) -> Response:
     """In headers: `Upload-Offset`, `Upload-Length`, `Upload-Expires`; once it is whole, its mapping job's id in
@@ -74,11 +80,11 @@ async def upload_standing(recording: str, service: Service) -> Response:
 
 @router.patch(
     "/{recording}",
-    dependencies=[NEEDS_MAP],
     status_code=204,
-    summary="Go on with an upload",
-    responses=failures(
-        InvalidRequest,
+    openapi_extra=request_body({tus.PATCH_TYPE: {"schema": BINARY}}),
+    **declared(
+        NEEDS_MAP,
+        "Go on with an upload",
         InvalidRecording,
         UnknownRecording,
         Conflict,
@@ -88,7 +94,6 @@ async def upload_standing(recording: str, service: Service) -> Response:
         UnsupportedVersion,
         ChecksumMismatch,
     ),
-    openapi_extra=request_body({tus.PATCH_TYPE: {"schema": BINARY}}),
 )
 async def continue_upload(
     recording: str,
@@ -121,10 +126,8 @@ async def continue_upload(
 
 @router.delete(
     "/{recording}",
-    dependencies=[NEEDS_MAP],
     status_code=204,
-    summary="Delete a recording, or give up its upload",
-    responses=failures(InvalidRequest, UnknownRecording, Conflict, UnsupportedVersion),
+    **declared(NEEDS_MAP, "Delete a recording, or give up its upload", UnknownRecording, Conflict, UnsupportedVersion),
 )
 async def delete_recording(recording: str, service: Service) -> Response:
     """For good, unless a job is waiting for it or working on it. Maps made from it stay."""

@@ -21,21 +21,22 @@ from rholoc.errors import (
     UnknownSite,
 )
 from rholoc.service.access.scopes import NEEDS_LOCALIZE
-from rholoc.service.errors import InvalidRequest, UnsupportedMediaType
+from rholoc.service.errors import UnsupportedMediaType
 from rholoc.service.frames.answers import LocalizationOut, PlacesOut
 from rholoc.service.frames.landscape import LandscapeOut
 from rholoc.service.frames.map_choice import MapChoice
 from rholoc.service.frames.requests import DescriptorQuery, FramesQuery, LocalizeOptions
 from rholoc.service.frames.stopwatch import Stopwatch
-from rholoc.service.http.openapi import BINARY, failures, reference, request_body
+from rholoc.service.http.models import EXAMPLES
+from rholoc.service.http.openapi import BINARY, declared, reference, request_body
 from rholoc.service.routes.frames.reading import Options, read_frame, read_frames
 from rholoc.service.routes.frames.which_maps import MapNames, Requested, named_maps
 from rholoc.service.state import Service
 
 router = APIRouter(prefix="/v1", tags=["localization"])
 
-_FAILURES = failures(
-    UnknownMap, UnknownSite, UnknownCamera, InvalidName, InvalidRequest, InvalidImage, InvalidCamera,
+_FAILURES = (
+    UnknownMap, UnknownSite, UnknownCamera, InvalidName, InvalidImage, InvalidCamera,
     InvalidDescriptors, InvalidInput, InvalidMap, TooLarge, UnsupportedMediaType, Busy, DeadlineExceeded,
 )  # fmt: skip
 
@@ -55,7 +56,7 @@ _BODY = request_body(
         "multipart/form-data": _multipart("image", reference(LocalizeOptions), ["image"]),
         "application/json": {
             "schema": reference(DescriptorQuery),
-            "example": DescriptorQuery.model_config["json_schema_extra"]["example"],  # type: ignore[index]
+            "example": EXAMPLES["DescriptorQuery"],
         },
     }
 )
@@ -69,10 +70,8 @@ _FRAMES_BODY = request_body(
 
 @router.post(
     "/maps/{map_name}/localize",
-    dependencies=[NEEDS_LOCALIZE],
-    summary="Where a frame was taken, in one map",
-    responses=_FAILURES,
     openapi_extra=_BODY,
+    **declared(NEEDS_LOCALIZE, "Where a frame was taken, in one map", *_FAILURES),
 )
 async def localize_in_map(map_name: str, request: Request, service: Service, options: Options) -> LocalizationOut:
     """Send a JPEG or PNG as it is, with options in the query; or multipart, with an `image` and a JSON `request`; or a
@@ -84,10 +83,8 @@ async def localize_in_map(map_name: str, request: Request, service: Service, opt
 
 @router.post(
     "/localize",
-    dependencies=[NEEDS_LOCALIZE],
-    summary="Where a frame was taken, in the best of several maps",
-    responses=_FAILURES,
     openapi_extra=_BODY,
+    **declared(NEEDS_LOCALIZE, "Where a frame was taken, in the best of several maps", *_FAILURES),
 )
 async def localize_in_maps(
     request: Request, service: Service, options: Options, requested: Requested
@@ -103,10 +100,8 @@ async def localize_in_maps(
 
 @router.post(
     "/maps/{map_name}/localize/frames",
-    dependencies=[NEEDS_LOCALIZE],
-    summary="Where several frames were taken, in one map",
-    responses=_FAILURES,
     openapi_extra=_FRAMES_BODY,
+    **declared(NEEDS_LOCALIZE, "Where several frames were taken, in one map", *_FAILURES),
 )
 async def localize_frames_in_map(map_name: str, request: Request, service: Service) -> LocalizationOut:
     """2 to 10 frames whose poses relative to each other are known get one answer: send JSON, with pictures within as
@@ -118,10 +113,8 @@ async def localize_frames_in_map(map_name: str, request: Request, service: Servi
 
 @router.post(
     "/localize/frames",
-    dependencies=[NEEDS_LOCALIZE],
-    summary="Where several frames were taken, in the best of several maps",
-    responses=_FAILURES,
     openapi_extra=_FRAMES_BODY,
+    **declared(NEEDS_LOCALIZE, "Where several frames were taken, in the best of several maps", *_FAILURES),
 )
 async def localize_frames_in_maps(request: Request, service: Service, requested: Requested) -> LocalizationOut:
     """As in one map. Of many maps it asks those that the first frame resembles most."""
@@ -133,10 +126,8 @@ async def localize_frames_in_maps(request: Request, service: Service, requested:
 
 @router.post(
     "/places",
-    dependencies=[NEEDS_LOCALIZE],
-    summary="Which views of several maps a picture is most like, without a pose",
-    responses=_FAILURES,
     openapi_extra=_BODY,
+    **declared(NEEDS_LOCALIZE, "Which views of several maps a picture is most like, without a pose", *_FAILURES),
 )
 async def find_places(
     request: Request,
@@ -155,10 +146,8 @@ async def find_places(
 
 @router.post(
     "/maps/{map_name}/landscape",
-    dependencies=[NEEDS_LOCALIZE],
-    summary="What the densities say around a frame's pose",
-    responses=_FAILURES,
     openapi_extra=_BODY,
+    **declared(NEEDS_LOCALIZE, "What the densities say around a frame's pose", *_FAILURES),
 )
 async def see_landscape(map_name: str, request: Request, service: Service, options: Options) -> LandscapeOut:
     """The product of the densities of what the frame shows, over positions around its pose, and the paths of ascents to

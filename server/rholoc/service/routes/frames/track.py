@@ -9,8 +9,8 @@ import structlog
 from fastapi import APIRouter, WebSocket, WebSocketDisconnect
 
 from rholoc.errors import RholocError
+from rholoc.service.access.open_streams import StreamKind
 from rholoc.service.access.scopes import STREAM_NEEDS_LOCALIZE, STREAM_PROTOCOL
-from rholoc.service.access.stream_kind import StreamKind
 from rholoc.service.errors import Internal, as_rholoc_error, error_body
 from rholoc.service.routes.frames.track_messages import StreamError
 from rholoc.service.routes.frames.track_stream import Stream

@@ -19,12 +19,10 @@ from rholoc.paper.landscape import presence_of
 from rholoc.pictures.rendering import Rendering
 from rholoc.reports import CoverageReport
 from rholoc.service.access.scopes import NEEDS_READ
-from rholoc.service.errors import InvalidRequest
-from rholoc.service.http.caching import caching_headers, is_kept, unchanged
-from rholoc.service.http.models import AnswerModel, example
-from rholoc.service.http.openapi import BINARY, failures
+from rholoc.service.http.files import caching_headers, is_kept, unchanged
+from rholoc.service.http.models import EXAMPLES, AnswerModel
+from rholoc.service.http.openapi import BINARY, content, declared
 from rholoc.service.maps.descriptions import MapReportOut
-from rholoc.service.maps.examples import REPORT, sent
 from rholoc.service.maps.renderings import etag_of
 from rholoc.service.routes.maps.library import _FAILURES
 from rholoc.service.state import Service, State
@@ -34,19 +32,6 @@ router = APIRouter(prefix="/v1/maps", tags=["maps"])
 
 class FeatureOut(AnswerModel):
     """A feature of a map, and where it may be seen from: a truncated cone."""
-
-    model_config = example(
-        {
-            "feature": 100,
-            "position": [3.1, 0.4, 1.7],
-            "sigma": 0.008,
-            "direction": [-0.98, 0.2, 0.0],
-            "half_angle_deg": 52.0,
-            "nearest": 0.9,
-            "farthest": 5.8,
-            "views": [3, 4, 5, 9],
-        }
-    )
 
     feature: int
     position: list[float] = Field(description="of its landmark")
@@ -69,12 +54,7 @@ _PLAN_CONTENT: dict[str, Any] = {
 }
 
 
-@router.get(
-    "/{map_name}/report",
-    dependencies=[NEEDS_READ],
-    summary="A map's own quality report",
-    responses=failures(*_FAILURES),
-)
+@router.get("/{map_name}/report", **declared(NEEDS_READ, "A map's own quality report", *_FAILURES))
 async def get_report(map_name: str, service: Service) -> MapReportOut:
     """What the map found out about itself while it was built: coverage, residuals, and how consistent it is:
     frames of the same walk, held out, localized in it."""
@@ -84,13 +64,9 @@ async def get_report(map_name: str, service: Service) -> MapReportOut:
 
 @router.get(
     "/{map_name}/report.png",
-    dependencies=[NEEDS_READ],
-    summary="A map's own quality report as a picture",
-    response_class=Response,
-    responses={
-        200: {"description": "A picture.", "content": {"image/png": {"schema": BINARY}}},
-        **failures(*_FAILURES, Busy),
-    },
+    **declared(
+        NEEDS_READ, "A map's own quality report as a picture", *_FAILURES, Busy, also=content("A picture.", "image/png")
+    ),
 )
 async def get_report_picture(map_name: str, request: Request, service: Service) -> Response:
     """Coverage by position and heading, how consistent frames held out are with it, how exact the landmarks are."""
@@ -99,17 +75,19 @@ async def get_report_picture(map_name: str, request: Request, service: Service) 
 
 @router.get(
     "/{map_name}/coverage",
-    dependencies=[NEEDS_READ],
-    summary="Where a map works",
-    response_class=Response,
-    responses={
-        200: {
-            "model": CoverageReport,
-            "description": "Landmarks in view, by position and heading.",
-            "content": {"application/json": {"example": sent(REPORT.coverage)}},
+    **declared(
+        NEEDS_READ,
+        "Where a map works",
+        *_FAILURES,
+        Busy,
+        also={
+            200: {
+                "model": CoverageReport,
+                "description": "Landmarks in view, by position and heading.",
+                "content": {"application/json": {"example": EXAMPLES["MapReportOut"]["report"]["coverage"]}},
+            }
         },
-        **failures(*_FAILURES, Busy),
-    },
+    ),
 )
 async def get_coverage(map_name: str, request: Request, service: Service) -> Response:
     """How many landmarks a camera like the map's sees from places on a grid around the walk, in each of twelve
@@ -119,13 +97,13 @@ async def get_coverage(map_name: str, request: Request, service: Service) -> Res
 
 @router.get(
     "/{map_name}/plan",
-    dependencies=[NEEDS_READ],
-    summary="A map's floor plan",
-    response_class=Response,
-    responses={
-        200: {"description": "The file.", "content": _PLAN_CONTENT},
-        **failures(*_FAILURES, UnknownPicture),
-    },
+    **declared(
+        NEEDS_READ,
+        "A map's floor plan",
+        *_FAILURES,
+        UnknownPicture,
+        also={200: {"description": "The file.", "content": _PLAN_CONTENT}},
+    ),
 )
 async def get_plan(map_name: str, request: Request, service: Service) -> Response:
     """As it was sent; `plan` of the map says where it lies."""
@@ -140,13 +118,9 @@ async def get_plan(map_name: str, request: Request, service: Service) -> Respons
 
 @router.get(
     "/{map_name}/scene",
-    dependencies=[NEEDS_READ],
-    summary="A map for a 3-D view",
-    response_class=Response,
-    responses={
-        200: {"description": "Landmarks and views.", "content": {"application/octet-stream": {"schema": BINARY}}},
-        **failures(*_FAILURES),
-    },
+    **declared(
+        NEEDS_READ, "A map for a 3-D view", *_FAILURES, also=content("Landmarks and views.", "application/octet-stream")
+    ),
 )
 async def get_scene(
     map_name: str,
@@ -171,9 +145,7 @@ async def get_scene(
 
 @router.get(
     "/{map_name}/features/{feature}",
-    dependencies=[NEEDS_READ],
-    summary="A feature of a map, and where it may be seen from",
-    responses=failures(*_FAILURES, InvalidInput, InvalidRequest),
+    **declared(NEEDS_READ, "A feature of a map, and where it may be seen from", *_FAILURES, InvalidInput),
 )
 async def get_feature(
     map_name: str,
@@ -206,13 +178,12 @@ def _feature(map_: Map, feature: int) -> FeatureOut:
 
 @router.get(
     "/{map_name}/points",
-    dependencies=[NEEDS_READ],
-    summary="Further points of the room",
-    response_class=Response,
-    responses={
-        200: {"description": "Points in colour.", "content": {"application/octet-stream": {"schema": BINARY}}},
-        **failures(*_FAILURES),
-    },
+    **declared(
+        NEEDS_READ,
+        "Further points of the room",
+        *_FAILURES,
+        also=content("Points in colour.", "application/octet-stream"),
+    ),
 )
 async def get_points(map_name: str, request: Request, service: Service) -> Response:
     """Points of the reconstruction that are not landmarks, for people to see the room. Little-endian: one uint32, the
@@ -222,13 +193,13 @@ async def get_points(map_name: str, request: Request, service: Service) -> Respo
 
 @router.get(
     "/{map_name}/views/{view}/picture.jpg",
-    dependencies=[NEEDS_READ],
-    summary="A small picture of one of a map's views",
-    response_class=Response,
-    responses={
-        200: {"description": "A picture.", "content": {"image/jpeg": {"schema": BINARY}}},
-        **failures(*_FAILURES, UnknownPicture),
-    },
+    **declared(
+        NEEDS_READ,
+        "A small picture of one of a map's views",
+        *_FAILURES,
+        UnknownPicture,
+        also=content("A picture.", "image/jpeg"),
+    ),
 )
 async def get_view_picture(
     map_name: str,
@@ -252,13 +223,7 @@ async def get_view_picture(
 
 @router.get(
     "/{map_name}/preview.png",
-    dependencies=[NEEDS_READ],
-    summary="A map from above",
-    response_class=Response,
-    responses={
-        200: {"description": "A picture.", "content": {"image/png": {"schema": BINARY}}},
-        **failures(*_FAILURES, Busy),
-    },
+    **declared(NEEDS_READ, "A map from above", *_FAILURES, Busy, also=content("A picture.", "image/png")),
 )
 async def get_preview(map_name: str, request: Request, service: Service) -> Response:
     """Landmarks, the walk, waypoints."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Annotated
 
 from fastapi import APIRouter, Body, Query, Request, Response
+from fastapi.openapi.models import Example
 from pydantic import Field
 
 from rholoc.errors import (
@@ -23,13 +24,13 @@ from rholoc.mapping import forget_recording, merge_maps
 from rholoc.maps import MAX_PLAN_BYTES, FloorPlan, check_map_name, check_memory
 from rholoc.maps.floor_plan import MEDIA_TYPES
 from rholoc.service.access.scopes import NEEDS_MAP, request_key
-from rholoc.service.errors import InvalidRequest, UnsupportedMediaType
+from rholoc.service.errors import UnsupportedMediaType
 from rholoc.service.http.bodies import media_type, read_body
-from rholoc.service.http.models import CAMERA_TEXT, RequestModel, example
-from rholoc.service.http.openapi import BINARY, failures, request_body
-from rholoc.service.maps.corrections import CORRECTION_EXAMPLES, CorrectionIn, corrected_map
+from rholoc.service.http.models import CAMERA_TEXT, EXAMPLES, RequestModel
+from rholoc.service.http.openapi import BINARY, declared, request_body
+from rholoc.service.maps.corrections import CorrectionIn, corrected_map
 from rholoc.service.maps.descriptions import MapDetail
-from rholoc.service.maps.job_events import RECORDING_ID_EXAMPLE, JobOut, job_out
+from rholoc.service.maps.job_events import JobOut, begun
 from rholoc.service.routes.maps.library import _FAILURES
 from rholoc.service.state import Service
 from rholoc.service.threads.compute import Effort
@@ -37,12 +38,11 @@ from rholoc.storage.holdings import Kind
 from rholoc.trajectory import PoseMethod
 
 router = APIRouter(prefix="/v1/maps", tags=["maps"])
+_CORRECTIONS: dict[str, Example] = {kind: {"value": value} for kind, value in EXAMPLES["CorrectionIn"].items()}
 
 
 class UpdateIn(RequestModel):
     """A stored recording for a map to learn."""
-
-    model_config = example({"recording": RECORDING_ID_EXAMPLE})
 
     recording: str = Field(description="the recording's id")
     poses: PoseMethod | None = Field(
@@ -60,8 +60,6 @@ class UpdateIn(RequestModel):
 class MergeIn(RequestModel):
     """Another map to merge with, and the name of the merged one."""
 
-    model_config = example({"other": "kitchen", "into": "ground-floor"})
-
     other: str = Field(description="the map whose frame is given up")
     into: str = Field(description="the name of the merged map; a map of that name is replaced")
 
@@ -69,19 +67,15 @@ class MergeIn(RequestModel):
 class ForgetIn(RequestModel):
     """A recording for a map to forget."""
 
-    model_config = example({"source": "walk-1"})
-
     source: str = Field(description="its id or name in the map's sources")
 
 
 @router.post(
     "/{map_name}/corrections",
-    dependencies=[NEEDS_MAP],
-    summary="Correct a map",
-    responses=failures(*_FAILURES, InvalidInput, InvalidRequest, Conflict, Busy, StorageFull),
+    **declared(NEEDS_MAP, "Correct a map", *_FAILURES, InvalidInput, Conflict, Busy, StorageFull),
 )
 async def correct_map(
-    map_name: str, wanted: Annotated[CorrectionIn, Body(openapi_examples=CORRECTION_EXAMPLES)], service: Service
+    map_name: str, wanted: Annotated[CorrectionIn, Body(openapi_examples=_CORRECTIONS)], service: Service
 ) -> MapDetail:
     """The map's next version: with another origin, north, upright, axis or scale, aligned with a floor plan, without a
     region or a piece of its walk, or with names. If the frame moves, poses are in the new frame from then on, moved by
@@ -94,10 +88,17 @@ async def correct_map(
 
 @router.put(
     "/{map_name}/plan",
-    dependencies=[NEEDS_MAP],
-    summary="Keep a floor plan with a map",
-    responses=failures(*_FAILURES, InvalidInput, InvalidRequest, UnsupportedMediaType, TooLarge, Conflict, StorageFull),
     openapi_extra=request_body({kind: {"schema": BINARY} for kind in MEDIA_TYPES}),
+    **declared(
+        NEEDS_MAP,
+        "Keep a floor plan with a map",
+        *_FAILURES,
+        InvalidInput,
+        UnsupportedMediaType,
+        TooLarge,
+        Conflict,
+        StorageFull,
+    ),
 )
 async def put_plan(
     map_name: str,
@@ -121,10 +122,7 @@ async def put_plan(
 
 
 @router.delete(
-    "/{map_name}/plan",
-    dependencies=[NEEDS_MAP],
-    summary="Remove a map's floor plan",
-    responses=failures(*_FAILURES, Conflict, StorageFull),
+    "/{map_name}/plan", **declared(NEEDS_MAP, "Remove a map's floor plan", *_FAILURES, Conflict, StorageFull)
 )
 async def delete_plan(map_name: str, service: Service) -> MapDetail:
     """The map itself does not move."""
@@ -134,11 +132,16 @@ async def delete_plan(map_name: str, service: Service) -> MapDetail:
 
 @router.post(
     "/{map_name}/update",
-    dependencies=[NEEDS_MAP],
     status_code=202,
-    summary="Learn a recording into a map",
-    responses=failures(
-        *_FAILURES, UnknownRecording, UnknownCamera, InvalidCamera, InvalidInput, InvalidRequest, StorageFull
+    **declared(
+        NEEDS_MAP,
+        "Learn a recording into a map",
+        *_FAILURES,
+        UnknownRecording,
+        UnknownCamera,
+        InvalidCamera,
+        InvalidInput,
+        StorageFull,
     ),
 )
 async def update_map(map_name: str, wanted: UpdateIn, request: Request, service: Service, response: Response) -> JobOut:
@@ -155,15 +158,21 @@ async def update_map(map_name: str, wanted: UpdateIn, request: Request, service:
     )
     key = request_key(request.scope)
     job = await service.jobs.begin(key, map_name, lambda jobs: jobs.submit(wanted.recording, map_name, options))
-    response.headers["Location"] = f"/v1/jobs/{job.id}"
-    return job_out(job)
+    return begun(job, response)
 
 
 @router.post(
     "/{map_name}/merge",
-    dependencies=[NEEDS_MAP],
-    summary="Merge another map into a map's frame",
-    responses=failures(*_FAILURES, InvalidInput, InvalidRequest, MappingFailed, Conflict, Busy, StorageFull),
+    **declared(
+        NEEDS_MAP,
+        "Merge another map into a map's frame",
+        *_FAILURES,
+        InvalidInput,
+        MappingFailed,
+        Conflict,
+        Busy,
+        StorageFull,
+    ),
 )
 async def merge_map(map_name: str, wanted: MergeIn, request: Request, service: Service) -> MapDetail:
     """The merged map is published as `into`; both maps stay, unless `into` is one of them."""
@@ -184,9 +193,7 @@ async def merge_map(map_name: str, wanted: MergeIn, request: Request, service: S
 
 @router.post(
     "/{map_name}/forget",
-    dependencies=[NEEDS_MAP],
-    summary="Forget a recording",
-    responses=failures(*_FAILURES, InvalidInput, InvalidRequest, Conflict, Busy, StorageFull),
+    **declared(NEEDS_MAP, "Forget a recording", *_FAILURES, InvalidInput, Conflict, Busy, StorageFull),
 )
 async def forget_source(map_name: str, wanted: ForgetIn, service: Service) -> MapDetail:
     """Makes the map's next version, without what it learned from the recording: an id or a name in `sources`."""

@@ -24,15 +24,11 @@ from rholoc.maps import (
 )
 from rholoc.pictures.rendering import Rendering
 from rholoc.service.access.scopes import NEEDS_ADMIN, NEEDS_MAP, NEEDS_READ, request_key
-from rholoc.service.errors import InvalidRequest, PreconditionFailed
+from rholoc.service.errors import PreconditionFailed
 from rholoc.service.http.bodies import declared_length, saved_body
-from rholoc.service.http.models import RequestModel, example
-from rholoc.service.http.openapi import BINARY, failures, request_body
-from rholoc.service.maps.descriptions import (
-    MapDetail,
-    MapList,
-    MapVersions,
-)
+from rholoc.service.http.models import RequestModel
+from rholoc.service.http.openapi import BINARY, content, declared, request_body
+from rholoc.service.maps.descriptions import MapDetail, MapList, MapVersions
 from rholoc.service.maps.exports import ExportRequest, is_long
 from rholoc.service.maps.renderings import etag_of
 from rholoc.service.state import Service, State
@@ -43,8 +39,6 @@ from rholoc.storage.holdings import Kind
 class MapPatch(RequestModel):
     """What may be changed of a map: its name."""
 
-    model_config = example({"name": "ground-floor"})
-
     name: str
 
 
@@ -52,13 +46,13 @@ router = APIRouter(prefix="/v1/maps", tags=["maps"])
 _FAILURES = (UnknownMap, InvalidName, InvalidMap)
 
 
-@router.get("", dependencies=[NEEDS_READ], summary="All maps")
+@router.get("", **declared(NEEDS_READ, "All maps"))
 async def list_maps(service: Service) -> MapList:
     """The maps by name; files that cannot be read are listed separately."""
     return await service.maps.list()
 
 
-@router.get("/{map_name}", dependencies=[NEEDS_READ], summary="One map", responses=failures(*_FAILURES))
+@router.get("/{map_name}", **declared(NEEDS_READ, "One map", *_FAILURES))
 async def get_map(map_name: str, service: Service, response: Response) -> MapDetail:
     """What the map says about itself. `ETag` is for `If-Match` of `PUT`."""
     return await _answered(service, map_name, response)
@@ -92,13 +86,17 @@ async def _check_unchanged(request: Request, service: State, name: str) -> None:
 
 @router.put(
     "/{map_name}",
-    dependencies=[NEEDS_MAP],
-    summary="Upload a map",
-    responses={
-        **failures(InvalidName, InvalidMap, TooLarge, StorageFull, PreconditionFailed),
-        201: {"model": MapDetail, "description": "The map is new."},
-    },
     openapi_extra=request_body({"application/octet-stream": {"schema": BINARY}, "text/csv": {"schema": BINARY}}),
+    **declared(
+        NEEDS_MAP,
+        "Upload a map",
+        InvalidName,
+        InvalidMap,
+        TooLarge,
+        StorageFull,
+        PreconditionFailed,
+        also={201: {"model": MapDetail, "description": "The map is new."}},
+    ),
 )
 async def put_map(map_name: str, request: Request, service: Service, response: Response) -> MapDetail:
     """The body is a `.rho` file or a map as CSV (Table 5). It is checked before it replaces the map of that name;
@@ -119,12 +117,7 @@ async def put_map(map_name: str, request: Request, service: Service, response: R
     return await _answered(service, map_name, response)
 
 
-@router.patch(
-    "/{map_name}",
-    dependencies=[NEEDS_MAP],
-    summary="Rename a map",
-    responses=failures(*_FAILURES, Conflict, InvalidRequest),
-)
+@router.patch("/{map_name}", **declared(NEEDS_MAP, "Rename a map", *_FAILURES, Conflict))
 async def patch_map(map_name: str, change: MapPatch, service: Service) -> MapDetail:
     """The new name must be free. The map stays in its sites."""
     check_map_name(change.name)
@@ -136,13 +129,7 @@ async def patch_map(map_name: str, change: MapPatch, service: Service) -> MapDet
     return await service.maps.detail(change.name)
 
 
-@router.delete(
-    "/{map_name}",
-    dependencies=[NEEDS_ADMIN],
-    status_code=204,
-    summary="Delete a map",
-    responses=failures(UnknownMap, InvalidName),
-)
+@router.delete("/{map_name}", status_code=204, **declared(NEEDS_ADMIN, "Delete a map", UnknownMap, InvalidName))
 async def delete_map(map_name: str, service: Service) -> None:
     """For good, with what is kept for it to learn from. Requests in progress still finish on it."""
     await service.maps.delete(map_name)
@@ -151,16 +138,15 @@ async def delete_map(map_name: str, service: Service) -> None:
 
 @router.get(
     "/{map_name}/download",
-    dependencies=[NEEDS_READ],
-    summary="Download a map",
-    response_class=Response,
-    responses={
-        200: {
-            "description": "The file.",
-            "content": {form.media_type.partition(";")[0]: {"schema": BINARY} for form in ExportFormat},
-        },
-        **failures(*_FAILURES, InvalidInput, InvalidRequest, Busy, DeadlineExceeded),
-    },
+    **declared(
+        NEEDS_READ,
+        "Download a map",
+        *_FAILURES,
+        InvalidInput,
+        Busy,
+        DeadlineExceeded,
+        also=content("The file.", *(form.media_type.partition(";")[0] for form in ExportFormat)),
+    ),
 )
 async def download_map(
     map_name: str,
@@ -200,12 +186,7 @@ async def download_map(
     return StreamingResponse(pieces, headers=headers, media_type=format.media_type)
 
 
-@router.post(
-    "/{map_name}/restore",
-    dependencies=[NEEDS_MAP],
-    summary="Restore a map that was replaced",
-    responses=failures(*_FAILURES, Conflict),
-)
+@router.post("/{map_name}/restore", **declared(NEEDS_MAP, "Restore a map that was replaced", *_FAILURES, Conflict))
 async def restore_map(
     map_name: str,
     service: Service,
@@ -217,12 +198,7 @@ async def restore_map(
     return await service.maps.detail(map_name)
 
 
-@router.get(
-    "/{map_name}/versions",
-    dependencies=[NEEDS_READ],
-    summary="The maps that a map replaced",
-    responses=failures(*_FAILURES),
-)
+@router.get("/{map_name}/versions", **declared(NEEDS_READ, "The maps that a map replaced", *_FAILURES))
 async def list_versions(map_name: str, service: Service) -> MapVersions:
     """The maps that can be restored: the last five that were replaced under this name, the latest first."""
     return await service.maps.versions(map_name)
