@@ -42,7 +42,8 @@ def test_what_the_fuzzing_of_readers_damages_is_a_good_file_of_every_format(tmp_
     for number, reader in enumerate(READERS.values()):
         reader.read(fuzz_readers.write_files(reader.files, tmp_path / str(number)))
     written = {kind for kind, _ in phone.WRITERS.values()}
-    assert written | {RecordingFormat.VIDEO} == set(RecordingFormat)
+    elsewhere = {RecordingFormat.BAG, RecordingFormat.KAPTURE}
+    assert written | elsewhere | {RecordingFormat.VIDEO} == set(RecordingFormat)
     assert {f"recording {layout}" for layout in phone.WRITERS} < set(READERS)
 
 

@@ -17,7 +17,8 @@ def test_positions_come_back_up_to_place_and_scale() -> None:
     keyframes, tracks = (grid.ravel() for grid in np.meshgrid(np.arange(16), np.arange(120), indexing="ij"))
     plane = np.concatenate([on_plane(points, one) for one in T]) + rng.normal(0, 1e-3, (16 * 120, 2))
     seen = rng.random(len(plane)) < 0.7
-    found = global_positions(T[:, :3, :3], keyframes[seen], tracks[seen], plane[seen])
+    rays = np.column_stack([plane, np.ones(len(plane))])
+    found = global_positions(T[:, :3, :3], keyframes[seen], tracks[seen], rays[seen])
     similarity = umeyama(found, T[:, :3, 3])
     assert np.linalg.norm(similarity.points(found) - T[:, :3, 3], axis=1).max() < 0.03
     assert np.degrees(Rotation.from_matrix(similarity.rotation).magnitude()) < 1.0
