@@ -293,7 +293,7 @@ def test_the_rigs_seed_is_asked_of_all_frames_matches(
             np.testing.assert_allclose(own, point_room.camera.focal * seen[:, :2] / seen[:, 2:])
         return pose, {"num_inliers": agreeing}
 
-    monkeypatch.setattr("rholoc.localization.several_frames.poselib.estimate_generalized_absolute_pose", estimate)
+    monkeypatch.setattr("rholoc.geometry.resection.poselib.estimate_generalized_absolute_pose", estimate)
     used = [matches[0].take(np.arange(6)), nothing, nothing]
     found = joint._seed(used)
     assert found is not None

@@ -141,7 +141,7 @@ class SyntheticWalk:
         whole = Recording("walk", Path("walk"), frames, self.camera, self.imu, self.waypoints)
         return replace(whole, **changes)  # type: ignore[arg-type]
 
-    def track_corners(self, frames: Frames, progress: ProgressListener = silent, show: object = None) -> Flow:
+    def track_corners(self, *_: object) -> Flow:
         """Stands in for :func:`rholoc.trajectory.visual.flow.track_corners`."""
         return self.flow
 

@@ -201,7 +201,7 @@ def _inertial(monkeypatch: pytest.MonkeyPatch, **changes: Any) -> Any:
         asked.extend([measured, times])
         return np.tile(np.eye(4), (len(times), 1, 1))
 
-    monkeypatch.setattr(estimate, "track_corners", lambda frames, progress: flow)
+    monkeypatch.setattr(estimate, "track_corners", lambda frames, progress, **_: flow)
     monkeypatch.setattr(estimate, "adjust_between_waypoints", adjust)
     recording = _recording(flow, **({"imu": walk()[0], "waypoints": tuple(waypoints((0, 1, 3)))} | changes))
     return estimate._inertial(recording, lambda *_: None), asked

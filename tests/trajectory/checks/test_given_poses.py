@@ -8,9 +8,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scene import rays
 from scipy.spatial.transform import Rotation
 
-from rholoc.geometry import FloatArray, pose_matrix
+from rholoc.geometry import FloatArray, on_plane, pose_matrix
 from rholoc.recordings import GivenPoses, Recording, read_recording
 from rholoc.trajectory import PoseMethod, estimate_trajectory
 from rholoc.trajectory.checks.given_poses import PoseAxes, check_given_poses, epipolar_errors
@@ -24,17 +25,16 @@ def test_epipolar_errors_grow_with_the_shift_across_the_epipolar_line() -> None:
     points = rng.uniform([-1, -1, 3], [1, 1, 6], (200, 3))
     T = pose_matrix(Rotation.from_euler("y", 5, degrees=True).as_matrix(), np.array([0.5, 0.0, 0.0]))
     moved = points @ T[:3, :3].T + T[:3, 3]
-    a, b = points[:, :2] / points[:, 2:], moved[:, :2] / moved[:, 2:]
-    assert epipolar_errors(T, a, b).max() < 1e-12
-    off = epipolar_errors(T, a, b + np.array([0.0, 1e-3]))
+    b = on_plane(moved)
+    assert epipolar_errors(T, rays(on_plane(points)), rays(b)).max() < 1e-12
+    off = epipolar_errors(T, rays(on_plane(points)), rays(b + np.array([0.0, 1e-3])))
     np.testing.assert_allclose(off, 1e-3 / np.sqrt(2), rtol=0.15)
 
 
 def test_cameras_at_one_place_are_compared_by_their_rotation() -> None:
     T = pose_matrix(Rotation.from_euler("y", 5, degrees=True).as_matrix(), np.zeros(3))
-    a = np.array([[0.1, 0.2], [-0.3, 0.1]])
-    rays = np.column_stack([a, np.ones(2)]) @ T[:3, :3].T
-    assert epipolar_errors(T, a, rays[:, :2] / rays[:, 2:]).max() < 1e-12
+    a = rays(np.array([[0.1, 0.2], [-0.3, 0.1]]))
+    assert epipolar_errors(T, a, a @ T[:3, :3].T).max() < 1e-12
 
 
 @pytest.fixture(scope="module")

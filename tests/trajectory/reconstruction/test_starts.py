@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scene import CAMERA, arc, cloud, in_pixels, on_plane
+from scene import CAMERA, arc, cloud, in_pixels, on_plane, rays
 from scipy.spatial.transform import Rotation
 from synthetic_walk import followed
 
@@ -75,12 +75,12 @@ def test_directions_are_between_keyframes_up_to_eight_apart(
     asked: list[tuple[int, int, int, float]] = []
 
     def between(
-        first: int, second: int, R: FloatArray, plane: tuple[FloatArray, FloatArray], tolerance: float, focal: float
+        first: int, second: int, R: FloatArray, seen: tuple[FloatArray, FloatArray], tolerance: float, focal: float
     ) -> PairDirection | None:
-        asked.append((first, second, len(plane[0]), tolerance))
+        asked.append((first, second, len(seen[0]), tolerance))
         assert focal == CAMERA.focal
-        for k, one in ((first, plane[0]), (second, plane[1])):
-            np.testing.assert_allclose(one, on_plane(cloud(corners), arc(24, 0.6)[2 * k]), atol=1e-4)
+        for k, one in ((first, seen[0]), (second, seen[1])):
+            np.testing.assert_allclose(one, rays(on_plane(cloud(corners), arc(24, 0.6)[2 * k])), atol=1e-4)
         return PairDirection(first, second, np.eye(3)[0], 0.1) if first else None
 
     monkeypatch.setattr(from_imu, "direction_between", between)
@@ -96,9 +96,7 @@ def test_directions_are_between_keyframes_up_to_eight_apart(
 
 def test_matches_give_directions_between_the_features_they_join(monkeypatch: pytest.MonkeyPatch) -> None:
     seen: list[FloatArray] = []
-    monkeypatch.setattr(
-        from_imu, "direction_between", lambda i, j, R, plane, *_: seen.extend([np.array([i, j]), *plane])
-    )
+    monkeypatch.setattr(from_imu, "direction_between", lambda i, j, R, both, *_: seen.extend([np.array([i, j]), *both]))
     rng = np.random.default_rng(0)
     places = [rng.uniform([100, 100], [500, 400], (9, 2)) for _ in range(3)]
     features = [_features(one) for one in places]
@@ -107,9 +105,8 @@ def test_matches_give_directions_between_the_features_they_join(monkeypatch: pyt
         replace(_sights(3), features=features), CAMERA, np.zeros(0), VerifiedPair(0, 2, matches, np.eye(3))
     )
     assert seen[0].tolist() == [0, 2]
-    for plane, pixels in ((seen[1], places[0][[0, 3, 7]]), (seen[2], places[2][[5, 8, 1]])):
-        rays = np.column_stack([plane, np.ones(3)])
-        np.testing.assert_allclose(CAMERA.project(rays), pixels, atol=1e-3)
+    for found, pixels in ((seen[1], places[0][[0, 3, 7]]), (seen[2], places[2][[5, 8, 1]])):
+        np.testing.assert_allclose(CAMERA.project(found), pixels, atol=1e-3)
 
 
 def _features(pixels: FloatArray) -> FeatureSet:

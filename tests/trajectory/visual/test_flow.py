@@ -127,7 +127,7 @@ def test_pictures_are_reduced_to_640_pixels(size: tuple[int, int], reduced: tupl
 def test_corners_are_said_in_pixels_of_the_whole_picture(monkeypatch: pytest.MonkeyPatch) -> None:
     """A pixel's middle is at a whole number in both."""
     corners = np.array([[0.0, 0.0], [319.5, 239.5], [10.0, 20.0]], np.float32)
-    monkeypatch.setattr(module, "_new_corners", lambda image, held: corners)
+    monkeypatch.setattr(module, "_new_corners", lambda image, held, most: corners)
     (tracks, pixels) = track_corners(MemoryFrames([_noise(960, 1280)])).of_frame(0)
     assert tracks.tolist() == [0, 1, 2]
     np.testing.assert_allclose(pixels, [[0.5, 0.5], [639.5, 479.5], [20.5, 40.5]])
@@ -143,9 +143,9 @@ def test_corners_are_refilled_once_a_fifth_is_lost(monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr(module, "_followed", followed)
     asked: list[int] = []
 
-    def new(image: ByteArray, corners: FloatArray) -> FloatArray:
+    def new(image: ByteArray, corners: FloatArray, most: int) -> FloatArray:
         asked.append(len(corners))
-        return np.zeros((350 - len(corners), 2), np.float32)
+        return np.zeros((most - len(corners), 2), np.float32)
 
     monkeypatch.setattr(module, "_new_corners", new)
     heard: list[tuple[Stage, float, str]] = []

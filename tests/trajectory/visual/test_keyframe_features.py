@@ -100,7 +100,7 @@ def test_features_of_large_pictures_are_in_pixels_of_the_whole(
             )  # fmt: skip
 
     monkeypatch.setattr(keyframe_features, "_EXTRACTOR", Corner())
-    found = keyframe_features._extract(np.zeros((*size[::-1], 3), np.uint8))
+    found = keyframe_features._extract(np.zeros((*size[::-1], 3), np.uint8), Corner())
     factor = size[0] / reduced[0]
     np.testing.assert_allclose(found.pixels[0], np.array(size) - 0.5 - factor / 2)
     np.testing.assert_allclose(found.sizes, 4 * factor)
