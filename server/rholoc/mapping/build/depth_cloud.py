@@ -87,6 +87,8 @@ def _look(
     v, u = (grid.ravel() for grid in np.mgrid[step // 2 : metres.shape[0] : step, step // 2 : metres.shape[1] : step])
     v, u = v[smooth[v, u]], u[smooth[v, u]]
     rays = found.camera.rays(np.column_stack([u, v]).astype(np.float64))
+    ahead = rays[:, 2] > 0  # depths are along the axis, of which a wide lens sees both sides
+    v, u, rays = v[ahead], u[ahead], rays[ahead]
     points = rays / rays[:, 2:] * metres[v, u][:, None]
     pixels = camera.project(points)
     inside = camera.contains(pixels)

@@ -149,7 +149,7 @@ def track_corners(
 _Seen = tuple[ByteArray, ByteArray, FloatArray, float]
 
 
-def _looked_at(frames: FrameSource, breadth: float) -> Iterator[_Seen]:
+def _looked_at(frames: FrameSource, breadth: float = 1.0) -> Iterator[_Seen]:
     """Every frame, in grey and reduced, the factors (2,) from those pixels to the full image's, and its sharpness.
 
     A thread prepares the next frames while this one's corners are followed.
@@ -164,7 +164,7 @@ def _looked_at(frames: FrameSource, breadth: float) -> Iterator[_Seen]:
             yield future.result()
 
 
-def _look(image: ByteArray, breadth: float) -> _Seen:
+def _look(image: ByteArray, breadth: float = 1.0) -> _Seen:
     gray = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) if image.ndim == 3 else image, dtype=np.uint8)
     small = _reduced(gray, round(_LONGER_SIDE_PX * breadth))
     factor = np.array([gray.shape[1] / small.shape[1], gray.shape[0] / small.shape[0]])
@@ -221,7 +221,7 @@ def _flow(
     return np.asarray(moved.reshape(-1, 2)), np.asarray(found.ravel() == 1)
 
 
-def _new_corners(image: ByteArray, corners: FloatArray, most: int) -> FloatArray:
+def _new_corners(image: ByteArray, corners: FloatArray, most: int = _CORNERS) -> FloatArray:
     """Corners (K, 2) of the image away from those that are followed already, as many as are missing."""
     free = np.full(image.shape, 255, dtype=np.uint8)
     for x, y in corners.tolist():

@@ -110,7 +110,7 @@ class KeyframeFeatures:
         return _extract(image, self._extractor, self._longest_px)
 
 
-def _extract(image: ByteArray, extractor: Extractor, longest_px: int) -> FeatureSet:
+def _extract(image: ByteArray, extractor: Extractor = _EXTRACTOR, longest_px: int = _LONGER_SIDE_PX) -> FeatureSet:
     height, width = image.shape[:2]
     longer = max(height, width)
     if longer <= longest_px:
