@@ -8,10 +8,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scene import rays
 from scipy.spatial.transform import Rotation
 
-from rholoc.geometry import FloatArray, on_plane, pose_matrix
+from rholoc.geometry import FloatArray, pose_matrix
 from rholoc.recordings import GivenPoses, Recording, read_recording
 from rholoc.trajectory import PoseMethod, estimate_trajectory
 from rholoc.trajectory.checks.given_poses import PoseAxes, check_given_poses, epipolar_errors
