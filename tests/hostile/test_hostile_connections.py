@@ -351,13 +351,12 @@ def test_maps_that_cannot_be_written_are_no_error_of_the_service(serve, picture_
 
 
 def test_a_database_that_is_damaged_is_no_error_of_the_service(serve, monkeypatch):
-    running = serve()
-
     def damaged(*_args):
         raise sa.exc.DatabaseError("SELECT", {}, Exception("database disk image is malformed"))
 
     monkeypatch.setattr(JobQueue, "counts", damaged)
     monkeypatch.setattr(JobQueue, "list", damaged)
+    running = serve()
     listed = httpx.get(f"{running.url}/v1/jobs")
     assert (listed.status_code, listed.json()["code"]) == (503, "storage_unavailable")
     metrics = httpx.get(f"{running.url}/metrics")

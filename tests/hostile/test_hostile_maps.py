@@ -19,8 +19,8 @@ from rholoc.errors import InvalidMap
 from rholoc.exports import ExportFormat
 from rholoc.maps import MapLibrary, load_map, map_to_bytes
 from rholoc.maps.formats.rho_file import _checksum
+from rholoc.service import libraries
 from rholoc.service.maps.exports import ExportRequest, Exports, is_long
-from rholoc.service.routes.maps import library as routes
 
 PNG = {"Content-Type": "image/png"}
 
@@ -118,7 +118,7 @@ def test_what_cannot_be_rehearsed_is_not_published(http, picture_world, monkeypa
     def fail(*_args):
         raise IndexError("index 3 is out of bounds")
 
-    monkeypatch.setattr("rholoc.service.routes.maps.publishing.localizer_of", fail)
+    monkeypatch.setattr("rholoc.service.maps.publishing.localizer_of", fail)
     refused(http.put("/v1/maps/room", content=picture_world.rho(version=9)))
 
 
@@ -261,7 +261,7 @@ def test_a_map_file_has_a_limit_and_maps_are_checked_one_at_a_time(serve, pictur
     refused = httpx.put(f"{url}/room", content=content + b"x")
     assert (refused.status_code, refused.json()["code"]) == (413, "too_large")
     at_work, most, both = 0, 0, threading.Lock()
-    really = routes.publish
+    really = libraries.publish_file
 
     def publish(*args):
         nonlocal at_work, most
@@ -272,7 +272,7 @@ def test_a_map_file_has_a_limit_and_maps_are_checked_one_at_a_time(serve, pictur
         with both:
             at_work -= 1
 
-    monkeypatch.setattr(routes, "publish", publish)
+    monkeypatch.setattr(libraries, "publish_file", publish)
     with ThreadPoolExecutor(4) as pool:
         answers = list(pool.map(lambda i: httpx.put(f"{url}/room-{i}", content=content, timeout=60), range(4)))
     assert ([answer.status_code for answer in answers], most) == ([201] * 4, 1)
