@@ -51,14 +51,6 @@ def test_a_map_is_put_renamed_replaced_taken_and_deleted(service, picture_world,
     assert not list((service.settings.data_dir / "uploads").iterdir())
 
 
-def test_the_preview_is_a_picture(service):
-    answer = httpx.get(service.url + "/v1/maps/room/preview.png", timeout=120)
-    assert answer.headers["Content-Type"] == "image/png"
-    picture = cv2.imdecode(np.frombuffer(answer.content, np.uint8), cv2.IMREAD_COLOR)
-    assert min(picture.shape[:2]) > 500
-    assert picture.std() > 5
-
-
 def test_further_points_and_pictures_of_views(serve, picture_world):
     picture = cv2.imencode(".jpg", picture_world.image)[1].tobytes()
     cloud = Cloud(np.ones((2, 3), np.float32), np.full((2, 3), 7, np.uint8), np.zeros(2, np.int32))

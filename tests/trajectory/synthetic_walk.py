@@ -25,7 +25,7 @@ from rholoc.trajectory.visual.flow import Flow
 
 DELAY_S = 0.03  # between the clocks of camera and IMU
 SECONDS = 30.0
-RATE_HZ = 10.0
+RATE_HZ = 5.0
 NOISE_PX = 0.3
 _CORNERS, _FEATURES = 500, 700  # on all walls; the camera sees about a sixth of them
 _WALLS_M = np.array([[-2.5, 5.5], [-2.0, 5.0], [-1.4, 1.6]])  # of the room, along each axis of the map
