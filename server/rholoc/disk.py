@@ -117,10 +117,17 @@ def link_file(path: Path, other: Path) -> None:
 
 @contextmanager
 def locked_folder(folder: Path) -> Iterator[None]:
-    """Exclude all threads and processes that lock the same folder. A thread must not lock it twice."""
+    """Exclude all threads and processes that lock the same folder; nobody where its file system has no locks.
+
+    A thread must not lock a folder twice.
+    """
     descriptor = os.open(folder, os.O_RDONLY)
     try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX)  # until the descriptor is closed
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX)  # until the descriptor is closed
+        except OSError as error:
+            if error.errno not in (errno.ENOLCK, errno.ENOTSUP, errno.ENOSYS):
+                raise
         yield
     finally:
         os.close(descriptor)

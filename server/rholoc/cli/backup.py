@@ -54,9 +54,8 @@ def restore(
 
 @contextmanager
 def _opened(settings: Settings) -> Iterator[Stores]:
-    from rholoc.service.operate.stores import stores_of
 
-    stores = stores_of(settings)
+    stores = settings.stores()
     try:
         stores.open()
         yield stores

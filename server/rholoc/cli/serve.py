@@ -183,12 +183,13 @@ def opened_keys(settings: Settings) -> KeyStore:
     Raises:
         InvalidInput, Conflict, StorageFull, StorageUnavailable: it cannot be opened.
     """
-    from rholoc.service.operate.stores import open_keys, stores_of
+    from rholoc.jobs.stores import KEYS
+    from rholoc.service.access.keys import KeyStore
 
-    stores = stores_of(settings)
+    stores = settings.stores()
     stores.open()
     stores.engine.dispose()
-    return open_keys(stores)
+    return KeyStore(stores.data_dir, stores.documents(KEYS))
 
 
 def service_settings(**options: object) -> Settings:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import shutil
 import stat
+import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -34,6 +35,7 @@ class MapFolder(MapCatalogue):
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
+        self._changing = threading.Lock()  # for file systems without locks
 
     @property
     def folder(self) -> Path:
@@ -80,7 +82,7 @@ class MapFolder(MapCatalogue):
 
     @contextmanager
     def changing(self, published: Map | None = None) -> Iterator[MapChange]:
-        with locked_folder(self.folder):
+        with self._changing, locked_folder(self.folder):
             self._complete()
             change = _Change(self)
             yield change
@@ -144,7 +146,9 @@ class MapFolder(MapCatalogue):
                 continue
             place.parent.mkdir(exist_ok=True)
             link.replace(place)
-        sync_folder(self.folder)
+        for folder in (self.folder, self.folder / _PREVIOUS):
+            if folder.is_dir():
+                sync_folder(folder)
         shutil.rmtree(decided)
 
 

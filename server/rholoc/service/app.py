@@ -24,7 +24,7 @@ from rholoc.jobs import (
     Stores,
     UploadStore,
 )
-from rholoc.jobs.stores import ASKERS, CAMERAS, SITES
+from rholoc.jobs.stores import ASKERS, CAMERAS, KEYS, SITES
 from rholoc.localization import VECTORS_FILE, MapFinder
 from rholoc.logs import configure_logs
 from rholoc.maps import CameraLibrary, SiteLibrary
@@ -74,7 +74,6 @@ from rholoc.service.maps.exports import Exports
 from rholoc.service.maps.map_watch import MapWatch
 from rholoc.service.maps.renderings import Renderings
 from rholoc.service.operate.readings import Readings
-from rholoc.service.operate.stores import open_keys, stores_of
 from rholoc.service.routes import ROUTERS
 from rholoc.service.routes.frames.reading import READ_BY_HAND
 from rholoc.service.settings import Settings
@@ -97,8 +96,8 @@ Errors have one shape: `{code, message, hint, request_id}`. "No pose" is an answ
 def create_app(settings: Settings | None = None) -> FastAPI:
     """The service as an ASGI application. Its threads and its worker live from start-up to shut-down."""
     settings, metrics = settings or Settings(), Metrics()
-    stores = stores_of(settings)
-    keys, audit, lanes = open_keys(stores), AuditLog(stores.engine), StorageLanes()
+    stores = settings.stores()
+    keys, audit, lanes = KeyStore(stores.data_dir, stores.documents(KEYS)), AuditLog(stores.engine), StorageLanes()
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:

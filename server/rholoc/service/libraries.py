@@ -285,7 +285,7 @@ class AsyncLearning:
         who = None if asker is None else self._learner.pseudonym(asker)
         return self.store.delete(self._library.map_id(name), who)
 
-    def submit(self, jobs: JobQueue, name: str) -> Job:
+    def submit(self, name: str) -> Job:
         """Queue a job by which a map learns, in a thread.
 
         Raises:
@@ -297,9 +297,9 @@ class AsyncLearning:
         kept = self.store.kept(map_.info.id).queries
         if kept < FEWEST_QUERIES:
             raise too_few_queries(kept)
-        if (running := jobs.learning(name)) is not None:
+        if (running := self._jobs.learning(name)) is not None:
             raise Conflict(f"The map {name} is learning already.", f"Wait for the job {running.id}.")
-        return jobs.submit("", name, JobOptions(kind=JobKind.LEARN))
+        return self._jobs.submit("", name, JobOptions(kind=JobKind.LEARN))
 
 
 class AsyncQuotas:

@@ -11,7 +11,7 @@ from pathlib import Path
 from pydantic import Field, SecretStr
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
-from rholoc.jobs import BuildLimits, Capacity
+from rholoc.jobs import BuildLimits, Capacity, Stores
 from rholoc.localization import MIN_RECOGNIZED
 from rholoc.processes import machine_memory_bytes
 from rholoc.recordings import MAX_FRAME_PIXELS
@@ -202,6 +202,21 @@ class Settings(BaseSettings):
     def worker_capacity(self) -> Capacity:
         """How much a worker takes on."""
         return Capacity(self.worker_jobs, self.worker_memory_gib * 2**30)
+
+    def stores(self) -> Stores:
+        """Where the service keeps what it holds, not yet opened.
+
+        Raises:
+            InvalidInput: an URL is not valid.
+        """
+        return Stores(
+            self.maps_dir,
+            self.data_dir,
+            self.jobs_database,
+            self.shared_storage,
+            self.storage_cache_bytes,
+            self.map_cache_bytes,
+        )
 
     @property
     def jobs_database(self) -> str | None:

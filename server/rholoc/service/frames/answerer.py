@@ -71,7 +71,7 @@ class Answerer:
     async def localizer(self, name: str) -> AnyLocalizer:
         """The localizer of a map, which is fetched first if necessary. Raises as :meth:`Localizers.get`."""
         if not await self.lanes.files(self.library.is_here, name):
-            await self.lanes.fetches(self.localizers.fetch, name)
+            await self.lanes.fetches(self.library.path, name)
         return await self.lanes.files(self.localizers.get, name)
 
     async def forget_missing(self) -> None:
@@ -171,7 +171,7 @@ class Answerer:
                 name = missing.name
             try:
                 async with asyncio.timeout(patience_s):
-                    await self.lanes.fetches(self.localizers.fetch, name)
+                    await self.lanes.fetches(self.library.path, name)
             except RholocError as error:
                 localizers.refused[name] = error
             except TimeoutError:

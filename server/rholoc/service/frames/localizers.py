@@ -10,7 +10,7 @@ from rholoc.maps import Map, MapLibrary, check_usable
 
 
 class MapNotHereError(Exception):
-    """A map has to be fetched first, by :meth:`Localizers.fetch`; compute threads do not wait for the storage."""
+    """A map has to be fetched first, by :meth:`MapLibrary.path`; compute threads do not wait for the storage."""
 
     def __init__(self, name: str) -> None:
         super().__init__(name)
@@ -54,14 +54,6 @@ class Localizers:
             if ready is None or ready.map is not map_:
                 ready = self._ready[name] = self._build(map_)
         return ready
-
-    def fetch(self, name: str) -> None:
-        """Fetch a map's file from the storage.
-
-        Raises:
-            InvalidName, UnknownMap, StorageUnavailable, StorageFull: as :meth:`MapLibrary.path` does.
-        """
-        self._library.path(name)
 
     def forget_missing(self) -> None:
         """Drop the localizers of maps that are no longer in the library."""

@@ -22,7 +22,6 @@ from rholoc.pictures.style import missing_fonts
 from rholoc.processes import machine_memory_bytes
 from rholoc.recordings.frames.video import read_video
 from rholoc.service.access.keys import KeyStore
-from rholoc.service.operate.stores import stores_of
 from rholoc.service.settings import KeyPolicy, Settings, keys_needed
 
 _LEAST_FREE_BYTES, _LITTLE_FREE_BYTES = 2**28, 2**32
@@ -109,7 +108,7 @@ def _can_be_created(folder: Path) -> bool:
 
 def _maps(settings: Settings) -> _Found:
     """All map files are maps, or the storage that servers share answers; sites name maps that there are."""
-    stores = stores_of(settings)
+    stores = settings.stores()
     try:
         if stores.are_shared:
             stores.open()

@@ -66,7 +66,7 @@ async def learn_from_users(map_name: str, request: Request, service: Service, re
     one unless it would localize queries that were held back worse; then the job fails and says by how much. Where the
     setting `learn` says so, maps learn by themselves each night."""
     key = request_key(request.scope)
-    job = await service.jobs.begin(key, map_name, lambda jobs: service.learning.submit(jobs, map_name))
+    job = await service.jobs.begin(key, map_name, lambda _: service.learning.submit(map_name))
     return begun(job, response)
 
 
