@@ -10,6 +10,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import pytest
 
@@ -93,6 +94,21 @@ def test_a_change_is_made_whole_or_not_at_all(change: str, tmp_path: Path, room_
     assert found[-1] == after
     assert all(one in (before, after) for one in found)
     assert len(found) > 10
+
+
+def test_a_change_that_cannot_be_made_is_not_made_later(tmp_path: Path, room_map: Map) -> None:
+    library = MapLibrary(tmp_path)
+    for number in range(3):
+        library.put("room", numbered(room_map, number))
+    before = contents(tmp_path)
+    for call in ("unlink", "replace"):
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(Path, call, Mock(side_effect=OSError(30, "Read-only file system")))
+            with pytest.raises(OSError, match="Read-only"):
+                library.delete("room") if call == "unlink" else library.restore("room", 2)
+        assert contents(tmp_path) == before
+    library.put("hall", room_map)
+    assert contents(tmp_path)["room"] == before["room"]
 
 
 def test_versions_that_somebody_removed_leave_no_gap(tmp_path: Path, room_map: Map) -> None:

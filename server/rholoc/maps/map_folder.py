@@ -88,7 +88,7 @@ class MapFolder(MapCatalogue):
             yield change
             with reporting_full_disk():
                 self._decide(change.wanted)
-                self._complete()
+                self._complete(is_new=True)
 
     def snapshot(self) -> Iterator[tuple[str, int, Path]]:
         if not self.folder.is_dir():
@@ -134,22 +134,33 @@ class MapFolder(MapCatalogue):
         begun.rename(self.folder / _DECIDED)
         sync_folder(self.folder)
 
-    def _complete(self) -> None:
-        """Put the links of a change that was decided, if there is one, in their places."""
+    def _complete(self, is_new: bool = False) -> None:
+        """Put the links of a change that was decided, if there is one, in their places.
+
+        If the first of a new change cannot be put in its place, the change is not decided any more.
+        """
         decided = self.folder / _DECIDED
         if not decided.exists():
             return
         for link in sorted(path for path in decided.rglob("*") if path.is_file()):
-            place = self.folder / link.relative_to(decided)
-            if link.stat().st_size == 0:
-                place.unlink(missing_ok=True)
-                continue
-            place.parent.mkdir(exist_ok=True)
-            link.replace(place)
+            try:
+                self._put_in_place(link, self.folder / link.relative_to(decided))
+            except OSError:
+                if is_new:
+                    decided.rename(self.folder / _BEGUN)
+                raise
+            is_new = False
         for folder in (self.folder, self.folder / _PREVIOUS):
             if folder.is_dir():
                 sync_folder(folder)
         shutil.rmtree(decided)
+
+    def _put_in_place(self, link: Path, place: Path) -> None:
+        if link.stat().st_size == 0:
+            place.unlink(missing_ok=True)
+        else:
+            place.parent.mkdir(exist_ok=True)
+            link.replace(place)
 
 
 class _Change:
